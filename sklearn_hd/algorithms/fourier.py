@@ -1,0 +1,165 @@
+"""Fourier coefficients of periodic and nearly periodic signals.
+
+A signal s whose harmonics k of the fundamental ω are kept reads, with ψ = ωt,
+
+    s(t) = s_0 + Σ_k (s_kc cos kψ + s_ks sin kψ)                          (Eq. 7)
+
+Coefficients are ordered as in the paper's Eq. 9: ``0, 1c, 1s, 2c, 2s, …``.
+The complex coefficients of the same signal, s = Σ_k S_k e^{jkψ}, are
+S_0 = s_0 and S_{±k} = (s_kc ∓ j s_ks) / 2.
+"""
+
+import numpy as np
+
+__all__ = [
+    "complex_transformation",
+    "harmonic_functions",
+    "harmonic_labels",
+    "recompose",
+    "window_weights",
+    "windowed_coefficients",
+]
+
+WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
+
+
+def harmonic_labels(harmonics):
+    """Suffixes of the coefficients of some harmonics, in the paper's order.
+
+    Examples
+    --------
+    >>> harmonic_labels([0, 1, 3])
+    ['0', '1c', '1s', '3c', '3s']
+    """
+    return [
+        label for k in harmonics for label in (("0",) if k == 0 else (f"{int(k)}c", f"{int(k)}s"))
+    ]
+
+
+def harmonic_functions(psi, harmonics):
+    """Values of 1, cos kψ, sin kψ for the harmonics kept.
+
+    Parameters
+    ----------
+    psi : array_like, shape (...,)
+        Azimuth ψ = ωt in radians.
+    harmonics : sequence of int
+        Harmonics kept, such as ``[0, 1]``.
+
+    Returns
+    -------
+    functions : ndarray, shape (..., n_coefficients)
+        One column for harmonic 0, two (cos, sin) for each other.
+    """
+    psi = np.asarray(psi, dtype=float)
+    columns = []
+    for k in harmonics:
+        columns += [np.ones_like(psi)] if k == 0 else [np.cos(k * psi), np.sin(k * psi)]
+    return np.stack(columns, axis=-1) if columns else np.empty((*psi.shape, 0))
+
+
+def recompose(coefficients, psi, harmonics):
+    """Signal of given, possibly time-varying, Fourier coefficients (Eq. 7).
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (..., n_coefficients)
+        Coefficients in the order of :func:`harmonic_labels`.
+    psi : array_like, shape (...,)
+        Azimuth in radians.
+    harmonics : sequence of int
+
+    Returns
+    -------
+    signal : ndarray, shape (...,)
+    """
+    return np.sum(np.asarray(coefficients) * harmonic_functions(psi, harmonics), axis=-1)
+
+
+def complex_transformation(n_harmonics):
+    """Matrix W that takes real coefficients to complex ones, S = W s.
+
+    S is ordered −N, …, N and s as ``0, 1c, 1s, …, Nc, Ns``; its inverse takes
+    complex coefficients back.
+
+    Returns
+    -------
+    W : complex ndarray, shape (2 N + 1, 2 N + 1)
+
+    Examples
+    --------
+    >>> W = complex_transformation(1)
+    >>> bool(np.allclose(W @ [2.0, 4.0, 6.0], [2 + 3j, 2, 2 - 3j]))
+    True
+    """
+    n = int(n_harmonics)
+    W = np.zeros((2 * n + 1, 2 * n + 1), dtype=complex)
+    W[n, 0] = 1.0
+    for k in range(1, n + 1):
+        W[n + k, 2 * k - 1], W[n + k, 2 * k] = 0.5, -0.5j
+        W[n - k, 2 * k - 1], W[n - k, 2 * k] = 0.5, 0.5j
+    return W
+
+
+def window_weights(window, samples_per_period):
+    """Weights of an analysis window; they sum to one.
+
+    Each window has zeros at every multiple of the fundamental frequency, so a
+    periodic signal's coefficients come out exact: ``"boxcar"`` spans one
+    period, ``"triangle"`` (a boxcar applied twice) and ``"hann"`` span two.
+
+    Parameters
+    ----------
+    window : {"boxcar", "triangle", "hann"}
+    samples_per_period : int
+
+    Returns
+    -------
+    weights : ndarray, shape (n_window,)
+        Oldest sample first.
+    """
+    n = int(samples_per_period)
+    if window == "boxcar":
+        return np.full(n, 1.0 / n)
+    if window == "triangle":
+        box = np.full(n, 1.0 / n)
+        return np.convolve(box, box)
+    phase = 2.0 * np.pi * np.arange(2 * n) / (2 * n)
+    return (1.0 - np.cos(phase)) / (2 * n)
+
+
+def windowed_coefficients(signal, psi, harmonics, weights, rows):
+    """Fourier coefficients seen through a window that ends at each of some rows.
+
+    For harmonic k: ŝ_kc(n) = 2 Σ_i h_i s(n−i) cos kψ(n−i), and likewise with
+    sin; the factor is 1 for k = 0.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n_samples,)
+    psi : ndarray, shape (n_samples,)
+        Azimuth of each sample, radians.
+    harmonics : sequence of int
+    weights : ndarray, shape (n_window,)
+        Window, oldest sample first.
+    rows : ndarray of int, shape (n_rows,)
+        The last sample in each window; each at least ``n_window - 1``.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (n_rows, n_coefficients)
+    """
+    rows = np.asarray(rows, dtype=int)
+    functions = harmonic_functions(psi, harmonics)
+    gains = np.array([1.0 if label == "0" else 2.0 for label in harmonic_labels(harmonics)])
+    products = functions * (gains * np.asarray(signal, dtype=float)[:, None])
+    n_window = len(weights)
+    if n_window > len(products):
+        return np.empty((0, len(gains)))
+    windows = np.lib.stride_tricks.sliding_window_view(products, n_window, axis=0)
+    result = np.empty((len(rows), len(gains)))
+    block = max(1, 4_000_000 // max(1, n_window * len(gains)))
+    for start in range(0, len(rows), block):
+        some = rows[start : start + block] - n_window + 1
+        result[start : start + block] = windows[some] @ weights
+    return result

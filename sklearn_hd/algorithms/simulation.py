@@ -1,0 +1,125 @@
+"""Responses of linear time-invariant models, and the way between their time domains.
+
+    x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]                    (Eq. 10)
+    ẋ = A x + B u,              y = C x + D u                             (Eq. 8)
+"""
+
+import numpy as np
+from scipy import linalg
+
+__all__ = ["continuous_to_discrete", "discrete_to_continuous", "frequency_response", "propagate"]
+
+
+def propagate(A, forcing, x0):
+    """States of x[k+1] = A x[k] + v[k] from x[0] = x0.
+
+    Recursive doubling (Kogge and Stone, 1973): log2(n_samples) matrix products
+    instead of one small product a sample.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    forcing : ndarray, shape (..., n_samples, n)
+        v[k]; the last row is not used.
+    x0 : ndarray, shape (..., n)
+
+    Returns
+    -------
+    states : ndarray, shape (..., n_samples, n)
+
+    Examples
+    --------
+    >>> propagate(np.array([[0.5]]), np.ones((4, 1)), np.zeros(1)).ravel().tolist()
+    [0.0, 1.0, 1.5, 1.75]
+    """
+    forcing = np.asarray(forcing)
+    A = np.asarray(A)
+    x0 = np.asarray(x0)
+    x = np.empty(forcing.shape, dtype=np.result_type(A, forcing, x0, float))
+    if x.shape[-2] == 0:
+        return x
+    x[..., 0, :] = x0
+    x[..., 1:, :] = forcing[..., :-1, :]
+    power, step = A.T.copy(), 1
+    while step < x.shape[-2]:
+        if not np.any(power):
+            break  # nilpotent, or decayed below the smallest number
+        x[..., step:, :] += x[..., :-step, :] @ power
+        power, step = power @ power, 2 * step
+    return x
+
+
+def continuous_to_discrete(A, B, dt):
+    """Zero-order-hold equivalent of (A, B) at sample time dt.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    B : ndarray, shape (n, m)
+    dt : float
+        Sample time in seconds.
+
+    Returns
+    -------
+    A_d : ndarray, shape (n, n)
+    B_d : ndarray, shape (n, m)
+    """
+    n, m = B.shape
+    block = np.zeros((n + m, n + m), dtype=np.result_type(A, B, float))
+    block[:n, :n], block[:n, n:] = A, B
+    power = linalg.expm(block * dt)
+    return power[:n, :n], power[:n, n:]
+
+
+def discrete_to_continuous(A, B, dt):
+    """Continuous (A, B) whose zero-order-hold equivalent at dt is the given pair.
+
+    The inverse of :func:`continuous_to_discrete`, by the principal matrix
+    logarithm of the block matrix [[A, B], [0, I]].
+
+    Raises
+    ------
+    ValueError
+        If A has an eigenvalue on the closed negative real axis: no real
+        logarithm exists there.
+    """
+    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+    n, m = B.shape
+    z = linalg.eigvals(A) if n else np.empty(0)
+    size = np.max(np.abs(z), initial=0.0)
+    bad = z[(np.abs(z.imag) <= 1e-12 * size) & (z.real <= 1e-14 * max(size, 1.0))]
+    if bad.size:
+        poles = ", ".join(f"{value:.4g}" for value in bad.real)
+        raise ValueError(
+            f"discrete poles at {poles} lie on the closed negative real axis, where a real "
+            f"continuous-time model does not exist; drop those modes (SpuriousModeReducer does), "
+            f"lower the order, or sample faster (a smaller hop)"
+        )
+    if n == 0:
+        return A.copy(), B.copy()
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:], block[n:, n:] = A, B, np.eye(m)
+    logarithm = np.real(linalg.logm(block)) / dt
+    return logarithm[:n, :n], logarithm[:n, n:]
+
+
+def frequency_response(A, B, C, D, s):
+    """Transfer matrix C (sI − A)⁻¹ B + D at some points of the complex plane.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
+    s : array_like of complex, shape (n_points,)
+        s = jω (continuous) or z = e^{jω dt} (discrete).
+
+    Returns
+    -------
+    response : complex ndarray, shape (n_points, l, m)
+    """
+    s = np.atleast_1d(np.asarray(s, dtype=complex))
+    n = A.shape[0]
+    if n == 0:
+        return np.broadcast_to(D.astype(complex), (len(s), *D.shape)).copy()
+    resolvent = s[:, None, None] * np.eye(n) - A
+    states = np.linalg.solve(resolvent, np.broadcast_to(B.astype(complex), (len(s), *B.shape)))
+    return C @ states + D

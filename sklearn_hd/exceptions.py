@@ -1,0 +1,21 @@
+"""Warnings and errors of sklearn_hd's own."""
+
+
+class UnstableModelError(ValueError):
+    """A norm or a match was asked of a model whose response is not bounded."""
+
+
+class TrimError(RuntimeError):
+    """No periodic solution was found from the guess given."""
+
+
+class ExcitationWarning(UserWarning):
+    """The inputs excite fewer directions than the block rows ask for."""
+
+
+class IdentifiabilityWarning(UserWarning):
+    """Some parameters or modes are not determined by these data."""
+
+
+class TimeBaseWarning(UserWarning):
+    """The time base was assumed (samples counted) rather than read from an index."""
