@@ -132,7 +132,8 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
     """Fourier coefficients seen through a window that ends at each of some rows.
 
     For harmonic k: ŝ_kc(n) = 2 Σ_i h_i s(n−i) cos kψ(n−i), and likewise with
-    sin; the factor is 1 for k = 0.
+    sin; the factor is 1 for k = 0, and for the cosine of half the samples in a
+    period, whose sine vanishes.
 
     Parameters
     ----------
@@ -151,11 +152,11 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
     """
     rows = np.asarray(rows, dtype=int)
     functions = harmonic_functions(psi, harmonics)
-    gains = np.array([1.0 if label == "0" else 2.0 for label in harmonic_labels(harmonics)])
-    products = functions * (gains * np.asarray(signal, dtype=float)[:, None])
     n_window = len(weights)
-    if n_window > len(products):
-        return np.empty((0, len(gains)))
+    # mean square of each function: 1 or 1/2, and 1 and 0 at the Nyquist harmonic
+    power = weights @ functions[:n_window] ** 2
+    gains = np.where(power > 1e-9, 1.0 / np.maximum(power, 1e-9), 0.0)
+    products = functions * (gains * np.asarray(signal, dtype=float)[:, None])
     windows = np.lib.stride_tricks.sliding_window_view(products, n_window, axis=0)
     result = np.empty((len(rows), len(gains)))
     block = max(1, 4_000_000 // max(1, n_window * len(gains)))

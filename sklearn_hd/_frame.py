@@ -1,0 +1,301 @@
+"""What travels between the steps: the frame, its harmonic basis, the model identified so far."""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+import pandas as pd
+
+from sklearn_hd.algorithms.fourier import (
+    WINDOW_PERIODS,
+    harmonic_functions,
+    harmonic_labels,
+    window_weights,
+    windowed_coefficients,
+)
+
+__all__ = ["HarmonicBasis", "HarmonicFrame", "LTIModel"]
+
+PERIOD = "period"
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicBasis:
+    """How harmonic coefficients were, and are to be, made from signals in time.
+
+    Attributes
+    ----------
+    omega : float
+        Fundamental frequency, rad/s.
+    sample_time : float
+        Seconds.
+    samples_per_period : int
+    window : str
+        Such as ``"boxcar"`` (causal) or ``"centred-boxcar"``.
+    hop : int or "period"
+        Samples from one row read by the model steps to the next.
+    inputs, outputs : tuple of (signal, (k, …))
+        Harmonics kept of each signal.
+    input_trim, output_trim : ndarray, shapes (samples_per_period, n_signals), or None
+        Periodic waveforms subtracted from the signals.
+    """
+
+    omega: float
+    sample_time: float
+    samples_per_period: int
+    window: str
+    hop: int | str
+    inputs: tuple
+    outputs: tuple
+    input_trim: np.ndarray | None = None
+    output_trim: np.ndarray | None = None
+
+    @property
+    def synchronous(self):
+        """Whether one row a period is read (hop="period")."""
+        return self.hop == PERIOD
+
+    @property
+    def hop_samples(self):
+        """Samples between the rows read."""
+        return self.samples_per_period if self.synchronous else self.hop
+
+    @property
+    def rows_per_period(self):
+        """Rows read in a period."""
+        return self.samples_per_period // self.hop_samples
+
+    @property
+    def weights(self):
+        """Window, oldest sample first, shape (n_window,)."""
+        if self.synchronous:
+            return window_weights("boxcar", self.samples_per_period)
+        return window_weights(self.window.removeprefix("centred-"), self.samples_per_period)
+
+    @property
+    def window_rows(self):
+        """Rows read within one window."""
+        if self.synchronous:
+            return 1
+        periods = WINDOW_PERIODS[self.window.removeprefix("centred-")]
+        return periods * self.rows_per_period
+
+    @property
+    def lead(self):
+        """Samples by which the window runs ahead of its row."""
+        return (len(self.weights) - 1) // 2 if self.window.startswith("centred-") else 0
+
+    @property
+    def output_labels(self):
+        """Names of the harmonic coefficients of the outputs."""
+        return coefficient_names(self.outputs)
+
+    @property
+    def drive_labels(self):
+        """Names of the inputs of the identified models.
+
+        A signal of which only harmonic 0 is kept drives the model as it was
+        measured; others by the coefficients of each whole period.
+        """
+        return coefficient_names(self.inputs)
+
+    def azimuth(self, time):
+        """ψ = ωt in radians."""
+        return self.omega * np.asarray(time)
+
+    def phase_index(self, time):
+        """Sample within the period, 0 … samples_per_period − 1."""
+        return phase_index(time, self.omega, self.samples_per_period)
+
+    def coefficients(self, values, time, signals, rows):
+        """Windowed coefficients of some signals at some rows of one segment.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n_samples, n_signals)
+            One column for each entry of ``signals``.
+        time : ndarray, shape (n_samples,)
+            Seconds.
+        signals : tuple of (signal, (k, …))
+        rows : ndarray of int, shape (n_rows,)
+            Rows nearer to an end than the window reaches take the nearest
+            whole window; a hop of ``"period"`` takes the period that the row is in.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (n_rows, n_coefficients)
+        """
+        ends = self._window_ends(time, rows)
+        unique, where = np.unique(ends, return_inverse=True)
+        psi = self.azimuth(time)
+        columns = [
+            windowed_coefficients(values[:, i], psi, harmonics, self.weights, unique)[where]
+            for i, (_, harmonics) in enumerate(signals)
+        ]
+        return np.hstack(columns)
+
+    def _window_ends(self, time, rows):
+        """Last sample of the window of each row, clipped to the segment."""
+        n_window, n_samples = len(self.weights), len(time)
+        if self.synchronous:
+            ends = rows - self.phase_index(time)[rows] + n_window - 1
+        else:
+            ends = np.asarray(rows) + self.lead
+        return np.clip(ends, n_window - 1, n_samples - 1)
+
+    def rows_read(self, time, whole_windows=True):
+        """Rows of one segment that model steps read: ψ = 0 mod hop.
+
+        With ``whole_windows`` only those whose window lies within the segment.
+        """
+        phase = self.phase_index(time)
+        rows = np.flatnonzero(phase % self.hop_samples == 0)
+        if not whole_windows:
+            return rows
+        n_window, n_samples = len(self.weights), len(time)
+        if self.synchronous:
+            return rows[rows + n_window <= n_samples]
+        return rows[(rows + self.lead >= n_window - 1) & (rows + self.lead < n_samples)]
+
+    def drive(self, values, time):
+        """Inputs of the identified model at every sample of one segment.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n_samples, n_inputs)
+            Raw inputs, trim subtracted, one column for each entry of ``inputs``.
+
+        Returns
+        -------
+        drive : ndarray, shape (n_samples, n_drive)
+            The raw signal where only harmonic 0 is kept; else the coefficients
+            of the whole period that each sample lies in.
+        """
+        psi, spp = self.azimuth(time), self.samples_per_period
+        box = window_weights("boxcar", spp)
+        ends = np.arange(len(time)) - self.phase_index(time) + spp - 1
+        ends, where = np.unique(np.clip(ends, spp - 1, len(time) - 1), return_inverse=True)
+        columns = [
+            values[:, [i]]
+            if harmonics == (0,)
+            else windowed_coefficients(values[:, i], psi, harmonics, box, ends)[where]
+            for i, (_, harmonics) in enumerate(self.inputs)
+        ]
+        return np.hstack(columns)
+
+    def recomposition(self, psi):
+        """Matrices R(ψ) that take the outputs' coefficients to the kept signals (Eq. 7).
+
+        Returns
+        -------
+        R : ndarray, shape (n_samples, n_signals, n_coefficients)
+        """
+        blocks = [harmonic_functions(psi, harmonics) for _, harmonics in self.outputs]
+        width = sum(block.shape[-1] for block in blocks)
+        R = np.zeros((len(psi), len(blocks), width))
+        start = 0
+        for i, block in enumerate(blocks):
+            R[:, i, start : start + block.shape[-1]] = block
+            start += block.shape[-1]
+        return R
+
+
+def phase_index(time, omega, samples_per_period):
+    """Sample within the period nearest to each time, 0 … samples_per_period − 1."""
+    turns = np.asarray(time) * omega / (2.0 * np.pi)
+    return np.rint(turns * samples_per_period).astype(int) % samples_per_period
+
+
+def coefficient_names(signals):
+    """Names such as u_0, u_1c, u_1s of the coefficients kept of some signals."""
+    return tuple(
+        f"{signal}_{label}" for signal, harmonics in signals for label in harmonic_labels(harmonics)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LTIModel:
+    """State-space matrices with their names, as a value that pickles and hashes.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+    dt : float
+        Sample time in seconds; 0.0 for continuous time.
+    input_names, output_names : tuple of str
+    state_names : tuple of str or None
+    feedthrough : bool
+        Whether D was free.
+    windowed : bool
+        Whether the outputs are coefficients as seen through the analysis
+        window (an identified model) rather than the harmonics themselves.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    dt: float
+    input_names: tuple
+    output_names: tuple
+    state_names: tuple | None = None
+    feedthrough: bool = False
+    windowed: bool = False
+
+    @property
+    def n_states(self):
+        """Number of states."""
+        return len(self.A)
+
+    def to_control(self):
+        """The model as a control.StateSpace with named signals."""
+        names = {} if self.state_names is None else {"states": list(self.state_names)}
+        return control.StateSpace(
+            self.A,
+            self.B,
+            self.C,
+            self.D,
+            self.dt,
+            inputs=list(self.input_names),
+            outputs=list(self.output_names),
+            name="identified",
+            remove_useless_states=False,
+            **names,
+        )
+
+
+class HarmonicFrame(pd.DataFrame):
+    """A DataFrame that carries the harmonic basis and the model identified so far.
+
+    Its columns are the raw inputs and their harmonic coefficients
+    ``u_0, u_1c, u_1s, …``, on the user's own index. Slicing, copying and
+    pickling keep both attributes; concatenation and joins drop them.
+
+    Attributes
+    ----------
+    basis : HarmonicBasis or None
+        How the coefficients were made.
+    model : LTIModel or None
+        The model identified so far.
+
+    Examples
+    --------
+    >>> frame = HarmonicFrame({"u": [0.0, 1.0]})
+    >>> frame.iloc[:1].basis is None
+    True
+    """
+
+    _metadata = ["basis", "model"]  # noqa: RUF012 - the protocol of pandas
+    basis = None
+    model = None
+
+    @property
+    def _constructor(self):
+        return HarmonicFrame
+
+    @classmethod
+    def attach(cls, data, basis, model):
+        """A frame of some data, with a basis and a model riding on it."""
+        frame = cls(data, copy=False)
+        frame.basis, frame.model = basis, model
+        return frame

@@ -1,0 +1,198 @@
+"""Past-output MOESP subspace identification (Verhaegen, 1994; the paper's section 2.2).
+
+From the triangular factor of [U_f; U_p; Y_p; Y_f] = L Q,
+
+    L_32 = U S Vᵀ      (future outputs on past data, future inputs projected out)
+    Γ_i  = U_n S_n^½   (Eq. 13),   C = Γ_i[:l],   Γ_i[:-l] A = Γ_i[l:]
+
+and with A and C known, y is linear in B, D and the initial states.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.simulation import propagate
+
+__all__ = [
+    "input_matrices",
+    "noise_floor",
+    "observability_subspace",
+    "order_by_gap",
+    "response_regressors",
+    "state_matrices",
+]
+
+EPS = np.finfo(float).eps
+
+
+def observability_subspace(R, block_rows, n_inputs):
+    """Left singular vectors and singular values of the projected future outputs.
+
+    Parameters
+    ----------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+        From :func:`~sklearn_hd.algorithms.hankel.hankel_factor`.
+    block_rows : int
+    n_inputs : int
+
+    Returns
+    -------
+    U : ndarray, shape (i l, i l)
+    singular_values : ndarray, shape (i l,)
+    """
+    past = slice(block_rows * n_inputs, R.shape[0] - _future_width(R, block_rows, n_inputs))
+    projected = R[past, past.stop :].T
+    U, singular_values, _ = linalg.svd(projected, full_matrices=False)
+    return U, singular_values
+
+
+def _future_width(R, block_rows, n_inputs):
+    return R.shape[0] // 2 - block_rows * n_inputs
+
+
+def noise_floor(R, block_rows, n_inputs, n_columns):
+    """Largest singular value that rounding, or white output noise, would give.
+
+    The residual of the future outputs after regression on all past and future
+    data, L_33, has the noise's standard deviation times the square root of the
+    columns left; random rows of that size in L_32 have singular values up to
+    σ (√(i l) + √(i (m + l))) (Marchenko and Pastur, 1967).
+
+    Parameters
+    ----------
+    R : ndarray
+        From :func:`~sklearn_hd.algorithms.hankel.hankel_factor`.
+    block_rows, n_inputs, n_columns : int
+
+    Returns
+    -------
+    floor : float
+    """
+    future = _future_width(R, block_rows, n_inputs)
+    start = R.shape[0] - future
+    past = start - block_rows * n_inputs
+    left = n_columns - start
+    rounding = 10.0 * EPS * np.sqrt(n_columns) * np.linalg.norm(R[:, start:], 2)
+    if left < future:
+        return rounding  # too few columns to see a residual
+    sigma = np.linalg.norm(R[start:, start:]) / np.sqrt(future * left)
+    return max(rounding, sigma * (np.sqrt(future) + np.sqrt(past)))
+
+
+def order_by_gap(singular_values, floor, max_order):
+    """Order at the widest gap between consecutive singular values above a floor.
+
+    The gap after the n-th value is σ_n / max(σ_{n+1}, floor).
+
+    Parameters
+    ----------
+    singular_values : ndarray
+        In descending order.
+    floor : float
+        Size of the values that rounding or noise alone would give.
+    max_order : int
+
+    Returns
+    -------
+    order : int
+
+    Examples
+    --------
+    >>> order_by_gap(np.array([9.0, 5.0, 2.0, 1e-15, 5e-16]), floor=1e-14, max_order=4)
+    3
+    """
+    values = np.maximum(singular_values, floor)
+    ratios = values[:-1] / values[1:]
+    return int(np.argmax(ratios[:max_order])) + 1
+
+
+def state_matrices(U, singular_values, order, n_outputs):
+    """A and C of the chosen order by the shift property (Eq. 13).
+
+    Returns
+    -------
+    A : ndarray, shape (order, order)
+    C : ndarray, shape (n_outputs, order)
+    """
+    observability = U[:, :order] * np.sqrt(singular_values[:order])
+    A = linalg.lstsq(observability[:-n_outputs], observability[n_outputs:])[0]
+    return A, observability[:n_outputs]
+
+
+def response_regressors(A, C, u, feedthrough):
+    """Outputs of x[k+1] = A x + B u, y = C x + D u as a linear map of x[0], B and D.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+    u : ndarray, shape (n_samples, m)
+    feedthrough : bool
+        Whether D is free.
+
+    Returns
+    -------
+    free : ndarray, shape (n_samples, l, n)
+        Response to each entry of x[0].
+    forced : ndarray, shape (n_samples, l, n m [+ l m])
+        Response to each entry of B (row by row), then of D.
+    """
+    n, m, n_outputs = len(A), u.shape[1], len(C)
+    n_samples = len(u)
+    free = propagate(A, np.zeros((n, n_samples, n)), np.eye(n))
+    unit = np.einsum("ij,tk->iktj", np.eye(n), u).reshape(n * m, n_samples, n)
+    states = propagate(A, unit, np.zeros((n * m, n)))
+    blocks = [np.einsum("ptj,lj->tlp", states, C)]
+    if feedthrough:
+        direct = np.einsum("ab,tk->tbak", np.eye(n_outputs), u)
+        blocks.append(direct.reshape(n_samples, n_outputs, n_outputs * m))
+    return np.einsum("ptj,lj->tlp", free, C), np.concatenate(blocks, axis=-1)
+
+
+def input_matrices(A, C, inputs, outputs, feedthrough, observe=None):
+    """B, D and the initial states that fit the outputs best, by linear least squares.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+    inputs : list of ndarray, shapes (n_samples_s, m)
+        One array a segment.
+    outputs : list of ndarray, shapes (n_samples_s, q)
+        Measured signals; q = l where ``observe`` is None.
+    feedthrough : bool
+        Whether D is free (else zero).
+    observe : list of ndarray, shapes (n_samples_s, q, l), optional
+        What is measured of the model's outputs at each sample, such as the
+        recomposition of Eq. 7.
+
+    Returns
+    -------
+    B : ndarray, shape (n, m)
+    D : ndarray, shape (l, m)
+    x0 : ndarray, shape (n_segments, n)
+    """
+    n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
+    n_forced = n * m + (n_outputs * m if feedthrough else 0)
+    size = n_forced + n * len(inputs)
+    R = np.zeros((0, size + 1))
+    for s, (u, y) in enumerate(zip(inputs, outputs, strict=True)):
+        free, forced = response_regressors(A, C, u, feedthrough)
+        if observe is not None:
+            free, forced = observe[s] @ free, observe[s] @ forced
+        rows = np.zeros((y.size, size + 1))
+        rows[:, :n_forced] = forced.reshape(y.size, n_forced)
+        rows[:, n_forced + n * s : n_forced + n * (s + 1)] = free.reshape(y.size, n)
+        rows[:, -1] = y.reshape(-1)
+        R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: size + 1]
+    solution = _scaled_lstsq(R[:, :-1], R[:, -1])
+    B = solution[: n * m].reshape(n, m)
+    D = solution[n * m : n_forced].reshape(n_outputs, m) if feedthrough else np.zeros((n_outputs, m))
+    return B, D, solution[n_forced:].reshape(len(inputs), n)
+
+
+def _scaled_lstsq(regressors, target):
+    """Least squares with columns of equal length, so that units do not decide the rank."""
+    scale = np.linalg.norm(regressors, axis=0)
+    scale[scale == 0.0] = 1.0
+    return linalg.lstsq(regressors / scale, target)[0] / scale

@@ -1,0 +1,273 @@
+"""Step 3: subspace identification of a discrete-time state-space model."""
+
+import warnings
+
+import numpy as np
+
+from sklearn_hd._base import ModelStep, hop_means, read_experiment
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._validation import check_count, signal_names
+from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
+from sklearn_hd.algorithms.moesp import (
+    input_matrices,
+    noise_floor,
+    observability_subspace,
+    order_by_gap,
+    state_matrices,
+)
+from sklearn_hd.exceptions import ExcitationWarning
+
+__all__ = ["MOESPRegressor"]
+
+DEFAULT_BLOCK_ROWS = 15
+RANK_TOLERANCE = 1e-10
+
+
+class MOESPRegressor(ModelStep):
+    """Past-output MOESP identification of a linear time-invariant model.
+
+        x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
+
+    On a frame from :class:`HarmonicAnalyzer` the outputs are decomposed with
+    the basis that rides on it, and k counts the rows read (every ``hop``-th
+    sample); the model is driven by the raw inputs, or by the coefficients of
+    whole periods where harmonics other than 0 are kept. On plain data it is
+    ordinary subspace identification, sample by sample.
+
+    Parameters
+    ----------
+    order : int or "auto", default="auto"
+        Number of states. ``"auto"`` takes the widest gap between consecutive
+        singular values above the noise floor.
+    block_rows : int or None, default=None
+        Block rows i of the past, and of the future. None takes half as many
+        again as the analysis window has rows, plus two; 15 on plain data
+        (fewer where the record is short).
+    feedthrough : bool, default=False
+        Whether D is free, else zero. Period by period (``hop="period"``) D
+        always is, for inputs act within the period that they belong to.
+    scale : bool, default=True
+        Divide each signal by its root mean square before the projection, so
+        that units do not decide what counts as large.
+    warmup : float or None, default=None
+        Seconds at the start of each segment on which ``score`` fits the
+        initial state; None is five periods, or 50 samples on plain data, and
+        never more than a quarter of the segment.
+
+    Attributes
+    ----------
+    system_ : control.StateSpace
+        Discrete-time model with named inputs and outputs.
+    order_ : int
+    block_rows_ : int
+    singular_values_ : ndarray, shape (block_rows * n_outputs,)
+        Of the projected future outputs.
+    noise_floor_ : float
+        Largest singular value that rounding or white noise would give.
+    eigenvalues_ : complex ndarray, shape (order,)
+        Of A.
+    x0_ : ndarray, shape (n_segments, order)
+        Initial state of each segment of the data fitted.
+    n_features_in_ : int
+    feature_names_in_ : ndarray of str
+
+    Raises
+    ------
+    ValueError
+        At ``fit``, if the record is too short for the block rows, an input is
+        constant, the block rows do not exceed the window, or the order
+        exceeds the rank that block rows allow.
+
+    Warns
+    -----
+    ExcitationWarning
+        If the inputs excite fewer directions than the block rows ask for.
+
+    References
+    ----------
+    Verhaegen (1994), Automatica 30(1), 61-74 (PO-MOESP).
+    Van Overschee, De Moor (1996), Subspace Identification for Linear Systems.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> u = np.random.default_rng(0).standard_normal((300, 1))
+    >>> y = np.zeros((300, 1))
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.8 * y[k] + u[k]
+    >>> model = MOESPRegressor(order="auto", block_rows=5).fit(u, y)
+    >>> model.order_, round(float(model.eigenvalues_[0].real), 6)
+    (1, 0.8)
+    """
+
+    def __init__(
+        self, order="auto", *, block_rows=None, feedthrough=False, scale=True, warmup=None
+    ):
+        self.order = order
+        self.block_rows = block_rows
+        self.feedthrough = feedthrough
+        self.scale = scale
+        self.warmup = warmup
+
+    def fit(self, X, y):
+        """Identify the model.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs, with a harmonic basis riding on them or plain.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Outputs in time.
+
+        Returns
+        -------
+        self : MOESPRegressor
+        """
+        if y is None:
+            raise ValueError(
+                "requires y to be passed, but the target y is None: give the measured outputs"
+            )
+        experiment = read_experiment(X, y)
+        inputs, outputs = rows_read(experiment)
+        _check_motion(inputs, experiment)
+        l, m = outputs[0].shape[1], inputs[0].shape[1]
+        self.block_rows_ = self._check_block_rows(experiment, [len(u) for u in inputs], m, l)
+        self._check_order(l)
+        y_scale = _scales(outputs) if self.scale else np.ones(l)
+        u_scale = _scales(inputs) if self.scale else np.ones(m)
+        scaled_u = [u / u_scale for u in inputs]
+        R = hankel_factor(scaled_u, [y_s / y_scale for y_s in outputs], self.block_rows_)
+        self._warn_excitation(R, m, experiment)
+        U, singular_values = observability_subspace(R, self.block_rows_, m)
+        unit = np.sqrt(np.mean(y_scale**2))
+        n_columns = n_hankel_columns([len(u) for u in inputs], self.block_rows_)
+        floor = noise_floor(R, self.block_rows_, m, n_columns)
+        self.singular_values_ = singular_values * unit
+        self.noise_floor_ = floor * unit
+        self.order_ = self._choose_order(singular_values, floor, l)
+        A, C = state_matrices(U, singular_values, self.order_, l)
+        basis = experiment.basis
+        feedthrough = bool(self.feedthrough) or (basis is not None and basis.synchronous)
+        scaled_y = [y_s / y_scale for y_s in outputs]
+        B, D, self.x0_ = input_matrices(A, C, scaled_u, scaled_y, feedthrough)
+        model = LTIModel(
+            A=A,
+            B=B / u_scale,
+            C=C * y_scale[:, None],
+            D=D / u_scale * y_scale[:, None],
+            dt=experiment.base.sample_time * (1 if basis is None else basis.hop_samples),
+            input_names=experiment.drive_names,
+            output_names=self._output_names(basis, y),
+            feedthrough=feedthrough,
+            windowed=basis is not None,
+        )
+        return self._remember(model, experiment, X, y)
+
+    @property
+    def eigenvalues_(self):
+        """Eigenvalues of the discrete A."""
+        return np.linalg.eigvals(self.model_.A)
+
+    def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
+        """Block rows that the window, the order and the record allow."""
+        basis = experiment.basis
+        window = 1 if basis is None else basis.window_rows
+        width = n_inputs + n_outputs
+        # columns j = n_rows − 2i + 1 must outnumber the 2 i m inputs and the states
+        if self.block_rows is None:
+            i = DEFAULT_BLOCK_ROWS if basis is None else -(-3 * window // 2) + 2
+            while i > 2 and n_hankel_columns(lengths, i) < 2 * i * width:
+                i -= 1
+            i = max(i, window + 2) if basis is not None and not basis.synchronous else i
+        else:
+            i = check_count("block_rows", self.block_rows, 2, "None chooses them")
+        if basis is not None and not basis.synchronous and i <= window + 1:
+            raise ValueError(
+                f"block_rows={i} must exceed the {window} rows in the analysis window plus one, or "
+                f"the window's own memory is mistaken for dynamics; use block_rows={window + 2} or "
+                f"more, or a larger hop"
+            )
+        need = 2 * i * n_inputs + 1
+        if n_hankel_columns(lengths, i) < need:
+            longest = max(lengths, default=0)
+            raise ValueError(
+                f"the {experiment.span()} give {sum(lengths)} row(s) to identify from (the longest "
+                f"segment {longest}), too few for block_rows={i}: at least {need + 2 * i - 1} "
+                f"consecutive rows are needed with {n_inputs} input(s); use a longer record, fewer "
+                f"block rows or a smaller hop"
+            )
+        return i
+
+    def _check_order(self, n_outputs):
+        if isinstance(self.order, str):
+            if self.order != "auto":
+                raise ValueError(f"order={self.order!r} is not known; give a whole number or 'auto'")
+            return
+        order = check_count("order", self.order, 1, "'auto' chooses it")
+        bound = (self.block_rows_ - 1) * n_outputs
+        if order > bound:
+            raise ValueError(
+                f"order={order} exceeds the rank bound {bound} of block_rows={self.block_rows_} "
+                f"with {n_outputs} outputs; lower order or raise block_rows"
+            )
+
+    def _choose_order(self, singular_values, floor, n_outputs):
+        if self.order != "auto":
+            return int(self.order)
+        return order_by_gap(singular_values, floor, (self.block_rows_ - 1) * n_outputs)
+
+    def _warn_excitation(self, R, n_inputs, experiment):
+        need = 2 * self.block_rows_ * n_inputs
+        values = np.linalg.svd(R[:need, :need], compute_uv=False)
+        found = int(np.sum(values > RANK_TOLERANCE * values[0]))
+        if found < need:
+            warnings.warn(
+                f"the inputs in the {experiment.span()} excite {found} directions, but "
+                f"block_rows={self.block_rows_} with {n_inputs} input(s) asks for {need}; use a "
+                f"richer input or fewer block rows, and trust the order with care",
+                ExcitationWarning,
+                stacklevel=3,
+            )
+
+    @staticmethod
+    def _output_names(basis, y):
+        if basis is not None:
+            return basis.output_labels
+        return signal_names(y if hasattr(y, "ndim") else np.asarray(y), "y")
+
+
+def rows_read(experiment):
+    """Inputs and (decomposed) outputs of each segment at the rows that models are made of."""
+    basis = experiment.basis
+    if basis is None:
+        return experiment.drive, experiment.outputs
+    inputs, outputs = [], []
+    for drive, y, time in zip(
+        experiment.drive, experiment.outputs, experiment.times(), strict=True
+    ):
+        rows = basis.rows_read(time)
+        inputs.append(hop_means(drive, rows, basis.hop_samples))
+        outputs.append(basis.coefficients(y, time, basis.outputs, rows))
+    return inputs, outputs
+
+
+def _scales(signals):
+    """Root mean square of each channel over all segments; one where a channel is zero."""
+    total = sum(len(signal) for signal in signals)
+    scale = np.sqrt(sum(np.sum(signal**2, axis=0) for signal in signals) / max(total, 1))
+    scale[scale == 0.0] = 1.0
+    return scale
+
+
+def _check_motion(inputs, experiment):
+    """Raise ValueError if an input never moves within any segment."""
+    moves = np.zeros(inputs[0].shape[1], dtype=bool)
+    for u in inputs:
+        if len(u):
+            moves |= np.ptp(u, axis=0) > 0.0
+    if not moves.all():
+        name = experiment.drive_names[int(np.argmin(moves))]
+        raise ValueError(
+            f"input {name!r} is constant in the {experiment.span()}: nothing excites the system; "
+            f"choose a span in which it moves, or drop that input"
+        )
