@@ -1,0 +1,454 @@
+"""Linear time-periodic systems (Eq. 6) and their harmonic decomposition (Eq. 8)."""
+
+import control
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from sklearn_hd.algorithms import floquet
+from sklearn_hd.algorithms.fourier import harmonic_functions, harmonic_labels
+from sklearn_hd.algorithms.harmonic_balance import resize_harmonics
+
+__all__ = ["FourierMatrix", "LTPSystem"]
+
+
+class FourierMatrix:
+    """Periodic matrix M(ψ) = M_0 + Σ_k (M_kc cos kψ + M_ks sin kψ).
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (2 K + 1, rows, columns)
+        Real coefficients in the order 0, 1c, 1s, ….
+
+    Examples
+    --------
+    >>> M = FourierMatrix(np.array([1.0, 0.5, 0.0]).reshape(3, 1, 1))
+    >>> M(np.array([0.0, np.pi])).ravel().tolist()
+    [1.5, 0.5]
+    """
+
+    def __init__(self, coefficients):
+        self.coefficients = np.array(coefficients, dtype=float)
+        if self.coefficients.ndim != 3 or len(self.coefficients) % 2 == 0:
+            raise ValueError(
+                f"Fourier coefficients have shape {self.coefficients.shape}; give an array of shape "
+                f"(2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
+            )
+
+    def __call__(self, psi):
+        """Values at azimuths psi, shape (n_points,) -> (n_points, rows, columns)."""
+        n_harmonics = (len(self.coefficients) - 1) // 2
+        functions = harmonic_functions(psi, range(n_harmonics + 1))
+        return np.tensordot(functions, self.coefficients, axes=1)
+
+    def __repr__(self):
+        return f"FourierMatrix(shape={self.coefficients.shape})"
+
+
+class LTPSystem:
+    """Linear system with coefficients of period T = 2π / ω.
+
+        ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt              (Eq. 6)
+
+    Parameters
+    ----------
+    F, G, P, Q : callable, or array_like
+        A callable of ψ (radians), shape (n_points,) -> (n_points, rows, columns); a
+        constant matrix (rows, columns); or real Fourier coefficients
+        (2 K + 1, rows, columns) in the order 0, 1c, 1s, …. A matrix may jump within
+        the period. F is (n, n), G (n, m), P (l, n), Q (l, m). P=None measures the
+        states, Q=None means no feedthrough.
+    omega : float
+        Fundamental frequency in rad/s.
+    state_names, input_names, output_names : sequence of str, optional
+        By default x1, x2, …, u1, …, y1, …; with P=None the outputs are named after
+        the states.
+
+    Attributes
+    ----------
+    n_states, n_inputs, n_outputs : int
+    period : float
+        T in seconds.
+
+    Raises
+    ------
+    ValueError
+        If omega is not positive, or shapes and names do not fit.
+
+    References
+    ----------
+    Aerospace 2024, 11(11), 875, Eqs. 6 to 9.
+
+    Examples
+    --------
+    A parametrically excited mass whose damping keeps it stable:
+
+    >>> F = np.zeros((3, 2, 2))
+    >>> F[0] = [[0.0, 1.0], [-1.0, -0.4]]
+    >>> F[1] = [[0.0, 0.0], [-0.2, 0.0]]
+    >>> system = LTPSystem(F, [[0.0], [1.0]], omega=3.0, state_names=["q", "q_dot"])
+    >>> bool(np.isclose(system.floquet_exponents().sum().real, -0.4))
+    True
+    >>> hd = system.harmonic_decomposition(1)
+    >>> hd.state_labels
+    ['q_0', 'q_dot_0', 'q_1c', 'q_dot_1c', 'q_1s', 'q_dot_1s']
+    """
+
+    def __init__(
+        self, F, G, P=None, Q=None, *, omega,
+        state_names=None, input_names=None, output_names=None,
+    ):  # fmt: skip
+        if not (np.isfinite(omega) and omega > 0):
+            raise ValueError(f"omega={omega} must be a positive frequency in rad/s")
+        self.omega = float(omega)
+        self.F, (n, columns) = _periodic_matrix(F, "F")
+        self.G, (rows, m) = _periodic_matrix(G, "G")
+        if n != columns or rows != n:
+            raise ValueError(
+                f"F is {n} x {columns} and G is {rows} x {m}; F must be square, with as many rows as G"
+            )
+        measures_states = P is None
+        self.P, (n_outputs, columns) = _periodic_matrix(np.eye(n) if P is None else P, "P")
+        self.Q, shape = _periodic_matrix(np.zeros((n_outputs, m)) if Q is None else Q, "Q")
+        if columns != n or shape != (n_outputs, m):
+            raise ValueError(
+                f"P is {n_outputs} x {columns} and Q is {shape[0]} x {shape[1]}; with {n} states and "
+                f"{m} inputs, P must have {n} columns and Q as many rows as P and {m} columns"
+            )
+        self.state_names = check_names(state_names, n, "x", "state_names")
+        self.input_names = check_names(input_names, m, "u", "input_names")
+        if output_names is None and measures_states:
+            output_names = self.state_names
+        self.output_names = check_names(output_names, n_outputs, "y", "output_names")
+
+    @property
+    def n_states(self):
+        return len(self.state_names)
+
+    @property
+    def n_inputs(self):
+        return len(self.input_names)
+
+    @property
+    def n_outputs(self):
+        return len(self.output_names)
+
+    @property
+    def period(self):
+        return 2.0 * np.pi / self.omega
+
+    def __repr__(self):
+        return (
+            f"LTPSystem(omega={self.omega:.6g}, states={list(self.state_names)}, "
+            f"inputs={list(self.input_names)}, outputs={list(self.output_names)})"
+        )
+
+    def fourier_coefficients(self, n_harmonics):
+        """Real Fourier coefficients of F, G, P and Q up to some harmonic.
+
+        Parameters
+        ----------
+        n_harmonics : int
+            K, the highest harmonic.
+
+        Returns
+        -------
+        F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
+            In the order 0, 1c, 1s, …; jumps within the period cost no accuracy.
+        """
+        return tuple(_coefficients(M, n_harmonics) for M in (self.F, self.G, self.P, self.Q))
+
+    def monodromy(self, start=0.0):
+        """Transition matrix over one period that begins at azimuth ``start`` (radians)."""
+        tolerance = max(1e-14, _precision(self.F))
+        return floquet.monodromy_matrix(self.F, self.omega, start=start, tolerance=tolerance)
+
+    def floquet_exponents(self):
+        """Exponents λ of the solutions p(ψ) e^{λt}, p periodic.
+
+        Known only up to multiples of jω; returned with imaginary part in
+        (−ω/2, ω/2], from the rightmost leftwards, conjugate pairs with the negative
+        imaginary part first.
+
+        Returns
+        -------
+        exponents : complex ndarray, shape (n_states,)
+            In 1/s.
+        """
+        return floquet.monodromy_exponents(self.monodromy(), self.omega)
+
+    def harmonic_decomposition(self, n_harmonics, n_input_harmonics=None, n_output_harmonics=None):
+        """Time-invariant model of the harmonics of the states (Eqs. 8 and 9).
+
+        Parameters
+        ----------
+        n_harmonics : int
+            N, harmonics kept of the states.
+        n_input_harmonics, n_output_harmonics : int, optional
+            M and L, harmonics kept of inputs and outputs; N by default.
+
+        Returns
+        -------
+        model : control.StateSpace
+            Continuous, with n (2N + 1) states. All signals' harmonic 0 come first,
+            then their 1c, 1s, 2c, …; names are w_0, phi_dot_0, w_1c, ….
+
+        Raises
+        ------
+        ValueError
+            If a number of harmonics is negative or not an integer.
+        """
+        N = check_harmonics(n_harmonics, "n_harmonics")
+        M = N if n_input_harmonics is None else check_harmonics(
+            n_input_harmonics, "n_input_harmonics"
+        )  # fmt: skip
+        L = N if n_output_harmonics is None else check_harmonics(
+            n_output_harmonics, "n_output_harmonics"
+        )  # fmt: skip
+        coefficients = self.fourier_coefficients(max(2 * N, N + M, L + N, L + M))
+        A, B, C, D = floquet.harmonic_decomposition(*coefficients, self.omega, N, M, L)
+        return control.StateSpace(
+            A, B, C, D,
+            states=harmonic_names(self.state_names, N),
+            inputs=harmonic_names(self.input_names, M),
+            outputs=harmonic_names(self.output_names, L),
+        )  # fmt: skip
+
+    def participation_factors(self, n_harmonics):
+        """Participation of each harmonic of each state in each mode of the HD model.
+
+        p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji| from right and left eigenvectors of A.
+
+        Parameters
+        ----------
+        n_harmonics : int
+            Harmonics kept of the states.
+
+        Returns
+        -------
+        factors : DataFrame, n (2N + 1) rows by as many modes
+            Index: names of the HD states (w_0, …); columns: eigenvalues in 1/s, from
+            the rightmost leftwards. Each column sums to one.
+        """
+        N = check_harmonics(n_harmonics, "n_harmonics")
+        eigenvalues, _, factors = floquet.participation_factors(self._hd_matrix(N))
+        index = pd.Index(harmonic_names(self.state_names, N), name="state")
+        return pd.DataFrame(factors, index, pd.Index(eigenvalues, name="eigenvalue"))
+
+    def modal_participation(self, n_harmonics):
+        """Share of each harmonic of a state in that state's motion in each Floquet mode.
+
+        The mode p(ψ) e^{λt}, p = Σ_k c_k e^{jkψ}, moves state i by the harmonics
+        c_ik; the shares (|c_ik| + |c_i,−k|) / Σ_k |c_ik| sum to one for each state and
+        mode. Each Floquet exponent is represented by the eigenvalue of the HD model
+        nearest to it (the paper's base eigenvalues, Fig. 1).
+
+        Parameters
+        ----------
+        n_harmonics : int
+            Harmonics kept of the states.
+
+        Returns
+        -------
+        shares : DataFrame, n (N + 1) rows by n modes
+            Index: (state, harmonic); columns: eigenvalues of the HD model in 1/s, in
+            the order of :meth:`floquet_exponents`.
+
+        References
+        ----------
+        D. A. Peters, S. M. Lieb, "Significance of Floquet Eigenvalues and
+        Eigenvectors for the Dynamics of Time-Varying Systems", American Helicopter
+        Society Forum 65 (2009).
+        """
+        N, n = check_harmonics(n_harmonics, "n_harmonics"), self.n_states
+        eigenvalues, vectors, _ = floquet.participation_factors(self._hd_matrix(N))
+        distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
+        base = linear_sum_assignment(distance)[1]
+        sizes = _harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
+        shares = sizes / sizes.sum(axis=0)
+        index = pd.MultiIndex.from_product(
+            [self.state_names, range(N + 1)], names=["state", "harmonic"]
+        )
+        values = np.swapaxes(shares, 0, 1).reshape(-1, n)
+        return pd.DataFrame(values, index, pd.Index(eigenvalues[base], name="eigenvalue"))
+
+    def simulate(self, u, t, x0=None, *, return_states=False):
+        """Outputs at the sample times, exact for inputs held between samples.
+
+        Where the samples repeat after a period, the transition matrices of one
+        period serve the whole record; otherwise each interval has its own.
+
+        Parameters
+        ----------
+        u : array_like, shape (n_samples,), (n_samples, m) or (..., n_samples, m)
+            Inputs; ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``. Leading axes are
+            further records on the same times.
+        t : array_like, shape (n_samples,)
+            Increasing times in seconds; ψ = ωt.
+        x0 : array_like, shape (n,) or (..., n), optional
+            State at ``t[0]``; zero by default.
+        return_states : bool, default=False
+
+        Returns
+        -------
+        y : ndarray, shape (..., n_samples, l)
+        x : ndarray, shape (..., n_samples, n)
+            Only with ``return_states=True``.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit, or t does not increase.
+        """
+        t = check_times(t)
+        u = check_inputs(u, len(t), self.input_names)
+        x0 = check_state(x0, u.shape[:-2], self.state_names)
+        psi = self.omega * t
+        intervals = psi[: _intervals_of_a_period(psi) + 1]
+        tolerance = max(1e-14, _precision(self.F, self.G))
+        Phi, Gamma = floquet.transition_matrices(
+            self.F, self.G, intervals, self.omega, tolerance=tolerance
+        )
+        which = np.arange(len(t)) % len(Phi)
+        forcing = np.einsum("kij,...kj->...ki", Gamma[which], u)
+        x = floquet.propagate_periodic(Phi, forcing, x0)
+        y = _measure(self.P, x, psi) + _measure(self.Q, u, psi)
+        return (y, x) if return_states else y
+
+    def _hd_matrix(self, n_harmonics):
+        F = _coefficients(self.F, 2 * n_harmonics)
+        return floquet.toeplitz_matrix(F, n_harmonics, n_harmonics) - floquet.derivative_matrix(
+            n_harmonics, self.n_states, self.omega
+        )
+
+
+def harmonic_names(names, n_harmonics):
+    """Names of harmonics in the paper's order: all signals' 0, then 1c, 1s, ….
+
+    Examples
+    --------
+    >>> harmonic_names(["w", "phi_dot"], 1)
+    ['w_0', 'phi_dot_0', 'w_1c', 'phi_dot_1c', 'w_1s', 'phi_dot_1s']
+    """
+    labels = harmonic_labels(range(n_harmonics + 1))
+    return [f"{name}_{label}" for label in labels for name in names]
+
+
+def check_names(names, count, letter, parameter):
+    """Names as a tuple, by default x1, x2, …; as many as there are signals, all different."""
+    if names is None:
+        return tuple(f"{letter}{k + 1}" for k in range(count))
+    names = (names,) if isinstance(names, str) else tuple(names)
+    if len(names) != count or len(set(names)) != count:
+        raise ValueError(
+            f"{parameter}={list(names)} must hold {count} different names, one for each signal"
+        )
+    return names
+
+
+def check_times(t):
+    """Sample times as an increasing array of at least two."""
+    t = np.asarray(t, dtype=float)
+    if t.ndim != 1 or len(t) < 2 or not np.all(np.diff(t) > 0):
+        raise ValueError(
+            f"t of shape {t.shape} must be one-dimensional, with two or more finite, increasing "
+            f"times in seconds; sort it and drop repeated times"
+        )
+    return t
+
+
+def check_inputs(u, n_samples, names, *, batch=True):
+    """Inputs as an array (n_samples, m), or (..., n_samples, m) where records may be stacked."""
+    u, m = np.asarray(u, dtype=float), len(names)
+    if u.ndim == 1 and m == 1:
+        u = u[:, None]
+    if u.ndim < 2 or (u.ndim > 2 and not batch) or u.shape[-2:] != (n_samples, m):
+        raise ValueError(
+            f"u has shape {u.shape}; with {n_samples} times in t and the inputs {list(names)} it "
+            f"must have shape ({n_samples}, {m})"
+        )
+    if not np.all(np.isfinite(u)):
+        raise ValueError("u holds NaN or infinity; a held input needs a finite value everywhere")
+    return u
+
+
+def check_state(x0, batch, names):
+    """Initial state as an array (..., n), zero by default."""
+    if x0 is None:
+        return np.zeros((*batch, len(names)))
+    x0 = np.asarray(x0, dtype=float)
+    if x0.shape not in ((len(names),), (*batch, len(names))):
+        raise ValueError(
+            f"x0 has shape {x0.shape}; it must hold one value for each of the states {list(names)}"
+        )
+    return np.broadcast_to(x0, (*batch, len(names)))
+
+
+def check_harmonics(value, parameter):
+    if isinstance(value, bool) or value != int(value) or value < 0:
+        raise ValueError(f"{parameter}={value!r} must be an integer, zero or more")
+    return int(value)
+
+
+def _periodic_matrix(matrix, name):
+    """Callable of ψ and the shape of its value."""
+    if not callable(matrix):
+        values = np.asarray(matrix, dtype=float)
+        if values.ndim not in (2, 3):
+            raise ValueError(
+                f"{name} has shape {values.shape}; give a matrix (rows, columns), Fourier "
+                f"coefficients (2 K + 1, rows, columns), or a callable of psi"
+            )
+        matrix = FourierMatrix(values[None] if values.ndim == 2 else values)
+    shape = np.shape(matrix(np.zeros(2)))
+    if len(shape) != 3 or shape[0] != 2:
+        raise ValueError(
+            f"{name} returned an array of shape {shape} for two azimuths; a callable of psi with "
+            f"shape (n_points,) must return (n_points, rows, columns)"
+        )
+    return matrix, shape[1:]
+
+
+def _coefficients(matrix, n_harmonics):
+    if isinstance(matrix, FourierMatrix):
+        return resize_harmonics(matrix.coefficients, n_harmonics)
+    tolerance = max(1e-13, _precision(matrix))
+    return floquet.fourier_coefficients(matrix, n_harmonics, tolerance=tolerance)
+
+
+def _precision(*matrices):
+    """Relative error of the values themselves, where a matrix states it (differences do)."""
+    return max(getattr(matrix, "precision", 0.0) for matrix in matrices)
+
+
+def _harmonic_sizes(vectors):
+    """|c_k| + |c_−k| of each harmonic from real-order coefficients (2N + 1, …)."""
+    cosines, sines = vectors[1::2], vectors[2::2]
+    pairs = 0.5 * (np.abs(cosines - 1j * sines) + np.abs(cosines + 1j * sines))
+    return np.concatenate([np.abs(vectors[:1]), pairs])
+
+
+def _intervals_of_a_period(psi):
+    """Intervals after which the sample azimuths repeat; all of them if they do not.
+
+    Azimuths count as the same within 1e-10 rad: the rounding of ωt over thousands
+    of periods stays below it.
+    """
+    n_intervals = len(psi) - 1
+    p = round(2.0 * np.pi / (psi[1] - psi[0]))
+    if not 1 <= p < n_intervals:
+        return n_intervals
+    k = np.arange(len(psi))
+    expected = psi[k % p] + 2.0 * np.pi * (k // p)
+    return p if np.max(np.abs(psi - expected)) < 1e-10 else n_intervals
+
+
+def _measure(matrix, signals, psi):
+    """M(ψ_k) s_k for each sample, the samples taken in blocks."""
+    if isinstance(matrix, FourierMatrix) and len(matrix.coefficients) == 1:
+        return signals @ matrix.coefficients[0].T
+    blocks = [
+        np.einsum("kij,...kj->...ki", matrix(psi[k : k + 4096]), signals[..., k : k + 4096, :])
+        for k in range(0, len(psi), 4096)
+    ]
+    return np.concatenate(blocks, axis=-2)

@@ -1,0 +1,402 @@
+"""Nonlinear time-periodic systems (Eq. 1): trim, linearisation, simulation."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sklearn_hd.algorithms.fourier import harmonic_functions
+from sklearn_hd.algorithms.harmonic_balance import (
+    galerkin_coefficients,
+    resize_harmonics,
+    solve_harmonic_balance,
+)
+from sklearn_hd.algorithms.integration import integrate
+from sklearn_hd.algorithms.shooting import solve_shooting
+from sklearn_hd.systems.ltp import (
+    LTPSystem,
+    check_harmonics,
+    check_inputs,
+    check_names,
+    check_state,
+    check_times,
+)
+
+__all__ = ["PeriodicSystem", "Trim"]
+
+STEPS_PER_PERIOD = 64  # longest first step of the integrator
+SHOOTING_START_HARMONICS = 32  # harmonic balance that shooting starts from
+
+
+@dataclass(frozen=True, eq=False)
+class Trim:
+    """Periodic solution x*(t) = x*(t + T) of a system under constant inputs.
+
+    Attributes
+    ----------
+    omega : float
+        Fundamental frequency, rad/s.
+    coefficients : ndarray, shape (2 N + 1, n)
+        Fourier coefficients of the states in the order 0, 1c, 1s, ….
+    inputs : ndarray, shape (m,)
+    initial_state : ndarray, shape (n,)
+        State at ψ = 0: of the Fourier series (harmonic balance), or on the exact
+        orbit (shooting).
+    residual : float
+        Relative residual at which the solver stopped.
+    method : str
+        ``"harmonic_balance"`` or ``"shooting"``.
+    state_names, input_names : tuple of str
+    """
+
+    omega: float
+    coefficients: np.ndarray = field(repr=False)
+    inputs: np.ndarray
+    initial_state: np.ndarray
+    residual: float
+    method: str
+    state_names: tuple
+    input_names: tuple
+
+    def __post_init__(self):
+        for name in ("coefficients", "inputs", "initial_state"):
+            values = np.array(getattr(self, name), dtype=float)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    @property
+    def n_harmonics(self):
+        return (len(self.coefficients) - 1) // 2
+
+    @property
+    def period(self):
+        return 2.0 * np.pi / self.omega
+
+    def states(self, psi):
+        """States at azimuths psi (radians), shape (...,) -> (..., n)."""
+        return harmonic_functions(psi, range(self.n_harmonics + 1)) @ self.coefficients
+
+
+class PeriodicSystem:
+    """Nonlinear system whose right-hand side repeats with period T.
+
+        ẋ = f(x, u, t),   y = g(x, u, t),   f and g of period T in t      (Eqs. 1, 2)
+
+    Parameters
+    ----------
+    f : callable
+        f(x, u, t) -> dx/dt of the shape of x. It must take one point, x (n,), u (m,)
+        and t a number in seconds, and many, x (n, k), u (m, k), t (k,). To be pickled
+        with the system, f must be a function of a module or an object of a class.
+    g : callable, optional
+        g(x, u, t) -> y, of shape (l,) or (l, k) alike. None measures the states.
+    period : float
+        T in seconds.
+    state_names, input_names : sequence of str
+    output_names : sequence of str, optional
+        By default the states' names without g, and y1, y2, … with it.
+    jacobian : callable, optional
+        jacobian(x, u, t) -> (F, G, P, Q), for many points: F of shape (k, n, n), G
+        (k, n, m), P (k, l, n), Q (k, l, m). By default central differences.
+    trim_guess : tuple of array_like, optional
+        (coefficients, inputs) to start :meth:`trim` from, of shapes (2 K + 1, n) in
+        the order 0, 1c, 1s, …, any K, and (m,). Zero by default.
+    trim_targets : dict, optional
+        Mean that the trim asks of a state, by name, such as ``{"w": 0.0}``.
+
+    Attributes
+    ----------
+    omega : float
+        2π / T in rad/s.
+    n_states, n_inputs, n_outputs : int
+
+    Raises
+    ------
+    ValueError
+        If the period is not positive, or names and shapes do not fit.
+
+    Examples
+    --------
+    A driven pendulum with damping, its drive held at the trim:
+
+    >>> def pendulum(x, u, t):
+    ...     angle, rate = x
+    ...     return np.array([rate, -np.sin(angle) - 0.5 * rate + u[0] * np.cos(2.0 * t)])
+    >>> system = PeriodicSystem(
+    ...     pendulum, period=np.pi, state_names=["angle", "rate"], input_names=["drive"]
+    ... )
+    >>> trim = system.trim(10, inputs={"drive": 1.0})
+    >>> bool(np.max(np.abs(system.periodicity_defect(trim))) < 1e-9)
+    True
+    >>> bool(system.linearize(trim).floquet_exponents().real.max() < 0)
+    True
+    """
+
+    def __init__(
+        self, f, g=None, *, period, state_names, input_names, output_names=None,
+        jacobian=None, trim_guess=None, trim_targets=None,
+    ):  # fmt: skip
+        if not (np.isfinite(period) and period > 0):
+            raise ValueError(f"period={period} must be a positive time in seconds")
+        self.f, self.g, self.period = f, g, float(period)
+        self.state_names = check_names(state_names, _count(state_names), "x", "state_names")
+        self.input_names = check_names(input_names, _count(input_names), "u", "input_names")
+        if g is None and output_names is None:
+            output_names = self.state_names
+        self.output_names = check_names(output_names, self._count_outputs(), "y", "output_names")
+        self.jacobian = _CentralDifferences(f, g) if jacobian is None else jacobian
+        self.trim_guess = trim_guess
+        self.trim_targets = dict(trim_targets or {})
+
+    @property
+    def omega(self):
+        return 2.0 * np.pi / self.period
+
+    @property
+    def n_states(self):
+        return len(self.state_names)
+
+    @property
+    def n_inputs(self):
+        return len(self.input_names)
+
+    @property
+    def n_outputs(self):
+        return len(self.output_names)
+
+    def __repr__(self):
+        return (
+            f"PeriodicSystem(period={self.period:.6g}, states={list(self.state_names)}, "
+            f"inputs={list(self.input_names)}, outputs={list(self.output_names)})"
+        )
+
+    def trim(
+        self, n_harmonics=20, *, method="harmonic_balance", targets=None, inputs=None,
+        guess=None, n_points=None,
+    ):  # fmt: skip
+        """Periodic solution under constant inputs.
+
+        Parameters
+        ----------
+        n_harmonics : int, default=20
+            Harmonics N of the states' Fourier series.
+        method : {"harmonic_balance", "shooting"}, default="harmonic_balance"
+            Newton's method on the Galerkin equations of N harmonics, or on the defect
+            of the initial state after one period, which is exact whatever N; the
+            series is then that of the exact orbit.
+        targets : dict, optional
+            Mean asked of a state, by name. By default the system's own.
+        inputs : dict, optional
+            Values of inputs that are held, by name. With targets, the inputs not named
+            are free, as many as there are targets; without, they stay at the guess.
+        guess : Trim or tuple of array_like, optional
+            Where to start, as ``trim_guess``. By default the system's own.
+        n_points : int, optional
+            Points a period of the Galerkin integrals; by default 4096 or 128 a
+            harmonic, whichever is more.
+
+        Returns
+        -------
+        trim : Trim
+
+        Raises
+        ------
+        TrimError
+            If Newton's method fails; the message names the residual and a way out.
+        ValueError
+            If names are unknown, or targets and free inputs differ in number.
+        """
+        N = check_harmonics(n_harmonics, "n_harmonics")
+        if method not in ("harmonic_balance", "shooting"):
+            raise ValueError(f"method={method!r} must be 'harmonic_balance' or 'shooting'")
+        targets = self._targets(self.trim_targets if targets is None else targets)
+        X, u = self._guess(self.trim_guess if guess is None else guess)
+        free = self._hold(u, inputs or {}, len(targets))
+        start = N if method == "harmonic_balance" else min(N, SHOOTING_START_HARMONICS)
+        X, u, residual = solve_harmonic_balance(
+            self.f, self.jacobian, self.omega, resize_harmonics(X, start), u,
+            free=free, targets=targets, n_points=n_points,
+        )  # fmt: skip
+        x0 = X[0] + np.sum(X[1::2], axis=0)
+        if method == "shooting":
+            x0, u, residual = solve_shooting(self.f, self.period, x0, u, free=free, targets=targets)
+            X = self._orbit_coefficients(x0, u, N, n_points)
+        return Trim(self.omega, X, u, x0, residual, method, self.state_names, self.input_names)
+
+    def periodicity_defect(self, trim):
+        """x(T) − x(0) of a trim's initial state, integrated over one period.
+
+        Returns
+        -------
+        defect : ndarray, shape (n,)
+            In the units of the states; zero for an exact periodic solution.
+        """
+        t = np.linspace(0.0, self.period, STEPS_PER_PERIOD + 1)
+        u = np.broadcast_to(trim.inputs, (len(t), self.n_inputs))
+        x = integrate(self.f, trim.initial_state, u, t, rtol=1e-13, atol=1e-14)
+        return x[-1] - x[0]
+
+    def linearize(self, trim):
+        """Linear time-periodic system of small motions about a trim (Eqs. 4 to 6).
+
+        Parameters
+        ----------
+        trim : Trim
+
+        Returns
+        -------
+        system : LTPSystem
+            Perturbations of states, inputs and outputs; F, G, P, Q are the
+            derivatives of f and g along x*(ψ), u*.
+        """
+        F, G, P, Q = (_OrbitMatrix(self.jacobian, trim, which) for which in range(4))
+        if self.g is None:
+            P, Q = None, None
+        return LTPSystem(
+            F, G, P, Q, omega=self.omega, state_names=self.state_names,
+            input_names=self.input_names, output_names=self.output_names,
+        )  # fmt: skip
+
+    def simulate(self, u, t, x0=None, *, rtol=1e-12, atol=1e-13, return_states=False):
+        """Outputs at the sample times, u held between them, by error-controlled steps.
+
+        Parameters
+        ----------
+        u : array_like, shape (n_samples,) or (n_samples, m)
+            Inputs; ``u[k]`` acts from ``t[k]`` to ``t[k + 1]``.
+        t : array_like, shape (n_samples,)
+            Increasing times in seconds.
+        x0 : array_like, shape (n,), optional
+            State at ``t[0]``; zero by default. Start at ``trim.initial_state`` to
+            begin in trim.
+        rtol, atol : float
+            Error allowed for each step of the integrator.
+        return_states : bool, default=False
+
+        Returns
+        -------
+        y : ndarray, shape (n_samples, l)
+        x : ndarray, shape (n_samples, n)
+            Only with ``return_states=True``.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit, or t does not increase.
+        RuntimeError
+            If the integrator cannot continue; the message says where.
+        """
+        t = check_times(t)
+        u = check_inputs(u, len(t), self.input_names, batch=False)
+        x0 = check_state(x0, (), self.state_names)
+        first_step = self.period / STEPS_PER_PERIOD
+        x = integrate(self.f, x0, u, t, rtol=rtol, atol=atol, first_step=first_step)
+        y = x.copy() if self.g is None else np.asarray(self.g(x.T, u.T, t)).T
+        return (y, x) if return_states else y
+
+    def _count_outputs(self):
+        if self.g is None:
+            return self.n_states
+        return len(self.g(np.zeros(self.n_states), np.zeros(self.n_inputs), 0.0))
+
+    def _targets(self, targets):
+        unknown = sorted(set(targets) - set(self.state_names))
+        if unknown:
+            raise ValueError(
+                f"targets names {unknown}, which are no states; the states are "
+                f"{list(self.state_names)}"
+            )
+        return [(self.state_names.index(name), float(mean)) for name, mean in targets.items()]
+
+    def _guess(self, guess):
+        if guess is None:
+            guess = np.zeros((1, self.n_states)), np.zeros(self.n_inputs)
+        elif isinstance(guess, Trim):
+            guess = guess.coefficients, guess.inputs
+        X, u = (np.array(values, dtype=float) for values in guess)
+        if X.ndim != 2 or X.shape[1] != self.n_states or u.shape != (self.n_inputs,):
+            raise ValueError(
+                f"the trim guess has shapes {X.shape} and {u.shape}; it must hold coefficients "
+                f"(2 K + 1, {self.n_states}) and inputs ({self.n_inputs},)"
+            )
+        return X, u
+
+    def _hold(self, u, inputs, n_targets):
+        """Write held inputs into u; positions of the free ones."""
+        unknown = sorted(set(inputs) - set(self.input_names))
+        if unknown:
+            raise ValueError(f"inputs names {unknown}; the inputs are {list(self.input_names)}")
+        for name, value in inputs.items():
+            u[self.input_names.index(name)] = value
+        rest = [name for name in self.input_names if name not in inputs]
+        if not n_targets:
+            return []
+        if len(rest) != n_targets:
+            raise ValueError(
+                f"{n_targets} targets cannot determine the free inputs {rest}; hold the others in "
+                f"inputs={{name: value}}, or change targets, until there are as many of each"
+            )
+        return [self.input_names.index(name) for name in rest]
+
+    def _orbit_coefficients(self, x0, u, n_harmonics, n_points):
+        """Fourier coefficients of the orbit through x0."""
+        n_points = n_points or max(4096, 16 * n_harmonics)
+        t = self.period * np.arange(n_points) / n_points
+        held = np.broadcast_to(u, (n_points, len(u)))
+        orbit = integrate(self.f, x0, held, t, rtol=1e-13, atol=1e-14)
+        return galerkin_coefficients(orbit, n_harmonics)
+
+
+class _OrbitMatrix:
+    """One of F, G, P, Q along a trim, as a function of azimuth."""
+
+    def __init__(self, jacobian, trim, which):
+        self.jacobian, self.trim, self.which = jacobian, trim, which
+        self.precision = getattr(jacobian, "precision", 0.0)
+
+    def __call__(self, psi):
+        x = self.trim.states(psi).T
+        u = np.broadcast_to(self.trim.inputs[:, None], (len(self.trim.inputs), len(psi)))
+        return self.jacobian(x, u, np.asarray(psi) / self.trim.omega)[self.which]
+
+
+class _CentralDifferences:
+    """F, G, P, Q by central differences of f and g.
+
+    Steps of ε^{1/3} of the largest size of each variable balance truncation and
+    rounding; the result is good to about ``precision``.
+    """
+
+    precision = 1e-8
+
+    def __init__(self, f, g):
+        self.f, self.g = f, g
+
+    def __call__(self, x, u, t):
+        F = _slopes(lambda x: self.f(x, u, t), x)
+        G = _slopes(lambda u: self.f(x, u, t), u)
+        if self.g is None:
+            P = np.broadcast_to(np.eye(len(x)), F.shape)
+            return F, G, P, np.zeros(G.shape)
+        return F, G, _slopes(lambda x: self.g(x, u, t), x), _slopes(lambda u: self.g(x, u, t), u)
+
+
+def _slopes(function, variables):
+    """Derivatives of function(variables), (l, k), by each of the variables, (m, k)."""
+    size = np.max(np.abs(variables), axis=1, initial=0.0)
+    steps = np.cbrt(np.finfo(float).eps) * np.where(size > 0, size, 1.0)
+    columns = []
+    for i, step in enumerate(steps):
+        above, below = np.array(variables), np.array(variables)
+        above[i] += step
+        below[i] -= step
+        columns.append((np.asarray(function(above)) - function(below)) / (2.0 * step))
+    if not columns:
+        n_rows = len(np.asarray(function(variables)))
+        return np.zeros((variables.shape[1], n_rows, 0))
+    return np.stack(columns, axis=-1).swapaxes(0, 1)
+
+
+def _count(names):
+    if names is None:
+        raise ValueError("state_names and input_names must name each state and input")
+    return 1 if isinstance(names, str) else len(names)
