@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from scipy import linalg
-from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin
+from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
@@ -188,6 +188,25 @@ def _read_outputs(y, frame, X, base, basis):
     return [values[segment] for segment in base.segments]
 
 
+def upstream(step, X, y):
+    """What a reducing or matching step reads: the experiment, and the model it starts from.
+
+    The model rides on X, or is that of ``step.estimator``, a clone of which is
+    fitted here (``step.estimator_``).
+    """
+    if step.estimator is None:
+        frame = as_frame(X)
+        if frame.model is None:
+            raise ValueError(
+                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor in "
+                f"a Pipeline, or give it one: {type(step).__name__}(estimator=...)"
+            )
+        return read_experiment(frame, y), frame.model
+    step.estimator_ = clone(step.estimator).fit(X, y)
+    frame = step._upstream_frame(X)
+    return read_experiment(frame, y), frame.model
+
+
 class SegmentSimulator:
     """Free simulation of a model over one segment, linear in its initial state.
 
@@ -289,8 +308,14 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
         frame : HarmonicFrame, shape (n_samples, n_features)
         """
         check_is_fitted(self)
-        frame = as_frame(X)
+        frame = self._upstream_frame(X)
         return HarmonicFrame.attach(frame, frame.basis, self.model_)
+
+    def _upstream_frame(self, X):
+        """X with the basis and the model of the steps before this one."""
+        if getattr(self, "estimator", None) is None:
+            return as_frame(X)
+        return as_frame(self.estimator_.transform(X))
 
     def get_feature_names_out(self, input_features=None):
         """Names of the columns of ``transform``: those of the input.
@@ -400,6 +425,8 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
 
     def _experiment(self, X, y=None):
         names = getattr(self, "feature_names_in_", None)
+        if getattr(self, "estimator", None) is not None:
+            X, names = self._upstream_frame(X), None
         experiment = read_experiment(X, y, None if names is None else tuple(names))
         if experiment.drive_names != self.model_.input_names:
             raise ValueError(

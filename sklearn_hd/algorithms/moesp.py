@@ -149,7 +149,9 @@ def response_regressors(A, C, u, feedthrough):
     return np.einsum("ptj,lj->tlp", free, C), np.concatenate(blocks, axis=-1)
 
 
-def input_matrices(A, C, inputs, outputs, feedthrough, observe=None):
+def input_matrices(
+    A, C, inputs, outputs, feedthrough, observe=None, *, return_residual=False
+):
     """B, D and the initial states that fit the outputs best, by linear least squares.
 
     Parameters
@@ -165,12 +167,15 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None):
     observe : list of ndarray, shapes (n_samples_s, q, l), optional
         What is measured of the model's outputs at each sample, such as the
         recomposition of Eq. 7.
+    return_residual : bool, default=False
 
     Returns
     -------
     B : ndarray, shape (n, m)
     D : ndarray, shape (l, m)
     x0 : ndarray, shape (n_segments, n)
+    residual : float
+        Sum of squares left, only with ``return_residual``.
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     n_forced = n * m + (n_outputs * m if feedthrough else 0)
@@ -188,7 +193,10 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None):
     solution = _scaled_lstsq(R[:, :-1], R[:, -1])
     B = solution[: n * m].reshape(n, m)
     D = solution[n * m : n_forced].reshape(n_outputs, m) if feedthrough else np.zeros((n_outputs, m))
-    return B, D, solution[n_forced:].reshape(len(inputs), n)
+    x0 = solution[n_forced:].reshape(len(inputs), n)
+    if not return_residual:
+        return B, D, x0
+    return B, D, x0, float(np.sum((R[:, -1] - R[:, :-1] @ solution) ** 2))
 
 
 def _scaled_lstsq(regressors, target):

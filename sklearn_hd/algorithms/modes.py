@@ -1,0 +1,259 @@
+"""Which identified modes belong to the system, and which to the harmonic analyzer.
+
+A mode λ of the system with harmonic vector v leaves, through a window of
+transfer function Ĥ, the coefficients
+
+    Ŷ_k(t) = Σ_m Ĥ(λ + j(m−k)ω) v_m e^{(λ + j(m−k)ω) t}
+
+so the identified modes are the genuine ones, copies of them shifted by
+multiples of jω, which share the Floquet multiplier e^{λT}, and the window's
+finite memory: a nilpotent block that rounding and noise spread to small |z|.
+
+Sampled r times a period, z^r = e^{λT} is the same for a mode and its copies:
+that groups the families. Which members stand for a family is decided by how
+well they explain the raw signals.
+"""
+
+import itertools
+import math
+
+import numpy as np
+from scipy import linalg
+from scipy.signal import lfilter
+
+__all__ = [
+    "best_modes",
+    "conjugate_units",
+    "floquet_families",
+    "invariant_pair",
+    "is_window_pole",
+    "mode_regressors",
+]
+
+MAX_SUBSETS = 20_000
+REAL_TOLERANCE = 1e-8
+
+
+def is_window_pole(z, window_rows, decay):
+    """Whether discrete poles die within the analysis window, |z|^n_window ≤ decay.
+
+    Parameters
+    ----------
+    z : complex ndarray, shape (n,)
+        Eigenvalues of the discrete A.
+    window_rows : int
+        Rows read within one window.
+    decay : float
+        A response that falls below this share within the window is its memory.
+
+    Returns
+    -------
+    mask : ndarray of bool, shape (n,)
+    """
+    return np.abs(z) ** window_rows <= decay
+
+
+def floquet_families(z, rows_per_period, tolerance):
+    """Number of the family {λ + jpω} of each pole; conjugate families count as one.
+
+    Poles whose Floquet multipliers z^r, folded to the upper half plane, differ
+    by less than the tolerance on a logarithmic scale share a family.
+
+    Parameters
+    ----------
+    z : complex ndarray, shape (n,)
+    rows_per_period : int
+    tolerance : float
+        Largest |Δ ln z^r| between neighbours of one family.
+
+    Returns
+    -------
+    family : ndarray of int, shape (n,)
+        Slowest family first.
+
+    Examples
+    --------
+    >>> z = np.exp(np.array([-0.1, -0.1 + 1j * np.pi / 2, -0.3]))
+    >>> floquet_families(z, 4, 0.05).tolist()
+    [0, 0, 1]
+    """
+    multipliers = np.asarray(z, dtype=complex) ** rows_per_period
+    folded = np.log(multipliers.real + 1j * np.abs(multipliers.imag))
+    near = np.abs(folded[:, None] - folded[None, :]) <= tolerance
+    while True:  # transitive closure: chains of neighbours are one family
+        wider = (near.astype(int) @ near.astype(int)) > 0
+        if np.array_equal(wider, near):
+            break
+        near = wider
+    first = np.array([np.flatnonzero(row)[0] for row in near], dtype=int)
+    heads = sorted(set(first.tolist()), key=lambda i: -folded[i].real)
+    return np.array([heads.index(i) for i in first], dtype=int)
+
+
+def conjugate_units(z):
+    """Conjugate-closed units that can be kept or dropped: a real pole, or a pair.
+
+    Poles on the negative real axis have no continuous-time counterpart of
+    their own and give no unit.
+
+    Returns
+    -------
+    units : list of tuple of int
+        Index of a real pole, or of the upper and lower member of a pair.
+    """
+    z = np.asarray(z)
+    real = np.abs(z.imag) <= REAL_TOLERANCE * np.abs(z)
+    units = [(int(i),) for i in np.flatnonzero(real & (z.real > 0))]
+    lower = list(np.flatnonzero(~real & (z.imag < 0)))
+    for i in np.flatnonzero(~real & (z.imag > 0)):
+        if not lower:
+            break
+        j = min(lower, key=lambda k: abs(z[k] - np.conj(z[i])))
+        lower.remove(j)
+        units.append((int(i), int(j)))
+    return units
+
+
+def mode_regressors(exponent, shape, drive, dt, observe=None):
+    """Measured response to one mode, for each input and for its initial amplitude.
+
+    Parameters
+    ----------
+    exponent : complex
+        λ in 1/s; a complex one stands for the pair.
+    shape : complex ndarray, shape (n_coefficients,)
+        Output vector C v of the mode.
+    drive : ndarray, shape (n_samples, m)
+    dt : float
+        Sample time, seconds.
+    observe : ndarray, shape (n_samples, n_outputs, n_coefficients), optional
+        What is measured of the coefficients at each sample.
+
+    Returns
+    -------
+    regressors : ndarray, shape (n_samples, n_outputs, m + 1 or 2 (m + 1))
+    """
+    z = np.exp(exponent * dt)
+    impulse = np.zeros((len(drive), 1))
+    impulse[0] = 1.0
+    free = lfilter([1.0], [1.0, -z], impulse, axis=0)
+    forced = lfilter([0.0, 1.0], [1.0, -z], drive, axis=0)
+    amplitudes = np.hstack([forced, free])
+    measured = shape[None, :] if observe is None else observe @ shape
+    response = measured[:, :, None] * amplitudes[:, None, :]
+    if exponent.imag == 0.0:
+        return response.real
+    return np.concatenate([response.real, response.imag], axis=-1)
+
+
+def best_modes(R, columns, sizes, n_states):
+    """The set of units with a given number of states that explains the data best.
+
+    Parameters
+    ----------
+    R : ndarray, shape (p + 1, p + 1)
+        Triangular factor of [regressors, target].
+    columns : list of ndarray of int
+        Columns of R that belong to each unit.
+    sizes : list of int
+        States of each unit, 1 or 2.
+    n_states : int
+
+    Returns
+    -------
+    ranking : list of (float, tuple of int)
+        Residual sum of squares and units, best first; empty where no set of
+        units has that many states. All sets where they are fewer than 20 000,
+        else the one found by forward selection and exchange.
+    """
+    n_subsets = sum(
+        math.comb(sizes.count(2), pairs) * math.comb(sizes.count(1), n_states - 2 * pairs)
+        for pairs in range(n_states // 2 + 1)
+    )
+    if n_subsets == 0:
+        return []
+    if n_subsets <= MAX_SUBSETS:
+        return sorted((residual(R, columns, units), units) for units in _subsets(sizes, n_states))
+    return [_exchange(R, columns, sizes, n_states)]
+
+
+def _subsets(sizes, n_states):
+    singles = [i for i, size in enumerate(sizes) if size == 1]
+    pairs = [i for i, size in enumerate(sizes) if size == 2]
+    for n_pairs in range(n_states // 2 + 1):
+        for some in itertools.combinations(pairs, n_pairs):
+            for rest in itertools.combinations(singles, n_states - 2 * n_pairs):
+                yield tuple(sorted((*some, *rest)))
+
+
+def residual(R, columns, units):
+    """Residual sum of squares of the least-squares fit with the columns of some units."""
+    if not units:
+        return float(R[:, -1] @ R[:, -1])
+    regressors = R[:, np.concatenate([columns[i] for i in units])]
+    scale = np.linalg.norm(regressors, axis=0)
+    scale[scale == 0.0] = 1.0
+    regressors = regressors / scale
+    solution = linalg.lstsq(regressors, R[:, -1], cond=1e-13)[0]
+    rest = R[:, -1] - regressors @ solution
+    return float(rest @ rest)
+
+
+def _exchange(R, columns, sizes, n_states):
+    """Forward selection, then exchanges of equal size while they help."""
+    chosen, left = (), n_states
+    while left:
+        open_units = [i for i in range(len(sizes)) if i not in chosen and sizes[i] <= left]
+        if left == 2 or not any(sizes[i] == 1 for i in open_units):
+            open_units = [i for i in open_units if sizes[i] == 2] or open_units
+        if not open_units:
+            break
+        best = min(open_units, key=lambda i: residual(R, columns, (*chosen, i)))
+        chosen, left = (*chosen, best), left - sizes[best]
+    value = residual(R, columns, chosen)
+    improved = True
+    while improved:
+        improved = False
+        for out, new in itertools.product(chosen, range(len(sizes))):
+            if new in chosen or sizes[new] != sizes[out]:
+                continue
+            trial = tuple(new if i == out else i for i in chosen)
+            trial_value = residual(R, columns, trial)
+            if trial_value < value * (1.0 - 1e-9):
+                chosen, value, improved = trial, trial_value, True
+                break
+    return value, tuple(sorted(chosen))
+
+
+def invariant_pair(A, C, kept, dropped):
+    """A and C restricted to the invariant subspace of some eigenvalues.
+
+    An ordered real Schur form splits the subspace off, so that repeated or
+    defective eigenvalues (such as those of a window's memory) do no harm.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+    kept, dropped : complex ndarray
+        Eigenvalues of A, conjugate-closed.
+
+    Returns
+    -------
+    A_kept : ndarray, shape (n_kept, n_kept)
+    C_kept : ndarray, shape (l, n_kept)
+    """
+    if len(dropped) == 0:
+        return A, C
+
+    def wanted(real, imag):
+        z = real + 1j * imag
+        return np.min(np.abs(z - kept)) < np.min(np.abs(z - dropped))
+
+    T, Q, n_kept = linalg.schur(A, output="real", sort=wanted)
+    if n_kept != len(kept):
+        raise ValueError(
+            f"{len(kept)} modes cannot be separated from the others: their eigenvalues coincide "
+            f"to working precision; change n_states or the order"
+        )
+    return T[:n_kept, :n_kept], C @ Q[:, :n_kept]

@@ -1,0 +1,362 @@
+"""Step 4: drop the modes that the harmonic analyzer put in."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+
+from sklearn_hd._base import ModelStep, upstream
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._validation import check_choice, check_count
+from sklearn_hd.algorithms.modes import (
+    best_modes,
+    conjugate_units,
+    floquet_families,
+    invariant_pair,
+    is_window_pole,
+    mode_regressors,
+    residual,
+)
+from sklearn_hd.algorithms.moesp import input_matrices
+from sklearn_hd.algorithms.residualization import residualize
+from sklearn_hd.algorithms.simulation import continuous_to_discrete, discrete_to_continuous
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+__all__ = ["SpuriousModeReducer"]
+
+METHODS = ("truncate", "residualize", "both")
+FAMILY_TOLERANCE = 0.05
+WINDOW_DECAY = 1e-3
+MATERIAL_SHARE = 0.1  # of the unexplained variance that more modes must remove to be kept
+RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
+
+
+class SpuriousModeReducer(ModelStep):
+    """Keep the genuine modes of an identified model, in continuous time.
+
+    Seen through a window, a mode λ appears beside its copies λ + jpω and the
+    window's own memory. The reducer
+
+    1. splits off the poles that die within the window, by an ordered Schur form;
+    2. groups the others into families of one Floquet multiplier e^{λT};
+    3. keeps the smallest conjugate-closed set of modes that explains the raw
+       signals as well as all of them do, and no more of them than there are
+       output coefficients (or the best set of ``n_states``), and calls the
+       rest of their families copies;
+    4. fits B, D and the initial states to the raw record through the exact
+       response of the modes kept, so that the window leaves no trace.
+
+    Modes that are dropped are truncated, or residualized (Eqs. 16-19):
+
+        Â = A_s,   D̂ = D − C_f A_f⁻¹ B_f     in modal coordinates.
+
+    Parameters
+    ----------
+    estimator : estimator or None, default=None
+        Whose model to reduce, fitted here; None takes the model that rides on X.
+    n_states : int or None, default=None
+        States to keep; None decides by the data as above.
+    method : {"truncate", "residualize", "both"}, default="truncate"
+        What becomes of the other modes: dropped, replaced by their static
+        gain (a feedthrough), or, with ``"both"``, dropped where slower than ω
+        and residualized where faster, as in the paper.
+    warmup : float or None, default=None
+        Seconds at the start of each segment on which ``score`` fits the
+        initial state; None is five periods, or 50 samples on plain data.
+
+    Attributes
+    ----------
+    system_ : control.StateSpace
+        Continuous-time model; a period-synchronous model passes unchanged.
+    modes_ : DataFrame
+        One row a mode identified: ``eigenvalue`` (rad/s, continuous),
+        ``family``, ``verdict`` (genuine, copy, window, weak or ambiguous) and
+        ``reason``.
+    n_states_ : int
+    r2_ : float
+        R² of the fit to the raw record, initial states fitted too; NaN where
+        nothing had to be refitted.
+    n_features_in_ : int
+    feature_names_in_ : ndarray of str
+
+    Raises
+    ------
+    ValueError
+        At ``fit``, if there is no model, or no set of modes has ``n_states``.
+
+    Warns
+    -----
+    IdentifiabilityWarning
+        If another set of modes explains the data as well.
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, section 2.3.
+    Kokotović, Khalil, O'Reilly (1999), Singular Perturbation Methods in Control.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_hd import MOESPRegressor
+    >>> u = np.random.default_rng(0).standard_normal((300, 1))
+    >>> y = np.zeros((300, 1))
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.8 * y[k] + u[k]
+    >>> reducer = SpuriousModeReducer(MOESPRegressor(order=1, block_rows=5)).fit(u, y)
+    >>> round(float(reducer.system_.poles()[0].real), 6) == round(float(np.log(0.8)), 6)
+    True
+    """
+
+    def __init__(self, estimator=None, *, n_states=None, method="truncate", warmup=None):
+        self.estimator = estimator
+        self.n_states = n_states
+        self.method = method
+        self.warmup = warmup
+
+    def fit(self, X, y):
+        """Tell genuine from spurious modes, and fit the inputs' effect to the raw record.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            With a model riding on it, unless ``estimator`` is given.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+
+        Returns
+        -------
+        self : SpuriousModeReducer
+        """
+        method = check_choice("method", self.method, METHODS)
+        if self.n_states is not None:
+            check_count("n_states", self.n_states, 1, "None decides by the data")
+        experiment, model = upstream(self, X, y)
+        basis = experiment.basis
+        self.r2_ = np.nan
+        if model.dt == 0.0 or (basis is not None and basis.synchronous):
+            self._keep_all(model, "period-synchronous" if model.dt else "already continuous")
+        elif basis is None and self.n_states is None:
+            self._keep_all(model, "no harmonic analyzer, nothing spurious")
+            model = _continuous(model)
+        else:
+            model = self._reduce(model, experiment, method)
+        self.n_states_ = model.n_states
+        return self._remember(model, experiment, X, y)
+
+    def _keep_all(self, model, reason):
+        z = np.linalg.eigvals(model.A)
+        exponents = z if model.dt == 0.0 else np.log(z.astype(complex)) / model.dt
+        families = np.arange(len(z))
+        self.modes_ = _table(exponents, families, ["genuine"] * len(z), [reason] * len(z))
+
+    def _reduce(self, model, experiment, method):
+        basis = experiment.basis
+        z, V = np.linalg.eig(model.A)
+        z = z.astype(complex)
+        shapes = (model.C @ V).T
+        exponents = np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / model.dt
+        window = np.zeros(len(z), dtype=bool)
+        families = np.arange(len(z))
+        if basis is not None:
+            window = is_window_pole(z, basis.window_rows, WINDOW_DECAY)
+            families = np.full(len(z), -1)
+            families[~window] = floquet_families(
+                z[~window], basis.rows_per_period, FAMILY_TOLERANCE
+            )
+        units = [unit for unit in conjugate_units(z) if not window[list(unit)].any()]
+        kept_units, rivals = self._choose(units, exponents, shapes, experiment)
+        kept = np.zeros(len(z), dtype=bool)
+        kept[[i for unit in kept_units for i in unit]] = True
+        doubtful = set(kept_units) - set.intersection(set(kept_units), *map(set, rivals))
+        self.modes_ = _table(
+            exponents, families, *_verdicts(kept, window, families, exponents, doubtful)
+        )
+        if doubtful:
+            warnings.warn(
+                f"{len(rivals)} other set(s) of {int(kept.sum())} modes explain the data as well "
+                f"as the one kept; see modes_, change n_states, or use a richer record",
+                IdentifiabilityWarning,
+                stacklevel=3,
+            )
+        fast = _to_residualize(method, kept, exponents, z, basis)
+        return self._refit(model, experiment, z, kept, fast)
+
+    def _choose(self, units, exponents, shapes, experiment):
+        """Units to keep, and rival sets that explain the data as well."""
+        sizes = [len(unit) for unit in units]
+        R, columns = _compressed_regressors(units, exponents, shapes, experiment)
+        floor = residual(R, columns, tuple(range(len(units))))
+        rounding = 1e-14 * float(R[:, -1] @ R[:, -1])
+        # in harmonic-decomposition form the output coefficients are the states
+        wanted = range(1, shapes.shape[1] + 1) if self.n_states is None else [int(self.n_states)]
+        ranking = []
+        for n_states in wanted:
+            ranking = best_modes(R, columns, sizes, n_states) or ranking
+            if ranking and ranking[0][0] <= floor / (1.0 - MATERIAL_SHARE) + rounding:
+                break
+        if not ranking:
+            raise ValueError(
+                f"n_states={self.n_states} cannot be kept: {sum(sizes)} states in {len(units)} "
+                f"real poles or conjugate pairs are left once the window's memory is split off "
+                f"(pairs stay together); change n_states or raise the order of the identified model"
+            )
+        limit = ranking[0][0] * (1.0 + RIVAL_SHARE) + rounding
+        rivals = [rival for value, rival in ranking[1:] if value <= limit]
+        pick = [units[i] for i in ranking[0][1]]
+        return pick, [[units[i] for i in rival] for rival in rivals]
+
+    def _refit(self, model, experiment, z, kept, fast):
+        """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
+        dt = experiment.base.sample_time
+        stay = kept | fast
+        A_d, C = invariant_pair(model.A, model.C, z[stay], z[~stay])
+        A, _ = discrete_to_continuous(A_d, np.zeros((len(A_d), 0)), model.dt)
+        B, D, self.r2_ = refit_inputs(A, C, experiment, model.feedthrough)
+        if fast.any():
+            exponents = np.log(z) / model.dt
+            A, B, C, D = residualize(A, B, C, D, exponents[kept], exponents[fast])
+        return LTIModel(
+            A=A,
+            B=B,
+            C=C,
+            D=D,
+            dt=0.0,
+            input_names=experiment.drive_names,
+            output_names=model.output_names,
+            feedthrough=model.feedthrough or bool(fast.any()),
+        )
+
+
+def refit_inputs(A, C, experiment, feedthrough):
+    """B and D of a continuous model that fit the raw record best, and the R² reached.
+
+    Parameters
+    ----------
+    A, C : ndarray
+        Continuous-time state matrix, and output matrix to the coefficients.
+    experiment : Experiment
+    feedthrough : bool
+
+    Returns
+    -------
+    B, D : ndarray
+    r2 : float
+    """
+    dt = experiment.base.sample_time
+    A_raw, hold = continuous_to_discrete(A, np.eye(len(A)), dt)
+    scale = output_scale(experiment)
+    observe = [R / scale[:, None] for R in observations(experiment, len(C))]
+    outputs = [y / scale for y in experiment.outputs]
+    B_raw, D, _, rest = input_matrices(
+        A_raw, C, experiment.drive, outputs, feedthrough, observe, return_residual=True
+    )
+    total = sum(float(np.sum(y**2)) for y in outputs)
+    return linalg.solve(hold, B_raw), D, 1.0 - rest / total
+
+
+def output_scale(experiment):
+    """Standard deviation of each output over all segments, so that each counts alike."""
+    scale = np.std(np.vstack(experiment.outputs), axis=0)
+    scale[scale == 0.0] = 1.0
+    return scale
+
+
+def observations(experiment, n_coefficients):
+    """What is measured of the coefficients at each sample, a list of arrays."""
+    basis = experiment.basis
+    if basis is None:
+        return [np.broadcast_to(np.eye(n_coefficients), (len(u), *[n_coefficients] * 2))
+                for u in experiment.drive]
+    return [basis.recomposition(basis.azimuth(time)) for time in experiment.times()]
+
+
+def _compressed_regressors(units, exponents, shapes, experiment):
+    """Triangular factor of the responses of all units beside the outputs."""
+    scale = output_scale(experiment)
+    width = experiment.drive[0].shape[1] + 1
+    counts = [width * len(unit) for unit in units]
+    edges = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+    n_segments = len(experiment.drive)
+    # initial amplitudes are free in every segment: columns of their own
+    total = edges[-1] + (n_segments - 1) * sum(len(unit) for unit in units)
+    columns = [list(range(a, b)) for a, b in zip(edges, edges[1:], strict=False)]
+    R = np.zeros((0, total + 1))
+    following = edges[-1]
+    observe = observations(experiment, shapes.shape[1])
+    parts = zip(experiment.drive, experiment.outputs, observe, strict=True)
+    for s, (drive, y, R_psi) in enumerate(parts):
+        rows = np.zeros((y.size, total + 1))
+        for k, unit in enumerate(units):
+            exponent = exponents[unit[0]]
+            exponent = exponent if len(unit) == 2 else complex(exponent.real)
+            response = mode_regressors(
+                exponent, shapes[unit[0]], drive, experiment.base.sample_time, R_psi
+            )
+            response = (response / scale[:, None]).reshape(y.size, len(unit), width)
+            rows[:, edges[k] : edges[k + 1]] = response.reshape(y.size, -1)
+            if s:
+                own = np.arange(len(unit)) * width + width - 1
+                rows[:, edges[k] + own] = 0.0
+                rows[:, following : following + len(unit)] = response[:, :, -1]
+                columns[k] += range(following, following + len(unit))
+                following += len(unit)
+        rows[:, -1] = (y / scale).reshape(-1)
+        R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: total + 1]
+    return R, [np.array(column) for column in columns]
+
+
+def _to_residualize(method, kept, exponents, z, basis):
+    """Modes replaced by their static gain."""
+    logarithm = ~((np.abs(z.imag) <= 1e-8 * np.abs(z)) & (z.real <= 0.0))
+    fast = ~kept & logarithm & (np.abs(z) > 0.0)
+    if method == "truncate":
+        return np.zeros(len(z), dtype=bool)
+    if method == "both" and basis is not None:
+        return fast & (np.abs(exponents) > basis.omega)
+    return fast
+
+
+def _verdicts(kept, window, families, exponents, doubtful):
+    """Verdict and reason of each mode."""
+    doubt = {i for unit in doubtful for i in unit}
+    verdicts, reasons = [], []
+    for i, exponent in enumerate(exponents):
+        if window[i]:
+            verdict, reason = "window", "dies within the analysis window"
+        elif i in doubt:
+            verdict, reason = "ambiguous", "kept, but another set explains the data as well"
+        elif kept[i]:
+            verdict, reason = "genuine", "needed to explain the raw signals"
+        elif np.any(kept & (families == families[i])):
+            relatives = np.flatnonzero(kept & (families == families[i]))
+            near = min(relatives, key=lambda j: abs(exponents[j].imag - exponent.imag))
+            verdict = "copy"
+            reason = f"same Floquet multiplier as the mode at {exponents[near]:.4g} rad/s"
+        else:
+            verdict, reason = "weak", "adds nothing material to the raw signals"
+        verdicts.append(verdict)
+        reasons.append(reason)
+    return verdicts, reasons
+
+
+def _table(exponents, families, verdicts, reasons):
+    table = pd.DataFrame(
+        {"eigenvalue": exponents, "family": families, "verdict": verdicts, "reason": reasons}
+    )
+    order = np.lexsort((exponents.imag, np.abs(exponents.imag), -exponents.real))
+    return table.iloc[order].reset_index(drop=True)
+
+
+def _continuous(model):
+    """The whole of a discrete model, in continuous time under a zero-order hold."""
+    A, B = discrete_to_continuous(model.A, model.B, model.dt)
+    return LTIModel(
+        A=A,
+        B=B,
+        C=model.C,
+        D=model.D,
+        dt=0.0,
+        input_names=model.input_names,
+        output_names=model.output_names,
+        feedthrough=model.feedthrough,
+    )
