@@ -16,6 +16,7 @@ from sklearn_hd.algorithms.floquet import derivative_matrix, toeplitz_matrix
 from sklearn_hd.exceptions import TrimError
 
 __all__ = [
+    "evaluate_harmonics",
     "galerkin_coefficients",
     "resize_harmonics",
     "sample_harmonics",
@@ -26,9 +27,18 @@ MAX_HALVINGS = 12
 
 
 def solve_harmonic_balance(
-    f, jacobian, omega, coefficients, inputs, *, free=(), targets=(), n_points=None,
-    tolerance=1e-12, max_iterations=50,
-):  # fmt: skip
+    f,
+    jacobian,
+    omega,
+    coefficients,
+    inputs,
+    *,
+    free=(),
+    targets=(),
+    n_points=None,
+    tolerance=1e-12,
+    max_iterations=50,
+):
     """Periodic solution of ẋ = f(x, u, t) by Newton's method on the Galerkin equations.
 
     Parameters
@@ -105,6 +115,43 @@ def solve_harmonic_balance(
         X, u = X_new, u_new
         history.append(_size(residual, scale))
     return X, u, history[-1]
+
+
+def evaluate_harmonics(coefficients, psi):
+    """Periodic signals of given real coefficients at any azimuths.
+
+    Σ_k S_k e^{jkψ} is summed as Σ_l e^{jlqψ} Σ_i S_{lq+i} e^{jiψ}, with q about √N: the
+    exponentials, 2√N instead of N at each azimuth, are what takes time.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (2 N + 1, ...)
+        In the order 0, 1c, 1s, ….
+    psi : array_like, shape (...,)
+        Azimuths in radians.
+
+    Returns
+    -------
+    values : ndarray, shape (*psi.shape, *coefficients.shape[1:])
+
+    Examples
+    --------
+    >>> evaluate_harmonics(np.array([1.0, 0.5, 0.0]), [0.0, np.pi]).tolist()
+    [1.5, 0.5]
+    """
+    psi = np.asarray(psi, dtype=float)
+    cosines, sines = coefficients[1::2], coefficients[2::2]
+    q = int(np.ceil(np.sqrt(len(cosines) + 1)))
+    width = coefficients[0].size
+    S = np.zeros((q * q, width), dtype=complex)
+    S[0] = coefficients[0].ravel()
+    S[1 : len(cosines) + 1] = (cosines - 1j * sines).reshape(len(cosines), width)
+    S = S.reshape(q, q, width).transpose(1, 0, 2).reshape(q, q * width)
+    fine = np.exp(1j * psi.reshape(-1, 1) * np.arange(q))
+    coarse = np.exp(1j * psi.reshape(-1, 1) * (q * np.arange(q)))
+    partial = (fine @ S).reshape(psi.size, q, width)
+    values = np.einsum("pl,plc->pc", coarse, partial).real
+    return values.reshape(*psi.shape, *coefficients.shape[1:])
 
 
 def sample_harmonics(coefficients, n_points):

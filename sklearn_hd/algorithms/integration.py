@@ -77,9 +77,9 @@ def _advance(solver, end):
         state = solver.integrate(end)
     if not solver.successful() or not np.all(np.isfinite(state)):
         raise RuntimeError(
-            f"integration stopped between t = {solver.t:.6g} s and {end:.6g} s "
-            f"(state {np.array2string(np.asarray(state), precision=4)}): the solution diverges, f is "
-            f"not finite there, or rtol is below rounding; check f, the inputs and the initial "
-            f"state, or raise rtol"
+            f"integration stopped between t = {solver.t:.6g} s and {end:.6g} s, at the state "
+            f"{np.array2string(np.asarray(state), precision=4)}: the solution diverges, f is not "
+            f"finite there, or rtol is below rounding; check f, the inputs and the initial state, "
+            f"or raise rtol"
         )
     return state

@@ -58,10 +58,11 @@ def flapping_wing(
     --------
     >>> system = flapping_wing()
     >>> trim = system.trim(n_harmonics=2)
-    >>> print(f"U* = {trim.inputs[0]:.6e}")
-    U* = 4.216963e-03
-    >>> system.linearize(trim).harmonic_decomposition(1).A[0, 0].round(3)
-    np.float64(-4.0)
+    >>> print(f"U* = {trim.inputs[0]:.8f}")
+    U* = 0.00421696
+    >>> hd = system.linearize(trim).harmonic_decomposition(1)
+    >>> print(f"{hd.A[0, 0]:.3f}")
+    -4.000
     """
     wing = _FlappingWing(k_d1, k_d2, k_d3, k_L, inverse_inertia, omega, gravity)
     return PeriodicSystem(

@@ -6,8 +6,8 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd.algorithms import floquet
-from sklearn_hd.algorithms.fourier import harmonic_functions, harmonic_labels
-from sklearn_hd.algorithms.harmonic_balance import resize_harmonics
+from sklearn_hd.algorithms.fourier import harmonic_labels
+from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, resize_harmonics
 
 __all__ = ["FourierMatrix", "LTPSystem"]
 
@@ -31,15 +31,13 @@ class FourierMatrix:
         self.coefficients = np.array(coefficients, dtype=float)
         if self.coefficients.ndim != 3 or len(self.coefficients) % 2 == 0:
             raise ValueError(
-                f"Fourier coefficients have shape {self.coefficients.shape}; give an array of shape "
-                f"(2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
+                f"Fourier coefficients have shape {self.coefficients.shape}; give an array of "
+                f"shape (2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
             )
 
     def __call__(self, psi):
         """Values at azimuths psi, shape (n_points,) -> (n_points, rows, columns)."""
-        n_harmonics = (len(self.coefficients) - 1) // 2
-        functions = harmonic_functions(psi, range(n_harmonics + 1))
-        return np.tensordot(functions, self.coefficients, axes=1)
+        return evaluate_harmonics(self.coefficients, psi)
 
     def __repr__(self):
         return f"FourierMatrix(shape={self.coefficients.shape})"
@@ -95,9 +93,17 @@ class LTPSystem:
     """
 
     def __init__(
-        self, F, G, P=None, Q=None, *, omega,
-        state_names=None, input_names=None, output_names=None,
-    ):  # fmt: skip
+        self,
+        F,
+        G,
+        P=None,
+        Q=None,
+        *,
+        omega,
+        state_names=None,
+        input_names=None,
+        output_names=None,
+    ):
         if not (np.isfinite(omega) and omega > 0):
             raise ValueError(f"omega={omega} must be a positive frequency in rad/s")
         self.omega = float(omega)
@@ -105,15 +111,16 @@ class LTPSystem:
         self.G, (rows, m) = _periodic_matrix(G, "G")
         if n != columns or rows != n:
             raise ValueError(
-                f"F is {n} x {columns} and G is {rows} x {m}; F must be square, with as many rows as G"
+                f"F is {n} x {columns} and G is {rows} x {m}; F must be square, with as many "
+                f"rows as G"
             )
         measures_states = P is None
         self.P, (n_outputs, columns) = _periodic_matrix(np.eye(n) if P is None else P, "P")
         self.Q, shape = _periodic_matrix(np.zeros((n_outputs, m)) if Q is None else Q, "Q")
         if columns != n or shape != (n_outputs, m):
             raise ValueError(
-                f"P is {n_outputs} x {columns} and Q is {shape[0]} x {shape[1]}; with {n} states and "
-                f"{m} inputs, P must have {n} columns and Q as many rows as P and {m} columns"
+                f"P is {n_outputs} x {columns} and Q is {shape[0]} x {shape[1]}; with {n} states "
+                f"and {m} inputs, P must have {n} columns and Q as many rows as P and {m} columns"
             )
         self.state_names = check_names(state_names, n, "x", "state_names")
         self.input_names = check_names(input_names, m, "u", "input_names")
@@ -199,20 +206,27 @@ class LTPSystem:
             If a number of harmonics is negative or not an integer.
         """
         N = check_harmonics(n_harmonics, "n_harmonics")
-        M = N if n_input_harmonics is None else check_harmonics(
-            n_input_harmonics, "n_input_harmonics"
-        )  # fmt: skip
-        L = N if n_output_harmonics is None else check_harmonics(
-            n_output_harmonics, "n_output_harmonics"
-        )  # fmt: skip
+        M = (
+            N
+            if n_input_harmonics is None
+            else check_harmonics(n_input_harmonics, "n_input_harmonics")
+        )
+        L = (
+            N
+            if n_output_harmonics is None
+            else check_harmonics(n_output_harmonics, "n_output_harmonics")
+        )
         coefficients = self.fourier_coefficients(max(2 * N, N + M, L + N, L + M))
         A, B, C, D = floquet.harmonic_decomposition(*coefficients, self.omega, N, M, L)
         return control.StateSpace(
-            A, B, C, D,
+            A,
+            B,
+            C,
+            D,
             states=harmonic_names(self.state_names, N),
             inputs=harmonic_names(self.input_names, M),
             outputs=harmonic_names(self.output_names, L),
-        )  # fmt: skip
+        )
 
     def participation_factors(self, n_harmonics):
         """Participation of each harmonic of each state in each mode of the HD model.

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.harmonic_balance import (
+    evaluate_harmonics,
     galerkin_coefficients,
     resize_harmonics,
     solve_harmonic_balance,
@@ -73,7 +73,7 @@ class Trim:
 
     def states(self, psi):
         """States at azimuths psi (radians), shape (...,) -> (..., n)."""
-        return harmonic_functions(psi, range(self.n_harmonics + 1)) @ self.coefficients
+        return evaluate_harmonics(self.coefficients, psi)
 
 
 class PeriodicSystem:
@@ -132,9 +132,18 @@ class PeriodicSystem:
     """
 
     def __init__(
-        self, f, g=None, *, period, state_names, input_names, output_names=None,
-        jacobian=None, trim_guess=None, trim_targets=None,
-    ):  # fmt: skip
+        self,
+        f,
+        g=None,
+        *,
+        period,
+        state_names,
+        input_names,
+        output_names=None,
+        jacobian=None,
+        trim_guess=None,
+        trim_targets=None,
+    ):
         if not (np.isfinite(period) and period > 0):
             raise ValueError(f"period={period} must be a positive time in seconds")
         self.f, self.g, self.period = f, g, float(period)
@@ -170,9 +179,15 @@ class PeriodicSystem:
         )
 
     def trim(
-        self, n_harmonics=20, *, method="harmonic_balance", targets=None, inputs=None,
-        guess=None, n_points=None,
-    ):  # fmt: skip
+        self,
+        n_harmonics=20,
+        *,
+        method="harmonic_balance",
+        targets=None,
+        inputs=None,
+        guess=None,
+        n_points=None,
+    ):
         """Periodic solution under constant inputs.
 
         Parameters
@@ -213,9 +228,15 @@ class PeriodicSystem:
         free = self._hold(u, inputs or {}, len(targets))
         start = N if method == "harmonic_balance" else min(N, SHOOTING_START_HARMONICS)
         X, u, residual = solve_harmonic_balance(
-            self.f, self.jacobian, self.omega, resize_harmonics(X, start), u,
-            free=free, targets=targets, n_points=n_points,
-        )  # fmt: skip
+            self.f,
+            self.jacobian,
+            self.omega,
+            resize_harmonics(X, start),
+            u,
+            free=free,
+            targets=targets,
+            n_points=n_points,
+        )
         x0 = X[0] + np.sum(X[1::2], axis=0)
         if method == "shooting":
             x0, u, residual = solve_shooting(self.f, self.period, x0, u, free=free, targets=targets)
@@ -252,9 +273,15 @@ class PeriodicSystem:
         if self.g is None:
             P, Q = None, None
         return LTPSystem(
-            F, G, P, Q, omega=self.omega, state_names=self.state_names,
-            input_names=self.input_names, output_names=self.output_names,
-        )  # fmt: skip
+            F,
+            G,
+            P,
+            Q,
+            omega=self.omega,
+            state_names=self.state_names,
+            input_names=self.input_names,
+            output_names=self.output_names,
+        )
 
     def simulate(self, u, t, x0=None, *, rtol=1e-12, atol=1e-13, return_states=False):
         """Outputs at the sample times, u held between them, by error-controlled steps.
