@@ -1,0 +1,453 @@
+"""Records of the flapping wing: what an experiment on the paper's vehicle would give."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+from sklearn.utils import Bunch, check_random_state
+
+from sklearn_hd.algorithms.fourier import recompose
+from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.systems import LTPSystem, PeriodicSystem, flapping_wing
+
+__all__ = ["make_flapping_wing"]
+
+KINDS = ("lti", "lti-signal", "ltp", "nltp")
+TRIM_HARMONICS = 512  # the orbit to 3e-10 of its size; w has a kink wherever the wing reverses
+QUIET_PERIODS = 4  # in trim before a 3211 or multisine begins
+HIGHEST_FREQUENCY = 0.4  # of a multisine, in cycles a period
+STEPS_3211 = (3, 2, 1, 1)
+
+DESCRIPTION = """\
+Vertical flight of a flapping-wing micro air vehicle (Aerospace 2024, 11(11), 875, Eq. 23)
+about hover, driven by changes dU of the flapping torque's amplitude. Kind: {kind}.
+Subsystem: {subsystem}. Trim U* = {torque:.8g}, omega = {omega:.8g} rad/s; {harmonics} harmonics
+in the trim that A_exact and the data share. Inputs are held from sample to sample
+({samples_per_period} a period, sample time {sample_time:.6g} s).
+"""
+
+
+@dataclass(frozen=True)
+class _Subsystem:
+    """One of the two uncoupled halves of the harmonic-decomposition model with N = 1."""
+
+    input: str  # coefficient of U that drives it
+    states: tuple  # as in the paper's Eq. 26
+    constant: str  # signal that has harmonic 0, the other having 1c and 1s
+    modulation: tuple  # coefficients (0, 1c, 1s) of what multiplies the amplitude
+
+
+SUBSYSTEMS = {
+    "heave": _Subsystem("U_0", ("w_0", "phi_dot_1c", "phi_dot_1s"), "w", (1.0, 0.0, 0.0)),
+    "flap": _Subsystem("U_1c", ("phi_dot_0", "w_1c", "w_1s"), "phi_dot", (0.0, 1.0, 0.0)),
+}
+
+
+def make_flapping_wing(
+    kind="ltp",
+    *,
+    n_periods=220,
+    samples_per_period=64,
+    start=132,
+    width=10,
+    amplitude=0.02,
+    offset=0.0,
+    input="doublet",
+    n_records=1,
+    snr=None,
+    snr_db=None,
+    noise_on="outputs",
+    subsystem="heave",
+    random_state=None,
+):
+    """Simulated records of the flapping wing about hover, with the truth beside them.
+
+    The amplitude of the flapping torque is changed by ΔU(t) about its trim value U*,
+    and the vertical speed w and flapping speed φ̇ respond. All kinds share one trim
+    (Eq. 23, mean w zero), so one A_exact holds for all.
+
+    Parameters
+    ----------
+    kind : {"lti", "lti-signal", "ltp", "nltp"}, default="ltp"
+        ``"lti"``: harmonic coefficients of the response of the harmonic-decomposition
+        model with N = 1, what a perfect analyzer would give; ``"lti-signal"``: the same
+        put together to w and φ̇ (Eq. 7); ``"ltp"``: perturbations of the linear
+        time-periodic model; ``"nltp"``: raw measurements of the nonlinear system, the
+        periodic trim still in them and U* in the input.
+    n_periods : int, default=220
+        Length of each record.
+    samples_per_period : int, default=64
+    start : float, default=132
+        Period in which a doublet begins (132 are the paper's 5 s).
+    width : float, default=10
+        Periods that a doublet is up, and then down; unit step of a 3211.
+    amplitude : float, default=0.02
+        Largest change of the input, in parts of U*.
+    offset : float, default=0.0
+        Shift of all edges in parts of a period. Edges are rounded to the nearest
+        sample.
+    input : {"doublet", "3211", "multisine"} or array_like, default="doublet"
+        ``"doublet"``: up, then down, once. ``"3211"``: steps of 3, 2, 1 and 1 widths,
+        up and down in turn, repeated to the end. ``"multisine"``: all frequencies up to
+        0.4 cycles a period with random phases, one value held for each period. The
+        latter two begin after four quiet periods. An array is ΔU itself, in the units
+        of U, of shape (n_samples,) or (n_records, n_samples).
+    n_records : int, default=1
+        More than one gives a (record, time) index. The first record is as asked; the
+        further ones differ at random in sign, width and size (doublet, 3211) or in
+        phases (multisine).
+    snr, snr_db : float, optional
+        Ratio of the standard deviation of each column (perturbation only, over all
+        records) to that of the white Gaussian noise added to it, plain or in decibels
+        (20 log₁₀). Without either, no noise.
+    noise_on : {"outputs", "both"}, default="outputs"
+    subsystem : {"heave", "flap"}, default="heave"
+        ``"heave"``: ΔU is the amplitude itself, U₀; outputs w₀, φ̇_1c, φ̇_1s.
+        ``"flap"``: ΔU is U_1c, so that the input is U_1c cos ψ; outputs φ̇₀, w_1c, w_1s.
+        The cosine acts continuously, U_1c is held between samples.
+    random_state : int, RandomState or None, default=None
+        For phases, the further records and noise.
+
+    Returns
+    -------
+    data : Bunch
+        inputs : DataFrame, (n_samples, 1)
+            Column U, indexed by time in seconds. Perturbations, except for "nltp"; with
+            kind "lti" and subsystem "flap" the column holds U_1c.
+        outputs : DataFrame, (n_samples, 2), or (n_samples, 3) for kind "lti"
+            Columns w and phi_dot, or the subsystem's three coefficients.
+        inputs_clean, outputs_clean : DataFrame
+            The same without noise.
+        omega : float
+            Flapping frequency, rad/s.
+        sample_time : float
+            Seconds.
+        A_exact : DataFrame, (3, 3)
+            State matrix of the subsystem in the harmonic-decomposition model (N = 1) of
+            ``ltp``, in 1/s.
+        B_exact : DataFrame, (3, 1)
+            Its input matrix.
+        ltp : LTPSystem
+            The linear time-periodic system, driven by the raw ΔU.
+        system : PeriodicSystem
+            The nonlinear system.
+        trim : Trim
+        trim_span : tuple of float or None
+            (0, time of the first change of any record's input) in seconds, within each
+            record; None if that is less than a period.
+        DESCR : str
+
+    Raises
+    ------
+    ValueError
+        If an argument is not allowed, or the input does not fit in the record.
+
+    References
+    ----------
+    M. A. Hayajnh, U. Saetti, J. V. R. Prasad, Aerospace 2024, 11(11), 875, sections 3, 4.
+
+    Examples
+    --------
+    >>> data = make_flapping_wing("ltp", n_periods=30, start=5)
+    >>> data.inputs.shape, list(data.outputs.columns)
+    ((1920, 1), ['w', 'phi_dot'])
+    >>> print(data.A_exact.round(1).to_string())
+                   w_0  phi_dot_1c  phi_dot_1s
+    w_0           -4.0        -0.0        -0.1
+    phi_dot_1c  -852.9       -55.3      -179.8
+    phi_dot_1s -2817.9       150.7       -95.9
+    """
+    _check_choice("kind", kind, KINDS)
+    _check_choice("subsystem", subsystem, tuple(SUBSYSTEMS))
+    _check_choice("noise_on", noise_on, ("outputs", "both"))
+    n_periods = _check_count("n_periods", n_periods)
+    samples_per_period = _check_count("samples_per_period", samples_per_period, least=3)
+    ratio = _noise_ratio(snr, snr_db)
+    rng = check_random_state(random_state)
+    truth, part = _truth(), SUBSYSTEMS[subsystem]
+    size = amplitude * truth.torque
+    du = _excitation(
+        input, n_periods, samples_per_period, start, width, size, offset, n_records, rng
+    )
+    sample_time = truth.ltp.period / samples_per_period
+    t = np.arange(du.shape[1]) * sample_time
+    u, y, u_trim, y_trim = _RESPONSES[kind](truth, part, du, t)
+
+    index = _index(t, len(du))
+    output_names = part.states if kind == "lti" else truth.ltp.output_names
+    inputs, outputs = _frame(u, ["U"], index), _frame(y, output_names, index)
+    noisy_outputs = _with_noise(outputs, y - y_trim, ratio, rng)
+    noisy_inputs = _with_noise(inputs, u - u_trim, ratio if noise_on == "both" else None, rng)
+    A, B = truth.exact(part)
+    return Bunch(
+        inputs=noisy_inputs,
+        outputs=noisy_outputs,
+        inputs_clean=inputs,
+        outputs_clean=outputs,
+        omega=truth.ltp.omega,
+        sample_time=sample_time,
+        A_exact=A,
+        B_exact=B,
+        ltp=truth.ltp,
+        system=truth.system,
+        trim=truth.trim,
+        trim_span=_trim_span(du, t, samples_per_period),
+        DESCR=DESCRIPTION.format(
+            kind=kind,
+            subsystem=subsystem,
+            torque=truth.torque,
+            omega=truth.ltp.omega,
+            harmonics=truth.trim.n_harmonics,
+            samples_per_period=samples_per_period,
+            sample_time=sample_time,
+        ),
+    )
+
+
+# ---- the truth ----------------------------------------------------------------------------
+
+
+class _Truth:
+    """System, trim, linear time-periodic model and its decomposition: one for all kinds."""
+
+    def __init__(self):
+        self.system = flapping_wing()
+        self.trim = self.system.trim(TRIM_HARMONICS, method="shooting")
+        self.ltp = self.system.linearize(self.trim)
+        hd = self.ltp.harmonic_decomposition(1)
+        self.A = pd.DataFrame(hd.A, hd.state_labels, hd.state_labels)
+        self.B = pd.DataFrame(hd.B, hd.state_labels, hd.input_labels)
+
+    @property
+    def torque(self):
+        return float(self.trim.inputs[0])
+
+    def exact(self, part):
+        """A and B of one subsystem, as copies."""
+        states = list(part.states)
+        return self.A.loc[states, states].copy(), self.B.loc[states, [part.input]].copy()
+
+
+@lru_cache(maxsize=1)
+def _truth():
+    return _Truth()
+
+
+# ---- responses: (truth, part, du, t) -> u, y and their trim parts, (records, samples, …) -----
+
+
+def _lti_response(truth, part, du, t):
+    A, B = (M.to_numpy() for M in truth.exact(part))
+    A_d, B_d = continuous_to_discrete(A, B, t[1] - t[0])
+    x = propagate(A_d, du[..., None] * B_d[:, 0], np.zeros((len(du), len(A))))
+    return du[..., None], x, 0.0, 0.0
+
+
+def _lti_signal_response(truth, part, du, t):
+    _, x, _, _ = _lti_response(truth, part, du, t)
+    psi = truth.ltp.omega * t
+    mean, first = x[..., 0], recompose(x[..., 1:], psi, [1])
+    signals = (mean, first) if part.constant == "w" else (first, mean)
+    return _raw_input(part, du, psi), np.stack(signals, axis=-1), 0.0, 0.0
+
+
+def _ltp_response(truth, part, du, t):
+    ltp = truth.ltp
+    G = _Modulated(ltp.G, part.modulation)
+    driven = LTPSystem(ltp.F, G, omega=ltp.omega)
+    return _raw_input(part, du, ltp.omega * t), driven.simulate(du[..., None], t), 0.0, 0.0
+
+
+def _nltp_response(truth, part, du, t):
+    system, trim = truth.system, truth.trim
+    driven = PeriodicSystem(
+        _ModulatedRates(system.f, truth.torque, system.omega, part.modulation),
+        period=system.period,
+        state_names=system.state_names,
+        input_names=system.input_names,
+    )
+    y = np.stack([driven.simulate(one, t, trim.initial_state) for one in du])
+    u = truth.torque + _raw_input(part, du, system.omega * t)
+    return u, y, truth.torque, trim.states(system.omega * t)
+
+
+_RESPONSES = {
+    "lti": _lti_response,
+    "lti-signal": _lti_signal_response,
+    "ltp": _ltp_response,
+    "nltp": _nltp_response,
+}
+
+
+def _raw_input(part, du, psi):
+    """ΔU as it is seen at the samples: the amplitude times 1 or cos ψ."""
+    return (du * recompose(np.array(part.modulation), psi, [0, 1]))[..., None]
+
+
+class _Modulated:
+    """G(ψ) times a harmonic function."""
+
+    def __init__(self, matrix, modulation):
+        self.matrix, self.modulation = matrix, np.array(modulation)
+
+    def __call__(self, psi):
+        return self.matrix(psi) * recompose(self.modulation, psi, [0, 1])[:, None, None]
+
+
+class _ModulatedRates:
+    """f(x, U* + ΔU·(1 or cos ωt), t)."""
+
+    def __init__(self, f, torque, omega, modulation):
+        self.f, self.torque, self.omega, self.modulation = f, torque, omega, modulation
+
+    def __call__(self, x, u, t):
+        mean, cosine, _ = self.modulation
+        return self.f(x, self.torque + u * (mean + cosine * np.cos(self.omega * t)), t)
+
+
+# ---- inputs: changes ΔU of shape (records, samples) ------------------------------------------
+
+
+def _excitation(input, n_periods, spp, start, width, size, offset, n_records, rng):
+    n_samples = n_periods * spp
+    n_records = _check_count("n_records", n_records)
+    if not isinstance(input, str):
+        return _given(input, n_samples, n_records)
+    _check_choice("input", input, ("doublet", "3211", "multisine"))
+    if not width * spp >= 1:
+        raise ValueError(
+            f"width={width} is less than a sample; it counts periods, give {1 / spp:g} or more"
+        )
+    if input == "doublet":
+        records = _doublets(n_samples, spp, start + offset, width, size, n_records, rng)
+    else:
+        build = _steps_3211 if input == "3211" else _multisines
+        first = round((QUIET_PERIODS + offset) * spp)
+        if not 0 <= first < n_samples - spp:
+            raise ValueError(
+                f"n_periods={n_periods} leaves nothing of the {input} after {QUIET_PERIODS} quiet "
+                f"periods and offset={offset}; raise n_periods"
+            )
+        records = np.zeros((n_records, n_samples))
+        records[:, first:] = build(n_samples - first, spp, width, size, n_records, rng)
+    return records
+
+
+def _given(du, n_samples, n_records):
+    """The user's own ΔU, checked."""
+    du = np.atleast_2d(np.array(du, dtype=float))
+    if du.ndim != 2 or du.shape[1] != n_samples or n_records not in (1, len(du)):
+        raise ValueError(
+            f"input has shape {du.shape}; as an array it must have n_periods * samples_per_period "
+            f"= {n_samples} samples, in one row for each of n_records={n_records} records"
+        )
+    if not np.all(np.isfinite(du)):
+        raise ValueError("input holds NaN or infinity; each sample of dU must be finite")
+    return du
+
+
+def _doublets(n_samples, spp, start, width, size, n_records, rng):
+    """Up for a width, down for a width; further records differ in sign, width and size."""
+    first, length = round(start * spp), round(width * spp)
+    if first < 0 or first + 2 * length > n_samples:
+        raise ValueError(
+            f"a doublet from period {start:g} to {start + 2 * width:g} does not fit in "
+            f"{n_samples // spp} periods; change start, width or offset, or raise n_periods"
+        )
+    records = np.zeros((n_records, n_samples))
+    for record, (scale, stretch) in zip(records, _variations(n_records, rng), strict=True):
+        step = min(_step_length(width, stretch, spp), (n_samples - first) // 2)
+        record[first : first + step] = scale * size
+        record[first + step : first + 2 * step] = -scale * size
+    return records
+
+
+def _steps_3211(n_samples, spp, width, size, n_records, rng):
+    """Steps of 3, 2, 1, 1 widths, up and down in turn, repeated to the end."""
+    records = np.empty((n_records, n_samples))
+    for record, (scale, stretch) in zip(records, _variations(n_records, rng), strict=True):
+        unit = _step_length(width, stretch, spp)
+        signs = np.resize([1.0, -1.0], len(STEPS_3211))
+        pattern = np.repeat(signs, np.multiply(STEPS_3211, unit))
+        record[:] = scale * size * np.resize(pattern, n_samples)
+    return records
+
+
+def _multisines(n_samples, spp, width, size, n_records, rng):
+    """Sum of cosines of random phase, one value a period, of given peak."""
+    n_values = -(-n_samples // spp)
+    cycles = np.arange(1, int(HIGHEST_FREQUENCY * n_values) + 1) / n_values
+    if not len(cycles):
+        raise ValueError(
+            f"a multisine needs three periods or more after the quiet ones; {n_values} are left: "
+            f"raise n_periods"
+        )
+    phases = rng.uniform(0.0, 2.0 * np.pi, (n_records, len(cycles)))
+    values = np.cos(2.0 * np.pi * np.outer(np.arange(n_values), cycles) + phases[:, None]).sum(-1)
+    values *= size / np.max(np.abs(values), axis=1, keepdims=True)
+    return np.repeat(values, spp, axis=1)[:, :n_samples]
+
+
+def _step_length(width, stretch, spp):
+    """Samples of a step; of a varied one, whole periods if the width is at least one."""
+    varied = width * stretch
+    if stretch != 1.0 and width >= 1:
+        varied = max(1, round(varied))
+    return max(1, round(varied * spp))
+
+
+def _variations(n_records, rng):
+    """(scale, stretch) of each record: 1, 1 for the first, random for the others."""
+    yield 1.0, 1.0
+    for _ in range(n_records - 1):
+        yield rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.0), rng.uniform(0.5, 1.5)
+
+
+def _trim_span(du, t, spp):
+    """Time before anything moves, if it is a period or more."""
+    moved = np.flatnonzero(np.any(du != 0.0, axis=0))
+    first = moved[0] if len(moved) else len(t)
+    end = first * (t[1] - t[0])
+    return (0.0, float(end)) if first >= spp else None
+
+
+# ---- frames, noise, checks -----------------------------------------------------------------
+
+
+def _index(t, n_records):
+    if n_records == 1:
+        return pd.Index(t, name="time")
+    return pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
+
+
+def _frame(values, names, index):
+    return pd.DataFrame(values.reshape(len(index), -1), index, list(names))
+
+
+def _with_noise(frame, perturbation, ratio, rng):
+    """Frame with white noise of the perturbation's standard deviation / ratio."""
+    if ratio is None:
+        return frame.copy()
+    deviation = np.std(perturbation.reshape(len(frame), -1), axis=0) / ratio
+    return frame + deviation * rng.standard_normal(frame.shape)
+
+
+def _noise_ratio(snr, snr_db):
+    if snr is not None and snr_db is not None:
+        raise ValueError(f"snr={snr} and snr_db={snr_db} are both given; give one of them")
+    ratio = snr if snr_db is None else 10.0 ** (snr_db / 20.0)
+    if ratio is not None and not ratio > 0:
+        raise ValueError(f"snr={snr} must be a positive ratio of standard deviations, or None")
+    return ratio
+
+
+def _check_choice(name, value, allowed):
+    if value not in allowed:
+        raise ValueError(f"{name}={value!r} must be one of {', '.join(map(repr, allowed))}")
+
+
+def _check_count(name, value, least=1):
+    if isinstance(value, bool) or value != int(value) or value < least:
+        raise ValueError(f"{name}={value!r} must be an integer of at least {least}")
+    return int(value)
