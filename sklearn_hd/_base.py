@@ -18,6 +18,7 @@ from sklearn_hd._validation import (
     read_time,
     signal_names,
 )
+from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
 
 WARMUP_PERIODS = 5
@@ -118,6 +119,14 @@ class Experiment:
     def times(self):
         """Time of the rows of each segment, seconds."""
         return [self.base.time[segment] for segment in self.base.segments]
+
+    def drive_signals(self):
+        """The measured signal that each entry of ``drive_names`` comes from."""
+        if self.basis is None:
+            return self.drive_names
+        return tuple(
+            signal for signal, orders in self.basis.inputs for _ in harmonic_labels(orders)
+        )
 
     def span(self):
         """First and last time, worded for messages."""

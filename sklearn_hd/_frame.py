@@ -17,6 +17,7 @@ from sklearn_hd.algorithms.fourier import (
 __all__ = ["HarmonicBasis", "HarmonicFrame", "LTIModel"]
 
 PERIOD = "period"
+DUST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +179,7 @@ class HarmonicBasis:
         columns = [
             values[:, [i]]
             if harmonics == (0,)
-            else windowed_coefficients(values[:, i], psi, harmonics, box, ends)[where]
+            else _without_dust(windowed_coefficients(values[:, i], psi, harmonics, box, ends))[where]
             for i, (_, harmonics) in enumerate(self.inputs)
         ]
         return np.hstack(columns)
@@ -198,6 +199,12 @@ class HarmonicBasis:
             R[:, i, start : start + block.shape[-1]] = block
             start += block.shape[-1]
         return R
+
+
+def _without_dust(coefficients):
+    """Coefficients of one signal, those that are but rounding beside the others set to zero."""
+    size = np.abs(coefficients).max(axis=0, initial=0.0)
+    return np.where(size > DUST * size.max(initial=0.0), coefficients, 0.0)
 
 
 def phase_index(time, omega, samples_per_period):

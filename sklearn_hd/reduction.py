@@ -7,6 +7,7 @@ import pandas as pd
 from scipy import linalg
 
 from sklearn_hd._base import ModelStep, upstream
+from sklearn_hd._continuous import observations, output_scale, refit_inputs, to_continuous
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd.algorithms.modes import (
@@ -18,9 +19,8 @@ from sklearn_hd.algorithms.modes import (
     mode_regressors,
     residual,
 )
-from sklearn_hd.algorithms.moesp import input_matrices
 from sklearn_hd.algorithms.residualization import residualize
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, discrete_to_continuous
+from sklearn_hd.algorithms.simulation import discrete_to_continuous
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = ["SpuriousModeReducer"]
@@ -137,7 +137,7 @@ class SpuriousModeReducer(ModelStep):
             self._keep_all(model, "period-synchronous" if model.dt else "already continuous")
         elif basis is None and self.n_states is None:
             self._keep_all(model, "no harmonic analyzer, nothing spurious")
-            model = _continuous(model)
+            model = to_continuous(model, experiment)
         else:
             model = self._reduce(model, experiment, method)
         self.n_states_ = model.n_states
@@ -227,49 +227,6 @@ class SpuriousModeReducer(ModelStep):
         )
 
 
-def refit_inputs(A, C, experiment, feedthrough):
-    """B and D of a continuous model that fit the raw record best, and the R² reached.
-
-    Parameters
-    ----------
-    A, C : ndarray
-        Continuous-time state matrix, and output matrix to the coefficients.
-    experiment : Experiment
-    feedthrough : bool
-
-    Returns
-    -------
-    B, D : ndarray
-    r2 : float
-    """
-    dt = experiment.base.sample_time
-    A_raw, hold = continuous_to_discrete(A, np.eye(len(A)), dt)
-    scale = output_scale(experiment)
-    observe = [R / scale[:, None] for R in observations(experiment, len(C))]
-    outputs = [y / scale for y in experiment.outputs]
-    B_raw, D, _, rest = input_matrices(
-        A_raw, C, experiment.drive, outputs, feedthrough, observe, return_residual=True
-    )
-    total = sum(float(np.sum(y**2)) for y in outputs)
-    return linalg.solve(hold, B_raw), D, 1.0 - rest / total
-
-
-def output_scale(experiment):
-    """Standard deviation of each output over all segments, so that each counts alike."""
-    scale = np.std(np.vstack(experiment.outputs), axis=0)
-    scale[scale == 0.0] = 1.0
-    return scale
-
-
-def observations(experiment, n_coefficients):
-    """What is measured of the coefficients at each sample, a list of arrays."""
-    basis = experiment.basis
-    if basis is None:
-        return [np.broadcast_to(np.eye(n_coefficients), (len(u), *[n_coefficients] * 2))
-                for u in experiment.drive]
-    return [basis.recomposition(basis.azimuth(time)) for time in experiment.times()]
-
-
 def _compressed_regressors(units, exponents, shapes, experiment):
     """Triangular factor of the responses of all units beside the outputs."""
     scale = output_scale(experiment)
@@ -345,18 +302,3 @@ def _table(exponents, families, verdicts, reasons):
     )
     order = np.lexsort((exponents.imag, np.abs(exponents.imag), -exponents.real))
     return table.iloc[order].reset_index(drop=True)
-
-
-def _continuous(model):
-    """The whole of a discrete model, in continuous time under a zero-order hold."""
-    A, B = discrete_to_continuous(model.A, model.B, model.dt)
-    return LTIModel(
-        A=A,
-        B=B,
-        C=model.C,
-        D=model.D,
-        dt=0.0,
-        input_names=model.input_names,
-        output_names=model.output_names,
-        feedthrough=model.feedthrough,
-    )

@@ -38,11 +38,11 @@ class MOESPRegressor(ModelStep):
     ----------
     order : int or "auto", default="auto"
         Number of states. ``"auto"`` takes the widest gap between consecutive
-        singular values above the noise floor.
+        singular values that reaches down to the noise floor.
     block_rows : int or None, default=None
-        Block rows i of the past, and of the future. None takes half as many
-        again as the analysis window has rows, plus two; 15 on plain data
-        (fewer where the record is short).
+        Block rows i of the past, and of the future. None takes twice the rows
+        in the analysis window, plus two; 15 on plain data (fewer where the
+        record is short).
     feedthrough : bool, default=False
         Whether D is free, else zero. Period by period (``hop="period"``) D
         always is, for inputs act within the period that they belong to.
@@ -81,7 +81,8 @@ class MOESPRegressor(ModelStep):
     Warns
     -----
     ExcitationWarning
-        If the inputs excite fewer directions than the block rows ask for.
+        If the inputs excite fewer directions than the block rows ask for, or a
+        coefficient of an input never moves (its column of B is zero).
 
     References
     ----------
@@ -129,7 +130,7 @@ class MOESPRegressor(ModelStep):
             )
         experiment = read_experiment(X, y)
         inputs, outputs = rows_read(experiment)
-        _check_motion(inputs, experiment)
+        moving = _moving_inputs(inputs, experiment)
         l, m = outputs[0].shape[1], inputs[0].shape[1]
         self.block_rows_ = self._check_block_rows(experiment, [len(u) for u in inputs], m, l)
         self._check_order(l)
@@ -137,7 +138,7 @@ class MOESPRegressor(ModelStep):
         u_scale = _scales(inputs) if self.scale else np.ones(m)
         scaled_u = [u / u_scale for u in inputs]
         R = hankel_factor(scaled_u, [y_s / y_scale for y_s in outputs], self.block_rows_)
-        self._warn_excitation(R, m, experiment)
+        self._warn_excitation(R, moving, experiment)
         U, singular_values = observability_subspace(R, self.block_rows_, m)
         unit = np.sqrt(np.mean(y_scale**2))
         n_columns = n_hankel_columns([len(u) for u in inputs], self.block_rows_)
@@ -175,7 +176,7 @@ class MOESPRegressor(ModelStep):
         width = n_inputs + n_outputs
         # columns j = n_rows − 2i + 1 must outnumber the 2 i m inputs and the states
         if self.block_rows is None:
-            i = DEFAULT_BLOCK_ROWS if basis is None else -(-3 * window // 2) + 2
+            i = DEFAULT_BLOCK_ROWS if basis is None else 2 * window + 2
             while i > 2 and n_hankel_columns(lengths, i) < 2 * i * width:
                 i -= 1
             i = max(i, window + 2) if basis is not None and not basis.synchronous else i
@@ -216,15 +217,25 @@ class MOESPRegressor(ModelStep):
             return int(self.order)
         return order_by_gap(singular_values, floor, (self.block_rows_ - 1) * n_outputs)
 
-    def _warn_excitation(self, R, n_inputs, experiment):
-        need = 2 * self.block_rows_ * n_inputs
-        values = np.linalg.svd(R[:need, :need], compute_uv=False)
+    def _warn_excitation(self, R, moving, experiment):
+        """Warn of inputs at rest, and of Hankel matrices of deficient rank."""
+        idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
+        if idle:
+            warnings.warn(
+                f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
+                f"identified, and their columns of B are zero",
+                ExcitationWarning,
+                stacklevel=3,
+            )
+        need = 2 * self.block_rows_ * int(moving.sum())
+        size = 2 * self.block_rows_ * len(moving)
+        values = np.linalg.svd(R[:size, :size], compute_uv=False)
         found = int(np.sum(values > RANK_TOLERANCE * values[0]))
         if found < need:
             warnings.warn(
                 f"the inputs in the {experiment.span()} excite {found} directions, but "
-                f"block_rows={self.block_rows_} with {n_inputs} input(s) asks for {need}; use a "
-                f"richer input or fewer block rows, and trust the order with care",
+                f"block_rows={self.block_rows_} with {int(moving.sum())} input(s) asks for {need}; "
+                f"use a richer input or fewer block rows, and trust the order with care",
                 ExcitationWarning,
                 stacklevel=3,
             )
@@ -259,15 +270,17 @@ def _scales(signals):
     return scale
 
 
-def _check_motion(inputs, experiment):
-    """Raise ValueError if an input never moves within any segment."""
-    moves = np.zeros(inputs[0].shape[1], dtype=bool)
+def _moving_inputs(inputs, experiment):
+    """Which inputs move within some segment; ValueError where a measured signal never does."""
+    moving = np.zeros(inputs[0].shape[1], dtype=bool)
     for u in inputs:
         if len(u):
-            moves |= np.ptp(u, axis=0) > 0.0
-    if not moves.all():
-        name = experiment.drive_names[int(np.argmin(moves))]
-        raise ValueError(
-            f"input {name!r} is constant in the {experiment.span()}: nothing excites the system; "
-            f"choose a span in which it moves, or drop that input"
-        )
+            moving |= np.ptp(u, axis=0) > 0.0
+    signals = experiment.drive_signals()
+    for name in dict.fromkeys(signals):
+        if not any(m for m, signal in zip(moving, signals, strict=True) if signal == name):
+            raise ValueError(
+                f"input {name!r} is constant in the {experiment.span()}: nothing excites the "
+                f"system; choose a span in which it moves, or drop that input"
+            )
+    return moving

@@ -23,6 +23,8 @@ __all__ = [
 ]
 
 EPS = np.finfo(float).eps
+GAP_REACH = np.sqrt(10.0)
+CLEAR_GAP = 2.0
 
 
 def observability_subspace(R, block_rows, n_inputs):
@@ -80,9 +82,13 @@ def noise_floor(R, block_rows, n_inputs, n_columns):
 
 
 def order_by_gap(singular_values, floor, max_order):
-    """Order at the widest gap between consecutive singular values above a floor.
+    """Order at the gap by which singular values stand above a floor.
 
-    The gap after the n-th value is σ_n / max(σ_{n+1}, floor).
+    A gap far above the floor parts strong modes from weak ones, not modes
+    from noise: of the ratios σ_n / max(σ_{n+1}, floor), only those are
+    compared whose lower side is within half a decade of the floor. Where the
+    widest of these is less than a factor of two there is no gap, and all
+    values above the floor count.
 
     Parameters
     ----------
@@ -95,6 +101,7 @@ def order_by_gap(singular_values, floor, max_order):
     Returns
     -------
     order : int
+        At least 1.
 
     Examples
     --------
@@ -103,7 +110,10 @@ def order_by_gap(singular_values, floor, max_order):
     """
     values = np.maximum(singular_values, floor)
     ratios = values[:-1] / values[1:]
-    return int(np.argmax(ratios[:max_order])) + 1
+    ratios = np.where(values[1:] <= GAP_REACH * floor, ratios, 0.0)[:max_order]
+    if np.max(ratios, initial=0.0) >= CLEAR_GAP:
+        return int(np.argmax(ratios)) + 1
+    return int(np.clip(np.sum(singular_values > floor), 1, max_order))
 
 
 def state_matrices(U, singular_values, order, n_outputs):

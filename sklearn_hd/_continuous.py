@@ -1,0 +1,84 @@
+"""From an identified discrete model to a continuous one that answers for the raw record."""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd._frame import LTIModel
+from sklearn_hd.algorithms.moesp import input_matrices
+from sklearn_hd.algorithms.simulation import continuous_to_discrete, discrete_to_continuous
+
+
+def to_continuous(model, experiment):
+    """The whole of a discrete model in continuous time, under a zero-order hold.
+
+    A model of coefficients seen through a window gets B and D fitted to the
+    raw record; any other keeps its own.
+
+    Parameters
+    ----------
+    model : LTIModel
+    experiment : Experiment
+
+    Returns
+    -------
+    continuous : LTIModel
+    """
+    if model.dt == 0.0:
+        return model
+    A, B = discrete_to_continuous(model.A, model.B, model.dt)
+    D = model.D
+    if model.windowed:
+        B, D, _ = refit_inputs(A, model.C, experiment, model.feedthrough)
+    return LTIModel(
+        A=A,
+        B=B,
+        C=model.C,
+        D=D,
+        dt=0.0,
+        input_names=model.input_names,
+        output_names=model.output_names,
+        feedthrough=model.feedthrough,
+    )
+
+
+def refit_inputs(A, C, experiment, feedthrough):
+    """B and D of a continuous model that fit the raw record best, and the R² reached.
+
+    Parameters
+    ----------
+    A, C : ndarray
+        Continuous-time state matrix, and output matrix to the coefficients.
+    experiment : Experiment
+    feedthrough : bool
+
+    Returns
+    -------
+    B, D : ndarray
+    r2 : float
+    """
+    dt = experiment.base.sample_time
+    A_raw, hold = continuous_to_discrete(A, np.eye(len(A)), dt)
+    scale = output_scale(experiment)
+    observe = [R / scale[:, None] for R in observations(experiment, len(C))]
+    outputs = [y / scale for y in experiment.outputs]
+    B_raw, D, _, rest = input_matrices(
+        A_raw, C, experiment.drive, outputs, feedthrough, observe, return_residual=True
+    )
+    total = sum(float(np.sum(y**2)) for y in outputs)
+    return linalg.solve(hold, B_raw), D, 1.0 - rest / total
+
+
+def output_scale(experiment):
+    """Standard deviation of each output over all segments, so that each counts alike."""
+    scale = np.std(np.vstack(experiment.outputs), axis=0)
+    scale[scale == 0.0] = 1.0
+    return scale
+
+
+def observations(experiment, n_coefficients):
+    """What is measured of the coefficients at each sample, a list of arrays."""
+    basis = experiment.basis
+    if basis is None:
+        identity = np.eye(n_coefficients)
+        return [np.broadcast_to(identity, (len(u), *identity.shape)) for u in experiment.drive]
+    return [basis.recomposition(basis.azimuth(time)) for time in experiment.times()]
