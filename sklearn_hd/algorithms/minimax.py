@@ -1,0 +1,246 @@
+"""Minimisation of the H∞ norm of a matching error by a prox-linear trust region.
+
+    min_θ  F(θ) = sup_ω σ_max(E(jω; θ)),   E = W_o (G_c − G_s(θ)) W_i
+
+F is neither smooth nor convex, yet it is a convex function (a largest singular value
+over all frequencies) of the smooth function θ → E. Each step therefore keeps the convex
+part and linearises the smooth one,
+
+    min_{t, ζ} t   subject to   σ_max(E_i + Σ_k ζ_k ∂E_i/∂ζ_k) ≤ t for active ω_i,  |ζ| ≤ Δ
+
+with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal. A spectral norm is
+held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
+singular vectors, added until none is violated. A step is accepted by the exact norm and
+by the stability of G_s.
+"""
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+__all__ = ["MinimaxResult", "minimise_peak"]
+
+
+@dataclass(frozen=True, eq=False)
+class MinimaxResult:
+    """Where :func:`minimise_peak` ended.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (k,)
+    value : float
+        F(θ).
+    predicted_decrease : float
+        By how much the last convex model could still be lowered, relative to F. Zero
+        certifies a stationary point: no direction lowers all active peaks at first order.
+    converged : bool
+    history : tuple of float
+        F after each step that was accepted, the start first.
+    n_iter : int
+        Convex subproblems solved.
+    """
+
+    theta: np.ndarray
+    value: float
+    predicted_decrease: float
+    converged: bool
+    history: tuple
+    n_iter: int
+
+
+def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
+    """Parameters of least H∞ matching error, reached downhill from a stable start.
+
+    Parameters
+    ----------
+    problem : object
+        ``peak(theta)`` -> (F, ω of the peak), F = inf where G_s is unstable;
+        ``error_and_sensitivity(theta, frequencies)`` -> E and ∂E/∂θ;
+        ``active_frequencies(theta, value)``; ``orthonormal_directions(theta)`` -> M.
+    theta : ndarray, shape (k,)
+    max_iter : int
+        Largest number of convex subproblems.
+    tol : float
+        Predicted decrease, relative to F, at which to stop.
+
+    Returns
+    -------
+    result : MinimaxResult
+    """
+    value, peak = problem.peak(theta)
+    directions = problem.orthonormal_directions(theta)
+    history, memory = [value], [peak]
+    radius, n_iter, predicted, moved = 1.0, 0, np.inf, True
+    curvature = np.zeros((directions.shape[1],) * 2)
+    while n_iter < max_iter and value > 0:
+        if moved:
+            frequencies = problem.active_frequencies(theta, value, memory[-_MEMORY:])
+            model = _linearise(problem, theta, frequencies, directions, value)
+        step, level, duals = _convex_step(model, curvature, radius)
+        n_iter += 1
+        predicted = 1.0 - level
+        if predicted <= tol:
+            break
+        trial = theta + directions @ step
+        trial_value, trial_peak = problem.peak(trial)
+        gain = (value - trial_value) / (value * predicted)
+        if gain < 0.75 and np.isfinite(trial_value):
+            corrected = _second_order_correction(problem, model, trial, step, value, radius)
+            second = theta + directions @ corrected
+            second_value, second_peak = problem.peak(second)
+            if second_value < trial_value:
+                memory.append(trial_peak)
+                step, trial, trial_value, trial_peak = corrected, second, second_value, second_peak
+                gain = (value - trial_value) / (value * predicted)
+        radius = _next_radius(radius, gain, np.linalg.norm(step))
+        moved = gain > _LEAST_GAIN
+        if moved:
+            theta, value = trial, trial_value
+            history.append(value)
+        elif radius < _LEAST_RADIUS:
+            break
+        if np.isfinite(trial_value):
+            memory.append(trial_peak)
+            if not moved:
+                added = _linearise(problem, theta, [trial_peak], directions, value)
+                model = model.join(added)
+        curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)
+    return MinimaxResult(theta, value, predicted, abs(predicted) <= tol, tuple(history), n_iter)
+
+
+_MEMORY = 12  # peaks of earlier trials kept among the active frequencies
+_LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
+_LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
+_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearisation:
+    """E/F + Σ ζ_k ∂E/∂ζ_k / F at some frequencies, columns made the shorter side."""
+
+    frequencies: np.ndarray
+    error: np.ndarray
+    slope: np.ndarray
+    swapped: bool
+
+    def join(self, other):
+        return _Linearisation(
+            np.concatenate([self.frequencies, other.frequencies]),
+            np.concatenate([self.error, other.error]),
+            np.concatenate([self.slope, other.slope]),
+            self.swapped,
+        )
+
+
+def _linearise(problem, theta, frequencies, directions, value):
+    frequencies = np.asarray(frequencies, dtype=float)
+    error, sensitivity = problem.error_and_sensitivity(theta, frequencies)
+    error, slope = error / value, (sensitivity @ directions) / value
+    swapped = error.shape[2] > error.shape[1]
+    if swapped:
+        error, slope = error.swapaxes(1, 2), slope.swapaxes(1, 2)
+    return _Linearisation(frequencies, error, slope, swapped)
+
+
+def _second_order_correction(problem, model, trial, step, value, radius):
+    """Step that counts in how far E at the trial point is from its linearisation.
+
+    Along a curved valley, active peaks rise again at second order whatever the step's
+    direction, and steps would stay short (Maratos, 1978).
+    """
+    error, _ = problem.error_and_sensitivity(trial, model.frequencies)
+    error = (error.swapaxes(1, 2) if model.swapped else error) / value
+    moved = _Linearisation(
+        model.frequencies, error - model.slope @ step, model.slope, model.swapped
+    )
+    return _convex_step(moved, np.zeros((len(step),) * 2), radius)[0]
+
+
+def _lagrangian_curvature(problem, theta, model, duals, directions, value):
+    """Positive part of the curvature of θ → E, weighted by the cones' multipliers."""
+    which, left, right = duals
+    if model.swapped:
+        left, right = right.conj(), left.conj()
+    hessian = problem.error_curvature(theta, model.frequencies[which], left, right)
+    hessian = directions.T @ hessian @ directions / value
+    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _next_radius(radius, gain, length):
+    """Trust-region radius after a step of some length earned part of its prediction."""
+    if gain < 0.25 or not np.isfinite(gain):
+        return 0.3 * min(radius, length)
+    return max(radius, 2.5 * length) if gain > 0.75 else radius
+
+
+def _convex_step(model, curvature, radius, max_rounds=8):
+    """Minimiser ζ of the convex model within a ball, its value, and the multipliers.
+
+    The multipliers come as (which frequency, left vectors, right vectors), so that their
+    sum weighs E as the optimality conditions do.
+    """
+    error, slope = model.error, model.slope
+    which, cuts = _singular_directions(error)
+    for _ in range(max_rounds):
+        vectors = np.einsum("flm,fm->fl", error[which], cuts)
+        rates = np.einsum("flmk,fm->flk", slope[which], cuts)
+        step, duals = _solve_cones(vectors, rates, curvature, radius)
+        _, sizes, adjoint = np.linalg.svd(error + slope @ step, full_matrices=False)
+        level = np.linalg.norm(vectors + rates @ step, axis=1).max()
+        violated = np.flatnonzero(sizes[:, 0] > level + _SLACK)
+        if not len(violated):
+            break
+        which = np.concatenate([which, violated])
+        cuts = np.concatenate([cuts, adjoint[violated, 0].conj()])
+    level = sizes[:, 0].max() + 0.5 * step @ curvature @ step
+    active = np.flatnonzero(np.linalg.norm(duals, axis=1) > 1e-9)
+    return step, level, (which[: len(duals)][active], duals[active], cuts[: len(duals)][active])
+
+
+def _singular_directions(error):
+    """All right singular vectors of each error matrix, and whose they are."""
+    _, _, adjoint = np.linalg.svd(error, full_matrices=False)
+    n_points, n_directions, _ = adjoint.shape
+    which = np.repeat(np.arange(n_points), n_directions)
+    return which, adjoint.reshape(n_points * n_directions, -1).conj()
+
+
+def _solve_cones(vectors, slopes, curvature, radius):
+    """min t + ½ ζᵀHζ subject to |vectors_i + slopes_i ζ| ≤ t for all i, |ζ| ≤ radius.
+
+    Returns ζ and the complex multipliers p_i, for which Σ_i Re(p_iᴴ slopes_i) + H ζ = 0
+    wherever the ball is not touched.
+    """
+    n_cones, n_rows, n_directions = slopes.shape
+    size = 1 + 2 * n_rows
+    rows = np.zeros((n_cones, size, 1 + n_directions))
+    rows[:, 0, 0] = -1.0
+    rows[:, 1 : 1 + n_rows, 1:], rows[:, 1 + n_rows :, 1:] = -slopes.real, -slopes.imag
+    offset = np.concatenate([np.zeros((n_cones, 1)), vectors.real, vectors.imag], axis=1)
+    ball = -np.eye(1 + n_directions)
+    ball[0, 0] = 0.0
+    constraint = sparse.csc_matrix(np.vstack([rows.reshape(-1, 1 + n_directions), ball]))
+    offset = np.concatenate([offset.ravel(), [radius], np.zeros(n_directions)])
+    cones = [clarabel.SecondOrderConeT(size)] * n_cones
+    cones.append(clarabel.SecondOrderConeT(1 + n_directions))
+    quadratic = np.zeros((1 + n_directions, 1 + n_directions))
+    quadratic[1:, 1:] = np.triu(curvature)
+    target = np.zeros(1 + n_directions)
+    target[0] = 1.0
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix(quadratic), target, constraint, offset, cones, settings
+    )
+    solution = solver.solve()
+    step = np.asarray(solution.x)[1:]
+    duals = np.asarray(solution.z)[: n_cones * size].reshape(n_cones, size)[:, 1:]
+    if not (np.all(np.isfinite(step)) and np.all(np.isfinite(duals))):
+        raise ArithmeticError(f"the cone solver ended with {solution.status} and no numbers")
+    return step * min(1.0, radius / max(np.linalg.norm(step), radius)), -(
+        duals[:, :n_rows] + 1j * duals[:, n_rows:]
+    )
