@@ -1,0 +1,61 @@
+"""Records that many tests read; simulated once."""
+
+import numpy as np
+import pytest
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd.datasets import make_flapping_wing
+
+KEPT = {"w": [0], "phi_dot": [1]}
+
+
+@pytest.fixture(scope="session")
+def lti_signal():
+    return make_flapping_wing("lti-signal")
+
+
+@pytest.fixture(scope="session")
+def ltp():
+    return make_flapping_wing("ltp")
+
+
+@pytest.fixture(scope="session")
+def nltp():
+    return make_flapping_wing("nltp", amplitude=0.005)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20241018)
+
+
+def heave_pipeline(omega, *, rows_per_period=8, trim_span=None, **reduce):
+    """Analyzer, identification and reduction as for the heave subsystem."""
+    return Pipeline(
+        [
+            (
+                "harmonics",
+                HarmonicAnalyzer(
+                    omega, output_harmonics=KEPT, hop=64 // rows_per_period, trim_span=trim_span
+                ),
+            ),
+            ("identify", MOESPRegressor()),
+            ("reduce", SpuriousModeReducer(**reduce)),
+        ]
+    )
+
+
+def random_stable(rng, n, m, n_outputs, *, radius=0.9):
+    """A random discrete model with poles of known size, and its matrices."""
+    A = rng.standard_normal((n, n))
+    A *= radius / np.max(np.abs(np.linalg.eigvals(A)))
+    return A, rng.standard_normal((n, m)), rng.standard_normal((n_outputs, n))
+
+
+def same_poles(found, true, rtol):
+    """Whether two sets of poles agree, each with its nearest."""
+    found, true = np.asarray(found), np.asarray(true)
+    assert len(found) == len(true)
+    distance = np.abs(found[:, None] - true[None, :])
+    return distance.min(axis=0).max() <= rtol * np.abs(true).max()
