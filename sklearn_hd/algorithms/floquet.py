@@ -37,7 +37,8 @@ N_STAGES = 7  # collocation of order 14, quadrature exact up to degree 13
 MAX_BISECTIONS = 50  # 2⁻⁵⁰ of a period: closer to a jump than rounding tells
 MAX_ROUGH = 4096  # intervals open at one time; a few jumps and kinks never come near
 BLOCK = 256  # intervals integrated together; bounds the memory
-NEGLIGIBLE = 1e-10  # an entry this small beside the largest may be rounding; not resolved
+SMALL = 1e-2  # entries below this part of the largest are resolved to the same absolute error
+COUPLED = 1e-10  # product of two states' couplings, beside the largest, that is not rounding
 
 
 def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
@@ -61,8 +62,8 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
     omega : float
         Fundamental frequency, rad/s.
     tolerance : float, default=1e-14
-        Largest difference of an interval and its halves, relative to Φ with its
-        states balanced, and to the largest Γ.
+        Largest difference of an interval and its halves, relative to Φ (with the
+        states in units that balance F) and to the largest Γ of the input.
 
     Returns
     -------
@@ -83,9 +84,10 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
     True
     """
     psi = np.asarray(psi, dtype=float)
+    units = _state_units(F)
 
     def rule(left, right):
-        return _collocation_step(F, G, left, right, omega)
+        return _collocation_step(F, G, left, right, omega, units)
 
     steps = np.concatenate(
         [
@@ -93,8 +95,9 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
             for left, right in _blocks(psi)
         ]
     )
-    n = steps.shape[1]
-    return steps[:, :, :n], steps[:, :, n:]
+    n = len(units)
+    steps *= units[:, None]
+    return steps[:, :, :n] / units, steps[:, :, n:]
 
 
 def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
@@ -373,6 +376,8 @@ def _bisected(rule, compose, weights, left, right, tolerance):
     joins those of two neighbours, ``weights(whole)`` scales their differences.
     """
     whole = rule(left, right)
+    if not np.all(np.isfinite(whole)):
+        raise ValueError("the matrices hold NaN or infinity at some azimuths; make them finite")
     weight = weights(whole)
 
     def settle(left, right, whole, depth):
@@ -386,7 +391,7 @@ def _bisected(rule, compose, weights, left, right, tolerance):
         if rough.size > MAX_ROUGH:
             raise ValueError(
                 f"{rough.size} intervals of a period are still not resolved to {tolerance:g}; the "
-                f"matrices must be smooth in psi but for a few jumps, free of noise, and finite"
+                f"matrices must be smooth in psi but for a few jumps, free of noise"
             )
         if rough.size and depth:
             ends = np.concatenate([left[rough], middle[rough], right[rough]])
@@ -399,8 +404,8 @@ def _bisected(rule, compose, weights, left, right, tolerance):
     return settle(left, right, whole, MAX_BISECTIONS)
 
 
-def _collocation_step(F, G, left, right, omega):
-    """[Φ, Γ] of each interval by one step of Gauss collocation.
+def _collocation_step(F, G, left, right, omega, units):
+    """[Φ, Γ] of each interval by one step of Gauss collocation, states in given units.
 
     Stages K_i = F_i (x + h Σ_j a_ij K_j) + G_i u; step h Σ_i b_i K_i.
     """
@@ -411,6 +416,7 @@ def _collocation_step(F, G, left, right, omega):
     n = Fs.shape[-1]
     Gs = np.empty((len(nodes), n, 0)) if G is None else G(nodes)
     Fs, Gs = (M.reshape(len(left), len(c), n, -1) for M in (Fs, Gs))
+    Fs, Gs = Fs * (units / units[:, None]), Gs / units[:, None]
     h = width[:, None, None] / omega
     coupling = Fs[:, :, :, None, :] * a[None, :, None, :, None]
     size = len(c) * n
@@ -431,16 +437,21 @@ def _compose(second, first):
 
 
 def _transition_weights(steps):
-    """Weights that make Φ independent of the units of x, and the largest Γ one."""
+    """Weights that make the largest Γ of each input one."""
     n = steps.shape[1]
-    motion = np.mean(np.abs(steps[:, :, :n] - np.eye(n)), axis=0)
-    motion[motion < NEGLIGIBLE * np.max(motion)] = 0.0
-    _, (scale, _) = linalg.matrix_balance(motion, permute=False, separate=True)
-    weight = np.empty(steps.shape[1:])
-    weight[:, :n] = scale / scale[:, None]
-    reach = np.max(np.abs(steps[:, :, n:]) / scale[:, None], axis=(0, 1), initial=0.0)
-    weight[:, n:] = 1.0 / (scale[:, None] * np.where(reach > 0, reach, 1.0))
+    weight = np.ones(steps.shape[1:])
+    reach = np.max(np.abs(steps[:, :, n:]), axis=(0, 1))
+    weight[:, n:] = 1.0 / np.where(reach > 0, reach, 1.0)
     return weight
+
+
+def _state_units(F):
+    """Powers of two in which the states' couplings are of the same size."""
+    size = np.mean(np.abs(F(2.0 * np.pi * np.arange(16) / 16)), axis=0)
+    pairs = size * size.T  # free of units
+    size[~(pairs > COUPLED * np.max(pairs, initial=0.0))] = 0.0
+    _, (units, _) = linalg.matrix_balance(size, permute=False, separate=True)
+    return units
 
 
 def _panel_integrals(matrix, n_harmonics, left, right):
@@ -456,9 +467,9 @@ def _panel_integrals(matrix, n_harmonics, left, right):
 
 
 def _integral_weights(integrals):
-    """Weights that make the largest integral of each entry one."""
+    """Weights that make the largest integral of each entry one, or less if it is small."""
     size = np.max(np.abs(integrals), axis=(0, 1))
-    size = np.maximum(size, NEGLIGIBLE * np.max(size))
+    size = np.maximum(size, SMALL * np.max(size, initial=0.0))
     return 1.0 / np.where(size > 0, size, 1.0)
 
 

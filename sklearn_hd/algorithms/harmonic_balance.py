@@ -77,6 +77,8 @@ def solve_harmonic_balance(
     ------
     TrimError
         If Newton's method does not get there.
+    ValueError
+        If n_points is too few for the harmonics, or f is not vectorised.
 
     References
     ----------
@@ -97,14 +99,14 @@ def solve_harmonic_balance(
     """
     X, u = np.array(coefficients, dtype=float), np.array(inputs, dtype=float)
     free, targets = list(free), list(targets)
-    n_points = n_points or max(4096, 64 * (len(X) - 1))
+    n_points = _check_points(n_points, (len(X) - 1) // 2)
     residual, scale = _residual(f, omega, X, u, targets, n_points)
     history = [_size(residual, scale)]
     while history[-1] > tolerance:
         if len(history) > max_iterations:
             raise _failure(history, tolerance, f"after {max_iterations} iterations")
         matrix = _newton_matrix(jacobian, omega, X, u, free, targets, n_points)
-        step = _newton_step(matrix, residual, scale, history, tolerance)
+        step = _newton_step(matrix, residual, scale)
         for halving in range(MAX_HALVINGS + 1):
             X_new, u_new = _moved(X, u, free, step * 0.5**halving)
             residual, scale = _residual(f, omega, X_new, u_new, targets, n_points)
@@ -202,6 +204,17 @@ def resize_harmonics(coefficients, n_harmonics):
     return resized
 
 
+def _check_points(n_points, n_harmonics):
+    if n_points is None:
+        return max(4096, 128 * n_harmonics)
+    if n_points <= 4 * n_harmonics:
+        raise ValueError(
+            f"n_points={n_points} cannot tell the {2 * n_harmonics} harmonics of the linearisation "
+            f"apart; give more than {4 * n_harmonics}"
+        )
+    return int(n_points)
+
+
 def _orbit(omega, X, u, n_points):
     """x, u and t along the iterate, for the vectorised f."""
     t = 2.0 * np.pi / omega * np.arange(n_points) / n_points
@@ -211,7 +224,13 @@ def _orbit(omega, X, u, n_points):
 def _residual(f, omega, X, u, targets, n_points):
     """Galerkin residual with the targets below it, and the size of each row."""
     x, u, t = _orbit(omega, X, u, n_points)
-    rates = np.asarray(f(x, u, t))
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too long is refused anyway
+        rates = np.asarray(f(x, u, t))
+    if rates.shape != x.shape:
+        raise ValueError(
+            f"f returned an array of shape {rates.shape} for states of shape {x.shape}; it must "
+            f"take many points at once, x (n, k), u (m, k), t (k,), and return the shape of x"
+        )
     N = (len(X) - 1) // 2
     derivative = derivative_matrix(N, 1, omega) @ X
     balance = derivative - galerkin_coefficients(rates.T, N)
@@ -237,12 +256,13 @@ def _newton_matrix(jacobian, omega, X, u, free, targets, n_points):
     return matrix
 
 
-def _newton_step(matrix, residual, scale, history, tolerance):
-    """Newton's correction, from rows scaled to the same size."""
+def _newton_step(matrix, residual, scale):
+    """Newton's correction, from rows scaled to the same size; the shortest if singular."""
+    rows, rest = matrix / scale[:, None], residual / scale
     try:
-        return -np.linalg.solve(matrix / scale[:, None], residual / scale)
-    except np.linalg.LinAlgError as error:
-        raise _failure(history, tolerance, "where Newton's matrix is singular") from error
+        return -np.linalg.solve(rows, rest)
+    except np.linalg.LinAlgError:
+        return -np.linalg.lstsq(rows, rest)[0]
 
 
 def _moved(X, u, free, step):

@@ -51,7 +51,7 @@ def solve_shooting(
     Raises
     ------
     TrimError
-        If the defect does not fall to the tolerance.
+        If the defect does not fall to the tolerance, or an orbit diverges within a period.
 
     Examples
     --------
@@ -102,7 +102,10 @@ def _relative_defect(f, period, x0, u, targets):
     t = np.linspace(0.0, period, N_INTERVALS + 1)
     start = np.concatenate([x0, np.zeros(len(states))])
     held = np.broadcast_to(u, (len(t), len(u)))
-    x = integrate(with_means, start, held, t, rtol=1e-13, atol=1e-14)
+    try:
+        x = integrate(with_means, start, held, t, rtol=1e-13, atol=1e-14)
+    except RuntimeError as error:
+        raise TrimError(f"shooting met an orbit that does not last a period: {error}") from error
     size = np.max(np.abs(x[:, :n]), axis=0)
     size = np.where(size > 0, size, 1.0)
     misses = x[-1, n:] - [mean for _, mean in targets]

@@ -448,6 +448,6 @@ def _check_choice(name, value, allowed):
 
 
 def _check_count(name, value, least=1):
-    if isinstance(value, bool) or value != int(value) or value < least:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name}={value!r} must be an integer of at least {least}")
     return int(value)

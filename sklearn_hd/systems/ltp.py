@@ -399,7 +399,7 @@ def check_state(x0, batch, names):
 
 
 def check_harmonics(value, parameter):
-    if isinstance(value, bool) or value != int(value) or value < 0:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
         raise ValueError(f"{parameter}={value!r} must be an integer, zero or more")
     return int(value)
 

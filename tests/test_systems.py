@@ -1,0 +1,556 @@
+"""Periodic systems: the paper's matrices, exact responses, laws, errors."""
+
+import pickle
+
+import control
+import numpy as np
+import pytest
+from scipy import linalg
+from scipy.integrate import solve_ivp
+
+from sklearn_hd.algorithms.harmonic_balance import galerkin_coefficients
+from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.exceptions import TrimError
+from sklearn_hd.systems import FourierMatrix, LTPSystem, PeriodicSystem, flapping_wing
+
+# Aerospace 2024, 11(11), 875, Eq. 25, as printed: the digits are truncated, not rounded.
+EQ_25_A = [
+    ["-4", "0", "0", "-0.032", "0", "-0.105"],
+    ["0", "-75.51", "-428.4", "0", "-1.408e3", "0"],
+    ["0", "-0.065", "-2.892", "0", "-165.9", "0"],
+    ["-856.9", "0", "0", "-54.74", "0", "-179.4"],
+    ["0", "-0.211", "164.5", "0", "-5.107", "0"],
+    ["-2.817e3", "0", "0", "151.0", "0", "-96.28"],
+]
+EQ_25_B = [
+    ["0", "0", "0"],
+    ["0", "3.628e6", "0"],
+    ["0", "0", "0"],
+    ["7.256e6", "0", "0"],
+    ["0", "0", "0"],
+    ["0", "0", "0"],
+]
+# Eq. 26: the same in the order w_0, phi_dot_1c, phi_dot_1s, phi_dot_0, w_1c, w_1s.
+EQ_26_ORDER = [0, 3, 5, 1, 2, 4]
+EQ_26_A = [
+    ["-4", "-0.032", "-0.105", "0", "0", "0"],
+    ["-856.9", "-54.747", "-179.46", "0", "0", "0"],
+    ["-2.817e3", "151.0", "-96.28", "0", "0", "0"],
+    ["0", "0", "0", "-75.51", "-428.4", "-1.408e3"],
+    ["0", "0", "0", "-0.065", "-2.892", "-165.9"],
+    ["0", "0", "0", "-0.211", "164.5", "-5.107"],
+]
+ROUNDING = 1e-9  # relative error that is not a digit: 7.2559999999e6 is printed 7.256e6
+
+
+def as_printed(value, printed, size):
+    """The number in the printed one's format, its digits cut off."""
+    if printed == "0":
+        return "0" if abs(value) < ROUNDING * size else repr(value)
+    mantissa, _, exponent = printed.partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    scaled = value / 10.0 ** int(exponent or 0) * 10**decimals
+    digits = np.trunc(scaled * (1 + ROUNDING)) / 10**decimals
+    return f"{digits:.{decimals}f}" + (f"e{exponent}" if exponent else "")
+
+
+def truncated(matrix, printed):
+    size = np.max(np.abs(matrix))
+    return [
+        [as_printed(value, text, size) for value, text in zip(row, texts, strict=True)]
+        for row, texts in zip(matrix, printed, strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def wing():
+    return flapping_wing()
+
+
+@pytest.fixture(scope="module")
+def paper_hd(wing):
+    """The paper's model: a trim of two harmonics, decomposed with N = 1."""
+    return wing.linearize(wing.trim(2)).harmonic_decomposition(1)
+
+
+@pytest.fixture(scope="module")
+def orbit(wing):
+    return wing.trim(256, method="shooting")
+
+
+@pytest.fixture(scope="module")
+def wing_ltp(wing, orbit):
+    return wing.linearize(orbit)
+
+
+# ---- the paper ----------------------------------------------------------------------------
+
+
+def test_hd_matrices_are_those_of_equation_25(paper_hd):
+    assert truncated(paper_hd.A, EQ_25_A) == EQ_25_A
+    assert truncated(paper_hd.B, EQ_25_B) == EQ_25_B
+
+
+def test_reordered_matrices_are_those_of_equation_26(paper_hd):
+    A = paper_hd.A[np.ix_(EQ_26_ORDER, EQ_26_ORDER)]
+    assert truncated(A, EQ_26_A) == EQ_26_A
+    B = paper_hd.B[EQ_26_ORDER]
+    expected = [EQ_25_B[row] for row in EQ_26_ORDER]
+    assert truncated(B, expected) == expected
+
+
+def test_integrals_of_the_kinks_must_be_converged(wing):
+    """|φ̇| averaged over 256 equal steps a period loses printed digits; 4096 keep them."""
+    ltp = wing.linearize(wing.trim(2))
+    for n_points, enough in [(256, False), (4096, True)]:
+        F = galerkin_coefficients(ltp.F(2 * np.pi * np.arange(n_points) / n_points), 2)
+        A = LTPSystem(F, np.zeros((2, 1)), omega=ltp.omega).harmonic_decomposition(1).A
+        assert (truncated(A, EQ_25_A) == EQ_25_A) is enough
+
+
+def test_names_follow_equation_24(paper_hd):
+    states = ["w_0", "phi_dot_0", "w_1c", "phi_dot_1c", "w_1s", "phi_dot_1s"]
+    assert paper_hd.state_labels == paper_hd.output_labels == states
+    assert paper_hd.input_labels == ["U_0", "U_1c", "U_1s"]
+    assert isinstance(paper_hd, control.StateSpace)
+    np.testing.assert_array_equal(paper_hd.C, np.eye(6))
+    assert not paper_hd.D.any()
+
+
+def test_subsystem_eigenvalues(paper_hd):
+    """Heave and flap subsystems of Eq. 26; the paper prints -75.75 for the fast mode."""
+    A = paper_hd.A[np.ix_(EQ_26_ORDER, EQ_26_ORDER)]
+    heave, flap = (np.sort_complex(linalg.eigvals(block)) for block in (A[:3, :3], A[3:, 3:]))
+    np.testing.assert_allclose(heave, [-75.75 - 162.42j, -75.75 + 162.42j, -3.529], atol=0.01)
+    assert flap[0] == pytest.approx(-76.25, abs=0.01)
+
+
+def test_trim_torque_and_stroke(wing):
+    trim = wing.trim(2)
+    assert trim.inputs[0] == pytest.approx(0.00421696, abs=5e-9)
+    psi = 2 * np.pi * np.arange(4096) / 4096
+    angle = np.cumsum(trim.states(psi)[:, 1]) * wing.period / 4096
+    assert np.degrees(np.ptp(angle)) / 2 == pytest.approx(61.3, abs=0.05)
+
+
+@pytest.mark.parametrize("n_harmonics", [20, 30, 64])
+def test_floquet_exponents_of_a_many_harmonic_trim(wing, n_harmonics):
+    exponents = wing.linearize(wing.trim(n_harmonics)).floquet_exponents()
+    np.testing.assert_allclose(exponents, [-3.527185, -76.07195], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("n_harmonics", "slow"), [(1, -3.52905), (3, -3.52726), (8, -3.52719)])
+def test_hd_eigenvalues_tend_to_the_floquet_exponent(wing_ltp, n_harmonics, slow):
+    eigenvalues = linalg.eigvals(wing_ltp.harmonic_decomposition(n_harmonics).A)
+    assert np.min(np.abs(eigenvalues - slow)) < 6e-6
+    nearest = eigenvalues[np.argmin(np.abs(eigenvalues - wing_ltp.floquet_exponents()[0]))]
+    assert nearest == pytest.approx(slow, abs=6e-6)
+
+
+def test_modal_participation_is_figure_1(wing_ltp):
+    """w: heave mode by harmonic 0, flap mode by harmonic 1; φ̇ the other way round."""
+    shares = wing_ltp.modal_participation(1)
+    heave, flap = shares.columns
+    assert heave.real == pytest.approx(-3.53, abs=0.01)
+    assert flap.real == pytest.approx(-76.3, abs=0.1)
+    for state, mode in [("w", heave), ("phi_dot", flap)]:
+        np.testing.assert_allclose(shares.loc[state, mode], [1.0, 0.0], atol=1e-9)
+    for state, mode in [("w", flap), ("phi_dot", heave)]:
+        np.testing.assert_allclose(shares.loc[state, mode], [0.0, 1.0], atol=1e-9)
+
+
+def test_participation_factors_separate_the_subsystems(wing_ltp):
+    factors = wing_ltp.participation_factors(1)
+    np.testing.assert_allclose(factors.sum(), 1.0)
+    heave_mode = factors.iloc[:, 0]
+    assert heave_mode.loc[["phi_dot_0", "w_1c", "w_1s"]].max() < 1e-9
+    assert heave_mode.idxmax() == "w_0"
+
+
+# ---- trim -----------------------------------------------------------------------------------
+
+
+def test_harmonic_balance_agrees_with_shooting(wing, orbit):
+    balanced = wing.trim(128)
+    np.testing.assert_allclose(balanced.inputs, orbit.inputs, rtol=1e-9)
+    np.testing.assert_allclose(balanced.initial_state, orbit.initial_state, rtol=1e-7)
+    size = np.max(np.abs(orbit.coefficients), axis=0)
+    difference = balanced.coefficients[:41] - orbit.coefficients[:41]
+    assert np.max(np.abs(difference) / size) < 1e-9
+
+
+def test_truncation_error_of_the_trim_falls_with_the_cube_of_the_harmonics(wing, orbit):
+    """|φ̇| φ̇ has a jump in its curvature wherever the wing reverses: harmonics like k⁻⁴."""
+    psi, errors = np.linspace(0, 2 * np.pi, 2001), []
+    for N in (32, 128):
+        trim = wing.trim(N)
+        assert abs(trim.coefficients[0, 0]) < 1e-12  # mean w = 0 holds whatever N
+        errors.append(np.max(np.abs(trim.states(psi) - orbit.states(psi))[:, 1]))
+    assert errors[0] / errors[1] == pytest.approx(4.0**3, rel=0.5)
+
+
+def test_shooting_returns_to_its_start(wing, orbit):
+    defect = wing.periodicity_defect(orbit) / np.max(np.abs(orbit.coefficients), axis=0)
+    assert np.max(np.abs(defect)) < 1e-12
+    assert orbit.residual < 1e-12
+
+
+def test_trim_starts_from_another_trim(wing):
+    coarse = wing.trim(2)
+    fine = wing.trim(10, guess=coarse)
+    np.testing.assert_allclose(fine.coefficients, wing.trim(10).coefficients, rtol=0, atol=1e-9)
+
+
+def test_trim_with_held_input_leaves_the_mean_free(wing):
+    trim = wing.trim(20, targets={}, inputs={"U": 0.0045})
+    assert trim.inputs[0] == 0.0045
+    assert trim.coefficients[0, 0] < -1e-3  # more lift than weight: it climbs (w is down)
+
+
+def test_trim_states_are_read_only(orbit):
+    with pytest.raises(ValueError, match="read-only"):
+        orbit.coefficients[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("method", ["harmonic_balance", "shooting"])
+def test_trim_failure_says_what_to_do(wing, method):
+    weightless = flapping_wing(k_L=1e-12)
+    with pytest.raises(TrimError, match="give a guess nearer"):
+        weightless.trim(10, method=method, guess=(np.ones((3, 2)), np.zeros(1)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n_harmonics": -1}, "n_harmonics=-1 must be an integer"),
+        ({"n_harmonics": 2.5}, "n_harmonics=2.5 must be an integer"),
+        ({"method": "newton"}, "method='newton' must be 'harmonic_balance' or 'shooting'"),
+        ({"targets": {"v": 0.0}}, r"targets names \['v'\].*states are \['w', 'phi_dot'\]"),
+        ({"inputs": {"V": 0.0}}, r"inputs names \['V'\]; the inputs are \['U'\]"),
+        ({"inputs": {"U": 0.0}}, r"1 targets cannot determine the free inputs \[\]"),
+        ({"guess": (np.zeros((3, 1)), np.zeros(1))}, r"coefficients \(2 K \+ 1, 2\)"),
+        ({"n_points": 50}, "n_points=50 cannot tell"),
+    ],
+)
+def test_trim_refuses(wing, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        wing.trim(**arguments)
+
+
+# ---- linearisation --------------------------------------------------------------------------
+
+
+def test_differences_agree_with_the_analytic_jacobian(wing):
+    trim = wing.trim(20)
+    numeric = PeriodicSystem(
+        wing.f,
+        _first_state,
+        period=wing.period,
+        state_names=wing.state_names,
+        input_names=wing.input_names,
+    )
+    assert numeric.output_names == ("y1",)
+    by_differences, analytic = numeric.linearize(trim), wing.linearize(trim)
+    psi = np.linspace(0.1, 6.1, 7)  # no reversal of the wing within a step of these
+    np.testing.assert_allclose(by_differences.F(psi), analytic.F(psi), rtol=1e-7)
+    np.testing.assert_allclose(by_differences.G(psi), analytic.G(psi), rtol=1e-7)
+    np.testing.assert_allclose(by_differences.P(psi), np.tile([[1.0, 0.0]], (7, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(by_differences.Q(psi), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        by_differences.floquet_exponents(), analytic.floquet_exponents(), rtol=1e-6
+    )
+
+
+def _first_state(x, u, t):
+    return x[:1] + 0.0 * u
+
+
+# ---- responses against an independent integration ------------------------------------------
+
+
+def independent_response(x0, torque, du, n_periods, sampled):
+    """w, φ̇ and their perturbations: Eq. 23 and its derivatives written out, by SciPy's DOP853.
+
+    ``du`` lists (end of the interval in periods, ΔU); ``sampled`` samples a period.
+    """
+    k_d1, k_d2, k_d3, k_L = 0.0355222804, 0.335296893, 16.6471651, 6.27088723e-4
+    omega, inverse_inertia = 2 * np.pi * 26.3, 7.256e6
+    period = 1 / 26.3
+
+    def rates(t, x, change):
+        w, p, w_nl, p_nl, dw, dp = x
+        drive = inverse_inertia * np.cos(omega * t)
+        return [
+            9.81 - k_d1 * abs(p) * w - k_L * p**2,
+            -k_d2 * abs(p) * p - k_d3 * w * p + drive * torque,
+            9.81 - k_d1 * abs(p_nl) * w_nl - k_L * p_nl**2,
+            -k_d2 * abs(p_nl) * p_nl - k_d3 * w_nl * p_nl + drive * (torque + change),
+            -k_d1 * abs(p) * dw - (k_d1 * np.sign(p) * w + 2 * k_L * p) * dp,
+            -k_d3 * p * dw - (2 * k_d2 * abs(p) + k_d3 * w) * dp + drive * change,
+        ]
+
+    x, start, pieces = np.r_[x0, x0, 0.0, 0.0], 0, [np.r_[x0, x0, 0.0, 0.0][:, None]]
+    for end, change in [*du, (n_periods, 0.0)]:
+        for period_number in range(start, end):  # whole periods: the samples stay end points
+            for k in range(sampled):
+                span = (period_number + np.array([k, k + 1]) / sampled) * period
+                solution = solve_ivp(
+                    rates, span, x, "DOP853", args=(change,), rtol=1e-12, atol=1e-14
+                )
+                x = solution.y[:, -1]
+                pieces.append(x[:, None])
+        start = end
+    return np.concatenate(pieces, axis=1).T
+
+
+def test_responses_agree_with_an_independent_integration(wing, orbit, wing_ltp):
+    n_periods, sampled, change = 9, 8, 0.02 * orbit.inputs[0]
+    reference = independent_response(
+        orbit.initial_state,
+        orbit.inputs[0],
+        [(1, 0.0), (3, change), (5, -change)],
+        n_periods,
+        sampled,
+    )
+    t = np.arange(n_periods * sampled + 1) * wing.period / sampled
+    du = np.zeros((len(t), 1))
+    du[sampled : 3 * sampled], du[3 * sampled : 5 * sampled] = change, -change
+    nonlinear = wing.simulate(orbit.inputs + du, t, orbit.initial_state)
+    linear = wing_ltp.simulate(du, t)
+    for found, expected in [(nonlinear, reference[:, 2:4]), (linear, reference[:, 4:])]:
+        error = np.max(np.abs(found - expected), axis=0) / np.max(np.abs(expected), axis=0)
+        assert np.max(error) < 1e-8
+    np.testing.assert_allclose(orbit.states(wing.omega * t), reference[:, :2], atol=1e-5)
+
+
+def test_small_motions_of_the_nonlinear_system_are_those_of_the_linear_one(wing, orbit, wing_ltp):
+    t = np.arange(640) * wing.period / 64
+    du = np.where(t > 2 * wing.period, 1e-5 * orbit.inputs[0], 0.0)[:, None]
+    rest = wing.simulate(orbit.inputs + 0 * du, t, orbit.initial_state)
+    moved = wing.simulate(orbit.inputs + du, t, orbit.initial_state)
+    linear = wing_ltp.simulate(du, t)
+    np.testing.assert_allclose(moved - rest, linear, atol=1e-4 * np.max(np.abs(linear)))
+
+
+def test_simulate_returns_outputs_of_g(wing, orbit):
+    system = PeriodicSystem(
+        wing.f, _first_state, period=wing.period, state_names=["a", "b"], input_names="U"
+    )
+    t = np.arange(5) * 1e-3
+    y, x = system.simulate(np.zeros(5), t, orbit.initial_state, return_states=True)
+    assert y.shape == (5, 1)
+    np.testing.assert_array_equal(y[:, 0], x[:, 0])
+
+
+# ---- laws of linear time-periodic systems -----------------------------------------------------
+
+
+@pytest.fixture
+def random_ltp():
+    rng = np.random.default_rng(7)
+    F = 0.4 * rng.standard_normal((5, 3, 3))
+    F[0] -= 2.0 * np.eye(3)
+    return LTPSystem(
+        F,
+        rng.standard_normal((3, 3, 2)),
+        rng.standard_normal((3, 2, 3)),
+        rng.standard_normal((3, 2, 2)),
+        omega=3.0,
+    )
+
+
+def test_default_names(random_ltp):
+    assert random_ltp.state_names == ("x1", "x2", "x3")
+    assert random_ltp.input_names == ("u1", "u2")
+    assert random_ltp.output_names == ("y1", "y2")
+    assert "omega=3" in repr(random_ltp)
+
+
+def test_responses_superpose(random_ltp):
+    rng = np.random.default_rng(0)
+    t = np.arange(50) * random_ltp.period / 16
+    u, v = rng.standard_normal((2, 50, 2))
+    a, b = rng.standard_normal((2, 3))
+    joint = random_ltp.simulate(2 * u - 3 * v, t, 2 * a - 3 * b)
+    parts = 2 * random_ltp.simulate(u, t, a) - 3 * random_ltp.simulate(v, t, b)
+    np.testing.assert_allclose(joint, parts, atol=1e-12)
+
+
+def test_stacked_records_equal_single_ones(random_ltp):
+    rng = np.random.default_rng(1)
+    t = np.arange(40) * random_ltp.period / 8
+    u, x0 = rng.standard_normal((4, 40, 2)), rng.standard_normal((4, 3))
+    y, x = random_ltp.simulate(u, t, x0, return_states=True)
+    for k in range(4):
+        y_one, x_one = random_ltp.simulate(u[k], t, x0[k], return_states=True)
+        np.testing.assert_allclose(y[k], y_one, atol=1e-13)
+        np.testing.assert_allclose(x[k], x_one, atol=1e-13)
+
+
+def test_constant_matrices_give_the_time_invariant_response():
+    rng = np.random.default_rng(2)
+    A, B = -np.eye(3) + rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
+    C, D = rng.standard_normal((2, 3)), rng.standard_normal((2, 2))
+    system = LTPSystem(A, B, C, D, omega=5.0)
+    t = np.arange(60) * system.period / 12
+    u = rng.standard_normal((60, 2))
+    A_d, B_d = continuous_to_discrete(A, B, t[1])
+    x = propagate(A_d, u @ B_d.T, np.ones(3))
+    np.testing.assert_allclose(
+        system.simulate(u, t, np.ones(3)), x @ C.T + u @ D.T, rtol=1e-11, atol=1e-11
+    )
+
+
+def test_other_sample_times_give_the_same_trajectory(random_ltp):
+    """Samples that do not repeat after a period have each interval's own transition."""
+    rng = np.random.default_rng(3)
+    t = np.arange(200) * random_ltp.period / 20
+    kept = np.sort(rng.choice(200, 60, replace=False))
+    x0, u = np.array([1.0, -2.0, 0.5]), np.ones((200, 2))
+    regular, x = random_ltp.simulate(u, t, x0, return_states=True)
+    irregular = random_ltp.simulate(u[kept], t[kept], x[kept[0]])
+    np.testing.assert_allclose(irregular, regular[kept], atol=1e-11)
+
+
+def test_records_may_begin_anywhere_in_the_period(random_ltp):
+    t = np.arange(100) * random_ltp.period / 20
+    u = np.sin(t)[:, None] * [1.0, -1.0]
+    y, x = random_ltp.simulate(u, t, return_states=True)
+    np.testing.assert_allclose(random_ltp.simulate(u[33:], t[33:], x[33]), y[33:], atol=1e-12)
+
+
+def test_free_decay_shrinks_by_the_floquet_multipliers(random_ltp):
+    t = np.arange(2) * random_ltp.period
+    u = np.zeros((2, 2))
+    columns = [random_ltp.simulate(u, t, e, return_states=True)[1][1] for e in np.eye(3)]
+    multipliers = linalg.eigvals(np.transpose(columns))
+    exponents = random_ltp.floquet_exponents()
+    np.testing.assert_allclose(
+        np.sort_complex(multipliers),
+        np.sort_complex(np.exp(exponents * random_ltp.period)),
+        rtol=1e-10,
+    )
+
+
+def test_hd_model_reproduces_the_response_as_harmonics_are_added(random_ltp):
+    """A step from rest, recomposed by Eq. 7, tends to the time-periodic response."""
+    t = np.arange(200) * random_ltp.period / 32
+    u = np.ones((200, 2))
+    exact = random_ltp.simulate(u, t)
+    errors = []
+    for N in (1, 3, 9):
+        hd = random_ltp.harmonic_decomposition(N, 0)
+        A_d, B_d = continuous_to_discrete(hd.A, hd.B, t[1])
+        Y = propagate(A_d, u @ B_d.T, np.zeros(len(A_d))) @ hd.C.T + u @ hd.D.T
+        y = [
+            np.sum(FourierMatrix(row.reshape(2 * N + 1, 2, 1))(np.array([random_ltp.omega * time])))
+            for row, time in zip(Y, t, strict=True)
+        ]
+        errors.append(np.max(np.abs(y - exact.sum(axis=1))))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1e-6
+
+
+def test_harmonics_of_inputs_and_outputs_are_chosen_apart(random_ltp):
+    hd = random_ltp.harmonic_decomposition(2, 0, 1)
+    assert hd.A.shape == (15, 15)
+    assert hd.input_labels == ["u1_0", "u2_0"]
+    assert hd.output_labels == ["y1_0", "y2_0", "y1_1c", "y2_1c", "y1_1s", "y2_1s"]
+    full = random_ltp.harmonic_decomposition(2)
+    np.testing.assert_array_equal(hd.B, full.B[:, :2])
+    np.testing.assert_array_equal(hd.C, full.C[:6])
+
+
+def test_fourier_coefficients_of_callables_equal_the_given_ones(random_ltp):
+    same = LTPSystem(
+        *(_Called(M) for M in (random_ltp.F, random_ltp.G, random_ltp.P, random_ltp.Q)),
+        omega=random_ltp.omega,
+    )
+    for found, expected in zip(
+        same.fourier_coefficients(4), random_ltp.fourier_coefficients(4), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-13)
+    np.testing.assert_allclose(
+        same.harmonic_decomposition(2).A, random_ltp.harmonic_decomposition(2).A, atol=1e-12
+    )
+
+
+class _Called:
+    def __init__(self, matrix):
+        self.matrix = matrix
+
+    def __call__(self, psi):
+        return self.matrix(psi)
+
+
+def test_system_without_inputs_decays():
+    system = LTPSystem([[-1.0]], np.zeros((1, 0)), omega=1.0)
+    y = system.simulate(np.zeros((3, 0)), [0.0, 0.5, 1.7], [1.0])
+    np.testing.assert_allclose(y[:, 0], np.exp([0.0, -0.5, -1.7]), rtol=1e-13)
+
+
+def test_systems_can_be_pickled(wing, orbit, wing_ltp):
+    t = np.arange(20) * 1e-3
+    u = np.full((20, 1), 1e-4)
+    again = pickle.loads(pickle.dumps(wing))
+    np.testing.assert_array_equal(again.simulate(u, t), wing.simulate(u, t))
+    ltp = pickle.loads(pickle.dumps(wing_ltp))
+    np.testing.assert_array_equal(ltp.simulate(u, t), wing_ltp.simulate(u, t))
+    trim = pickle.loads(pickle.dumps(orbit))
+    np.testing.assert_array_equal(trim.states(0.3), orbit.states(0.3))
+
+
+# ---- refusals ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"omega": 0.0}, "omega=0.0 must be a positive frequency"),
+        ({"omega": np.nan}, "omega=nan must be a positive frequency"),
+        ({"F": np.zeros((2, 3))}, "F is 2 x 3 and G is 2 x 1; F must be square"),
+        ({"F": np.zeros(2)}, r"F has shape \(2,\); give a matrix"),
+        ({"F": np.zeros((2, 2, 2))}, r"shape \(2, 2, 2\); give an array of shape \(2 K \+ 1"),
+        ({"F": np.sin}, "F returned an array of shape"),
+        ({"P": np.zeros((1, 3))}, "P must have 2 columns"),
+        ({"Q": np.zeros((1, 1))}, "Q as many rows as P"),
+        ({"state_names": ["a"]}, r"state_names=\['a'\] must hold 2 different names"),
+        ({"input_names": ["a", "a"]}, "input_names=.* must hold 1 different names"),
+    ],
+)
+def test_ltp_system_refuses(arguments, message):
+    given = {"F": -np.eye(2), "G": np.ones((2, 1)), "omega": 1.0} | arguments
+    with pytest.raises(ValueError, match=message):
+        LTPSystem(**given)
+
+
+@pytest.mark.parametrize(
+    ("u", "t", "x0", "message"),
+    [
+        (np.zeros((4, 2)), [0.0, 1.0, 2.0], None, r"u has shape \(4, 2\); with 3 times"),
+        (np.zeros(3), [0.0, 1.0, 2.0], None, r"inputs \['u1', 'u2'\] it must have shape \(3, 2\)"),
+        (np.zeros((3, 2)), [0.0, 2.0, 1.0], None, "increasing times in seconds; sort it"),
+        (np.zeros((3, 2)), [0.0, 1.0, np.nan], None, "increasing times in seconds; sort it"),
+        (np.full((3, 2), np.nan), [0.0, 1.0, 2.0], None, "u holds NaN or infinity"),
+        (np.zeros((3, 2)), [0.0, 1.0, 2.0], [1.0], r"x0 has shape \(1,\); it must hold one value"),
+    ],
+)
+def test_simulate_refuses(random_ltp, u, t, x0, message):
+    with pytest.raises(ValueError, match=message):
+        random_ltp.simulate(u, t, x0)
+
+
+def test_nonlinear_simulate_takes_one_record(wing):
+    with pytest.raises(ValueError, match=r"u has shape \(2, 3, 1\)"):
+        wing.simulate(np.zeros((2, 3, 1)), [0.0, 1.0, 2.0])
+
+
+def test_periodic_system_refuses_a_period_that_is_not_positive(wing):
+    with pytest.raises(ValueError, match=r"period=-1.0 must be a positive time"):
+        PeriodicSystem(wing.f, period=-1.0, state_names=["a"], input_names=["b"])
+
+
+@pytest.mark.parametrize("value", [-1, 1.5, True, "2"])
+def test_number_of_harmonics_is_checked(random_ltp, value):
+    with pytest.raises(ValueError, match=r"n_harmonics=.* must be an integer, zero or more"):
+        random_ltp.harmonic_decomposition(value)
