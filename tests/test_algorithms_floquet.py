@@ -108,9 +108,8 @@ def test_exponents_of_constant_matrices_are_eigenvalues_on_the_branch():
     monodromy = monodromy_matrix(lambda psi: np.broadcast_to(F, (len(psi), 3, 3)), OMEGA)
     folded = 2 * OMEGA - 3.3  # ±3.3j moved by multiples of ω into (−ω/2, ω/2]
     exponents = monodromy_exponents(monodromy, OMEGA)
-    np.testing.assert_allclose(
-        exponents, [-0.1 - folded * 1j, -0.1 + folded * 1j, -0.4], atol=1e-12
-    )
+    expected = [-0.1 - folded * 1j, -0.1 + folded * 1j, -0.4]
+    np.testing.assert_allclose(exponents, expected, atol=1e-12)
 
 
 def test_negative_multipliers_lie_on_the_upper_edge_of_the_branch():

@@ -113,9 +113,8 @@ def test_nonlinear_record_rests_on_the_exact_orbit():
 
 
 def test_flap_input_is_the_modulated_one():
-    ltp, nltp, lti = (
-        make_flapping_wing(k, subsystem="flap", **SHORT) for k in ("ltp", "nltp", "lti")
-    )
+    kinds = ("lti", "ltp", "nltp")
+    lti, ltp, nltp = (make_flapping_wing(kind, subsystem="flap", **SHORT) for kind in kinds)
     amplitude = lti.inputs["U"]
     assert set(np.sign(amplitude)) == {-1.0, 0.0, 1.0}
     raw = amplitude * np.cos(ltp.omega * amplitude.index.to_numpy())

@@ -257,8 +257,10 @@ def test_differences_agree_with_the_analytic_jacobian(wing):
     np.testing.assert_allclose(by_differences.P(psi), np.tile([[1.0, 0.0]], (7, 1, 1)), atol=1e-9)
     np.testing.assert_allclose(by_differences.Q(psi), 0.0, atol=1e-9)
     np.testing.assert_allclose(
-        by_differences.floquet_exponents(), analytic.floquet_exponents(), rtol=1e-6
+        by_differences.floquet_exponents(), analytic.floquet_exponents(), rtol=1e-7
     )
+    found, expected = by_differences.fourier_coefficients(3)[0], analytic.fourier_coefficients(3)[0]
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.max(np.abs(expected)))
 
 
 def _first_state(x, u, t):

@@ -60,8 +60,8 @@ def solve_harmonic_balance(
         State and its mean, as many as there are free inputs.
     n_points : int, optional
         Points a period of the Galerkin integrals, by default 4096 or 128 a
-        harmonic, whichever is more: |φ̇| has kinks, and 256 points cost four
-        digits there.
+        harmonic, whichever is more: where f has kinks, the error of the integrals
+        falls only with the square of their number.
     tolerance : float, default=1e-12
         Residual at which to stop, relative to the size of each state's rate.
     max_iterations : int, default=50

@@ -269,7 +269,10 @@ class PeriodicSystem:
             Perturbations of states, inputs and outputs; F, G, P, Q are the
             derivatives of f and g along x*(ψ), u*.
         """
-        F, G, P, Q = (_OrbitMatrix(self.jacobian, trim, which) for which in range(4))
+        jacobian = self.jacobian
+        if isinstance(jacobian, _CentralDifferences):
+            jacobian = jacobian.along(trim)
+        F, G, P, Q = (_OrbitMatrix(jacobian, trim, which) for which in range(4))
         if self.g is None:
             P, Q = None, None
         return LTPSystem(
@@ -366,7 +369,7 @@ class PeriodicSystem:
 
     def _orbit_coefficients(self, x0, u, n_harmonics, n_points):
         """Fourier coefficients of the orbit through x0."""
-        n_points = n_points or max(4096, 16 * n_harmonics)
+        n_points = max(n_points or 4096, 16 * n_harmonics)
         t = self.period * np.arange(n_points) / n_points
         held = np.broadcast_to(u, (n_points, len(u)))
         orbit = integrate(self.f, x0, held, t, rtol=1e-13, atol=1e-14)
@@ -390,27 +393,38 @@ class _CentralDifferences:
     """F, G, P, Q by central differences of f and g.
 
     Steps of ε^{1/3} of the largest size of each variable balance truncation and
-    rounding; the result is good to about ``precision``.
+    rounding; the result is good to about ``precision``. The sizes are those of the
+    points given, or of a whole orbit: a step fitted to a few points where a state
+    passes through zero would be lost in rounding.
     """
 
     precision = 1e-8
 
-    def __init__(self, f, g):
-        self.f, self.g = f, g
+    def __init__(self, f, g, sizes=None):
+        self.f, self.g, self.sizes = f, g, sizes
+
+    def along(self, trim):
+        """The same with steps that fit a whole orbit."""
+        psi = 2.0 * np.pi * np.arange(256) / 256
+        orbit = np.max(np.abs(trim.states(psi)), axis=0)
+        return _CentralDifferences(self.f, self.g, (orbit, np.abs(trim.inputs)))
 
     def __call__(self, x, u, t):
-        F = _slopes(lambda x: self.f(x, u, t), x)
-        G = _slopes(lambda u: self.f(x, u, t), u)
+        sizes = self.sizes or [np.max(np.abs(v), axis=1, initial=0.0) for v in (x, u)]
+        x_steps, u_steps = (
+            np.cbrt(np.finfo(float).eps) * np.where(size > 0, size, 1.0) for size in sizes
+        )
+        F = _slopes(lambda x: self.f(x, u, t), x, x_steps)
+        G = _slopes(lambda u: self.f(x, u, t), u, u_steps)
         if self.g is None:
-            P = np.broadcast_to(np.eye(len(x)), F.shape)
-            return F, G, P, np.zeros(G.shape)
-        return F, G, _slopes(lambda x: self.g(x, u, t), x), _slopes(lambda u: self.g(x, u, t), u)
+            return F, G, np.broadcast_to(np.eye(len(x)), F.shape), np.zeros(G.shape)
+        P = _slopes(lambda x: self.g(x, u, t), x, x_steps)
+        Q = _slopes(lambda u: self.g(x, u, t), u, u_steps)
+        return F, G, P, Q
 
 
-def _slopes(function, variables):
+def _slopes(function, variables, steps):
     """Derivatives of function(variables), (l, k), by each of the variables, (m, k)."""
-    size = np.max(np.abs(variables), axis=1, initial=0.0)
-    steps = np.cbrt(np.finfo(float).eps) * np.where(size > 0, size, 1.0)
     columns = []
     for i, step in enumerate(steps):
         above, below = np.array(variables), np.array(variables)
