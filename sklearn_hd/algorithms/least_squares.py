@@ -139,7 +139,7 @@ class Start:
     near: bool
 
 
-def local_fits(problem, starts, *, max_iter=100, exact_tol=1e-9):
+def local_fits(problem, starts, *, max_iter=100, near=1e-6):
     """Different least-squares matches reached from some starts, the best first.
 
     Stops early at an exact match, or when the best residual has been reached twice.
@@ -150,8 +150,8 @@ def local_fits(problem, starts, *, max_iter=100, exact_tol=1e-9):
     starts : iterable of Start
     max_iter : int
         Largest number of steps from each.
-    exact_tol : float
-        Relative residual that counts as exact.
+    near : float
+        Relative residual that counts as an exact match but for rounding.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def local_fits(problem, starts, *, max_iter=100, exact_tol=1e-9):
                 break
             continue
         fits = sorted([*fits, fit], key=lambda each: each.residual)
-        if fits[0].residual <= exact_tol:
+        if fits[0].residual <= near:
             break
     if not fits:
         raise UnstableModelError(

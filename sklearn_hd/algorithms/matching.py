@@ -14,10 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.least_squares import Start, levenberg_marquardt, local_fits
+from sklearn_hd.algorithms.least_squares import GridFit, Start, levenberg_marquardt, local_fits
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.minimax import MinimaxResult, minimise_peak
-from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
+from sklearn_hd.algorithms.similarity import (
+    draw_transformation,
+    output_transformation,
+    project_transformed,
+    solve_similarity,
+)
+from sklearn_hd.algorithms.structured_model import AffineStructure
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
 
@@ -166,20 +172,32 @@ def match_structure(
     problem = MatchingProblem.build(A, B, C, D, structure, output_weights, input_weights)
     theta0 = _check_theta(theta0, structure)
     starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
-    fits = local_fits(problem, starts, max_iter=max_iter, exact_tol=exact_tol)
-    exact = fits[0].residual <= exact_tol
-    if exact or structure.n_parameters == 0:
-        value = problem.peak(fits[0].theta)[0]
-        found = MinimaxResult(fits[0].theta, value, 0.0, exact, (value,), 0)
-    else:
+    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
+    fit, exact = exact_match(problem, fits[0], exact_tol)
+    if not exact and structure.n_parameters > 0:
         found = minimax_from_fits(problem, fits, max_iter, tol)
         last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
-        if last.residual < fits[0].residual:  # the minimax steps have left a poor valley
-            fits, exact = [last, *fits], last.residual <= exact_tol
-        if exact:
-            value = problem.peak(last.theta)[0]
-            found = replace(found, theta=last.theta, value=value, converged=True)
-    return _result(problem, fits, found, exact)
+        if last.residual < fit.residual:  # the minimax steps have left a poor valley
+            fit, exact = exact_match(problem, last, exact_tol)
+    if exact or structure.n_parameters == 0:
+        value = problem.peak(fit.theta)[0]
+        found = MinimaxResult(fit.theta, value, 0.0, exact, (value,), 0)
+    n_iter = sum(each.n_iter for each in fits) + found.n_iter
+    return _result(problem, fit, found, exact, n_iter)
+
+
+_NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
+
+
+def exact_match(problem, fit, tol):
+    """The match solved to rounding, and whether it is exact (to tol, by the residuals)."""
+    if fit.residual > _NEAR:
+        return fit, False
+    theta, residual = solve_similarity(problem, fit.theta)
+    if residual <= tol and problem.abscissa(theta) < 0:
+        error = linalg.norm(problem.residual_and_jacobian(theta)[0])
+        return GridFit(theta, float(error), fit.n_iter), True
+    return fit, bool(fit.residual <= tol)
 
 
 def minimax_from_fits(problem, fits, max_iter, tol):
@@ -204,7 +222,7 @@ def minimax_from_fits(problem, fits, max_iter, tol):
 _SCREENING = 20  # convex steps of a short run
 
 
-def _result(problem, fits, found, exact):
+def _result(problem, fit, found, exact, n_iter):
     """The result in the user's units."""
     unit = problem.criterion_unit
     singular_values, unidentified = problem.identifiability(found.theta)
@@ -214,13 +232,13 @@ def _result(problem, fits, found, exact):
         hinf_error=found.value * unit,
         relative_error=found.value,
         peak_frequency=problem.peak(found.theta)[1],
-        theta_least_squares=fits[0].theta,
-        hinf_error_least_squares=problem.peak(fits[0].theta)[0] * unit,
+        theta_least_squares=fit.theta,
+        hinf_error_least_squares=problem.peak(fit.theta)[0] * unit,
         feedthrough_floor=problem.feedthrough_floor() * unit,
         exact=exact,
         converged=bool(found.converged),
         predicted_decrease=float(found.predicted_decrease),
-        n_iter=sum(fit.n_iter for fit in fits) + found.n_iter,
+        n_iter=n_iter,
         history=tuple(value * unit for value in found.history),
         singular_values=singular_values,
         unidentified=unidentified,
@@ -254,89 +272,6 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
         elif first is not None:
             shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
             yield Start(shaken, near=k % 2 == 1)
-
-
-def output_transformation(problem):
-    """T of x_s = T x_c where the outputs fix it, C_s T = C_c; None where they do not.
-
-    That takes a C_s without parameters and of full column rank. Where G_c has another
-    number of states, T is not square and the form a start only.
-    """
-    n = problem.structure.n_states
-    C_s = problem.structure.constant[n:, :n]
-    if problem.structure.basis[:, n:, :n].any() or n == 0 or problem.model.n_states == 0:
-        return None
-    if len(C_s) < n or np.linalg.matrix_rank(C_s) < n:
-        return None
-    C_c = problem.model.matrices(np.empty(0))[2]
-    return _regular(linalg.lstsq(C_s, C_c)[0])
-
-
-def project_transformed(problem, transformation):
-    """Parameters of the structure nearest to T A_c T⁻¹, T B_c, C_c T⁻¹, D_c.
-
-    Near in entries whose rows and columns are scaled by the size of the states, inputs
-    and outputs they connect.
-    """
-    T, inverse = transformation, linalg.pinv(transformation)
-    A, B, C, D = problem.model.matrices(np.empty(0))
-    stacked = np.block([[T @ A @ inverse, T @ B], [C @ inverse, D]])
-    states = np.sqrt(np.mean(np.abs(T @ _state_response(problem.model, problem)) ** 2, axis=(0, 2)))
-    states = np.maximum(states, 1e-6 * max(states.max(), 1e-300))
-    rate = np.exp(np.mean(np.log(np.maximum(np.abs(linalg.eigvals(A)), 1e-300))))
-    rows = np.concatenate([1.0 / (rate * states), problem.output_scales])
-    columns = np.concatenate([states, problem.input_scales])
-    theta, _ = problem.structure.project(stacked, rows[:, None] * columns)
-    return theta
-
-
-def _state_response(structure, problem, theta=()):
-    """(jωI − A)⁻¹ B W_i on the finite part of the grid, shape (n_points, n, m)."""
-    A, B, _, _ = structure.matrices(np.asarray(theta, dtype=float))
-    s = 1j * problem.grid[:-1]
-    return np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B * problem.input_scales)
-
-
-def draw_transformation(problem, theta0, random, spread):
-    """T with C_s T = C_c, its free part guessed and drawn; None if there is none to choose."""
-    structure, model = problem.structure, problem.model
-    n = structure.n_states
-    if model.n_states == 0 or n == 0:
-        return None
-    C_s, C_c = structure.constant[n:, :n], model.constant[model.n_states :, : model.n_states]
-    if structure.basis[:, n:, :n].any():
-        C_s, C_c = C_s[:0], C_c[:0]  # C_s says nothing as yet
-    fixed = linalg.lstsq(C_s, C_c)[0] if len(C_s) else np.zeros((n, model.n_states))
-    hidden = linalg.null_space(C_s) if len(C_s) else np.eye(n)
-    if hidden.shape[1] == 0:
-        return None
-    states_c = np.hstack(list(_state_response(model, problem)))
-    white = linalg.svd(np.hstack([states_c.real, states_c.imag]), full_matrices=False)
-    whiten = (white[0] / np.maximum(white[1], 1e-12 * white[1][0])).T
-    free = random.standard_normal((hidden.shape[1], model.n_states)) @ whiten
-    if theta0 is not None:
-        guess = _regression(_state_response(structure, problem, theta0), states_c)
-        size = linalg.norm(hidden.T @ guess @ states_c)
-        free = hidden.T @ (guess - fixed) + 0.3 * spread * size * free
-    else:
-        free = free * np.max(white[1]) * 10.0 ** random.uniform(-3, 3)
-    return _regular(fixed + hidden @ free)
-
-
-def _regression(states, regressors):
-    """Real matrix T with states ≈ T regressors over the grid."""
-    states = np.hstack(list(states))
-    left = np.hstack([states.real, states.imag])
-    right = np.hstack([regressors.real, regressors.imag])
-    size = column_sizes(right.T)
-    return linalg.lstsq((right / size[:, None]).T, left.T)[0].T / size
-
-
-def _regular(transformation):
-    """The matrix itself, or None where it lacks rank once rows and columns are scaled."""
-    scaled = transformation / column_sizes(transformation)
-    scaled = scaled / column_sizes(scaled.T)[:, None]
-    return transformation if np.linalg.cond(scaled) < 1e10 else None
 
 
 def _check_theta(theta0, structure):
