@@ -1,15 +1,26 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
 import re
+import warnings
 from collections.abc import Mapping
 from numbers import Number
 
 import numpy as np
 import pandas as pd
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._base import ModelStep, upstream
+from sklearn_hd._continuous import to_continuous
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._validation import check_count, check_positive
+from sklearn_hd.algorithms.matching import match_structure
+from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
+from sklearn_hd.algorithms.simulation import frequency_response
 from sklearn_hd.algorithms.structured_model import AffineStructure
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["MatrixStructure"]
+__all__ = ["MatrixStructure", "StructuredMatcher"]
 
 _TERM = re.compile(r"\s*(?P<sign>[+-])?\s*(?:(?P<scale>[^*\s]+)\s*\*)?\s*(?P<name>\S.*?)\s*")
 _NAME = re.compile(r"[^\W\d]\w*(\[[^\]]*\])?")
@@ -219,9 +230,14 @@ def _cell(value, place):
 
 def _text(text, place):
     try:
-        return _cell(float(text), place)
+        number = float(text)
     except ValueError:
-        pass
+        return _term(text, place)
+    return _cell(number, place)
+
+
+def _term(text, place):
+    """(scale, name) of 'k', '-k', '2*k'."""
     term = _TERM.fullmatch(text)
     try:
         scale = float(term["scale"] or 1.0) * (-1.0 if term["sign"] == "-" else 1.0)
@@ -285,3 +301,239 @@ def _layout(name, texts):
     return "\n".join(
         f"{name} = {line}" if k == 0 else f"    {line}" for k, line in enumerate(lines)
     )
+
+
+class StructuredMatcher(ModelStep):
+    """Bring the identified model to the structure of the physics, in the H∞ norm.
+
+        θ* = arg min_θ ‖G_c(s) − G_s(s; θ)‖_∞                            (Eq. 22)
+
+    The channels are scaled alike first (each output by the size of its row of
+    G_c, each input by that of its column), so that units do not decide which
+    one is matched.
+
+    Parameters
+    ----------
+    estimator : estimator or None, default=None
+        Whose model to match, fitted here; None takes the model that rides on X.
+    structure : MatrixStructure or None, default=None
+        The structure; None leaves every entry free, and the model as it is.
+    scale : bool, default=True
+        Whether to scale the channels; without, the norm is taken in the
+        units of the model, and the largest channel decides.
+    n_starts : int, default=6
+        Largest number of starts tried where no exact match is found.
+    random_state : int, default=0
+        Seed of the starts.
+    max_iter : int, default=100
+        Largest number of iterations of each stage.
+    tol : float, default=1e-8
+        Relative decrease of the norm at which to stop.
+    warmup : float or None, default=None
+        Seconds at the start of each segment on which ``score`` fits the
+        initial state; None is five periods, or 50 samples on plain data.
+
+    Attributes
+    ----------
+    system_ : control.StateSpace
+        The matched model, in continuous time, its states named by the structure.
+    theta_ : Series, shape (n_parameters,)
+        The parameters by name.
+    theta_least_squares_ : Series, shape (n_parameters,)
+        The match in the mean square over frequency, usually the better
+        estimate of parameters where no exact match exists.
+    hinf_error_ : float
+        ‖G_c − G_s(θ)‖_∞ relative to ‖G_c‖_∞, both of the scaled channels.
+    peak_frequency_ : float
+        rad/s, where the error is largest.
+    n_iter_ : int
+    n_features_in_ : int
+    feature_names_in_ : ndarray of str
+
+    Raises
+    ------
+    ValueError
+        At ``fit``, if there is no model, or the structure does not fit it.
+    UnstableModelError
+        If the model is unstable: its response has no H∞ norm.
+
+    Warns
+    -----
+    IdentifiabilityWarning
+        If these outputs do not determine some parameters; they are named.
+    ConvergenceWarning
+        If the search stopped before the tolerance was met.
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, section 2.4.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_hd import MOESPRegressor
+    >>> u = np.random.default_rng(0).standard_normal((300, 1))
+    >>> y = np.zeros((300, 1))
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.8 * y[k] + u[k]
+    >>> structure = MatrixStructure([["-a"]], [["b"]])
+    >>> matcher = StructuredMatcher(MOESPRegressor(order=1, block_rows=5), structure=structure)
+    >>> matcher.fit(u, y).theta_.round(4).to_dict()
+    {'a': 0.2231, 'b': 1.1157}
+    """
+
+    def __init__(
+        self,
+        estimator=None,
+        *,
+        structure=None,
+        scale=True,
+        n_starts=6,
+        random_state=0,
+        max_iter=100,
+        tol=1e-8,
+        warmup=None,
+    ):
+        self.estimator = estimator
+        self.structure = structure
+        self.scale = scale
+        self.n_starts = n_starts
+        self.random_state = random_state
+        self.max_iter = max_iter
+        self.tol = tol
+        self.warmup = warmup
+
+    def fit(self, X, y):
+        """Match the structure to the model that rides on X.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            With a model riding on it, unless ``estimator`` is given.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Used where the model has to be brought to continuous time here.
+
+        Returns
+        -------
+        self : StructuredMatcher
+        """
+        n_starts = check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
+        max_iter = check_count("max_iter", self.max_iter, 1, "100 is usual")
+        tol = check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
+        experiment, model = upstream(self, X, y)
+        model = to_continuous(model, experiment)
+        structure = self._checked_structure(model)
+        outputs, inputs = self._weights(model)
+        result = match_structure(
+            model.A,
+            model.B,
+            model.C,
+            model.D,
+            structure.affine,
+            theta0=structure.initial,
+            output_weights=outputs,
+            input_weights=inputs,
+            n_starts=n_starts,
+            max_iter=max_iter,
+            tol=tol,
+            random_state=self.random_state,
+        )
+        self._warn(result, tol)
+        self._parameter_names = structure.parameter_names
+        self._theta, self._theta_least_squares = result.theta, result.theta_least_squares
+        self.hinf_error_ = result.relative_error
+        self.peak_frequency_ = result.peak_frequency
+        self.n_iter_ = result.n_iter
+        matched = LTIModel(
+            A=result.A,
+            B=result.B,
+            C=result.C,
+            D=result.D,
+            dt=0.0,
+            input_names=model.input_names,
+            output_names=model.output_names,
+            state_names=_state_names(structure, model),
+            feedthrough=model.feedthrough,
+        )
+        return self._remember(matched, experiment, X, y)
+
+    @property
+    def theta_(self):
+        """Parameters by name, as a Series."""
+        check_is_fitted(self)
+        return pd.Series(self._theta, index=list(self._parameter_names), name="theta")
+
+    @property
+    def theta_least_squares_(self):
+        """Parameters of the match in the mean square, as a Series."""
+        check_is_fitted(self)
+        names = list(self._parameter_names)
+        return pd.Series(self._theta_least_squares, index=names, name="theta_least_squares")
+
+    def _checked_structure(self, model):
+        """The structure, after checking that it fits the model."""
+        structure = self.structure
+        if structure is None:
+            free = [np.full(M.shape, np.nan) for M in (model.A, model.B, model.C, model.D)]
+            theta = np.concatenate([M.ravel() for M in (model.A, model.B, model.C, model.D)])
+            return MatrixStructure(*free, initial=theta)
+        if not isinstance(structure, MatrixStructure):
+            raise ValueError(
+                f"structure={structure!r} is not understood; give a MatrixStructure, or None to "
+                f"leave every entry free"
+            )
+        for what, given, there in (
+            ("inputs", structure.n_inputs, model.input_names),
+            ("outputs", structure.n_outputs, model.output_names),
+        ):
+            if given != len(there):
+                raise ValueError(
+                    f"the structure has {given} {what}, the identified model {len(there)}: "
+                    f"{list(there)}; give B, C and D of that size, or change the harmonics kept"
+                )
+        for what, given, there in (
+            ("inputs", structure.input_names, model.input_names),
+            ("outputs", structure.output_names, model.output_names),
+        ):
+            if given is not None and tuple(given) != tuple(there):
+                raise ValueError(
+                    f"the structure names its {what} {list(given)}, the identified model "
+                    f"{list(there)}; give the same names in the same order"
+                )
+        return structure
+
+    def _weights(self, model):
+        """Diagonals of W_o and W_i."""
+        if not self.scale:
+            return None, None
+        grid = matching_grid(np.linalg.eigvals(model.A))
+        grid = grid[np.isfinite(grid)]
+        return channel_scales(frequency_response(model.A, model.B, model.C, model.D, 1j * grid))
+
+    def _warn(self, result, tol):
+        if result.unidentified:
+            warnings.warn(
+                f"these outputs do not determine {', '.join(result.unidentified)} (only some "
+                f"combinations of them): fix some, share a name, or measure more outputs",
+                IdentifiabilityWarning,
+                stacklevel=3,
+            )
+        if not result.converged:
+            warnings.warn(
+                f"the H-infinity match stopped after {result.n_iter} iterations at a relative "
+                f"error of {result.relative_error:.3g}; it could still fall by "
+                f"{result.predicted_decrease:.2g} of itself where tol={tol:g} was asked for; raise "
+                f"max_iter or n_starts",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
+
+
+def _state_names(structure, model):
+    """Names of the states: the structure's, or those of the outputs where C is the identity."""
+    if structure.state_names is not None:
+        return tuple(structure.state_names)
+    n = structure.n_states
+    C = structure.affine.constant[n:, :n]
+    fixed = not structure.affine.basis[:, n:, :n].any()
+    return model.output_names if fixed and np.array_equal(C, np.eye(n)) else None
