@@ -12,6 +12,19 @@ Five steps (Hayajnh, Saetti, Prasad, 2024):
 Steps 2 to 5 compose in a scikit-learn ``Pipeline``.
 """
 
+from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd.harmonics import HarmonicAnalyzer
-from sklearn_hd.subspace import MOESPRegressor
+from sklearn_hd.matching import MatrixStructure, StructuredMatcher
 from sklearn_hd.reduction import SpuriousModeReducer
+from sklearn_hd.subspace import MOESPRegressor
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "HarmonicAnalyzer",
+    "HarmonicFrame",
+    "MOESPRegressor",
+    "MatrixStructure",
+    "SpuriousModeReducer",
+    "StructuredMatcher",
+]
