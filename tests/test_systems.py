@@ -263,6 +263,20 @@ def test_differences_agree_with_the_analytic_jacobian(wing):
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.max(np.abs(expected)))
 
 
+def test_system_without_inputs_is_trimmed_by_differences():
+    """ẋ = −x + cos t: x* = (cos t + sin t) / 2, one real exponent −1."""
+    system = PeriodicSystem(_relaxation, period=2 * np.pi, state_names="x", input_names=[])
+    trim = system.trim(3)
+    np.testing.assert_allclose(trim.coefficients[:3, 0], [0.0, 0.5, 0.5], atol=1e-12)
+    assert trim.n_harmonics == 3
+    assert system.linearize(trim).floquet_exponents()[0] == pytest.approx(-1.0, rel=1e-7)
+    assert "states=['x']" in repr(system)
+
+
+def _relaxation(x, u, t):
+    return -x + np.cos(t)
+
+
 def _first_state(x, u, t):
     return x[:1] + 0.0 * u
 
@@ -550,6 +564,11 @@ def test_nonlinear_simulate_takes_one_record(wing):
 def test_periodic_system_refuses_a_period_that_is_not_positive(wing):
     with pytest.raises(ValueError, match=r"period=-1.0 must be a positive time"):
         PeriodicSystem(wing.f, period=-1.0, state_names=["a"], input_names=["b"])
+
+
+def test_periodic_system_needs_names(wing):
+    with pytest.raises(ValueError, match="must name each state and input"):
+        PeriodicSystem(wing.f, period=1.0, state_names=None, input_names=["U"])
 
 
 @pytest.mark.parametrize("value", [-1, 1.5, True, "2"])
