@@ -422,6 +422,8 @@ class StructuredMatcher(ModelStep):
         tol = check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
         experiment, model = upstream(self, X, y)
         model = to_continuous(model, experiment)
+        if self.structure is None:
+            return self._keep(model)._remember(model, experiment, X, y)
         structure = self._checked_structure(model)
         outputs, inputs = self._weights(model)
         result = match_structure(
@@ -457,6 +459,19 @@ class StructuredMatcher(ModelStep):
         )
         return self._remember(matched, experiment, X, y)
 
+    def _keep(self, model):
+        """No structure: every entry is a parameter, and the model stays as it is."""
+        matrices = (model.A, model.B, model.C, model.D)
+        self._parameter_names = tuple(
+            f"{name}[{i},{j}]"
+            for name, M in zip("ABCD", matrices, strict=True)
+            for i, j in np.ndindex(M.shape)
+        )
+        self._theta = np.concatenate([M.ravel() for M in matrices])
+        self._theta_least_squares = self._theta
+        self.hinf_error_, self.peak_frequency_, self.n_iter_ = 0.0, 0.0, 0
+        return self
+
     @property
     def theta_(self):
         """Parameters by name, as a Series."""
@@ -473,10 +488,6 @@ class StructuredMatcher(ModelStep):
     def _checked_structure(self, model):
         """The structure, after checking that it fits the model."""
         structure = self.structure
-        if structure is None:
-            free = [np.full(M.shape, np.nan) for M in (model.A, model.B, model.C, model.D)]
-            theta = np.concatenate([M.ravel() for M in (model.A, model.B, model.C, model.D)])
-            return MatrixStructure(*free, initial=theta)
         if not isinstance(structure, MatrixStructure):
             raise ValueError(
                 f"structure={structure!r} is not understood; give a MatrixStructure, or None to "

@@ -60,7 +60,8 @@ class SpuriousModeReducer(ModelStep):
     method : {"truncate", "residualize", "both"}, default="truncate"
         What becomes of the other modes: dropped, replaced by their static
         gain (a feedthrough), or, with ``"both"``, dropped where slower than ω
-        and residualized where faster, as in the paper.
+        and residualized where faster, as in the paper. The window's memory,
+        which has no place in continuous time, is always dropped.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data.
@@ -178,7 +179,7 @@ class SpuriousModeReducer(ModelStep):
                 IdentifiabilityWarning,
                 stacklevel=3,
             )
-        fast = _to_residualize(method, kept, exponents, z, basis)
+        fast = _to_residualize(method, kept | window, exponents, z, basis)
         return self._refit(model, experiment, z, kept, fast)
 
     def _choose(self, units, exponents, shapes, experiment):
@@ -262,10 +263,10 @@ def _compressed_regressors(units, exponents, shapes, experiment):
     return R, [np.array(column) for column in columns]
 
 
-def _to_residualize(method, kept, exponents, z, basis):
-    """Modes replaced by their static gain."""
+def _to_residualize(method, others, exponents, z, basis):
+    """Modes replaced by their static gain: neither kept nor the window's memory."""
     logarithm = ~((np.abs(z.imag) <= 1e-8 * np.abs(z)) & (z.real <= 0.0))
-    fast = ~kept & logarithm & (np.abs(z) > 0.0)
+    fast = ~others & logarithm
     if method == "truncate":
         return np.zeros(len(z), dtype=bool)
     if method == "both" and basis is not None:

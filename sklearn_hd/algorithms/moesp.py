@@ -25,6 +25,7 @@ __all__ = [
 EPS = np.finfo(float).eps
 GAP_REACH = np.sqrt(10.0)
 CLEAR_GAP = 2.0
+WIDE_GAP = 1e3
 
 
 def observability_subspace(R, block_rows, n_inputs):
@@ -84,11 +85,11 @@ def noise_floor(R, block_rows, n_inputs, n_columns):
 def order_by_gap(singular_values, floor, max_order):
     """Order at the gap by which singular values stand above a floor.
 
-    A gap far above the floor parts strong modes from weak ones, not modes
-    from noise: of the ratios σ_n / max(σ_{n+1}, floor), only those are
-    compared whose lower side is within half a decade of the floor. Where the
-    widest of these is less than a factor of two there is no gap, and all
-    values above the floor count.
+    Of the ratios σ_n / max(σ_{n+1}, floor) the widest decides, if it spans
+    three decades. A lesser gap far above the floor parts strong modes from
+    weak ones, not modes from noise: then only ratios count whose lower side
+    is within half a decade of the floor. Where the widest of these is less
+    than a factor of two there is no gap, and all values above the floor count.
 
     Parameters
     ----------
@@ -109,10 +110,11 @@ def order_by_gap(singular_values, floor, max_order):
     3
     """
     values = np.maximum(singular_values, floor)
-    ratios = values[:-1] / values[1:]
-    ratios = np.where(values[1:] <= GAP_REACH * floor, ratios, 0.0)[:max_order]
-    if np.max(ratios, initial=0.0) >= CLEAR_GAP:
-        return int(np.argmax(ratios)) + 1
+    ratios = (values[:-1] / values[1:])[:max_order]
+    near = np.where(values[1:][:max_order] <= GAP_REACH * floor, ratios, 0.0)
+    for gaps, least in ((ratios, WIDE_GAP), (near, CLEAR_GAP)):
+        if np.max(gaps, initial=0.0) >= least:
+            return int(np.argmax(gaps)) + 1
     return int(np.clip(np.sum(singular_values > floor), 1, max_order))
 
 

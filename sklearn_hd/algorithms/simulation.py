@@ -4,10 +4,14 @@
     ẋ = A x + B u,              y = C x + D u                             (Eq. 8)
 """
 
+import warnings
+
 import numpy as np
 from scipy import linalg
 
 __all__ = ["continuous_to_discrete", "discrete_to_continuous", "frequency_response", "propagate"]
+
+LOGARITHM_TOLERANCE = 1e-6
 
 
 def propagate(A, forcing, x0):
@@ -80,8 +84,8 @@ def discrete_to_continuous(A, B, dt):
     Raises
     ------
     ValueError
-        If A has an eigenvalue on the closed negative real axis: no real
-        logarithm exists there.
+        If A has an eigenvalue on the closed negative real axis, where no real
+        logarithm exists, or the logarithm is not accurate to 1e-6.
     """
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     n, m = B.shape
@@ -99,8 +103,16 @@ def discrete_to_continuous(A, B, dt):
         return A.copy(), B.copy()
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:], block[n:, n:] = A, B, np.eye(m)
-    logarithm = np.real(linalg.logm(block)) / dt
-    return logarithm[:n, :n], logarithm[:n, n:]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # judged below, by the residual
+        logarithm = np.real(linalg.logm(block))
+    rest = linalg.norm(linalg.expm(logarithm) - block) / linalg.norm(block)
+    if not rest <= LOGARITHM_TOLERANCE:
+        raise ValueError(
+            f"the matrix logarithm of this model is good to {rest:.1g} only (nearly defective or "
+            f"very fast poles); drop such modes (SpuriousModeReducer does) or lower the order"
+        )
+    return logarithm[:n, :n] / dt, logarithm[:n, n:] / dt
 
 
 def frequency_response(A, B, C, D, s):

@@ -1,0 +1,311 @@
+"""The literal flat Pipeline: what composes, what rides, what comes out."""
+
+import pickle
+import warnings
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import KEPT, heave_pipeline, random_stable, same_poles
+from sklearn.base import clone
+from sklearn.metrics import r2_score
+from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    MatrixStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+
+FREE_HEAVE = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan))
+
+
+def whole_pipeline(omega, **kwargs):
+    pipe = heave_pipeline(omega, **kwargs)
+    return Pipeline([*pipe.steps, ("match", StructuredMatcher(structure=FREE_HEAVE))])
+
+
+def error(found, exact):
+    return np.linalg.norm(found - exact) / np.linalg.norm(exact)
+
+
+@pytest.fixture(scope="module")
+def fitted(lti_signal):
+    return whole_pipeline(lti_signal.omega).fit(lti_signal.inputs, lti_signal.outputs)
+
+
+def test_every_part_of_the_pipeline_predicts_and_scores(fitted, lti_signal):
+    u, y = lti_signal.inputs, lti_signal.outputs
+    for stop, at_least in ((2, 0.9), (3, 1 - 1e-12), (4, 1 - 1e-12)):
+        part = fitted[:stop]
+        assert part.score(u, y) > at_least
+        predicted = part.predict(u)
+        assert predicted.index.equals(y.index)
+        assert predicted.columns.tolist() == y.columns.tolist()
+        assert np.isfinite(predicted.to_numpy()).all()
+
+
+def test_matched_system_is_the_harmonic_decomposition(fitted, lti_signal):
+    system = fitted["match"].system_
+    assert isinstance(system, control.StateSpace)
+    assert system.dt == 0
+    assert system.state_labels == ["w_0", "phi_dot_1c", "phi_dot_1s"]
+    assert system.output_labels == system.state_labels
+    assert system.input_labels == ["U_0"]
+    assert error(system.A, lti_signal.A_exact.to_numpy()) < 1e-8
+    theta = fitted["match"].theta_
+    assert theta["A[0,0]"] == pytest.approx(lti_signal.A_exact.iloc[0, 0], rel=1e-6)
+    assert fitted["match"].hinf_error_ < 1e-9
+
+
+def test_modes_are_told_apart_without_the_truth(fitted, lti_signal):
+    modes = fitted["reduce"].modes_
+    assert modes["verdict"].value_counts().to_dict() == {"window": 8, "copy": 6, "genuine": 3}
+    genuine = modes.loc[modes["verdict"] == "genuine", "eigenvalue"]
+    assert same_poles(genuine, np.linalg.eigvals(lti_signal.A_exact), 1e-8)
+    assert fitted["reduce"].r2_ == pytest.approx(1.0, abs=1e-12)
+
+
+def test_clone_pickle_and_parameters(fitted, lti_signal):
+    u = lti_signal.inputs.iloc[8000:9000]
+    again = pickle.loads(pickle.dumps(fitted))
+    pd.testing.assert_frame_equal(again.predict(u), fitted.predict(u))
+    fresh = clone(fitted)
+    assert fresh.get_params()["identify__order"] == "auto"
+    fresh.set_params(identify__order=5, harmonics__hop=16)
+    assert fresh["harmonics"].hop == 16
+
+
+def test_memory_gives_the_same_model(tmp_path, fitted, lti_signal):
+    pipe = clone(fitted).set_params(memory=str(tmp_path))
+    for _ in range(2):
+        pipe.fit(lti_signal.inputs, lti_signal.outputs)
+        np.testing.assert_array_equal(pipe["match"].model_.A, fitted["match"].model_.A)
+
+
+def test_passthrough_for_the_reducer_says_why_it_cannot(fitted, lti_signal):
+    """A copy at half the rows' frequency is a negative real pole: no logarithm."""
+    pipe = clone(fitted).set_params(reduce="passthrough", harmonics__hop=16)
+    with pytest.raises(ValueError, match="closed negative real axis"):
+        pipe.fit(lti_signal.inputs, lti_signal.outputs)
+
+
+def test_passthrough_for_the_reducer_without_harmonics(rng):
+    A, B, C = random_stable(rng, 3, 1, 3)
+    A = A @ A  # no pole on the negative real axis
+    u = rng.standard_normal((400, 1))
+    y = propagate(A, u @ B.T, np.zeros(3)) @ C.T
+    steps = [("identify", MOESPRegressor(order=3)), ("reduce", "passthrough")]
+    pipe = Pipeline([*steps, ("match", StructuredMatcher())]).fit(u, y)
+    assert pipe.score(u, y) > 1 - 1e-12
+    assert same_poles(np.exp(pipe["match"].system_.poles()), np.linalg.eigvals(A), 1e-8)
+    assert pipe["match"].theta_.size == 9 + 3 + 9 + 3
+
+
+def test_zero_harmonics_of_a_unit_window_is_plain_moesp(rng):
+    """Degenerate analyzer: one period is two samples, only the mean kept; against plain data."""
+    A, B, C = random_stable(rng, 2, 1, 2)
+    u = rng.standard_normal((300, 1))
+    y = propagate(A, u @ B.T, np.zeros(2)) @ C.T
+    plain = MOESPRegressor(order=2, block_rows=6).fit(u, y)
+    assert same_poles(plain.eigenvalues_, np.linalg.eigvals(A), 1e-9)
+    assert plain.system_.dt == 1.0
+
+
+def test_several_records_fit_together():
+    data = make_flapping_wing("lti-signal", n_records=2, random_state=3)
+    pipe = heave_pipeline(data.omega).fit(data.inputs, data.outputs)
+    assert same_poles(
+        pipe["reduce"].system_.poles(), np.linalg.eigvals(data.A_exact.to_numpy()), 1e-6
+    )
+    assert pipe["identify"].x0_.shape == (2, pipe["identify"].order_)
+    assert pipe.score(data.inputs, data.outputs) > 1 - 1e-9
+
+
+def test_nothing_crosses_the_border_of_a_record(ltp):
+    """A huge jump planted between two records must not move the result."""
+    u, y = ltp.inputs, ltp.outputs
+    half = len(u) // 2
+    cut = slice(half - 64 * 60, half), slice(half, half + 64 * 60)
+    parts = [u.iloc[c] for c in cut], [y.iloc[c] for c in cut]
+    later = [part.set_axis(part.index + 64 * k / ltp.omega) for k, part in enumerate(parts[0])]
+    apart = [part.set_axis(part.index + 64 * k / ltp.omega) for k, part in enumerate(parts[1])]
+    labelled = [pd.concat(dict(enumerate(p)), names=["record"]) for p in (parts[0], parts[1])]
+    pipe = heave_pipeline(ltp.omega, n_states=3)
+    pipe["identify"].set_params(order=16)
+    by_label = clone(pipe).fit(*labelled)
+    jump = 64 * 2 * np.pi / ltp.omega  # whole periods: the phase stays
+    later = pd.concat([parts[0][0], parts[0][1].set_axis(parts[0][1].index + jump)])
+    apart = pd.concat([parts[1][0], parts[1][1].set_axis(parts[1][1].index + jump)])
+    by_gap = clone(pipe).fit(later, apart)
+    np.testing.assert_allclose(by_gap["identify"].model_.A, by_label["identify"].model_.A, atol=1e-6)
+
+
+def test_grid_search_over_order_and_block_rows():
+    data = make_flapping_wing("ltp", n_records=4, n_periods=60, start=5, random_state=1)
+    pipe = heave_pipeline(data.omega, n_states=3)
+    grid = {"identify__order": [8, 16], "identify__block_rows": [12, 18]}
+    groups = data.inputs.index.get_level_values("record")
+    search = GridSearchCV(pipe, grid, cv=GroupKFold(2)).fit(data.inputs, data.outputs, groups=groups)
+    assert search.best_params_["identify__order"] == 16
+    assert search.best_score_ > 0.99
+    assert np.isfinite(search.cv_results_["mean_test_score"]).all()
+
+
+def test_a_grid_point_that_cannot_be_fitted_is_nan_not_a_crash():
+    data = make_flapping_wing("ltp", n_records=2, n_periods=60, start=5, random_state=1)
+    pipe = heave_pipeline(data.omega, n_states=3)
+    groups = data.inputs.index.get_level_values("record")
+    search = GridSearchCV(pipe, {"identify__block_rows": [18, 9]}, cv=GroupKFold(2))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        search.fit(data.inputs, data.outputs, groups=groups)
+    said = "\n".join(str(warning.message) for warning in caught)
+    assert "must exceed the 8 rows in the analysis window" in said
+    assert np.isnan(search.cv_results_["mean_test_score"][1])
+    assert search.best_params_["identify__block_rows"] == 18
+
+
+def test_raw_measurements_with_trim_inside(nltp):
+    pipe = heave_pipeline(nltp.omega, trim_span=nltp.trim_span, n_states=3)
+    pipe.fit(nltp.inputs, nltp.outputs)
+    predicted = pipe.predict(nltp.inputs)
+    assert r2_score(nltp.outputs, predicted) > 0.999
+    trim = nltp.outputs.iloc[:64].to_numpy()
+    np.testing.assert_allclose(predicted.iloc[:64], trim, atol=1e-6 * np.abs(trim).max())
+
+
+def test_flap_subsystem_through_its_own_input_harmonic():
+    data = make_flapping_wing("lti-signal", subsystem="flap")
+    y = data.outputs[["phi_dot", "w"]]
+    structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 2), np.nan))
+    harmonics = HarmonicAnalyzer(
+        data.omega,
+        input_harmonics={"U": [1]},
+        output_harmonics={"phi_dot": [0], "w": [1]},
+        hop=16,
+    )
+    steps = [
+        ("harmonics", harmonics),
+        ("identify", MOESPRegressor()),
+        ("reduce", SpuriousModeReducer()),
+        ("match", StructuredMatcher(structure=structure)),
+    ]
+    with pytest.warns(ExcitationWarning, match=r"\['U_1s'\] are at rest"):
+        pipe = Pipeline(steps).fit(data.inputs, y)
+    assert error(pipe["match"].system_.A, data.A_exact.to_numpy()) < 1e-8
+    assert pipe.score(data.inputs, y) > 1 - 1e-12
+
+
+def test_residualized_modes_keep_the_static_gain(ltp):
+    """Truncation and residualization differ in D alone (modal coordinates)."""
+    models = {}
+    for method in ("truncate", "residualize", "both"):
+        pipe = heave_pipeline(ltp.omega, method=method, n_states=3)
+        models[method] = pipe.fit(ltp.inputs, ltp.outputs)["reduce"].model_
+    assert not models["truncate"].D.any()
+    for method in ("residualize", "both"):
+        assert models[method].D.any()
+        assert same_poles(
+            np.linalg.eigvals(models[method].A), np.linalg.eigvals(models["truncate"].A), 1e-9
+        )
+
+
+def test_an_ambiguous_choice_is_said_openly(rng):
+    """Two modes, each the only one in its own output: either explains half of the data."""
+    A, B = np.diag([0.9, 0.5]), np.ones((2, 1))
+    u = rng.standard_normal((400, 1))
+    y = propagate(A, u @ B.T, np.zeros(2))
+    reducer = SpuriousModeReducer(MOESPRegressor(order=2, block_rows=5), n_states=1)
+    with pytest.warns(IdentifiabilityWarning, match="explain the data as well"):
+        reducer.fit(u, y)
+    assert sorted(reducer.modes_["verdict"]) == ["ambiguous", "weak"]
+    assert reducer.r2_ == pytest.approx(0.5, abs=0.1)
+
+
+def test_reducer_and_matcher_as_meta_estimators(lti_signal):
+    u, y = lti_signal.inputs, lti_signal.outputs
+    analyzer = HarmonicAnalyzer(lti_signal.omega, output_harmonics=KEPT, hop=8)
+    inner = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
+    reducer = SpuriousModeReducer(inner)
+    matcher = StructuredMatcher(reducer, structure=FREE_HEAVE).fit(u, y)
+    assert error(matcher.system_.A, lti_signal.A_exact.to_numpy()) < 1e-8
+    assert matcher.score(u, y) > 1 - 1e-12
+    assert matcher.predict(u).columns.tolist() == ["w", "phi_dot"]
+
+
+def test_period_synchronous_rows_have_the_order_of_the_system(ltp):
+    """One row a period, all of whose harmonics are kept: two states, and no copies."""
+    analyzer = HarmonicAnalyzer(ltp.omega, output_harmonics=4, hop="period")
+    pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor(block_rows=3))])
+    pipe.fit(ltp.inputs, ltp.outputs)
+    assert pipe["identify"].order_ == 2
+    multipliers = np.log(pipe["identify"].eigenvalues_) * ltp.omega / (2 * np.pi)
+    assert same_poles(multipliers, [-3.527185, -76.07195], 1e-5)
+    reduced = Pipeline([*pipe.steps, ("reduce", SpuriousModeReducer())])
+    reduced.fit(ltp.inputs, ltp.outputs)
+    assert reduced["reduce"].modes_["verdict"].tolist() == ["genuine", "genuine"]
+    assert reduced["reduce"].model_.dt == pytest.approx(2 * np.pi / ltp.omega)
+    assert reduced.score(ltp.inputs, ltp.outputs) > 0.99
+
+
+def test_initial_states_by_vector_rows_or_record():
+    data = make_flapping_wing("lti-signal", n_records=2, n_periods=40, start=5, random_state=3)
+    pipe = heave_pipeline(data.omega).fit(data.inputs, data.outputs)
+    n = pipe["reduce"].n_states_
+    rest = pipe.predict(data.inputs)
+    x0 = np.ones(n)
+    moved = pipe.predict(data.inputs, x0=x0)
+    rows = pipe.predict(data.inputs, x0=np.array([x0, x0]))
+    labels = data.inputs.index.get_level_values("record").unique()
+    named = pipe.predict(data.inputs, x0=dict.fromkeys(labels, x0))
+    assert not np.allclose(moved, rest)
+    pd.testing.assert_frame_equal(rows, moved)
+    pd.testing.assert_frame_equal(named, moved)
+    with pytest.raises(ValueError, match=rf"the model has {n} states and the data 2 segments"):
+        pipe.predict(data.inputs, x0=np.ones(n + 1))
+    with pytest.raises(ValueError, match="x0 has no state for record"):
+        pipe.predict(data.inputs, x0={"nowhere": x0})
+
+
+def test_containers_are_mirrored(rng):
+    u = rng.standard_normal((200, 1))
+    y = np.zeros(200)
+    for k in range(199):
+        y[k + 1] = 0.7 * y[k] + u[k, 0]
+    index = pd.Index(0.01 * np.arange(200), name="time")
+    for X, target in (
+        (u, y),
+        (u, y[:, None]),
+        (pd.DataFrame(u, index=index, columns=["u"]), pd.Series(y, index=index, name="height")),
+    ):
+        model = MOESPRegressor(order=1, block_rows=4).fit(X, target)
+        predicted = model.predict(X)
+        assert type(predicted) is type(target)
+        assert predicted.shape == target.shape
+        np.testing.assert_allclose(predicted, target, atol=1e-9)
+        if isinstance(target, pd.Series):
+            assert predicted.name == "height"
+
+
+def test_score_takes_sample_weight(fitted, ltp):
+    weight = np.ones(len(ltp.inputs))
+    score = fitted.score(ltp.inputs, ltp.outputs)
+    assert fitted.score(ltp.inputs, ltp.outputs, sample_weight=weight) == pytest.approx(score)
+    weight[9500:] = 0.0
+    assert fitted.score(ltp.inputs, ltp.outputs, sample_weight=weight) != pytest.approx(score)
+
+
+def test_units_of_the_signals_do_not_matter(ltp):
+    plain = heave_pipeline(ltp.omega, n_states=3).fit(ltp.inputs, ltp.outputs)
+    outputs = ltp.outputs * np.array([1e6, 1e-6])
+    scaled = heave_pipeline(ltp.omega, n_states=3).fit(ltp.inputs * 1e5, outputs)
+    assert scaled["identify"].order_ == plain["identify"].order_
+    assert same_poles(scaled["reduce"].system_.poles(), plain["reduce"].system_.poles(), 1e-7)
