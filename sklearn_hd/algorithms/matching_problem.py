@@ -49,7 +49,9 @@ def channel_scales(response):
     1000.0
     """
     energy = np.mean(np.abs(response) ** 2, axis=0)
-    energy = np.maximum(energy, _ZERO_CHANNEL**2 * max(energy.max(initial=0.0), 1e-300))
+    least = max(_ZERO_CHANNEL**2 * energy.max(initial=0.0), 1e-300)
+    energy[energy.mean(axis=1) < least] = least
+    energy[:, energy.mean(axis=0) < least] = least
     outputs, inputs = np.ones(energy.shape[0]), np.ones(energy.shape[1])
     for _ in range(10):
         outputs /= np.sqrt(np.mean(outputs[:, None] ** 2 * energy * inputs**2, axis=1))
