@@ -9,8 +9,9 @@ from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, LTIModel
+from sklearn_hd._frame import HarmonicBasis, HarmonicFrame
 from sklearn_hd._validation import (
+    STEP_TOLERANCE,
     TimeBase,
     check_finite,
     check_positive,
@@ -30,7 +31,7 @@ WARMUP_SHARE = 0.25
 class Signals:
     """Values of some signals with their names and times."""
 
-    values: np.ndarray
+    data: np.ndarray
     names: tuple
     base: TimeBase
 
@@ -154,8 +155,8 @@ def _refuse_lost_basis(X):
     lost = [s for s in names if {f"{s}_0", f"{s}_1c"} <= names]
     if lost:
         raise ValueError(
-            f"column {lost[0]!r} stands beside its own coefficients ({lost[0]}_0, …), but the frame "
-            f"carries no harmonic basis: a step between HarmonicAnalyzer and this one has dropped "
+            f"column {lost[0]!r} stands beside its own coefficients ({lost[0]}_0, …), but the "
+            f"frame carries no harmonic basis: a step between HarmonicAnalyzer and this one has dropped "
             f"it (concatenation, a scaler); apply such steps before the analyzer"
         )
 
@@ -166,12 +167,12 @@ def read_experiment(X, y=None, input_names=None):
     basis = frame.basis
     if basis is None:
         signals = read_signals(frame, "x", "X", None, input_names)
-        drive = [signals.values[segment] for segment in signals.base.segments]
+        drive = [signals.data[segment] for segment in signals.base.segments]
         names = signals.names
     else:
         raw = frame[[signal for signal, _ in basis.inputs]]
         signals = read_signals(raw, "x", "X", basis.sample_time)
-        values, time = signals.values, signals.base.time
+        values, time = signals.data, signals.base.time
         if basis.input_trim is not None:
             values = values - basis.input_trim[basis.phase_index(time)]
         segments = signals.base.segments
@@ -184,7 +185,7 @@ def read_experiment(X, y=None, input_names=None):
 def _read_outputs(y, frame, X, base, basis):
     check_same_rows(X if isinstance(X, pd.DataFrame | pd.Series) else frame, y)
     sample_time = base.sample_time
-    values = read_signals(y, "y", "y", sample_time if basis is not None else None).values
+    values = read_signals(y, "y", "y", sample_time if basis is not None else None).data
     if basis is not None:
         if values.shape[1] != len(basis.outputs):
             raise ValueError(
@@ -207,8 +208,8 @@ def upstream(step, X, y):
         frame = as_frame(X)
         if frame.model is None:
             raise ValueError(
-                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor in "
-                f"a Pipeline, or give it one: {type(step).__name__}(estimator=...)"
+                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor "
+                f"in a Pipeline, or give it one: {type(step).__name__}(estimator=...)"
             )
         return read_experiment(frame, y), frame.model
     step.estimator_ = clone(step.estimator).fit(X, y)
@@ -441,6 +442,13 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
             raise ValueError(
                 f"the model is driven by {list(self.model_.input_names)}, X gives "
                 f"{list(experiment.drive_names)}; use the same HarmonicAnalyzer as at fit"
+            )
+        dt, found = self.model_.dt, experiment.base.sample_time
+        plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1
+        if plain and abs(dt - found) > STEP_TOLERANCE * dt:
+            raise ValueError(
+                f"the model was identified at a sample time of {dt:.6g} s, X has {found:.6g} s; "
+                f"resample X, or bring the model to continuous time with SpuriousModeReducer"
             )
         return experiment
 

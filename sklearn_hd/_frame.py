@@ -179,7 +179,9 @@ class HarmonicBasis:
         columns = [
             values[:, [i]]
             if harmonics == (0,)
-            else _without_dust(windowed_coefficients(values[:, i], psi, harmonics, box, ends))[where]
+            else _without_dust(windowed_coefficients(values[:, i], psi, harmonics, box, ends))[
+                where
+            ]
             for i, (_, harmonics) in enumerate(self.inputs)
         ]
         return np.hstack(columns)

@@ -1,5 +1,6 @@
 """The one place that words errors about time, period, shape and finite values."""
 
+import itertools
 import numbers
 from dataclasses import dataclass
 
@@ -58,7 +59,9 @@ def check_choice(name, value, allowed):
 def check_count(name, value, minimum, hint):
     """Return an int if it is a whole number, at least some minimum."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < minimum:
-        raise ValueError(f"{name} must be a whole number of at least {minimum}, got {value!r}; {hint}")
+        raise ValueError(
+            f"{name} must be a whole number of at least {minimum}, got {value!r}; {hint}"
+        )
     return int(value)
 
 
@@ -127,9 +130,7 @@ def _check_orders(name, signal, orders):
         kept = tuple(orders)
     except TypeError:
         kept = (orders,)
-    wrong = [
-        k for k in kept if isinstance(k, bool) or not isinstance(k, numbers.Integral) or k < 0
-    ]
+    wrong = [k for k in kept if isinstance(k, bool) or not isinstance(k, numbers.Integral) or k < 0]
     if wrong or not kept or len(set(kept)) != len(kept):
         raise ValueError(
             f"{name}: harmonics of {signal!r} are {list(kept)!r}; give distinct whole numbers of "
@@ -203,9 +204,7 @@ def read_time(data, sample_time=None):
         starts, times = np.empty(0, dtype=int), index
     seconds, counted = _seconds(times, sample_time)
     bounds = [0, *starts.tolist(), len(seconds)]
-    steps = np.concatenate(
-        [np.diff(seconds[a:b]) for a, b in zip(bounds, bounds[1:], strict=False)]
-    )
+    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
     found = float(np.median(steps)) if steps.size else 1.0
     if sample_time is None:
         sample_time = found
@@ -215,7 +214,7 @@ def read_time(data, sample_time=None):
             f"leave sample_time at None, or resample the data"
         )
     segments, records = [], []
-    for a, b in zip(bounds, bounds[1:], strict=False):
+    for a, b in itertools.pairwise(bounds):
         for segment in _runs(seconds, a, b, sample_time):
             segments.append(segment)
             records.append(index[a][0] if isinstance(index, pd.MultiIndex) else 0)
@@ -256,4 +255,4 @@ def _runs(seconds, start, stop, sample_time):
         )
     breaks = np.flatnonzero(np.abs(step - sample_time) > STEP_TOLERANCE * sample_time) + start + 1
     edges = [start, *breaks.tolist(), stop]
-    return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]

@@ -167,7 +167,8 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
             start, stop = (float(edge) for edge in self.trim_span)
         except (TypeError, ValueError):
             raise ValueError(
-                f"trim_span={self.trim_span!r} is not a pair of times; give (start, stop) in seconds"
+                f"trim_span={self.trim_span!r} is not a pair of times; give (start, stop) in "
+                f"seconds"
             ) from None
         base = signals.base
         sums, counts = np.zeros((spp, len(signals.names))), np.zeros(spp)
@@ -177,7 +178,7 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
             rows = np.flatnonzero(inside[segment]) + segment.start
             rows = rows[: len(rows) // spp * spp]  # whole periods: each phase counts alike
             phase = phase_index(base.time[rows], omega, spp)
-            np.add.at(sums, phase, signals.values[rows])
+            np.add.at(sums, phase, signals.data[rows])
             np.add.at(counts, phase, 1)
         if not counts.all():
             raise ValueError(
@@ -200,7 +201,7 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
         """
         check_is_fitted(self)
         signals = self._read(X)
-        columns = dict(zip(signals.names, signals.values.T, strict=True))
+        columns = dict(zip(signals.names, signals.data.T, strict=True))
         columns |= self._coefficients(signals)
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
         return HarmonicFrame.attach(pd.DataFrame(columns, index=index), self.basis_, None)
@@ -218,7 +219,7 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
     def _coefficients(self, signals):
         """Harmonic coefficients of the inputs kept, as a dict of columns."""
         basis = self.basis_
-        values = signals.values.copy()
+        values = signals.data.copy()
         if basis.input_trim is not None:
             values -= basis.input_trim[basis.phase_index(signals.base.time)]
         blocks = [
@@ -253,7 +254,8 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
         missing = [name for name in basis.drive_labels if name not in getattr(X, "columns", ())]
         if missing:
             raise ValueError(
-                f"X lacks the coefficient column {missing[0]!r}; give a frame as transform returns it"
+                f"X lacks the coefficient column {missing[0]!r}; give a frame as transform "
+                f"returns it"
             )
         time = read_signals(X, "x", "X", basis.sample_time).base.time
         phase = basis.phase_index(time)

@@ -1,5 +1,6 @@
 """Step 4: drop the modes that the harmonic analyzer put in."""
 
+import itertools
 import warnings
 
 import numpy as np
@@ -208,7 +209,6 @@ class SpuriousModeReducer(ModelStep):
 
     def _refit(self, model, experiment, z, kept, fast):
         """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
-        dt = experiment.base.sample_time
         stay = kept | fast
         A_d, C = invariant_pair(model.A, model.C, z[stay], z[~stay])
         A, _ = discrete_to_continuous(A_d, np.zeros((len(A_d), 0)), model.dt)
@@ -237,7 +237,7 @@ def _compressed_regressors(units, exponents, shapes, experiment):
     n_segments = len(experiment.drive)
     # initial amplitudes are free in every segment: columns of their own
     total = edges[-1] + (n_segments - 1) * sum(len(unit) for unit in units)
-    columns = [list(range(a, b)) for a, b in zip(edges, edges[1:], strict=False)]
+    columns = [list(range(a, b)) for a, b in itertools.pairwise(edges)]
     R = np.zeros((0, total + 1))
     following = edges[-1]
     observe = observations(experiment, shapes.shape[1])

@@ -131,26 +131,21 @@ class MOESPRegressor(ModelStep):
         experiment = read_experiment(X, y)
         inputs, outputs = rows_read(experiment)
         moving = _moving_inputs(inputs, experiment)
-        l, m = outputs[0].shape[1], inputs[0].shape[1]
-        self.block_rows_ = self._check_block_rows(experiment, [len(u) for u in inputs], m, l)
-        self._check_order(l)
-        y_scale = _scales(outputs) if self.scale else np.ones(l)
-        u_scale = _scales(inputs) if self.scale else np.ones(m)
-        scaled_u = [u / u_scale for u in inputs]
-        R = hankel_factor(scaled_u, [y_s / y_scale for y_s in outputs], self.block_rows_)
-        self._warn_excitation(R, moving, experiment)
-        U, singular_values = observability_subspace(R, self.block_rows_, m)
-        unit = np.sqrt(np.mean(y_scale**2))
-        n_columns = n_hankel_columns([len(u) for u in inputs], self.block_rows_)
-        floor = noise_floor(R, self.block_rows_, m, n_columns)
-        self.singular_values_ = singular_values * unit
-        self.noise_floor_ = floor * unit
-        self.order_ = self._choose_order(singular_values, floor, l)
-        A, C = state_matrices(U, singular_values, self.order_, l)
+        n_outputs, n_inputs = outputs[0].shape[1], inputs[0].shape[1]
+        lengths = [len(u) for u in inputs]
+        self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
+        self._check_order(n_outputs)
+        u_scale, y_scale = (
+            _scales(signals) if self.scale else np.ones(signals[0].shape[1])
+            for signals in (inputs, outputs)
+        )
+        inputs = [u / u_scale for u in inputs]
+        outputs = [y_s / y_scale for y_s in outputs]
+        U, values = self._decompose(inputs, outputs, moving, experiment, y_scale)
+        A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = bool(self.feedthrough) or (basis is not None and basis.synchronous)
-        scaled_y = [y_s / y_scale for y_s in outputs]
-        B, D, self.x0_ = input_matrices(A, C, scaled_u, scaled_y, feedthrough)
+        B, D, self.x0_ = input_matrices(A, C, inputs, outputs, feedthrough)
         model = LTIModel(
             A=A,
             B=B / u_scale,
@@ -163,6 +158,22 @@ class MOESPRegressor(ModelStep):
             windowed=basis is not None,
         )
         return self._remember(model, experiment, X, y)
+
+    def _decompose(self, inputs, outputs, moving, experiment, y_scale):
+        """Project the future outputs, look at the singular values and settle the order."""
+        i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
+        R = hankel_factor(inputs, outputs, i)
+        self._warn_excitation(R, moving, experiment)
+        U, values = observability_subspace(R, i, n_inputs)
+        floor = noise_floor(R, i, n_inputs, n_hankel_columns([len(u) for u in inputs], i))
+        unit = np.sqrt(np.mean(y_scale**2))
+        self.singular_values_, self.noise_floor_ = values * unit, floor * unit
+        self.order_ = (
+            order_by_gap(values, floor, (i - 1) * n_outputs)
+            if self.order == "auto"
+            else int(self.order)
+        )
+        return U, values
 
     @property
     def eigenvalues_(self):
@@ -202,7 +213,9 @@ class MOESPRegressor(ModelStep):
     def _check_order(self, n_outputs):
         if isinstance(self.order, str):
             if self.order != "auto":
-                raise ValueError(f"order={self.order!r} is not known; give a whole number or 'auto'")
+                raise ValueError(
+                    f"order={self.order!r} is not known; give a whole number or 'auto'"
+                )
             return
         order = check_count("order", self.order, 1, "'auto' chooses it")
         bound = (self.block_rows_ - 1) * n_outputs
@@ -212,20 +225,17 @@ class MOESPRegressor(ModelStep):
                 f"with {n_outputs} outputs; lower order or raise block_rows"
             )
 
-    def _choose_order(self, singular_values, floor, n_outputs):
-        if self.order != "auto":
-            return int(self.order)
-        return order_by_gap(singular_values, floor, (self.block_rows_ - 1) * n_outputs)
-
     def _warn_excitation(self, R, moving, experiment):
         """Warn of inputs at rest, and of Hankel matrices of deficient rank."""
-        idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
+        idle = [
+            name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves
+        ]
         if idle:
             warnings.warn(
                 f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
                 f"identified, and their columns of B are zero",
                 ExcitationWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
         need = 2 * self.block_rows_ * int(moving.sum())
         size = 2 * self.block_rows_ * len(moving)
@@ -237,7 +247,7 @@ class MOESPRegressor(ModelStep):
                 f"block_rows={self.block_rows_} with {int(moving.sum())} input(s) asks for {need}; "
                 f"use a richer input or fewer block rows, and trust the order with care",
                 ExcitationWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
 
     @staticmethod

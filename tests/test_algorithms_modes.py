@@ -108,7 +108,9 @@ def test_invariant_pair_keeps_poles_and_response(rng):
     y = propagate(A, np.zeros((30, 7)), x0) @ C.T
     free = propagate(A_kept, np.zeros((3, 30, 3)), np.eye(3)) @ C_kept.T
     X = free.reshape(3, -1).T
-    np.testing.assert_allclose(X @ np.linalg.lstsq(X, y.ravel(), rcond=None)[0], y.ravel(), atol=1e-8)
+    np.testing.assert_allclose(
+        X @ np.linalg.lstsq(X, y.ravel(), rcond=None)[0], y.ravel(), atol=1e-8
+    )
 
 
 def test_coinciding_poles_cannot_be_separated():

@@ -145,7 +145,9 @@ def test_nothing_crosses_the_border_of_a_record(ltp):
     later = pd.concat([parts[0][0], parts[0][1].set_axis(parts[0][1].index + jump)])
     apart = pd.concat([parts[1][0], parts[1][1].set_axis(parts[1][1].index + jump)])
     by_gap = clone(pipe).fit(later, apart)
-    np.testing.assert_allclose(by_gap["identify"].model_.A, by_label["identify"].model_.A, atol=1e-6)
+    np.testing.assert_allclose(
+        by_gap["identify"].model_.A, by_label["identify"].model_.A, atol=1e-6
+    )
 
 
 def test_grid_search_over_order_and_block_rows():
@@ -153,7 +155,9 @@ def test_grid_search_over_order_and_block_rows():
     pipe = heave_pipeline(data.omega, n_states=3)
     grid = {"identify__order": [8, 16], "identify__block_rows": [12, 18]}
     groups = data.inputs.index.get_level_values("record")
-    search = GridSearchCV(pipe, grid, cv=GroupKFold(2)).fit(data.inputs, data.outputs, groups=groups)
+    search = GridSearchCV(pipe, grid, cv=GroupKFold(2)).fit(
+        data.inputs, data.outputs, groups=groups
+    )
     assert search.best_params_["identify__order"] == 16
     assert search.best_score_ > 0.99
     assert np.isfinite(search.cv_results_["mean_test_score"]).all()

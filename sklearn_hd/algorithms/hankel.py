@@ -28,9 +28,7 @@ def _columns(u, y, block_rows, start, stop):
         view = np.lib.stride_tricks.sliding_window_view(rows, block_rows, axis=0)
         return view.transpose(0, 2, 1).reshape(stop - start, -1)
 
-    return np.hstack(
-        [windows(u, block_rows), windows(u, 0), windows(y, 0), windows(y, block_rows)]
-    )
+    return np.hstack([windows(u, block_rows), windows(u, 0), windows(y, 0), windows(y, block_rows)])
 
 
 def hankel_factor(inputs, outputs, block_rows):

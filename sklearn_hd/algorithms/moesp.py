@@ -161,9 +161,7 @@ def response_regressors(A, C, u, feedthrough):
     return np.einsum("ptj,lj->tlp", free, C), np.concatenate(blocks, axis=-1)
 
 
-def input_matrices(
-    A, C, inputs, outputs, feedthrough, observe=None, *, return_residual=False
-):
+def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_residual=False):
     """B, D and the initial states that fit the outputs best, by linear least squares.
 
     Parameters
@@ -204,7 +202,11 @@ def input_matrices(
         R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: size + 1]
     solution = _scaled_lstsq(R[:, :-1], R[:, -1])
     B = solution[: n * m].reshape(n, m)
-    D = solution[n * m : n_forced].reshape(n_outputs, m) if feedthrough else np.zeros((n_outputs, m))
+    D = (
+        solution[n * m : n_forced].reshape(n_outputs, m)
+        if feedthrough
+        else np.zeros((n_outputs, m))
+    )
     x0 = solution[n_forced:].reshape(len(inputs), n)
     if not return_residual:
         return B, D, x0

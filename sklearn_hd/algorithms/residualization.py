@@ -44,7 +44,9 @@ def block_diagonal(A, B, C, slow, fast):
             "the slow and the fast modes share an eigenvalue to working precision and cannot be "
             "separated; move it to one group"
         )
-    coupling = linalg.solve_sylvester(T[:n_slow, :n_slow], -T[n_slow:, n_slow:], -T[:n_slow, n_slow:])
+    coupling = linalg.solve_sylvester(
+        T[:n_slow, :n_slow], -T[n_slow:, n_slow:], -T[:n_slow, n_slow:]
+    )
     S = np.eye(len(A))
     S[:n_slow, n_slow:] = coupling
     inverse = np.eye(len(A))

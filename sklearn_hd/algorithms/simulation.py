@@ -1,7 +1,7 @@
 """Responses of linear time-invariant models, and the way between their time domains.
 
-    x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]                    (Eq. 10)
-    ẋ = A x + B u,              y = C x + D u                             (Eq. 8)
+x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]                    (Eq. 10)
+ẋ = A x + B u,              y = C x + D u                             (Eq. 8)
 """
 
 import warnings

@@ -1,0 +1,321 @@
+"""Wrong uses end in an error that names what was given, what is allowed and the way out."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    MatrixStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.exceptions import ExcitationWarning
+
+OMEGA = 2 * np.pi
+SPP = 16
+
+
+@pytest.fixture
+def u():
+    """Sixty periods of a doublet, held over whole periods."""
+    time = pd.Index(np.arange(60 * SPP) / SPP, name="time")
+    values = np.zeros(len(time))
+    values[10 * SPP : 15 * SPP], values[15 * SPP : 20 * SPP] = 1.0, -1.0
+    return pd.DataFrame({"u": values}, index=time)
+
+
+@pytest.fixture
+def y(u):
+    """A slow first-order lag, modulated once a period."""
+    lag = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        lag[k + 1] = 0.99 * lag[k] + u.iloc[k, 0]
+    psi = OMEGA * u.index.to_numpy()
+    return pd.DataFrame({"w": lag, "v": lag * np.cos(psi)}, index=u.index)
+
+
+def analyze(u, y=None, **kwargs):
+    params = {"omega": OMEGA, "output_harmonics": {"w": [0], "v": [1]}, "hop": 4} | kwargs
+    return HarmonicAnalyzer(**params).fit(u, y)
+
+
+def identify(u, y, analyzer=None, **kwargs):
+    steps = [("harmonics", HarmonicAnalyzer(OMEGA, output_harmonics={"w": [0], "v": [1]}, hop=4))]
+    return Pipeline([*steps, ("identify", MOESPRegressor(**kwargs))]).fit(u, y)
+
+
+def spoil(frame, row, column, value):
+    frame = frame.copy()
+    frame.iloc[row, column] = value
+    return frame
+
+
+ANALYZER = {
+    "zero omega": ({"omega": 0.0}, r"omega must be a positive number in rad/s, got 0.0; it is 2π"),
+    "negative omega": ({"omega": -1.0}, r"omega must be a positive number in rad/s, got -1.0"),
+    "nan omega": ({"omega": np.nan}, r"omega must be a positive number in rad/s, got nan"),
+    "text omega": ({"omega": "fast"}, r"omega must be a positive number in rad/s, got 'fast'"),
+    "true omega": ({"omega": True}, r"omega must be a positive number in rad/s, got True"),
+    "sampling": (
+        {"input_harmonics": 9},
+        r"give 16 samples a period, too few for harmonic 9: .*\(here 18\); sample faster",
+    ),
+    "period": (
+        {"omega": OMEGA * 1.01},
+        r"15.8416 samples a period, not a whole number; resample to 16 samples a period",
+    ),
+    "window": ({"window": "hamming"}, r"window='hamming' is not known; use one of 'boxcar'"),
+    "hop": ({"hop": 5}, r"hop=5 does not divide the 16 samples of a period; use one of \[1, 2, 4"),
+    "hop text": ({"hop": "beat"}, r"hop='beat' does not divide .* or 'period'"),
+    "hop zero": ({"hop": 0}, r"hop=0 does not divide"),
+    "unknown input": (
+        {"input_harmonics": {"x": 0}},
+        r"input_harmonics names the signal 'x', which is not among \['u'\]",
+    ),
+    "unknown output": (
+        {"output_harmonics": {"w": [0], "v": [1], "q": [1]}},
+        r"output_harmonics names the signal 'q', which is not among \['w', 'v'\]",
+    ),
+    "output left out": (
+        {"output_harmonics": {"w": [0]}},
+        r"output_harmonics says nothing of the signal 'v'; add its harmonics, or drop",
+    ),
+    "negative harmonic": ({"input_harmonics": -1}, r"input_harmonics=-1 is negative; use 0"),
+    "half a harmonic": ({"input_harmonics": 0.5}, r"input_harmonics=0.5 is not understood; give"),
+    "harmonic twice": (
+        {"input_harmonics": {"u": [1, 1]}},
+        r"harmonics of 'u' are \[1, 1\]; give distinct whole numbers",
+    ),
+    "no harmonic": ({"input_harmonics": {"u": []}}, r"harmonics of 'u' are \[\]; give distinct"),
+    "trim span": ({"trim_span": 3.0}, r"trim_span=3.0 is not a pair of times"),
+    "short trim span": (
+        {"trim_span": (0, 0.5)},
+        r"trim_span=\(0, 0.5\) holds less than one whole period \(1 s\) of any record; widen it",
+    ),
+    "sample time": (
+        {"sample_time": 0.1},
+        r"sample_time=0.1 s, but the rows of the index are 0.0625 s apart; leave sample_time",
+    ),
+    "negative sample time": (
+        {"sample_time": -1},
+        r"sample_time must be a positive number in seconds, got -1; None reads it",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ANALYZER)
+def test_analyzer_parameters(u, y, case):
+    params, message = ANALYZER[case]
+    with pytest.raises(ValueError, match=message):
+        analyze(u, y, **params)
+
+
+DATA = {
+    "nan": (
+        lambda u: spoil(u, 37, 0, np.nan),
+        r"X contains NaN: column 'u', first at t = 2.3125 s",
+    ),
+    "infinity": (lambda u: spoil(u, 5, 0, np.inf), r"X contains infinity: column 'u', .*\(row 5\)"),
+    "unsorted": (
+        lambda u: u.iloc[[0, 2, 1, *range(3, len(u))]],
+        r"t = 0.0625 s \(row 2\) is smaller than the one before it; sort the rows",
+    ),
+    "duplicate": (
+        lambda u: u.iloc[[0, 1, 1, *range(2, len(u))]],
+        r"t = 0.0625 s \(row 2\) is repeated; sort the rows, drop duplicates",
+    ),
+    "dates": (
+        lambda u: u.set_axis(pd.Timestamp("2026-01-01") + pd.to_timedelta(u.index, unit="s")),
+        r"the index holds dates, which fix no azimuth; subtract the instant of ψ = 0",
+    ),
+    "text index": (
+        lambda u: u.set_axis([f"row{i}" for i in range(len(u))]),
+        r"the index has dtype .*, which is no time; use seconds \(float\)",
+    ),
+    "nan in the index": (
+        lambda u: u.set_axis([np.nan, *u.index[1:]]),
+        r"the time index contains NaN or infinity; drop those rows",
+    ),
+    "complex": (lambda u: u * 1j, r"X is complex; give real and imaginary parts as columns"),
+    "text": (
+        lambda u: u.astype(object).replace(0.0, "rest"),
+        r"X holds values that are no numbers",
+    ),
+    "column twice": (lambda u: pd.concat([u, u], axis=1), r"column 'u' stands more than once"),
+    "no rows": (lambda u: u.iloc[:0], r"X has no rows \(0 sample\(s\)\)"),
+    "three dimensions": (lambda u: np.zeros((4, 3, 2)), r"X has 3 dimensions; give"),
+}
+
+
+@pytest.mark.parametrize("case", DATA)
+def test_analyzer_data(u, case):
+    change, message = DATA[case]
+    with pytest.raises(ValueError, match=message):
+        HarmonicAnalyzer(OMEGA).fit(change(u))
+
+
+def test_outputs_are_checked_like_inputs(u, y):
+    with pytest.raises(
+        ValueError, match=r"y contains NaN: column 'v', first at t = 0.5 s \(row 8\)"
+    ):
+        analyze(u, spoil(y, 8, 1, np.nan))
+    with pytest.raises(ValueError, match=r"X has 960 rows and y has 959"):
+        analyze(u, y.iloc[1:])
+    with pytest.raises(ValueError, match=r"X and y have different indices: .* align them first"):
+        analyze(u, y.set_axis(y.index + 1.0))
+    frame = analyze(u, y).transform(u)
+    with pytest.raises(ValueError, match=r"X and y have different indices"):
+        MOESPRegressor().fit(frame, y.set_axis(y.index + 1.0))
+    with pytest.raises(
+        ValueError, match=r"y has 1 columns, but the harmonic basis was fitted with 2"
+    ):
+        MOESPRegressor().fit(frame, y[["w"]])
+    with pytest.raises(ValueError, match=r"requires y to be passed, but the target y is None"):
+        MOESPRegressor().fit(frame, None)
+
+
+def test_transform_wants_the_columns_of_fit(u, y):
+    analyzer = analyze(u, y)
+    with pytest.raises(ValueError, match=r"X lacks 'u'; the columns at fit were \['u'\]"):
+        analyzer.transform(u.rename(columns={"u": "x"}))
+    with pytest.raises(ValueError, match=r"X has the unknown column 'more'"):
+        analyzer.transform(u.assign(more=1.0))
+    with pytest.raises(ValueError, match=r"X has 2 signals, but 1 were there at fit"):
+        analyzer.transform(np.zeros((64, 2)))
+    with pytest.raises(ValueError, match=r"shortest segment has 10 rows, less than the 16 of the"):
+        analyzer.transform(u.iloc[:10])
+
+
+MOESP = {
+    "order": ({"order": 0}, r"order must be a whole number of at least 1, got 0; 'auto' chooses"),
+    "order text": ({"order": "many"}, r"order='many' is not known; give a whole number or 'auto'"),
+    "order above the bound": (
+        {"order": 24, "block_rows": 8},
+        r"order=24 exceeds the rank bound 21 of block_rows=8 with 3 outputs; lower order or raise",
+    ),
+    "block rows": (
+        {"block_rows": 1.5},
+        r"block_rows must be a whole number of at least 2, got 1.5",
+    ),
+    "block rows within the window": (
+        {"block_rows": 5},
+        r"block_rows=5 must exceed the 4 rows in the analysis window plus one, .* use block_rows=6",
+    ),
+    "short record": (
+        {"block_rows": 70},
+        r"give 236 row\(s\) .* too few for block_rows=70: at least 280 consecutive rows are needed",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MOESP)
+def test_identification_parameters(u, y, case):
+    params, message = MOESP[case]
+    with pytest.raises(ValueError, match=message):
+        identify(u, y, **params)
+
+
+def test_inputs_must_move(u, y):
+    for still in (u * 0.0, u * 0.0 + 3.0):
+        with pytest.raises(ValueError, match=r"input 'u' is constant in the rows from t = 0 s to"):
+            identify(still, y)
+
+
+def test_poor_excitation_is_said_with_both_ranks(u, y):
+    sine = pd.DataFrame({"u": np.sin(0.3 * np.arange(len(u)))}, index=u.index)
+    with pytest.warns(ExcitationWarning, match=r"excite 2 directions, but block_rows=6 .* for 12"):
+        MOESPRegressor(order=1, block_rows=6).fit(sine, y[["w"]])
+
+
+def test_a_model_is_needed_before_the_later_steps(u, y):
+    frame = analyze(u, y).transform(u)
+    for step in (SpuriousModeReducer(), StructuredMatcher()):
+        with pytest.raises(ValueError, match=rf"{type(step).__name__} found no model riding on X"):
+            step.fit(frame, y)
+
+
+def test_reducer_parameters(u, y):
+    base = identify(u, y, order=6)
+    frame = base.transform(u)
+    with pytest.raises(ValueError, match=r"method='drop' is not known; use one of 'truncate'"):
+        SpuriousModeReducer(method="drop").fit(frame, y)
+    with pytest.raises(ValueError, match=r"n_states must be a whole number of at least 1, got 0"):
+        SpuriousModeReducer(n_states=0).fit(frame, y)
+    with pytest.raises(ValueError, match=r"n_states=9 cannot be kept: .* raise the order"):
+        SpuriousModeReducer(n_states=9).fit(frame, y)
+
+
+STRUCTURES = {
+    "no structure": ({"structure": 3}, r"structure=3 is not understood; give a MatrixStructure"),
+    "inputs": (
+        {"structure": MatrixStructure([[np.nan]], [[1, 2]])},
+        r"the structure has 2 inputs, the identified model 1: \['u_0'\]",
+    ),
+    "outputs": (
+        {"structure": MatrixStructure([[np.nan]], [[1]])},
+        r"the structure has 1 outputs, the identified model 3: \['w_0', 'v_1c', 'v_1s'\]",
+    ),
+    "names": (
+        {
+            "structure": MatrixStructure(
+                np.full((3, 3), np.nan), np.full((3, 1), np.nan), output_names=["a", "b", "c"]
+            )
+        },
+        r"names its outputs \['a', 'b', 'c'\], the identified model \['w_0', 'v_1c', 'v_1s'\]",
+    ),
+    "tolerance": ({"tol": 0}, r"tol must be a positive number in units of the norm, got 0"),
+    "iterations": ({"max_iter": 0}, r"max_iter must be a whole number of at least 1, got 0"),
+}
+
+
+@pytest.mark.parametrize("case", STRUCTURES)
+def test_matcher_parameters(u, y, case):
+    params, message = STRUCTURES[case]
+    base = Pipeline([*identify(u, y, order=6).steps, ("reduce", SpuriousModeReducer())]).fit(u, y)
+    with pytest.raises(ValueError, match=message):
+        StructuredMatcher(**params).fit(base.transform(u), y)
+
+
+def test_a_lost_basis_is_recognised(u, y):
+    frame = analyze(u, y, input_harmonics=1).transform(u)
+    lost = pd.DataFrame(pd.concat([pd.DataFrame(frame), pd.DataFrame({"more": u["u"]})], axis=1))
+    with pytest.raises(
+        ValueError, match=r"carries no harmonic basis: a step between .* dropped it"
+    ):
+        MOESPRegressor().fit(lost, y)
+    names = ["theta_0", "theta_1c"]  # a helicopter's controls: such names alone are no crime
+    noise = np.random.default_rng(0).standard_normal((len(u), 2))
+    controls = pd.DataFrame(noise, index=u.index, columns=names)
+    assert MOESPRegressor(order=1).fit(controls, y).system_.input_labels == names
+
+
+def test_warmup_and_rows_to_score(u, y):
+    pipe = identify(u, y, order=6, warmup=-1)
+    with pytest.raises(ValueError, match=r"warmup must be a positive number in seconds, got -1"):
+        pipe.score(u, y)
+    with pytest.raises(ValueError, match=r"no rows are left to score in rows from t = 0 s"):
+        identify(u, y, order=6).score(u.iloc[:17], y.iloc[:17])
+
+
+def test_another_analyzer_than_at_fit(u, y):
+    pipe = identify(u, y, order=6)
+    other = analyze(u, y, input_harmonics=1).transform(u)
+    with pytest.raises(
+        ValueError, match=r"the model is driven by \['u_0'\], X gives \['u_0', 'u_1c'"
+    ):
+        pipe["identify"].predict(other)
+
+
+def test_sample_time_of_plain_data_must_not_change(u, y):
+    model = MOESPRegressor(order=1).fit(u, y[["w"]])
+    with pytest.raises(ValueError, match=r"identified at a sample time of 0.0625 s, X has 0.125 s"):
+        model.predict(u.iloc[::2])
+
+
+def test_unfitted_use(u):
+    for step in (HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer()):
+        with pytest.raises(ValueError, match="not fitted yet"):
+            step.transform(u)
