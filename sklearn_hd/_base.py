@@ -156,8 +156,8 @@ def _refuse_lost_basis(X):
     if lost:
         raise ValueError(
             f"column {lost[0]!r} stands beside its own coefficients ({lost[0]}_0, …), but the "
-            f"frame carries no harmonic basis: a step between HarmonicAnalyzer and this one has dropped "
-            f"it (concatenation, a scaler); apply such steps before the analyzer"
+            f"frame carries no harmonic basis: a step between HarmonicAnalyzer and this one has "
+            f"dropped it (concatenation, a scaler); apply such steps before the analyzer"
         )
 
 
