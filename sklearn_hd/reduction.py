@@ -11,6 +11,12 @@ from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import observations, output_scale, refit_inputs, to_continuous
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._validation import check_choice, check_count
+from sklearn_hd.algorithms.mode_shapes import (
+    harmonic_state_matrix,
+    mode_shapes,
+    real_block,
+    state_matrix_samples,
+)
 from sklearn_hd.algorithms.modes import (
     best_modes,
     conjugate_units,
@@ -29,6 +35,8 @@ __all__ = ["SpuriousModeReducer"]
 METHODS = ("truncate", "residualize", "both")
 FAMILY_TOLERANCE = 0.05
 WINDOW_DECAY = 1e-3
+SHAPE_CONDITION = 1e4
+REST_SHARE = 1e-9  # of an input's largest value, below which it counts as at rest
 MATERIAL_SHARE = 0.1  # of the unexplained variance that more modes must remove to be kept
 RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
 
@@ -45,8 +53,14 @@ class SpuriousModeReducer(ModelStep):
        signals as well as all of them do, and no more of them than there are
        output coefficients (or the best set of ``n_states``), and calls the
        rest of their families copies;
-    4. fits B, D and the initial states to the raw record through the exact
-       response of the modes kept, so that the window leaves no trace.
+    4. where there are as many families as outputs and the inputs come to
+       rest, takes the mode shapes P(ψ) of the families from the free decay,
+       F(ψ) = (P′ + P R) P⁻¹ from them, and from that the harmonic
+       decomposition, which no choice within a family can bias; it replaces
+       the modes of 3. if it explains the raw signals as well;
+    5. fits B, D and the initial states to the raw record through the exact
+       response of what is kept, so that the window leaves no trace. Where
+       another set of modes does as well, the verdict is ambiguous.
 
     Modes that are dropped are truncated, or residualized (Eqs. 16-19):
 
@@ -57,7 +71,8 @@ class SpuriousModeReducer(ModelStep):
     estimator : estimator or None, default=None
         Whose model to reduce, fitted here; None takes the model that rides on X.
     n_states : int or None, default=None
-        States to keep; None decides by the data as above.
+        States to keep, always of the modes identified (3.); None decides by
+        the data as above.
     method : {"truncate", "residualize", "both"}, default="truncate"
         What becomes of the other modes: dropped, replaced by their static
         gain (a feedthrough), or, with ``"both"``, dropped where slower than ω
@@ -180,6 +195,10 @@ class SpuriousModeReducer(ModelStep):
                 IdentifiabilityWarning,
                 stacklevel=3,
             )
+        if self.n_states is None and method == "truncate" and basis is not None:
+            periodic = self._from_mode_shapes(model, experiment, z, families, kept)
+            if periodic is not None:
+                return periodic
         fast = _to_residualize(method, kept | window, exponents, z, basis)
         return self._refit(model, experiment, z, kept, fast)
 
@@ -207,6 +226,50 @@ class SpuriousModeReducer(ModelStep):
         pick = [units[i] for i in ranking[0][1]]
         return pick, [[units[i] for i in rival] for rival in rivals]
 
+    def _from_mode_shapes(self, model, experiment, z, families, kept):
+        """Harmonic decomposition of the F(ψ) behind the families, where the outputs show it.
+
+        None where the outputs do not determine the state, no input rests long
+        enough, or the modes themselves explain the raw record better.
+        """
+        basis = experiment.basis
+        exponents = _family_exponents(z, families, kept, basis)
+        decay = _longest_rest(experiment)
+        if exponents is None or decay is None:
+            return None
+        R = real_block(exponents)
+        n_periods = len(decay) // basis.samples_per_period
+        if len(R) != decay.shape[1] or n_periods < 2 * len(R):
+            return None
+        P = mode_shapes(decay, R, basis.sample_time, basis.samples_per_period)
+        if np.max(np.linalg.cond(P / np.linalg.norm(P, axis=(0, 2))[:, None])) > SHAPE_CONDITION:
+            return None
+        F = state_matrix_samples(P, R, basis.omega)
+        highest = max(k for _, orders in basis.outputs for k in orders)
+        A = harmonic_state_matrix(F, highest, basis.omega)
+        where = _kept_states(basis)
+        A, C = A[np.ix_(where, where)], np.eye(len(where))
+        B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
+        _, _, r2_modes = self._modal_refit(model, experiment, z, kept)
+        if not (1.0 - r2) * (1.0 - MATERIAL_SHARE) <= 1.0 - r2_modes:
+            return None
+        self.r2_ = r2
+        self.modes_["reason"] = self.modes_["reason"].where(
+            self.modes_["verdict"] != "genuine",
+            "its family's mode shape gives F(ψ), and that the harmonic decomposition",
+        )
+        return LTIModel(
+            A=A,
+            B=B,
+            C=C,
+            D=D,
+            dt=0.0,
+            input_names=experiment.drive_names,
+            output_names=model.output_names,
+            state_names=model.output_names,
+            feedthrough=model.feedthrough,
+        )
+
     def _refit(self, model, experiment, z, kept, fast):
         """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
         stay = kept | fast
@@ -226,6 +289,69 @@ class SpuriousModeReducer(ModelStep):
             output_names=model.output_names,
             feedthrough=model.feedthrough or bool(fast.any()),
         )
+
+    @staticmethod
+    def _modal_refit(model, experiment, z, stay):
+        """(A, C) of some modes, (B, D) fitted to the raw record, and the R² reached."""
+        A_d, C = invariant_pair(model.A, model.C, z[stay], z[~stay])
+        A, _ = discrete_to_continuous(A_d, np.zeros((len(A_d), 0)), model.dt)
+        B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
+        return (A, C), (B, D), r2
+
+
+def _family_exponents(z, families, kept, basis):
+    """One Floquet exponent (or pair) for each family kept; None where there is no real form.
+
+    The mean over the family's members of ln z^r / T: they differ by jpω alone.
+    """
+    period = 2.0 * np.pi / basis.omega
+    exponents = []
+    for family in sorted(set(families[kept].tolist())):
+        multipliers = z[families == family] ** basis.rows_per_period
+        folded = np.log(multipliers.real + 1j * np.abs(multipliers.imag))
+        mean = np.mean(folded)
+        if abs(mean.imag) <= FAMILY_TOLERANCE:
+            exponents.append(complex(mean.real / period))
+        elif np.pi - mean.imag <= FAMILY_TOLERANCE:
+            return None  # a negative multiplier: real over two periods only
+        else:
+            exponents.append(mean / period)
+    return exponents
+
+
+def _longest_rest(experiment):
+    """Outputs over the whole periods of a segment in which the inputs have come to rest.
+
+    Of all segments the one whose decay holds the most signal; None if there is none.
+    """
+    basis, scale = experiment.basis, output_scale(experiment)
+    spp = basis.samples_per_period
+    best, energy = None, 0.0
+    for drive, y, time in zip(
+        experiment.drive, experiment.outputs, experiment.times(), strict=True
+    ):
+        moving = np.abs(drive) > REST_SHARE * np.max(np.abs(drive), axis=0, initial=0.0)
+        if not moving.any():
+            continue
+        phase = basis.phase_index(time)
+        last = np.flatnonzero(moving.any(axis=1))[-1]
+        start = last + spp - phase[last]  # the period after the last motion
+        decay = y[start : start + max(0, len(y) - start) // spp * spp]
+        found = float(np.sum((decay / scale) ** 2))
+        if found > energy:
+            best, energy = decay, found
+    return best
+
+
+def _kept_states(basis):
+    """Places of the output coefficients kept among the states x_0, x_1c, x_1s, …"""
+    n_signals = len(basis.outputs)
+    places = []
+    for i, (_, orders) in enumerate(basis.outputs):
+        for k in orders:
+            blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
+            places += [block * n_signals + i for block in blocks]
+    return places
 
 
 def _compressed_regressors(units, exponents, shapes, experiment):
