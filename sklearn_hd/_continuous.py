@@ -3,7 +3,6 @@
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._frame import LTIModel
 from sklearn_hd.algorithms.moesp import input_matrices
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, discrete_to_continuous
 
@@ -29,16 +28,7 @@ def to_continuous(model, experiment):
     D = model.D
     if model.windowed:
         B, D, _ = refit_inputs(A, model.C, experiment, model.feedthrough)
-    return LTIModel(
-        A=A,
-        B=B,
-        C=model.C,
-        D=D,
-        dt=0.0,
-        input_names=model.input_names,
-        output_names=model.output_names,
-        feedthrough=model.feedthrough,
-    )
+    return model.in_continuous_time(A, B, model.C, D)
 
 
 def refit_inputs(A, C, experiment, feedthrough):

@@ -1,6 +1,6 @@
 """What travels between the steps: the frame, its harmonic basis, the model identified so far."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -255,6 +255,10 @@ class LTIModel:
     def n_states(self):
         """Number of states."""
         return len(self.A)
+
+    def in_continuous_time(self, A, B, C, D, **changes):
+        """The continuous-time model of some matrices between the same signals."""
+        return replace(self, A=A, B=B, C=C, D=D, dt=0.0, windowed=False, **changes)
 
     def to_control(self):
         """The model as a control.StateSpace with named signals."""

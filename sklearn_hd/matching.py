@@ -12,7 +12,6 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
-from sklearn_hd._frame import LTIModel
 from sklearn_hd._validation import check_count, check_positive
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
@@ -446,17 +445,8 @@ class StructuredMatcher(ModelStep):
         self.hinf_error_ = result.relative_error
         self.peak_frequency_ = result.peak_frequency
         self.n_iter_ = result.n_iter
-        matched = LTIModel(
-            A=result.A,
-            B=result.B,
-            C=result.C,
-            D=result.D,
-            dt=0.0,
-            input_names=model.input_names,
-            output_names=model.output_names,
-            state_names=_state_names(structure, model),
-            feedthrough=model.feedthrough,
-        )
+        matrices = (result.A, result.B, result.C, result.D)
+        matched = model.in_continuous_time(*matrices, state_names=_state_names(structure, model))
         return self._remember(matched, experiment, X, y)
 
     def _keep(self, model):

@@ -9,7 +9,6 @@ from scipy import linalg
 
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import observations, output_scale, refit_inputs, to_continuous
-from sklearn_hd._frame import LTIModel
 from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd.algorithms.mode_shapes import (
     harmonic_state_matrix,
@@ -258,17 +257,7 @@ class SpuriousModeReducer(ModelStep):
             self.modes_["verdict"] != "genuine",
             "its family's mode shape gives F(ψ), and that the harmonic decomposition",
         )
-        return LTIModel(
-            A=A,
-            B=B,
-            C=C,
-            D=D,
-            dt=0.0,
-            input_names=experiment.drive_names,
-            output_names=model.output_names,
-            state_names=model.output_names,
-            feedthrough=model.feedthrough,
-        )
+        return model.in_continuous_time(A, B, C, D, state_names=model.output_names)
 
     def _refit(self, model, experiment, z, kept, fast):
         """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
@@ -279,16 +268,8 @@ class SpuriousModeReducer(ModelStep):
         if fast.any():
             exponents = np.log(z) / model.dt
             A, B, C, D = residualize(A, B, C, D, exponents[kept], exponents[fast])
-        return LTIModel(
-            A=A,
-            B=B,
-            C=C,
-            D=D,
-            dt=0.0,
-            input_names=experiment.drive_names,
-            output_names=model.output_names,
-            feedthrough=model.feedthrough or bool(fast.any()),
-        )
+        feedthrough = model.feedthrough or bool(fast.any())
+        return model.in_continuous_time(A, B, C, D, feedthrough=feedthrough)
 
     @staticmethod
     def _modal_refit(model, experiment, z, stay):
