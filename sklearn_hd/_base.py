@@ -1,6 +1,4 @@
-"""What the three model steps share: data in, segments, simulation, score."""
-
-from dataclasses import dataclass
+"""What the three model steps share: the model behind, simulation, score."""
 
 import numpy as np
 import pandas as pd
@@ -9,193 +7,26 @@ from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._frame import HarmonicBasis, HarmonicFrame
+from sklearn_hd._data import (
+    as_container,
+    as_frame,
+    check_features,
+    hop_means,
+    read_experiment,
+    read_signals,
+)
+from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._validation import (
     STEP_TOLERANCE,
-    TimeBase,
-    check_finite,
+    check_outputs_given,
     check_positive,
-    check_same_rows,
-    read_time,
     signal_names,
 )
-from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
 
 WARMUP_PERIODS = 5
 WARMUP_SAMPLES = 50
 WARMUP_SHARE = 0.25
-
-
-@dataclass(frozen=True)
-class Signals:
-    """Values of some signals with their names and times."""
-
-    data: np.ndarray
-    names: tuple
-    base: TimeBase
-
-
-def read_signals(data, prefix, what, sample_time=None, expected=None):
-    """Finite float values, names and time base of a frame, Series or array.
-
-    With ``expected`` names given, a frame's columns are brought into their
-    order, and a missing or unknown one is an error.
-    """
-    if not isinstance(data, pd.DataFrame | pd.Series):
-        data = np.asarray(data)
-    if data.ndim > 2 or data.ndim == 0:
-        raise ValueError(
-            f"{what} has {data.ndim} dimensions; give (n_samples, n_signals) or (n_samples,)"
-        )
-    if len(data) == 0:
-        raise ValueError(f"{what} has no rows (0 sample(s)); at least 1 is required")
-    names = signal_names(data, prefix)
-    if expected is not None and isinstance(data, pd.DataFrame):
-        data, names = _in_order(data, names, expected, what)
-    elif expected is not None:
-        if len(names) != len(expected):
-            raise ValueError(
-                f"{what} has {len(names)} signals, but {len(expected)} were there at fit: "
-                f"{list(expected)}"
-            )
-        names = tuple(expected)
-    base = read_time(data, sample_time)
-    values = _to_float(data, names, what)
-    check_finite(values, names, base.time, what)
-    return Signals(values, names, base)
-
-
-def _in_order(data, names, expected, what):
-    missing = [name for name in expected if name not in names]
-    unknown = [name for name in names if name not in expected]
-    if missing or unknown:
-        culprit = f"lacks {missing[0]!r}" if missing else f"has the unknown column {unknown[0]!r}"
-        raise ValueError(
-            f"{what} {culprit}; the columns at fit were {list(expected)}, select those"
-        )
-    return data.iloc[:, [names.index(name) for name in expected]], tuple(expected)
-
-
-def _to_float(data, names, what):
-    values = data.to_numpy() if isinstance(data, pd.DataFrame | pd.Series) else data
-    if np.iscomplexobj(values):
-        raise ValueError(
-            f"Complex data not supported: {what} is complex; give real and imaginary parts as "
-            f"columns of their own"
-        )
-    try:
-        values = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"{what} holds values that are no numbers (columns {list(names)}); convert them first"
-        ) from None
-    return values.reshape(len(values), -1)
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """Inputs, and outputs where given, of every segment, as the model steps read them.
-
-    Attributes
-    ----------
-    frame : HarmonicFrame
-        The rows as they came.
-    base : TimeBase
-    basis : HarmonicBasis or None
-    drive : list of ndarray, shapes (n_samples_s, n_drive)
-        What drives the model, trim subtracted.
-    drive_names : tuple of str
-    outputs : list of ndarray, shapes (n_samples_s, n_outputs), or None
-        Measured outputs, trim subtracted.
-    """
-
-    frame: HarmonicFrame
-    base: TimeBase
-    basis: HarmonicBasis | None
-    drive: list
-    drive_names: tuple
-    outputs: list | None = None
-
-    def times(self):
-        """Time of the rows of each segment, seconds."""
-        return [self.base.time[segment] for segment in self.base.segments]
-
-    def drive_signals(self):
-        """The measured signal that each entry of ``drive_names`` comes from."""
-        if self.basis is None:
-            return self.drive_names
-        return tuple(
-            signal for signal, orders in self.basis.inputs for _ in harmonic_labels(orders)
-        )
-
-    def span(self):
-        """First and last time, worded for messages."""
-        return f"rows from t = {self.base.time[0]:.6g} s to {self.base.time[-1]:.6g} s"
-
-
-def as_frame(X):
-    """X as a HarmonicFrame; plain data get neither basis nor model."""
-    if isinstance(X, HarmonicFrame):
-        return X
-    if isinstance(X, pd.DataFrame):
-        _refuse_lost_basis(X)
-        return HarmonicFrame(X)
-    if isinstance(X, pd.Series):
-        return HarmonicFrame(X.to_frame())
-    X = np.asarray(X)
-    X = X.reshape(len(X), -1) if X.ndim == 1 else X
-    if X.ndim != 2:
-        raise ValueError(f"X has {X.ndim} dimensions; give (n_samples, n_inputs)")
-    return HarmonicFrame(X, columns=[f"x{i}" for i in range(X.shape[1])])
-
-
-def _refuse_lost_basis(X):
-    names = {str(column) for column in X.columns}
-    lost = [s for s in names if {f"{s}_0", f"{s}_1c"} <= names]
-    if lost:
-        raise ValueError(
-            f"column {lost[0]!r} stands beside its own coefficients ({lost[0]}_0, …), but the "
-            f"frame carries no harmonic basis: a step between HarmonicAnalyzer and this one has "
-            f"dropped it (concatenation, a scaler); apply such steps before the analyzer"
-        )
-
-
-def read_experiment(X, y=None, input_names=None):
-    """Segments of inputs and outputs that a model step fits or simulates."""
-    frame = as_frame(X)
-    basis = frame.basis
-    if basis is None:
-        signals = read_signals(frame, "x", "X", None, input_names)
-        drive = [signals.data[segment] for segment in signals.base.segments]
-        names = signals.names
-    else:
-        raw = frame[[signal for signal, _ in basis.inputs]]
-        signals = read_signals(raw, "x", "X", basis.sample_time)
-        values, time = signals.data, signals.base.time
-        if basis.input_trim is not None:
-            values = values - basis.input_trim[basis.phase_index(time)]
-        segments = signals.base.segments
-        drive = [basis.drive(values[segment], time[segment]) for segment in segments]
-        names = basis.drive_labels
-    outputs = None if y is None else _read_outputs(y, frame, X, signals.base, basis)
-    return Experiment(frame, signals.base, basis, drive, names, outputs)
-
-
-def _read_outputs(y, frame, X, base, basis):
-    check_same_rows(X if isinstance(X, pd.DataFrame | pd.Series) else frame, y)
-    sample_time = base.sample_time
-    values = read_signals(y, "y", "y", sample_time if basis is not None else None).data
-    if basis is not None:
-        if values.shape[1] != len(basis.outputs):
-            raise ValueError(
-                f"y has {values.shape[1]} columns, but the harmonic basis was fitted with "
-                f"{len(basis.outputs)}: {[signal for signal, _ in basis.outputs]}; fit "
-                f"HarmonicAnalyzer with the same y"
-            )
-        if basis.output_trim is not None:
-            values = values - basis.output_trim[basis.phase_index(base.time)]
-    return [values[segment] for segment in base.segments]
 
 
 def upstream(step, X, y):
@@ -204,6 +35,7 @@ def upstream(step, X, y):
     The model rides on X, or is that of ``step.estimator``, a clone of which is
     fitted here (``step.estimator_``).
     """
+    check_outputs_given(y)
     if step.estimator is None:
         frame = as_frame(X)
         if frame.model is None:
@@ -280,30 +112,28 @@ class SegmentSimulator:
         return (1.0 - share) * Y[..., left, :] + share * Y[..., right, :]
 
 
-def hop_means(drive, rows, hop):
-    """Mean of the drive over the hop that follows each row read."""
-    if hop == 1 or len(rows) == 0:
-        return drive[rows]
-    sums = np.add.reduceat(drive, rows, axis=0)
-    sums[-1] = drive[rows[-1] : rows[-1] + hop].sum(axis=0)
-    counts = np.minimum(rows + hop, len(drive)) - rows
-    return sums / counts[:, None]
-
-
 class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.target_tags.required = True
+        tags.target_tags.multi_output = True
+        tags.target_tags.single_output = True
+        tags.transformer_tags.preserves_dtype = []  # frames have a type a column
+        tags.regressor_tags.poor_score = True  # rows in random order have no dynamics
+        return tags
+
     def _remember(self, model, experiment, X, y):
         """Store the model and what predictions have to look like."""
-        self.model_ = model
-        self.target_names_ = signal_names(y if hasattr(y, "ndim") else np.asarray(y), "y")
+        check_features(self, X, reset=True)
+        self.model_, self.basis_ = model, experiment.basis
+        y = as_container(y, "y")
+        self.target_names_ = signal_names(y, "y")
         kinds = {pd.DataFrame: "frame", pd.Series: "series"}
         self.target_kind_ = next((k for t, k in kinds.items() if isinstance(y, t)), None)
         if self.target_kind_ is None:
-            self.target_kind_ = "vector" if np.ndim(y) == 1 else "array"
-        self.n_features_in_ = experiment.frame.shape[1]
-        if isinstance(X, pd.DataFrame):
-            self.feature_names_in_ = np.asarray([str(c) for c in X.columns], dtype=object)
+            self.target_kind_ = "vector" if y.ndim == 1 else "array"
         return self
 
     def transform(self, X):
@@ -318,7 +148,9 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
         frame : HarmonicFrame, shape (n_samples, n_features)
         """
         check_is_fitted(self)
-        frame = self._upstream_frame(X)
+        frame = self._upstream_frame(check_features(self, X, reset=False))
+        if frame.basis is None:
+            read_signals(frame, "x", "X")  # finite numbers on increasing times
         return HarmonicFrame.attach(frame, frame.basis, self.model_)
 
     def _upstream_frame(self, X):
@@ -434,15 +266,9 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
         return round(check_positive("warmup", self.warmup, "seconds", hint) / dt)
 
     def _experiment(self, X, y=None):
-        names = getattr(self, "feature_names_in_", None)
-        if getattr(self, "estimator", None) is not None:
-            X, names = self._upstream_frame(X), None
-        experiment = read_experiment(X, y, None if names is None else tuple(names))
-        if experiment.drive_names != self.model_.input_names:
-            raise ValueError(
-                f"the model is driven by {list(self.model_.input_names)}, X gives "
-                f"{list(experiment.drive_names)}; use the same HarmonicAnalyzer as at fit"
-            )
+        X = check_features(self, X, reset=False)
+        experiment = read_experiment(self._upstream_frame(X), y)
+        self._check_basis(experiment.basis)
         dt, found = self.model_.dt, experiment.base.sample_time
         plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1
         if plain and abs(dt - found) > STEP_TOLERANCE * dt:
@@ -451,6 +277,16 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
                 f"resample X, or bring the model to continuous time with SpuriousModeReducer"
             )
         return experiment
+
+    def _check_basis(self, basis):
+        """Raise ValueError if X was analysed in another way than at fit."""
+        for name in ("omega", "sample_time", "hop", "window", "inputs", "outputs"):
+            here, there = getattr(basis, name, None), getattr(self.basis_, name, None)
+            if here != there:
+                raise ValueError(
+                    f"X was analysed with {name}={here!r}, the data at fit with {there!r}; use the "
+                    f"same HarmonicAnalyzer"
+                )
 
     def _simulators(self, experiment):
         dt = experiment.base.sample_time
@@ -484,10 +320,10 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
 def fit_initial_state(simulator, outputs, rows):
     """Initial state whose simulation fits the outputs best over some rows."""
     forced = simulator.outputs(np.zeros(simulator.model.n_states))[rows]
+    if simulator.model.n_states == 0:
+        return np.zeros(0)
     free = simulator.free(rows.stop)[:, rows]
     regressors = free.reshape(len(free), -1).T
-    if regressors.shape[1] == 0:
-        return np.zeros(0)
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
     target = (outputs[rows] - forced).reshape(-1)

@@ -139,6 +139,14 @@ def _check_orders(name, signal, orders):
     return tuple(sorted(int(k) for k in kept))
 
 
+def check_outputs_given(y):
+    """Raise ValueError if there are no outputs to fit."""
+    if y is None:
+        raise ValueError(
+            "requires y to be passed, but the target y is None: give the measured outputs"
+        )
+
+
 def check_same_rows(X, y):
     """Raise ValueError unless inputs and outputs have the same rows."""
     if len(X) != len(y):

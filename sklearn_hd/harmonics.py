@@ -8,7 +8,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._base import read_signals
+from sklearn_hd._data import as_container, check_features, read_signals
 from sklearn_hd._frame import PERIOD, HarmonicBasis, HarmonicFrame, coefficient_names, phase_index
 from sklearn_hd._validation import (
     check_choice,
@@ -110,6 +110,11 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
         self.trim_span = trim_span
         self.sample_time = sample_time
 
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.transformer_tags.preserves_dtype = []  # frames have a type a column
+        return tags
+
     def fit(self, X, y=None):
         """Learn the time base, the names of the signals and their trim waveforms.
 
@@ -127,9 +132,12 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
         hint = "it is 2π over the period, such as 2 * np.pi * 26.3 for 26.3 beats a second"
         omega = check_positive("omega", self.omega, "rad/s", hint)
         window = check_choice("window", self.window, WINDOWS)
+        X = check_features(self, X, reset=True)
         inputs = read_signals(X, "x", "X", self.sample_time)
-        outputs = None if y is None else read_signals(y, "y", "y", self.sample_time)
-        if outputs is not None:
+        outputs = None
+        if y is not None:
+            y = as_container(y, "y")
+            outputs = read_signals(y, "y", "y", self.sample_time)
             check_same_rows(X, y)
         if inputs.base.counted:
             warnings.warn(
@@ -155,8 +163,6 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
             input_trim=self._trim(inputs, omega, spp),
             output_trim=None if outputs is None else self._trim(outputs, omega, spp),
         )
-        self.n_features_in_ = len(inputs.names)
-        self.feature_names_in_ = np.asarray(inputs.names, dtype=object)
         return self
 
     def _trim(self, signals, omega, spp):
@@ -200,21 +206,22 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
             The raw inputs, then ``u_0, u_1c, u_1s, …``.
         """
         check_is_fitted(self)
-        signals = self._read(X)
-        columns = dict(zip(signals.names, signals.data.T, strict=True))
+        X, signals = self._read(X)
+        columns = dict(zip((name for name, _ in self.basis_.inputs), signals.data.T, strict=True))
         columns |= self._coefficients(signals)
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
         return HarmonicFrame.attach(pd.DataFrame(columns, index=index), self.basis_, None)
 
     def _read(self, X):
-        signals = read_signals(X, "x", "X", self.basis_.sample_time, tuple(self.feature_names_in_))
+        X = check_features(self, X, reset=False)
+        signals = read_signals(X, "x", "X", self.basis_.sample_time)
         short = min((s.stop - s.start for s in signals.base.segments), default=0)
         if short < len(self.basis_.weights):
             raise ValueError(
                 f"the shortest segment has {short} rows, less than the {len(self.basis_.weights)} "
                 f"of the analysis window; drop it, or use a window of fewer periods"
             )
-        return signals
+        return X, signals
 
     def _coefficients(self, signals):
         """Harmonic coefficients of the inputs kept, as a dict of columns."""
@@ -260,11 +267,10 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
         time = read_signals(X, "x", "X", basis.sample_time).base.time
         phase = basis.phase_index(time)
         columns = {}
-        for signal, harmonics in basis.inputs:
+        for column, (signal, harmonics) in enumerate(basis.inputs):
             labels = list(coefficient_names([(signal, harmonics)]))
             columns[signal] = recompose(X[labels].to_numpy(), basis.azimuth(time), harmonics)
             if basis.input_trim is not None:
-                column = list(self.feature_names_in_).index(signal)
                 columns[signal] += basis.input_trim[phase, column]
         return pd.DataFrame(columns, index=X.index)
 
@@ -281,8 +287,8 @@ class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
         names : ndarray of str
         """
         check_is_fitted(self)
-        names = (*self.feature_names_in_, *self.basis_.drive_labels)
-        return np.asarray(names, dtype=object)
+        raw = [signal for signal, _ in self.basis_.inputs]
+        return np.asarray([*raw, *self.basis_.drive_labels], dtype=object)
 
 
 def _check_hop(hop, spp):

@@ -459,7 +459,7 @@ class StructuredMatcher(ModelStep):
         )
         self._theta = np.concatenate([M.ravel() for M in matrices])
         self._theta_least_squares = self._theta
-        self.hinf_error_, self.peak_frequency_, self.n_iter_ = 0.0, 0.0, 0
+        self.hinf_error_, self.peak_frequency_, self.n_iter_ = 0.0, 0.0, 1
         return self
 
     @property

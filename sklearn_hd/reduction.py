@@ -152,8 +152,7 @@ class SpuriousModeReducer(ModelStep):
         if model.dt == 0.0 or (basis is not None and basis.synchronous):
             self._keep_all(model, "period-synchronous" if model.dt else "already continuous")
         elif basis is None and self.n_states is None:
-            self._keep_all(model, "no harmonic analyzer, nothing spurious")
-            model = to_continuous(model, experiment)
+            model = self._keep_plain(model, experiment)
         else:
             model = self._reduce(model, experiment, method)
         self.n_states_ = model.n_states
@@ -164,6 +163,26 @@ class SpuriousModeReducer(ModelStep):
         exponents = z if model.dt == 0.0 else np.log(z.astype(complex)) / model.dt
         families = np.arange(len(z))
         self.modes_ = _table(exponents, families, ["genuine"] * len(z), [reason] * len(z))
+
+    def _keep_plain(self, model, experiment):
+        """All modes that have a continuous-time counterpart, as no analyzer was there."""
+        z = np.linalg.eigvals(model.A).astype(complex)
+        kept = np.zeros(len(z), dtype=bool)
+        kept[[i for unit in conjugate_units(z) for i in unit]] = True
+        self._keep_all(model, "no harmonic analyzer, nothing spurious")
+        if kept.all():
+            return to_continuous(model, experiment)
+        verdicts = np.where(kept, "genuine", "weak")
+        reasons = ["" if k else "negative real pole: no continuous-time counterpart" for k in kept]
+        exponents = np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / model.dt
+        self.modes_ = _table(exponents, np.arange(len(z)), verdicts, reasons)
+        warnings.warn(
+            f"{int((~kept).sum())} mode(s) on the negative real axis have no continuous-time "
+            f"counterpart and are dropped; sample faster, or lower the order",
+            IdentifiabilityWarning,
+            stacklevel=4,
+        )
+        return self._refit(model, experiment, z, kept, np.zeros(len(z), dtype=bool))
 
     def _reduce(self, model, experiment, method):
         basis = experiment.basis

@@ -4,9 +4,10 @@ import warnings
 
 import numpy as np
 
-from sklearn_hd._base import ModelStep, hop_means, read_experiment
+from sklearn_hd._base import ModelStep
+from sklearn_hd._data import as_container, read_experiment, rows_read
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._validation import check_count, signal_names
+from sklearn_hd._validation import check_count, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.moesp import (
     input_matrices,
@@ -38,7 +39,8 @@ class MOESPRegressor(ModelStep):
     ----------
     order : int or "auto", default="auto"
         Number of states. ``"auto"`` takes the widest gap between consecutive
-        singular values that reaches down to the noise floor.
+        singular values that reaches down to the noise floor; 0, a static gain, on
+        plain data too short for any dynamics.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows
         in the analysis window, plus two; 15 on plain data (fewer where the
@@ -124,17 +126,17 @@ class MOESPRegressor(ModelStep):
         -------
         self : MOESPRegressor
         """
-        if y is None:
-            raise ValueError(
-                "requires y to be passed, but the target y is None: give the measured outputs"
-            )
+        check_outputs_given(y)
         experiment = read_experiment(X, y)
         inputs, outputs = rows_read(experiment)
-        moving = _moving_inputs(inputs, experiment)
         n_outputs, n_inputs = outputs[0].shape[1], inputs[0].shape[1]
         lengths = [len(u) for u in inputs]
+        self._check_order()
         self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
-        self._check_order(n_outputs)
+        self._check_rank_bound(n_outputs)
+        moving = _moving_inputs(inputs, experiment)
+        if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
+            return self._remember(self._static_model(experiment, y), experiment, X, y)
         u_scale, y_scale = (
             _scales(signals) if self.scale else np.ones(signals[0].shape[1])
             for signals in (inputs, outputs)
@@ -175,6 +177,30 @@ class MOESPRegressor(ModelStep):
         )
         return U, values
 
+    def _static_model(self, experiment, y):
+        """Gain without states, all that a record too short for any dynamics gives."""
+        inputs, outputs = experiment.drive, experiment.outputs
+        n_outputs = outputs[0].shape[1]
+        warnings.warn(
+            f"the {experiment.span()} are too few to identify dynamics from "
+            f"{inputs[0].shape[1]} input(s): a static gain is fitted; use a longer record",
+            ExcitationWarning,
+            stacklevel=3,
+        )
+        self.singular_values_, self.noise_floor_, self.order_ = np.zeros(0), 0.0, 0
+        A, C = np.zeros((0, 0)), np.zeros((n_outputs, 0))
+        B, D, self.x0_ = input_matrices(A, C, inputs, outputs, True)
+        return LTIModel(
+            A=A,
+            B=B,
+            C=C,
+            D=D,
+            dt=experiment.base.sample_time,
+            input_names=experiment.drive_names,
+            output_names=self._output_names(None, y),
+            feedthrough=True,
+        )
+
     @property
     def eigenvalues_(self):
         """Eigenvalues of the discrete A."""
@@ -183,46 +209,47 @@ class MOESPRegressor(ModelStep):
     def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
         """Block rows that the window, the order and the record allow."""
         basis = experiment.basis
-        window = 1 if basis is None else basis.window_rows
-        width = n_inputs + n_outputs
-        # columns j = n_rows − 2i + 1 must outnumber the 2 i m inputs and the states
+        sliding = basis is not None and not basis.synchronous
+        window = basis.window_rows if sliding else 0
         if self.block_rows is None:
-            i = DEFAULT_BLOCK_ROWS if basis is None else 2 * window + 2
-            while i > 2 and n_hankel_columns(lengths, i) < 2 * i * width:
+            i = DEFAULT_BLOCK_ROWS if basis is None else 2 * basis.window_rows + 2
+            comfortable = 2 * (n_inputs + n_outputs)
+            while i > max(2, window + 2) and n_hankel_columns(lengths, i) < i * comfortable:
                 i -= 1
-            i = max(i, window + 2) if basis is not None and not basis.synchronous else i
         else:
             i = check_count("block_rows", self.block_rows, 2, "None chooses them")
-        if basis is not None and not basis.synchronous and i <= window + 1:
+        if i <= window + 1 and sliding:
             raise ValueError(
                 f"block_rows={i} must exceed the {window} rows in the analysis window plus one, or "
                 f"the window's own memory is mistaken for dynamics; use block_rows={window + 2} or "
                 f"more, or a larger hop"
             )
-        need = 2 * i * n_inputs + 1
-        if n_hankel_columns(lengths, i) < need:
-            longest = max(lengths, default=0)
+        # the future inputs, i m rows, are projected out of j = n_rows − 2 i + 1 columns
+        need = i * n_inputs + 1 + (1 if self.order == "auto" else int(self.order))
+        free = self.order == "auto" and self.block_rows is None and basis is None
+        if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
+            rows = f"{sum(lengths)} row(s) (n_samples = {len(experiment.base.time)})"
             raise ValueError(
-                f"the {experiment.span()} give {sum(lengths)} row(s) to identify from (the longest "
-                f"segment {longest}), too few for block_rows={i}: at least {need + 2 * i - 1} "
-                f"consecutive rows are needed with {n_inputs} input(s); use a longer record, fewer "
-                f"block rows or a smaller hop"
+                f"the {experiment.span()} give {rows} to identify from, too few for "
+                f"block_rows={i}: at least {need + 2 * i - 1} consecutive rows are needed with "
+                f"{n_inputs} input(s); use a longer record, fewer block rows or a smaller hop"
             )
         return i
 
-    def _check_order(self, n_outputs):
-        if isinstance(self.order, str):
-            if self.order != "auto":
+    def _check_order(self):
+        if self.order != "auto":
+            if isinstance(self.order, str):
                 raise ValueError(
                     f"order={self.order!r} is not known; give a whole number or 'auto'"
                 )
-            return
-        order = check_count("order", self.order, 1, "'auto' chooses it")
+            check_count("order", self.order, 1, "'auto' chooses it")
+
+    def _check_rank_bound(self, n_outputs):
         bound = (self.block_rows_ - 1) * n_outputs
-        if order > bound:
+        if self.order != "auto" and self.order > bound:
             raise ValueError(
-                f"order={order} exceeds the rank bound {bound} of block_rows={self.block_rows_} "
-                f"with {n_outputs} outputs; lower order or raise block_rows"
+                f"order={self.order} exceeds the rank bound {bound} of block_rows="
+                f"{self.block_rows_} with {n_outputs} outputs; lower order or raise block_rows"
             )
 
     def _warn_excitation(self, R, moving, experiment):
@@ -254,22 +281,7 @@ class MOESPRegressor(ModelStep):
     def _output_names(basis, y):
         if basis is not None:
             return basis.output_labels
-        return signal_names(y if hasattr(y, "ndim") else np.asarray(y), "y")
-
-
-def rows_read(experiment):
-    """Inputs and (decomposed) outputs of each segment at the rows that models are made of."""
-    basis = experiment.basis
-    if basis is None:
-        return experiment.drive, experiment.outputs
-    inputs, outputs = [], []
-    for drive, y, time in zip(
-        experiment.drive, experiment.outputs, experiment.times(), strict=True
-    ):
-        rows = basis.rows_read(time)
-        inputs.append(hop_means(drive, rows, basis.hop_samples))
-        outputs.append(basis.coefficients(y, time, basis.outputs, rows))
-    return inputs, outputs
+        return signal_names(as_container(y, "y"), "y")
 
 
 def _scales(signals):

@@ -245,6 +245,8 @@ def invariant_pair(A, C, kept, dropped):
     """
     if len(dropped) == 0:
         return A, C
+    if len(kept) == 0:
+        return A[:0, :0], C[:, :0]
 
     def wanted(real, imag):
         z = real + 1j * imag

@@ -215,6 +215,8 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_r
 
 def _scaled_lstsq(regressors, target):
     """Least squares with columns of equal length, so that units do not decide the rank."""
+    if regressors.shape[1] == 0:
+        return np.zeros(0)
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
     return linalg.lstsq(regressors / scale, target)[0] / scale
