@@ -1,0 +1,52 @@
+"""The Cramér-Rao bound on the error of ``reproduce_paper.py``: what noise alone must cost."""
+
+import numpy as np
+
+from sklearn_hd.algorithms.fourier import recompose
+from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+
+STEP = 1e-20  # of the complex-step derivatives, exact to rounding
+
+
+def bound_percent(data, snr, free_inputs=3):
+    """Bound on the rms of e (percent) of unbiased estimates of A from this noisy record.
+
+    White Gaussian noise of 1/snr of each output's standard deviation, known, on the outputs;
+    the input and x0 = 0 are known. With J the derivatives of the three-state heave model's
+    whitened outputs with respect to the nine entries of A and those of B that are free,
+
+        rms e ≥ (tr [(JᵀJ)⁻¹]_A)^½ / ‖A‖_F.
+
+    Parameters
+    ----------
+    data : Bunch
+        From ``make_flapping_wing``, subsystem heave; three outputs are the coefficients
+        themselves, two are w and φ̇ (Eq. 7).
+    snr : float
+    free_inputs : {1, 3}, default=3
+        Entries of B to be estimated: all, or the only one that is not zero.
+    """
+    A, B = data.A_exact.to_numpy(), data.B_exact.to_numpy()
+    inputs = data.inputs_clean.to_numpy()
+    psi = data.omega * data.inputs.index.to_numpy()
+    sigma = data.outputs_clean.to_numpy().std(axis=0) / snr
+    free = [(i, j) for i in range(3) for j in range(3)]
+    free += [(1, 3)] if free_inputs == 1 else [(i, 3) for i in range(3)]
+
+    def outputs(theta):
+        discrete = continuous_to_discrete(theta[:, :3], theta[:, 3:], data.sample_time)
+        x = propagate(discrete[0], inputs @ discrete[1].T, np.zeros(3))
+        if len(sigma) == 3:
+            return x / sigma
+        return np.column_stack([x[:, 0], recompose(x[:, 1:], psi, [1])]) / sigma
+
+    J = []
+    for entry in free:
+        theta = np.hstack([A, B]).astype(complex)
+        theta[entry] += 1j * STEP
+        J.append(outputs(theta).imag.ravel() / STEP)
+    J = np.column_stack(J)
+    size = np.linalg.norm(J, axis=0)
+    R = np.linalg.qr(J / size, mode="r")
+    deviation = np.linalg.norm(np.linalg.inv(R), axis=1) / size
+    return 100.0 * np.linalg.norm(deviation[: A.size]) / np.linalg.norm(A)
