@@ -10,7 +10,8 @@ part and linearises the smooth one,
 
 with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
-singular vectors, added until none is violated. A step is accepted by the exact norm and
+singular vectors. Few frequencies and directions begin; those that are violated join,
+until none is. A step is accepted by the exact norm and
 by the stability of G_s.
 """
 
@@ -113,7 +114,9 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
 _MEMORY = 12  # peaks of earlier trials kept among the active frequencies
 _LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
 _LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
-_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass
+_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass; so is
+# a tenth of the decrease predicted, for the next step starts from new singular vectors
+_LARGE = 0.8  # singular values, relative to F, that have a cone from the first round on
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +179,7 @@ def _next_radius(radius, gain, length):
     return max(radius, 2.5 * length) if gain > 0.75 else radius
 
 
-def _convex_step(model, curvature, radius, max_rounds=8):
+def _convex_step(model, curvature, radius, max_rounds=30):
     """Minimiser ζ of the convex model within a ball, its value, and the multipliers.
 
     The multipliers come as (which frequency, left vectors, right vectors), so that their
@@ -190,22 +193,23 @@ def _convex_step(model, curvature, radius, max_rounds=8):
         step, duals = _solve_cones(vectors, rates, curvature, radius)
         _, sizes, adjoint = np.linalg.svd(error + slope @ step, full_matrices=False)
         level = np.linalg.norm(vectors + rates @ step, axis=1).max()
-        violated = np.flatnonzero(sizes[:, 0] > level + _SLACK)
+        slack = max(_SLACK, 0.1 * (1.0 - level))
+        violated = np.flatnonzero(sizes[:, 0] > level + slack)
         if not len(violated):
             break
-        which = np.concatenate([which, violated])
-        cuts = np.concatenate([cuts, adjoint[violated, 0].conj()])
+        which = np.concatenate([which, np.repeat(violated, adjoint.shape[1])])
+        cuts = np.concatenate([cuts, adjoint[violated].conj().reshape(-1, cuts.shape[1])])
     level = sizes[:, 0].max() + 0.5 * step @ curvature @ step
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > 1e-9)
     return step, level, (which[: len(duals)][active], duals[active], cuts[: len(duals)][active])
 
 
 def _singular_directions(error):
-    """All right singular vectors of each error matrix, and whose they are."""
-    _, _, adjoint = np.linalg.svd(error, full_matrices=False)
-    n_points, n_directions, _ = adjoint.shape
-    which = np.repeat(np.arange(n_points), n_directions)
-    return which, adjoint.reshape(n_points * n_directions, -1).conj()
+    """Right singular vectors of the large singular values, and whose they are."""
+    _, sizes, adjoint = np.linalg.svd(error, full_matrices=False)
+    large = sizes > min(_LARGE, sizes.max())
+    large[np.argmax(sizes[:, 0]), 0] = True
+    return np.nonzero(large)[0], adjoint[large].conj()
 
 
 def _solve_cones(vectors, slopes, curvature, radius):
