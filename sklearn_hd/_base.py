@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 from scipy import linalg
-from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin, clone
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
@@ -15,7 +15,8 @@ from sklearn_hd._data import (
     read_experiment,
     read_signals,
 )
-from sklearn_hd._frame import HarmonicFrame
+from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import (
     STEP_TOLERANCE,
     check_outputs_given,
@@ -23,6 +24,7 @@ from sklearn_hd._validation import (
     signal_names,
 )
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.exceptions import UnstableModelError
 
 WARMUP_PERIODS = 5
 WARMUP_SAMPLES = 50
@@ -79,6 +81,13 @@ class SegmentSimulator:
     def outputs(self, x0):
         """Outputs, trim not added, shape (n_samples, n_outputs)."""
         states = propagate(self.A, self.drive @ self.B.T, x0)
+        if not np.isfinite(states).all():
+            radius = np.max(np.abs(np.linalg.eigvals(self.A)))
+            raise UnstableModelError(
+                f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
+                f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
+                f"the order, or simulate a shorter span"
+            )
         return self._observe(states @ self.model.C.T + self.drive @ self.model.D.T, self.time)
 
     def free(self, n_samples):
@@ -112,7 +121,7 @@ class SegmentSimulator:
         return (1.0 - share) * Y[..., left, :] + share * Y[..., right, :]
 
 
-class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
+class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
     def __sklearn_tags__(self):
@@ -175,6 +184,7 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
         names = input_features if input_features is not None else default
         return np.asarray(getattr(self, "feature_names_in_", names), dtype=object)
 
+    @one_blas_thread
     def predict(self, X, x0=None):
         """Free simulation of the model, in the units and the container of y at fit.
 
@@ -198,6 +208,7 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
         ]
         return self._mirror(self._with_trim(np.vstack(outputs), experiment), X)
 
+    @one_blas_thread
     def score(self, X, y, sample_weight=None):
         """R² of the free simulation in the units of y, averaged over the outputs.
 
@@ -315,6 +326,12 @@ class ModelStep(TransformerMixin, RegressorMixin, BaseEstimator):
         """The model as a control.StateSpace with named signals."""
         check_is_fitted(self)
         return self.model_.to_control()
+
+
+def scored_simulation(step, X, y):
+    """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows."""
+    check_is_fitted(step)
+    return step._fitted_simulation(X, y)
 
 
 def fit_initial_state(simulator, outputs, rows):

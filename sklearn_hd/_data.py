@@ -52,6 +52,11 @@ def as_container(data, what):
             f"{what} is sparse, which is not supported: signals are dense; give {what}.toarray()"
         )
     if not isinstance(data, pd.DataFrame | pd.Series):
+        if hasattr(data, "__dataframe__") or hasattr(data, "to_pandas"):
+            raise TypeError(
+                f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
+                f"carries no index of times; give {what}.to_pandas() with its times as the index"
+            )
         data = np.asarray(data)
         if data.ndim == 1 and what == "X":
             raise ValueError(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 import pandas as pd
+from sklearn.base import TransformerMixin
 
 from sklearn_hd.algorithms.fourier import (
     WINDOW_PERIODS,
@@ -312,3 +313,26 @@ class HarmonicFrame(pd.DataFrame):
         frame = cls(data, copy=False)
         frame.basis, frame.model = basis, model
         return frame
+
+
+class FrameTransformer(TransformerMixin):
+    """A transformer whose output carries more than its columns, and so is always a frame."""
+
+    def set_output(self, *, transform=None):
+        """Set the container of ``transform``: a frame, always.
+
+        Parameters
+        ----------
+        transform : {"default", "pandas", None}
+            All the same here. Other containers would drop the basis and the model.
+
+        Returns
+        -------
+        self : estimator
+        """
+        if transform not in (None, "default", "pandas"):
+            raise ValueError(
+                f"transform={transform!r} would drop the harmonic basis and the model that ride on "
+                f"the frame; use 'pandas' or 'default'"
+            )
+        return super().set_output(transform=transform)

@@ -5,11 +5,18 @@ import warnings
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._data import as_container, check_features, read_signals
-from sklearn_hd._frame import PERIOD, HarmonicBasis, HarmonicFrame, coefficient_names, phase_index
+from sklearn_hd._frame import (
+    PERIOD,
+    FrameTransformer,
+    HarmonicBasis,
+    HarmonicFrame,
+    coefficient_names,
+    phase_index,
+)
 from sklearn_hd._validation import (
     check_choice,
     check_harmonics,
@@ -25,7 +32,7 @@ __all__ = ["HarmonicAnalyzer"]
 WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 
 
-class HarmonicAnalyzer(TransformerMixin, BaseEstimator):
+class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     """Decompose signals into time-varying Fourier coefficients of a fundamental.
 
     With ψ = ωt and a window h of unit sum, harmonic k of a signal s is

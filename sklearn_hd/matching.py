@@ -12,6 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
+from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_positive
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
@@ -402,6 +403,7 @@ class StructuredMatcher(ModelStep):
         self.tol = tol
         self.warmup = warmup
 
+    @one_blas_thread
     def fit(self, X, y):
         """Match the structure to the model that rides on X.
 

@@ -6,9 +6,11 @@ import warnings
 import numpy as np
 import pandas as pd
 from scipy import linalg
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import observations, output_scale, refit_inputs, to_continuous
+from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd.algorithms.mode_shapes import (
     harmonic_state_matrix,
@@ -36,6 +38,8 @@ FAMILY_TOLERANCE = 0.05
 WINDOW_DECAY = 1e-3
 SHAPE_CONDITION = 1e4
 REST_SHARE = 1e-9  # of an input's largest value, below which it counts as at rest
+MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
+DECISIVE_SHARE = 0.5  # the same for more modes than output coefficients
 MATERIAL_SHARE = 0.1  # of the unexplained variance that more modes must remove to be kept
 RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
 
@@ -50,8 +54,8 @@ class SpuriousModeReducer(ModelStep):
     2. groups the others into families of one Floquet multiplier e^{λT};
     3. keeps the smallest conjugate-closed set of modes that explains the raw
        signals as well as all of them do, and no more of them than there are
-       output coefficients (or the best set of ``n_states``), and calls the
-       rest of their families copies;
+       output coefficients unless more halve what is left unexplained (or the
+       best set of ``n_states``), and calls the rest of their families copies;
     4. where there are as many families as outputs and the inputs come to
        rest, takes the mode shapes P(ψ) of the families from the free decay,
        F(ψ) = (P′ + P R) P⁻¹ from them, and from that the harmonic
@@ -93,6 +97,9 @@ class SpuriousModeReducer(ModelStep):
     r2_ : float
         R² of the fit to the raw record, initial states fitted too; NaN where
         nothing had to be refitted.
+    left_out_ : float
+        Share of the variance that the modes kept leave unexplained which all
+        modes together would explain.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 
@@ -130,6 +137,7 @@ class SpuriousModeReducer(ModelStep):
         self.method = method
         self.warmup = warmup
 
+    @one_blas_thread
     def fit(self, X, y):
         """Tell genuine from spurious modes, and fit the inputs' effect to the raw record.
 
@@ -148,7 +156,7 @@ class SpuriousModeReducer(ModelStep):
             check_count("n_states", self.n_states, 1, "None decides by the data")
         experiment, model = upstream(self, X, y)
         basis = experiment.basis
-        self.r2_ = np.nan
+        self.r2_, self.left_out_ = np.nan, 0.0
         if model.dt == 0.0 or (basis is not None and basis.synchronous):
             self._keep_all(model, "period-synchronous" if model.dt else "already continuous")
         elif basis is None and self.n_states is None:
@@ -158,11 +166,17 @@ class SpuriousModeReducer(ModelStep):
         self.n_states_ = model.n_states
         return self._remember(model, experiment, X, y)
 
+    @property
+    def modes_(self):
+        """Every mode identified, with its family, verdict and reason, as a DataFrame."""
+        check_is_fitted(self)
+        return _table(*self._modes)
+
     def _keep_all(self, model, reason):
         z = np.linalg.eigvals(model.A)
         exponents = z if model.dt == 0.0 else np.log(z.astype(complex)) / model.dt
         families = np.arange(len(z))
-        self.modes_ = _table(exponents, families, ["genuine"] * len(z), [reason] * len(z))
+        self._modes = (exponents, families, ["genuine"] * len(z), [reason] * len(z))
 
     def _keep_plain(self, model, experiment):
         """All modes that have a continuous-time counterpart, as no analyzer was there."""
@@ -175,7 +189,7 @@ class SpuriousModeReducer(ModelStep):
         verdicts = np.where(kept, "genuine", "weak")
         reasons = ["" if k else "negative real pole: no continuous-time counterpart" for k in kept]
         exponents = np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / model.dt
-        self.modes_ = _table(exponents, np.arange(len(z)), verdicts, reasons)
+        self._modes = (exponents, np.arange(len(z)), verdicts.tolist(), reasons)
         warnings.warn(
             f"{int((~kept).sum())} mode(s) on the negative real axis have no continuous-time "
             f"counterpart and are dropped; sample faster, or lower the order",
@@ -198,14 +212,16 @@ class SpuriousModeReducer(ModelStep):
             families[~window] = floquet_families(
                 z[~window], basis.rows_per_period, FAMILY_TOLERANCE
             )
-        units = [unit for unit in conjugate_units(z) if not window[list(unit)].any()]
+        longest = max(segment.stop - segment.start for segment in experiment.base.segments)
+        growth = exponents.real * longest * experiment.base.sample_time
+        window_or_wild = window | (growth > MAX_GROWTH)
+        units = [unit for unit in conjugate_units(z) if not window_or_wild[list(unit)].any()]
         kept_units, rivals = self._choose(units, exponents, shapes, experiment)
         kept = np.zeros(len(z), dtype=bool)
         kept[[i for unit in kept_units for i in unit]] = True
         doubtful = set(kept_units) - set.intersection(set(kept_units), *map(set, rivals))
-        self.modes_ = _table(
-            exponents, families, *_verdicts(kept, window, families, exponents, doubtful)
-        )
+        verdicts = _verdicts(kept, window, families, exponents, doubtful)
+        self._modes = (exponents, families, *verdicts)
         if doubtful:
             warnings.warn(
                 f"{len(rivals)} other set(s) of {int(kept.sum())} modes explain the data as well "
@@ -226,12 +242,14 @@ class SpuriousModeReducer(ModelStep):
         R, columns = _compressed_regressors(units, exponents, shapes, experiment)
         floor = residual(R, columns, tuple(range(len(units))))
         rounding = 1e-14 * float(R[:, -1] @ R[:, -1])
-        # in harmonic-decomposition form the output coefficients are the states
-        wanted = range(1, shapes.shape[1] + 1) if self.n_states is None else [int(self.n_states)]
+        wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
         ranking = []
         for n_states in wanted:
             ranking = best_modes(R, columns, sizes, n_states) or ranking
-            if ranking and ranking[0][0] <= floor / (1.0 - MATERIAL_SHARE) + rounding:
+            # in harmonic-decomposition form the output coefficients are the states: more are
+            # kept only where so many leave out what matters (noise can pair a real pole)
+            share = MATERIAL_SHARE if n_states < shapes.shape[1] else DECISIVE_SHARE
+            if ranking and ranking[0][0] <= floor / (1.0 - share) + rounding:
                 break
         if not ranking:
             raise ValueError(
@@ -239,6 +257,7 @@ class SpuriousModeReducer(ModelStep):
                 f"real poles or conjugate pairs are left once the window's memory is split off "
                 f"(pairs stay together); change n_states or raise the order of the identified model"
             )
+        self.left_out_ = 1.0 - min(1.0, (floor + rounding) / max(ranking[0][0], rounding))
         limit = ranking[0][0] * (1.0 + RIVAL_SHARE) + rounding
         rivals = [rival for value, rival in ranking[1:] if value <= limit]
         pick = [units[i] for i in ranking[0][1]]
@@ -267,15 +286,20 @@ class SpuriousModeReducer(ModelStep):
         A = harmonic_state_matrix(F, highest, basis.omega)
         where = _kept_states(basis)
         A, C = A[np.ix_(where, where)], np.eye(len(where))
+        if np.max(np.linalg.eigvals(A).real) > max(0.0, np.max(np.linalg.eigvals(R).real)):
+            return None  # noise, or too few harmonics: a decay that grows
         B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
         _, _, r2_modes = self._modal_refit(model, experiment, z, kept)
         if not (1.0 - r2) * (1.0 - MATERIAL_SHARE) <= 1.0 - r2_modes:
             return None
         self.r2_ = r2
-        self.modes_["reason"] = self.modes_["reason"].where(
-            self.modes_["verdict"] != "genuine",
-            "its family's mode shape gives F(ψ), and that the harmonic decomposition",
-        )
+        exponents, families, verdicts, reasons = self._modes
+        shown = "its family's mode shape gives F(ψ), and that the harmonic decomposition"
+        reasons = [
+            shown if verdict == "genuine" else reason
+            for verdict, reason in zip(verdicts, reasons, strict=True)
+        ]
+        self._modes = (exponents, families, verdicts, reasons)
         return model.in_continuous_time(A, B, C, D, state_names=model.output_names)
 
     def _refit(self, model, experiment, z, kept, fast):

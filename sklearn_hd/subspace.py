@@ -7,6 +7,7 @@ import numpy as np
 from sklearn_hd._base import ModelStep
 from sklearn_hd._data import as_container, read_experiment, rows_read
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.moesp import (
@@ -112,6 +113,7 @@ class MOESPRegressor(ModelStep):
         self.scale = scale
         self.warmup = warmup
 
+    @one_blas_thread
     def fit(self, X, y):
         """Identify the model.
 

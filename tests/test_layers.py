@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_validation"},
+    {"exceptions", "_validation", "_threads"},
     {"algorithms"},
     {"systems"},
     {"_frame"},

@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 EPS = np.finfo(float).eps
+MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
 GAP_REACH = np.sqrt(10.0)
 CLEAR_GAP = 2.0
 WIDE_GAP = 1e3
@@ -188,6 +189,10 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_r
         Sum of squares left, only with ``return_residual``.
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
+    pieces, firsts = _pieces(A, [len(u) for u in inputs])
+    inputs = [inputs[s][rows] for s, rows in pieces]
+    outputs = [outputs[s][rows] for s, rows in pieces]
+    observe = None if observe is None else [observe[s][rows] for s, rows in pieces]
     n_forced = n * m + (n_outputs * m if feedthrough else 0)
     size = n_forced + n * len(inputs)
     R = np.zeros((0, size + 1))
@@ -207,10 +212,34 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_r
         if feedthrough
         else np.zeros((n_outputs, m))
     )
-    x0 = solution[n_forced:].reshape(len(inputs), n)
+    x0 = solution[n_forced:].reshape(len(inputs), n)[firsts]
     if not return_residual:
         return B, D, x0
     return B, D, x0, float(np.sum((R[:, -1] - R[:, :-1] @ solution) ** 2))
+
+
+def _pieces(A, lengths):
+    """Rows of each segment in pieces over which an unstable A does not overflow.
+
+    Each piece gets an initial state of its own; a stable A leaves segments whole.
+
+    Returns
+    -------
+    pieces : list of (int, slice)
+        Segment and rows.
+    firsts : list of int
+        The first piece of each segment.
+    """
+    radius = np.max(np.abs(linalg.eigvals(A)), initial=0.0)
+    longest = max(lengths, default=0)
+    if radius > 1.0:
+        longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))
+    pieces, firsts = [], []
+    for s, length in enumerate(lengths):
+        firsts.append(len(pieces))
+        starts = range(0, length, longest) if length else [0]
+        pieces += [(s, slice(start, min(start + longest, length))) for start in starts]
+    return pieces, firsts
 
 
 def _scaled_lstsq(regressors, target):

@@ -30,6 +30,7 @@ def propagate(A, forcing, x0):
     Returns
     -------
     states : ndarray, shape (..., n_samples, n)
+        Infinite or NaN where an unstable A makes them overflow.
 
     Examples
     --------
@@ -45,11 +46,12 @@ def propagate(A, forcing, x0):
     x[..., 0, :] = x0
     x[..., 1:, :] = forcing[..., :-1, :]
     power, step = A.T.copy(), 1
-    while step < x.shape[-2]:
-        if not np.any(power):
-            break  # nilpotent, or decayed below the smallest number
-        x[..., step:, :] += x[..., :-step, :] @ power
-        power, step = power @ power, 2 * step
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        while step < x.shape[-2]:
+            if not np.any(power):
+                break  # nilpotent, or decayed below the smallest number
+            x[..., step:, :] += x[..., :-step, :] @ power
+            power, step = power @ power, 2 * step
     return x
 
 

@@ -1,0 +1,234 @@
+"""Habits of scikit-learn and its neighbours that users bring along."""
+
+import warnings
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import KEPT, heave_pipeline
+from sklearn.base import clone
+from sklearn.frozen import FrozenEstimator
+from sklearn.inspection import permutation_importance
+from sklearn.model_selection import (
+    GroupKFold,
+    RandomizedSearchCV,
+    TimeSeriesSplit,
+    cross_val_predict,
+    cross_val_score,
+    validation_curve,
+)
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicFrame,
+    MatrixStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.datasets import make_flapping_wing
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Six noisy doublet records of sixty periods."""
+    return make_flapping_wing("ltp", n_records=6, n_periods=60, start=5, snr=50, random_state=7)
+
+
+@pytest.fixture(scope="module")
+def groups(short):
+    return short.inputs.index.get_level_values("record")
+
+
+@pytest.fixture(scope="module")
+def fitted(short):
+    steps = heave_pipeline(short.omega, n_states=3).steps
+    pipe = Pipeline([*steps, ("match", StructuredMatcher())])
+    return pipe.fit(short.inputs, short.outputs)
+
+
+def test_scalers_and_functions_before_the_analyzer(short, fitted):
+    """A change of the inputs' units before the analyzer changes B alone."""
+    for step in (
+        FunctionTransformer(lambda u: u * 1e3).set_output(transform="pandas"),
+        StandardScaler(with_mean=False).set_output(transform="pandas"),
+    ):
+        pipe = clone(fitted)
+        pipe.steps.insert(0, ("units", step))
+        pipe.fit(short.inputs, short.outputs)
+        assert pipe.score(short.inputs, short.outputs) == pytest.approx(
+            fitted.score(short.inputs, short.outputs), abs=1e-9
+        )
+
+
+def test_a_scaler_behind_the_analyzer_is_refused(short):
+    steps = heave_pipeline(short.omega).steps
+    steps.insert(1, ("units", StandardScaler().set_output(transform="pandas")))
+    steps[0][1].set_params(input_harmonics=1)
+    with pytest.raises(ValueError, match="dropped it"):
+        Pipeline(steps).fit(short.inputs, short.outputs)
+
+
+def test_pandas_output_keeps_the_model(short, fitted):
+    pipe = clone(fitted).set_output(transform="pandas").fit(short.inputs, short.outputs)
+    np.testing.assert_array_equal(pipe["match"].model_.A, fitted["match"].model_.A)
+    frame = pipe[:3].transform(short.inputs)
+    assert isinstance(frame, HarmonicFrame)
+    assert frame.model is pipe["reduce"].model_
+
+
+def test_containers_that_would_drop_the_model_are_refused():
+    for step in (
+        HarmonicAnalyzer(1.0),
+        MOESPRegressor(),
+        SpuriousModeReducer(),
+        StructuredMatcher(),
+    ):
+        with pytest.raises(ValueError, match=r"transform='polars' would drop .* use 'pandas' or"):
+            step.set_output(transform="polars")
+        assert step.set_output(transform="pandas") is step
+        assert step.set_output(transform=None) is step
+
+
+def test_html_shows_the_steps(fitted):
+    html = fitted._repr_html_()
+    for name in ("HarmonicAnalyzer", "MOESPRegressor", "SpuriousModeReducer", "StructuredMatcher"):
+        assert name in html
+
+
+def test_randomized_search_and_two_processes(short, groups):
+    pipe = heave_pipeline(short.omega, n_states=3)
+    search = RandomizedSearchCV(
+        pipe,
+        {"identify__order": [12, 16, 18], "harmonics__window": ["boxcar", "centred-boxcar"]},
+        n_iter=3,
+        cv=GroupKFold(3),
+        n_jobs=2,
+        random_state=0,
+    ).fit(short.inputs, short.outputs, groups=groups)
+    assert search.best_score_ > 0.98
+    one = clone(search).set_params(n_jobs=1).fit(short.inputs, short.outputs, groups=groups)
+    np.testing.assert_allclose(
+        one.cv_results_["mean_test_score"], search.cv_results_["mean_test_score"], rtol=1e-6
+    )
+
+
+def test_time_series_split_on_one_long_record():
+    data = make_flapping_wing("ltp", input="3211", n_periods=160, width=4)
+    pipe = heave_pipeline(data.omega, n_states=3)
+    scores = cross_val_score(pipe, data.inputs, data.outputs, cv=TimeSeriesSplit(3))
+    assert scores.min() > 0.98
+
+
+def test_cross_val_predict_mirrors_the_rows(short, groups):
+    pipe = heave_pipeline(short.omega, n_states=3)
+    predicted = cross_val_predict(
+        pipe, short.inputs, short.outputs, groups=groups, cv=GroupKFold(3)
+    )
+    assert predicted.shape == short.outputs.shape
+    rest = short.outputs.to_numpy() - predicted
+    assert 1 - np.var(rest) / np.var(short.outputs.to_numpy()) > 0.98
+
+
+def test_validation_curve_over_the_order(short, groups):
+    pipe = heave_pipeline(short.omega, n_states=3)
+    _, test = validation_curve(
+        pipe,
+        short.inputs,
+        short.outputs,
+        param_name="identify__order",
+        param_range=[10, 16],
+        groups=groups,
+        cv=GroupKFold(2),
+    )
+    assert test.shape == (2, 2)
+    assert np.isfinite(test).all()
+
+
+def test_permutation_importance_of_an_input_channel(rng):
+    u = rng.standard_normal((400, 2))
+    y = np.zeros(400)
+    for k in range(399):
+        y[k + 1] = 0.7 * y[k] + u[k, 0]
+    model = MOESPRegressor(order=1, block_rows=5).fit(u, y)
+    importance = permutation_importance(model, u, y, n_repeats=2, random_state=0)
+    assert importance.importances_mean[0] > 1.0
+    assert abs(importance.importances_mean[1]) < 1e-6
+
+
+def test_frozen_models_are_not_fitted_again(short):
+    u, y = short.inputs, short.outputs
+    analyzer = HarmonicAnalyzer(short.omega, output_harmonics=KEPT, hop=8)
+    inner = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor(order=16))]).fit(u, y)
+    reducer = SpuriousModeReducer(FrozenEstimator(inner), n_states=3).fit(u, y)
+    assert reducer.estimator_.estimator is inner
+    matcher = StructuredMatcher(FrozenEstimator(reducer)).fit(u, y)
+    np.testing.assert_array_equal(matcher.model_.A, reducer.model_.A)
+
+
+def test_system_goes_straight_into_python_control(fitted):
+    system = fitted["match"].system_
+    assert system.ninputs == 1
+    response = control.step_response(system, np.linspace(0, 1, 200))
+    assert np.isfinite(response.outputs).all()
+    magnitude = control.frequency_response(system, [1.0, 100.0]).magnitude
+    assert np.isfinite(magnitude).all()
+    reduced = control.balred(system, 2, method="truncate")
+    assert reduced.nstates == 2
+    gain, _, poles = control.lqr(system, np.eye(3), [[1e6]])
+    assert gain.shape == (1, 3)
+    assert poles.real.max() < 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import matplotlib as mpl
+
+        mpl.use("Agg")
+        control.bode_plot(system, [1.0, 10.0])
+
+
+def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
+    skops = pytest.importorskip("skops.io")
+    path = tmp_path / "pipe.skops"
+    skops.dump(fitted, path)
+    trusted = skops.get_untrusted_types(file=path)
+    assert set(trusted) <= {
+        "sklearn_hd._frame.HarmonicBasis",
+        "sklearn_hd._frame.LTIModel",
+        "sklearn_hd.harmonics.HarmonicAnalyzer",
+        "sklearn_hd.matching.StructuredMatcher",
+        "sklearn_hd.reduction.SpuriousModeReducer",
+        "sklearn_hd.subspace.MOESPRegressor",
+    }
+    loaded = skops.load(path, trusted=trusted)
+    pd.testing.assert_frame_equal(loaded.predict(short.inputs), fitted.predict(short.inputs))
+
+
+def test_records_from_a_csv_file(tmp_path, short, fitted):
+    record = pd.concat([short.inputs.loc[0], short.outputs.loc[0]], axis=1)
+    record.to_csv(tmp_path / "flight.csv")
+    flight = pd.read_csv(tmp_path / "flight.csv", index_col="time")
+    predicted = fitted.predict(flight[["U"]])
+    pd.testing.assert_frame_equal(predicted, fitted.predict(short.inputs.loc[0]), rtol=1e-6)
+
+
+def test_two_records_equal_one_only_where_they_should(short):
+    """The same record twice gives the model of one; another record moves it."""
+    u, y = short.inputs.loc[0], short.outputs.loc[0]
+    pipe = heave_pipeline(short.omega, n_states=3)
+    pipe["identify"].set_params(order=16)
+    one = clone(pipe).fit(u, y)["identify"].eigenvalues_
+    twice = clone(pipe).fit(pd.concat({0: u, 1: u}), pd.concat({0: y, 1: y}))["identify"]
+    other = clone(pipe).fit(short.inputs.loc[[0, 1]], short.outputs.loc[[0, 1]])["identify"]
+    near = np.abs(twice.eigenvalues_[:, None] - one).min(axis=1).max()
+    far = np.abs(other.eigenvalues_[:, None] - one).min(axis=1).max()
+    assert near < 1e-9
+    assert far > 1e-4
+
+
+def test_structures_survive_clone_and_grid(short, groups):
+    structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan))
+    matcher = StructuredMatcher(structure=structure)
+    assert clone(matcher).structure == structure
