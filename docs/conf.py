@@ -13,3 +13,25 @@ numpydoc_show_class_members = False
 exclude_patterns = ["_build"]
 html_theme = "pydata_sphinx_theme"
 html_theme_options = {"navigation_with_keys": False}
+
+
+def equations_as_they_stand(app, what, name, obj, options, lines):
+    """Indented equations ahead of the first section of a docstring become literal blocks."""
+    shown, inside = [], False
+    for k, line in enumerate(lines):
+        if set(line.strip()) == {"-"}:
+            shown += lines[k:]
+            break
+        equation = line.startswith("    ")
+        if equation and not inside:
+            shown += ["::", ""]
+        elif inside and line and not equation:
+            inside = False
+        inside = equation or (inside and not line)
+        shown.append(line)
+    lines[:] = shown
+
+
+def setup(app):
+    """Run before numpydoc, which rewrites the sections."""
+    app.connect("autodoc-process-docstring", equations_as_they_stand, priority=100)

@@ -343,7 +343,9 @@ class StructuredMatcher(ModelStep):
         The match in the mean square over frequency, usually the better
         estimate of parameters where no exact match exists.
     hinf_error_ : float
-        ‖G_c − G_s(θ)‖_∞ relative to ‖G_c‖_∞, both of the scaled channels.
+        ‖W_o (G_c − G_s(θ)) W_i‖_∞, W_o and W_i the channel scales.
+    hinf_error_relative_ : float
+        The same divided by ‖W_o G_c W_i‖_∞.
     peak_frequency_ : float
         rad/s, where the error is largest.
     n_iter_ : int
@@ -444,7 +446,7 @@ class StructuredMatcher(ModelStep):
         self._warn(result, tol)
         self._parameter_names = structure.parameter_names
         self._theta, self._theta_least_squares = result.theta, result.theta_least_squares
-        self.hinf_error_ = result.relative_error
+        self.hinf_error_, self.hinf_error_relative_ = result.hinf_error, result.relative_error
         self.peak_frequency_ = result.peak_frequency
         self.n_iter_ = result.n_iter
         matrices = (result.A, result.B, result.C, result.D)
@@ -461,7 +463,8 @@ class StructuredMatcher(ModelStep):
         )
         self._theta = np.concatenate([M.ravel() for M in matrices])
         self._theta_least_squares = self._theta
-        self.hinf_error_, self.peak_frequency_, self.n_iter_ = 0.0, 0.0, 1
+        self.hinf_error_, self.hinf_error_relative_ = 0.0, 0.0
+        self.peak_frequency_, self.n_iter_ = 0.0, 1
         return self
 
     @property

@@ -62,7 +62,7 @@ def test_matched_system_is_the_harmonic_decomposition(fitted, lti_signal):
     assert error(system.A, lti_signal.A_exact.to_numpy()) < 1e-8
     theta = fitted["match"].theta_
     assert theta["A[0,0]"] == pytest.approx(lti_signal.A_exact.iloc[0, 0], rel=1e-6)
-    assert fitted["match"].hinf_error_ < 1e-9
+    assert fitted["match"].hinf_error_relative_ < 1e-9
 
 
 def test_modes_are_told_apart_without_the_truth(fitted, lti_signal):

@@ -133,10 +133,12 @@ def make_flapping_wing(
         system : PeriodicSystem
             The nonlinear system.
         trim : Trim
+            The periodic solution that all kinds share.
         trim_span : tuple of float or None
             (0, time of the first change of any record's input) in seconds, within each
             record; None if that is less than a period.
         DESCR : str
+            How the data were made.
 
     Raises
     ------

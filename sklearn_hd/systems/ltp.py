@@ -231,7 +231,9 @@ class LTPSystem:
     def participation_factors(self, n_harmonics):
         """Participation of each harmonic of each state in each mode of the HD model.
 
-        p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji| from right and left eigenvectors of A.
+            p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji|
+
+        from right and left eigenvectors v and w of A.
 
         Parameters
         ----------
@@ -253,8 +255,11 @@ class LTPSystem:
         """Share of each harmonic of a state in that state's motion in each Floquet mode.
 
         The mode p(ψ) e^{λt}, p = Σ_k c_k e^{jkψ}, moves state i by the harmonics
-        c_ik; the shares (|c_ik| + |c_i,−k|) / Σ_k |c_ik| sum to one for each state and
-        mode. Each Floquet exponent is represented by the eigenvalue of the HD model
+        c_ik; the shares
+
+            (|c_ik| + |c_i,−k|) / Σ_k |c_ik|
+
+        sum to one for each state and mode. Each Floquet exponent is represented by the eigenvalue of the HD model
         nearest to it (the paper's base eigenvalues, Fig. 1).
 
         Parameters
