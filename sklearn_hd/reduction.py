@@ -1,11 +1,9 @@
 """Step 4: drop the modes that the harmonic analyzer put in."""
 
-import itertools
 import warnings
 
 import numpy as np
 import pandas as pd
-from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
@@ -16,16 +14,19 @@ from sklearn_hd.algorithms.mode_shapes import (
     harmonic_state_matrix,
     mode_shapes,
     real_block,
+    shape_condition,
     state_matrix_samples,
+    strongest_free_decay,
 )
 from sklearn_hd.algorithms.modes import (
     best_modes,
     conjugate_units,
+    family_exponents,
     floquet_families,
     invariant_pair,
     is_window_pole,
-    mode_regressors,
     residual,
+    unit_regressors,
 )
 from sklearn_hd.algorithms.residualization import residualize
 from sklearn_hd.algorithms.simulation import discrete_to_continuous
@@ -239,7 +240,17 @@ class SpuriousModeReducer(ModelStep):
     def _choose(self, units, exponents, shapes, experiment):
         """Units to keep, and rival sets that explain the data as well."""
         sizes = [len(unit) for unit in units]
-        R, columns = _compressed_regressors(units, exponents, shapes, experiment)
+        scale = output_scale(experiment)
+        observe = observations(experiment, shapes.shape[1])
+        R, columns = unit_regressors(
+            units,
+            exponents,
+            shapes,
+            experiment.drive,
+            [y / scale for y in experiment.outputs],
+            experiment.base.sample_time,
+            [R_psi / scale[:, None] for R_psi in observe],
+        )
         floor = residual(R, columns, tuple(range(len(units))))
         rounding = 1e-14 * float(R[:, -1] @ R[:, -1])
         wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
@@ -270,17 +281,24 @@ class SpuriousModeReducer(ModelStep):
         enough, or the modes themselves explain the raw record better.
         """
         basis = experiment.basis
-        exponents = _family_exponents(z, families, kept, basis)
-        decay = _longest_rest(experiment)
+        spp = basis.samples_per_period
+        kept_families = sorted(set(families[kept].tolist()))
+        exponents = family_exponents(
+            z, families, kept_families, basis.rows_per_period, FAMILY_TOLERANCE
+        )
+        scale = output_scale(experiment)
+        phases = [basis.phase_index(time) for time in experiment.times()]
+        outputs = [y / scale for y in experiment.outputs]
+        decay = strongest_free_decay(experiment.drive, outputs, phases, spp, REST_SHARE)
         if exponents is None or decay is None:
             return None
-        R = real_block(exponents)
-        n_periods = len(decay) // basis.samples_per_period
-        if len(R) != decay.shape[1] or n_periods < 2 * len(R):
+        R = real_block(exponents * basis.omega / (2.0 * np.pi))
+        if len(R) != decay.shape[1] or len(decay) < 2 * len(R) * spp:
             return None
-        P = mode_shapes(decay, R, basis.sample_time, basis.samples_per_period)
-        if np.max(np.linalg.cond(P / np.linalg.norm(P, axis=(0, 2))[:, None])) > SHAPE_CONDITION:
+        P = mode_shapes(decay, R, basis.sample_time, spp)
+        if shape_condition(P) > SHAPE_CONDITION:
             return None
+        P = P * scale[:, None]
         F = state_matrix_samples(P, R, basis.omega)
         highest = max(k for _, orders in basis.outputs for k in orders)
         A = harmonic_state_matrix(F, highest, basis.omega)
@@ -304,10 +322,7 @@ class SpuriousModeReducer(ModelStep):
 
     def _refit(self, model, experiment, z, kept, fast):
         """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
-        stay = kept | fast
-        A_d, C = invariant_pair(model.A, model.C, z[stay], z[~stay])
-        A, _ = discrete_to_continuous(A_d, np.zeros((len(A_d), 0)), model.dt)
-        B, D, self.r2_ = refit_inputs(A, C, experiment, model.feedthrough)
+        (A, C), (B, D), self.r2_ = self._modal_refit(model, experiment, z, kept | fast)
         if fast.any():
             exponents = np.log(z) / model.dt
             A, B, C, D = residualize(A, B, C, D, exponents[kept], exponents[fast])
@@ -323,50 +338,6 @@ class SpuriousModeReducer(ModelStep):
         return (A, C), (B, D), r2
 
 
-def _family_exponents(z, families, kept, basis):
-    """One Floquet exponent (or pair) for each family kept; None where there is no real form.
-
-    The mean over the family's members of ln z^r / T: they differ by jpω alone.
-    """
-    period = 2.0 * np.pi / basis.omega
-    exponents = []
-    for family in sorted(set(families[kept].tolist())):
-        multipliers = z[families == family] ** basis.rows_per_period
-        folded = np.log(multipliers.real + 1j * np.abs(multipliers.imag))
-        mean = np.mean(folded)
-        if abs(mean.imag) <= FAMILY_TOLERANCE:
-            exponents.append(complex(mean.real / period))
-        elif np.pi - mean.imag <= FAMILY_TOLERANCE:
-            return None  # a negative multiplier: real over two periods only
-        else:
-            exponents.append(mean / period)
-    return exponents
-
-
-def _longest_rest(experiment):
-    """Outputs over the whole periods of a segment in which the inputs have come to rest.
-
-    Of all segments the one whose decay holds the most signal; None if there is none.
-    """
-    basis, scale = experiment.basis, output_scale(experiment)
-    spp = basis.samples_per_period
-    best, energy = None, 0.0
-    for drive, y, time in zip(
-        experiment.drive, experiment.outputs, experiment.times(), strict=True
-    ):
-        moving = np.abs(drive) > REST_SHARE * np.max(np.abs(drive), axis=0, initial=0.0)
-        if not moving.any():
-            continue
-        phase = basis.phase_index(time)
-        last = np.flatnonzero(moving.any(axis=1))[-1]
-        start = last + spp - phase[last]  # the period after the last motion
-        decay = y[start : start + max(0, len(y) - start) // spp * spp]
-        found = float(np.sum((decay / scale) ** 2))
-        if found > energy:
-            best, energy = decay, found
-    return best
-
-
 def _kept_states(basis):
     """Places of the output coefficients kept among the states x_0, x_1c, x_1s, …"""
     n_signals = len(basis.outputs)
@@ -376,41 +347,6 @@ def _kept_states(basis):
             blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
             places += [block * n_signals + i for block in blocks]
     return places
-
-
-def _compressed_regressors(units, exponents, shapes, experiment):
-    """Triangular factor of the responses of all units beside the outputs."""
-    scale = output_scale(experiment)
-    width = experiment.drive[0].shape[1] + 1
-    counts = [width * len(unit) for unit in units]
-    edges = np.concatenate([[0], np.cumsum(counts)]).astype(int)
-    n_segments = len(experiment.drive)
-    # initial amplitudes are free in every segment: columns of their own
-    total = edges[-1] + (n_segments - 1) * sum(len(unit) for unit in units)
-    columns = [list(range(a, b)) for a, b in itertools.pairwise(edges)]
-    R = np.zeros((0, total + 1))
-    following = edges[-1]
-    observe = observations(experiment, shapes.shape[1])
-    parts = zip(experiment.drive, experiment.outputs, observe, strict=True)
-    for s, (drive, y, R_psi) in enumerate(parts):
-        rows = np.zeros((y.size, total + 1))
-        for k, unit in enumerate(units):
-            exponent = exponents[unit[0]]
-            exponent = exponent if len(unit) == 2 else complex(exponent.real)
-            response = mode_regressors(
-                exponent, shapes[unit[0]], drive, experiment.base.sample_time, R_psi
-            )
-            response = (response / scale[:, None]).reshape(y.size, len(unit), width)
-            rows[:, edges[k] : edges[k + 1]] = response.reshape(y.size, -1)
-            if s:
-                own = np.arange(len(unit)) * width + width - 1
-                rows[:, edges[k] + own] = 0.0
-                rows[:, following : following + len(unit)] = response[:, :, -1]
-                columns[k] += range(following, following + len(unit))
-                following += len(unit)
-        rows[:, -1] = (y / scale).reshape(-1)
-        R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: total + 1]
-    return R, [np.array(column) for column in columns]
 
 
 def _to_residualize(method, others, exponents, z, basis):

@@ -18,7 +18,14 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.floquet import derivative_matrix, toeplitz_matrix
 
-__all__ = ["harmonic_state_matrix", "mode_shapes", "real_block", "state_matrix_samples"]
+__all__ = [
+    "harmonic_state_matrix",
+    "mode_shapes",
+    "real_block",
+    "shape_condition",
+    "state_matrix_samples",
+    "strongest_free_decay",
+]
 
 
 def real_block(exponents):
@@ -39,6 +46,58 @@ def real_block(exponents):
         for e in np.asarray(exponents, dtype=complex)
     ]
     return linalg.block_diag(*blocks) if blocks else np.zeros((0, 0))
+
+
+def strongest_free_decay(inputs, outputs, phases, samples_per_period, rest_share):
+    """Outputs over the whole periods in which the inputs have come to rest.
+
+    Parameters
+    ----------
+    inputs, outputs : list of ndarray, shapes (n_samples_s, m) and (n_samples_s, l)
+        One array a segment; outputs in like units.
+    phases : list of ndarray of int, shapes (n_samples_s,)
+        Sample within the period.
+    samples_per_period : int
+    rest_share : float
+        Share of an input's largest value below which it counts as at rest.
+
+    Returns
+    -------
+    decay : ndarray, shape (n_periods * samples_per_period, l), or None
+        Of the segment whose decay holds the most signal, from ψ = 0; None if
+        no input ever moves and comes to rest.
+    """
+    spp, best, energy = samples_per_period, None, 0.0
+    for u, y, phase in zip(inputs, outputs, phases, strict=True):
+        moving = np.abs(u) > rest_share * np.max(np.abs(u), axis=0, initial=0.0)
+        if not moving.any():
+            continue
+        last = np.flatnonzero(moving.any(axis=1))[-1]
+        start = last + spp - phase[last]  # the period after the last motion
+        decay = y[start : start + max(0, len(y) - start) // spp * spp]
+        found = float(np.sum(decay**2))
+        if found > energy:
+            best, energy = decay, found
+    return best
+
+
+def shape_condition(P):
+    """Largest condition number of P(ψ), its rows and columns scaled over the period.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n_phases, n, n)
+
+    Returns
+    -------
+    condition : float
+        Infinite where an output or a mode is not there at all.
+    """
+    rows = np.linalg.norm(P, axis=(0, 2))[:, None]
+    columns = np.linalg.norm(P / np.where(rows > 0, rows, 1.0), axis=(0, 1))
+    if not (rows.all() and columns.all()):
+        return np.inf
+    return float(np.max(np.linalg.cond(P / rows / columns)))
 
 
 def mode_shapes(outputs, R, sample_time, samples_per_period):

@@ -24,10 +24,12 @@ from scipy.signal import lfilter
 __all__ = [
     "best_modes",
     "conjugate_units",
+    "family_exponents",
     "floquet_families",
     "invariant_pair",
     "is_window_pole",
     "mode_regressors",
+    "unit_regressors",
 ]
 
 MAX_SUBSETS = 20_000
@@ -90,6 +92,36 @@ def floquet_families(z, rows_per_period, tolerance):
     return np.array([heads.index(i) for i in first], dtype=int)
 
 
+def family_exponents(z, families, chosen, rows_per_period, tolerance):
+    """One Floquet exponent, or one of a pair, for each of some families.
+
+    The mean over a family's members of ln z^r: they differ by multiples of 2πj alone.
+
+    Parameters
+    ----------
+    z : complex ndarray, shape (n,)
+    families : ndarray of int, shape (n,)
+        From :func:`floquet_families`.
+    chosen : sequence of int
+    rows_per_period : int
+    tolerance : float
+        Angle of a multiplier below which it counts as real.
+
+    Returns
+    -------
+    exponents : complex ndarray, shape (n_chosen,), or None
+        λT. None where a multiplier is negative: its real form spans two periods.
+    """
+    exponents = []
+    for family in chosen:
+        multipliers = z[families == family] ** rows_per_period
+        mean = np.mean(np.log(multipliers.real + 1j * np.abs(multipliers.imag)))
+        if np.pi - mean.imag <= tolerance:
+            return None
+        exponents.append(mean.real + 0j if mean.imag <= tolerance else mean)
+    return np.array(exponents, dtype=complex)
+
+
 def conjugate_units(z):
     """Conjugate-closed units that can be kept or dropped: a real pole, or a pair.
 
@@ -144,6 +176,54 @@ def mode_regressors(exponent, shape, drive, dt, observe=None):
     if exponent.imag == 0.0:
         return response.real
     return np.concatenate([response.real, response.imag], axis=-1)
+
+
+def unit_regressors(units, exponents, shapes, inputs, outputs, dt, observe):
+    """Triangular factor of the responses of all units beside the outputs.
+
+    Parameters
+    ----------
+    units : list of tuple of int
+        From :func:`conjugate_units`.
+    exponents : complex ndarray, shape (n,)
+        1/s.
+    shapes : complex ndarray, shape (n, n_coefficients)
+        Output vectors of the modes.
+    inputs, outputs : list of ndarray, shapes (n_samples_s, m) and (n_samples_s, l)
+        One array a segment; each segment has initial amplitudes of its own.
+    dt : float
+        Sample time, seconds.
+    observe : list of ndarray, shapes (n_samples_s, l, n_coefficients)
+
+    Returns
+    -------
+    R : ndarray, shape (p + 1, p + 1)
+    columns : list of ndarray of int
+        Columns of R that belong to each unit.
+    """
+    width = inputs[0].shape[1] + 1
+    edges = np.cumsum([0, *(width * len(unit) for unit in units)])
+    n_states = sum(len(unit) for unit in units)
+    total = int(edges[-1]) + (len(inputs) - 1) * n_states
+    columns = [list(range(a, b)) for a, b in itertools.pairwise(edges)]
+    R = np.zeros((0, total + 1))
+    following = int(edges[-1])
+    for s, (u, y) in enumerate(zip(inputs, outputs, strict=True)):
+        rows = np.zeros((y.size, total + 1))
+        for k, unit in enumerate(units):
+            exponent = exponents[unit[0]]
+            exponent = exponent if len(unit) == 2 else complex(exponent.real)
+            response = mode_regressors(exponent, shapes[unit[0]], u, dt, observe[s])
+            response = response.reshape(y.size, len(unit), width)
+            rows[:, edges[k] : edges[k + 1]] = response.reshape(y.size, -1)
+            if s:  # the initial amplitudes move to columns of this segment's own
+                rows[:, edges[k] + np.arange(len(unit)) * width + width - 1] = 0.0
+                rows[:, following : following + len(unit)] = response[:, :, -1]
+                columns[k] += range(following, following + len(unit))
+                following += len(unit)
+        rows[:, -1] = y.reshape(-1)
+        R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: total + 1]
+    return R, [np.array(column) for column in columns]
 
 
 def best_modes(R, columns, sizes, n_states):

@@ -259,8 +259,8 @@ class LTPSystem:
 
             (|c_ik| + |c_i,−k|) / Σ_k |c_ik|
 
-        sum to one for each state and mode. Each Floquet exponent is represented by the eigenvalue of the HD model
-        nearest to it (the paper's base eigenvalues, Fig. 1).
+        sum to one for each state and mode. Each Floquet exponent is represented by the
+        eigenvalue of the HD model nearest to it (the paper's base eigenvalues, Fig. 1).
 
         Parameters
         ----------
