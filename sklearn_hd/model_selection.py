@@ -9,7 +9,7 @@ need a counterpart here:
   simulate from a fitted initial state, as ``score`` of the model steps does
   (:func:`simulation_scorer`, :func:`fit_percent_scorer`);
 - a model with states to spare predicts as well as the true one, to within the
-  noise: the smallest that cannot be told from the best is the one to take
+  noise: the smallest within one standard error of the best is the one to take
   (:func:`smallest_within_one_standard_error`).
 """
 
@@ -210,19 +210,21 @@ def _records(base):
 
 
 def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score", test_share=None):
-    """Index of the smallest candidate that cannot be told from the best: a rule for ``refit``.
+    """Index of the smallest candidate about as good as the best: a rule for ``refit``.
 
-    With s_f the scores of a candidate and b_f those of the candidate of best
-    mean, both on the same folds f = 1 … k, the candidate is within one
-    standard error of the best if
+    With b_f the scores of the candidate of best mean on folds f = 1 … k, a
+    candidate of mean score s̄ is within one standard error of the best if
 
-        d̄ ≤ SE(d),   d_f = b_f − s_f,   SE²(d) = var(d) (1/k + q).
+        b̄ − s̄ ≤ SE,   SE² = var(b_f) (1/k + q).
 
-    What all candidates share on a fold (its excitation, its noise) cancels in
-    the difference. Folds share their training rows, which makes var(d)/k too
-    small; q, rows tested over rows trained on, corrects for that (Nadeau and
-    Bengio). Of the candidates within, the one smallest in the first parameter
-    of ``size`` is taken, then in the second, …, then the one of best score.
+    Folds share their training rows, which makes var/k too small; q, rows
+    tested over rows trained on, corrects for that (Nadeau and Bengio). Of the
+    candidates within, the one smallest in the first parameter of ``size`` is
+    taken, then in the second, …, then the one of best score.
+
+    The error is that of the best score, not of the difference b_f − s_f: a
+    state too many makes up for what the states before it were estimated
+    wrong, a gain that is tiny but the same on every fold.
 
     Parameters
     ----------
@@ -253,7 +255,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     References
     ----------
     Breiman, Friedman, Olshen, Stone (1984), Classification and Regression
-    Trees, section 3.4.3 (the rule, with the standard error of the best alone).
+    Trees, section 3.4.3 (the rule).
     Nadeau, Bengio (2003), Inference for the generalization error, Machine
     Learning 52, 239-281.
 
@@ -282,8 +284,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     check_positive("test_share", share, "rows tested over rows trained on", "None is 1/(k − 1)")
     means = scores.mean(axis=1)
     best = int(np.argmax(means))
-    difference = scores[best] - scores
-    error = difference.std(axis=1, ddof=1) * np.sqrt(1.0 / n_folds + share)
+    error = scores[best].std(ddof=1) * np.sqrt(1.0 / n_folds + share)
     within = means[best] - means <= error + ROUNDING * abs(means[best])
     return min(np.flatnonzero(within).tolist(), key=lambda i: (*sizes[i], -means[i], i))
 
