@@ -1,0 +1,172 @@
+"""Signals sampled at uneven places, brought onto a uniform grid, and back.
+
+A signal s is known at places p_0 < p_1 < … (seconds, or azimuth over the mean
+speed). Analysis wants it on the multiples of a step h. Two kinds of signal are
+told apart:
+
+* smooth ones (outputs, inputs known by their harmonics): the interpolating
+  spline of degree five, in both directions. With at least 16 samples in a
+  period of the highest frequency its error is below 1e-5 of the amplitude,
+  with 32 below 1e-7, with 64 below 1e-8, also where the places are off the
+  grid by a fifth of a step; white noise keeps its size within 15 %;
+* inputs held from one place to the next: the mean of the held signal over each
+  interval [g, g + h) that a sample on the grid is held for. A step stays a step
+  (a spline would ring about it) and nothing of its area is lost.
+
+Where the places lie on the grid already both give the samples back.
+"""
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+__all__ = ["bridge", "held_means", "interpolate", "uniform_grid", "unwrap"]
+
+DEGREE = 5
+BRIDGE_DEGREE = 3
+ON_GRID = 1e-6  # share of a step within which a place counts as being on the grid
+
+
+def uniform_grid(start, stop, step):
+    """Multiples of ``step`` from ``start`` to ``stop``; the nearest one if there is none.
+
+    Examples
+    --------
+    >>> uniform_grid(0.3, 2.0, 0.5).tolist()
+    [0.5, 1.0, 1.5, 2.0]
+    """
+    first = int(np.ceil(start / step - ON_GRID))
+    last = int(np.floor(stop / step + ON_GRID))
+    if last < first:
+        first = last = round(start / step)
+    return np.arange(first, last + 1) * step
+
+
+def interpolate(values, places, at, degree=DEGREE):
+    """Spline through some samples, evaluated elsewhere.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_samples, n_signals)
+    places : ndarray, shape (n_samples,)
+        Increasing.
+    at : ndarray, shape (n_points,)
+        Points beyond the ends continue the last piece of the spline.
+    degree : int, default=5
+        Lower where there are too few samples for it.
+
+    Returns
+    -------
+    values : ndarray, shape (n_points, n_signals)
+
+    Examples
+    --------
+    >>> t = np.arange(64) / 32
+    >>> s = interpolate(np.cos(2 * np.pi * t)[:, None], t, np.array([1.01]))
+    >>> bool(abs(s[0, 0] - np.cos(2 * np.pi * 1.01)) < 1e-7)
+    True
+    """
+    if len(places) == 1:
+        return np.repeat(values, len(at), axis=0)
+    degree = min(degree, (len(places) - 1 - (len(places) - 2) % 2))  # odd, fewer than the samples
+    origin = places[0]  # times far from zero would cost digits
+    return make_interp_spline(places - origin, values, degree)(np.asarray(at) - origin)
+
+
+def held_means(values, places, grid, step):
+    """Means, over each interval of a grid, of signals held from one place to the next.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_samples, n_signals)
+    places : ndarray, shape (n_samples,)
+        Increasing. The first value also counts before it, the last after it.
+    grid : ndarray, shape (n_grid,)
+        Starts of the intervals, ``step`` apart.
+    step : float
+
+    Returns
+    -------
+    means : ndarray, shape (n_grid, n_signals)
+
+    Examples
+    --------
+    >>> u = np.array([[0.0], [1.0], [1.0]])
+    >>> held_means(u, np.array([0.0, 1.25, 2.5]), np.arange(3.0), 1.0).ravel().tolist()
+    [0.0, 0.75, 1.0]
+    """
+    borders = np.append(grid, grid[-1] + step)
+    inside = places[(places > borders[0]) & (places < borders[-1])]
+    edges = np.union1d(borders, inside)
+    held = _row_held(places, edges[:-1])
+    owner = np.clip(np.searchsorted(borders, edges[:-1], side="right") - 1, 0, len(grid) - 1)
+    share = np.diff(edges) / step
+    # beside the value at the start of the interval, so that what is constant stays exactly so
+    start = values[_row_held(places, grid + ON_GRID * step)]
+    excess = (values[held] - start[owner]) * share[:, None]
+    means = start.copy()
+    np.add.at(means, owner, excess)
+    return means
+
+
+def _row_held(places, at):
+    return np.clip(np.searchsorted(places, at, side="right") - 1, 0, len(places) - 1)
+
+
+def bridge(values, places, longest, degree=BRIDGE_DEGREE):
+    """Short runs of NaN between finite samples of one signal, filled by interpolation.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_samples,)
+    places : ndarray, shape (n_samples,)
+    longest : int
+        Samples in the longest run that is filled; runs at the ends are not.
+    degree : int, default=3
+        Of the spline through the finite samples.
+
+    Returns
+    -------
+    values : ndarray, shape (n_samples,)
+
+    Examples
+    --------
+    >>> bridge(np.array([0.0, np.nan, 2.0, np.nan, np.nan, 5.0]), np.arange(6.0), 1).tolist()
+    [0.0, 1.0, 2.0, nan, nan, 5.0]
+    """
+    missing = np.isnan(values)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
+    starts, stops = edges[::2], edges[1::2]
+    short = (stops - starts <= longest) & (starts > 0) & (stops < len(values))
+    if not short.any():
+        return values
+    rows = np.concatenate(
+        [np.arange(a, b) for a, b in zip(starts[short], stops[short], strict=True)]
+    )
+    filled = values.copy()
+    known = ~missing
+    filled[rows] = interpolate(values[known, None], places[known], places[rows], degree)[:, 0]
+    return filled
+
+
+def unwrap(azimuth, time):
+    """Azimuth that grows from turn to turn, from one that may start anew at each turn.
+
+    An azimuth that only ever grows is returned as it is. NaN stays NaN, and
+    the turns passed meanwhile are told from the median speed.
+
+    Examples
+    --------
+    >>> unwrap(np.array([5.0, 6.0, 0.8]), np.arange(3.0)).round(4).tolist()
+    [5.0, 6.0, 7.0832]
+    """
+    known = np.isfinite(azimuth)
+    steps = np.diff(azimuth[known])
+    if np.all(steps > 0.0):
+        return azimuth
+    passed = np.diff(time[known])
+    turn = 2.0 * np.pi
+    speed = np.median((steps - turn * np.rint(steps / turn)) / passed)
+    steps += turn * np.rint((speed * passed - steps) / turn)
+    whole = azimuth.copy()
+    whole[known] = np.cumsum(np.concatenate([azimuth[known][:1], steps]))
+    return whole
