@@ -206,7 +206,10 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             simulator.outputs(start)
             for simulator, start in zip(self._simulators(experiment), starts, strict=True)
         ]
-        return self._mirror(self._with_trim(np.vstack(outputs), experiment), X)
+        trim = experiment.output_trim()
+        if trim is not None:
+            outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
+        return self._mirror(experiment.sampling.back(outputs), X)
 
     @one_blas_thread
     def score(self, X, y, sample_weight=None):
@@ -234,21 +237,21 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
     def _fitted_simulation(self, X, y):
         """Measured and simulated outputs on the rows that count, and those rows."""
         experiment = self._experiment(X, y)
+        trim, sampling = experiment.output_trim(), experiment.sampling
         truth, simulated, rows = [], [], []
-        parts = zip(
-            self._simulators(experiment),
-            experiment.outputs,
-            experiment.base.segments,
-            strict=True,
-        )
-        for simulator, y_segment, segment in parts:
+        parts = zip(self._simulators(experiment), experiment.outputs, sampling.pieces, strict=True)
+        for i, (simulator, y_segment, piece) in enumerate(parts):
             warm, counted = self._score_rows(simulator, experiment)
             if counted.start >= counted.stop:
                 continue
+            own = piece.rows_between(counted.start, counted.stop)
+            own = own[np.isfinite(experiment.measured[own]).all(axis=1)]  # not those bridged
+            within = own - piece.rows.start
             x0 = fit_initial_state(simulator, y_segment, warm)
-            truth.append(y_segment[counted])
-            simulated.append(simulator.outputs(x0)[counted])
-            rows.append(np.arange(counted.start, counted.stop) + segment.start)
+            waveform = 0.0 if trim is None else piece.back(trim[i])[within]
+            truth.append(experiment.measured[own] - waveform)
+            simulated.append(piece.back(simulator.outputs(x0))[within])
+            rows.append(own)
         if not truth:
             raise ValueError(
                 f"no rows are left to score in {experiment.span()}: every segment is shorter than "
@@ -282,7 +285,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         self._check_basis(experiment.basis)
         dt, found = self.model_.dt, experiment.base.sample_time
         plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1
-        if plain and abs(dt - found) > STEP_TOLERANCE * dt:
+        if plain and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * experiment.base.uncertainty:
             raise ValueError(
                 f"the model was identified at a sample time of {dt:.6g} s, X has {found:.6g} s; "
                 f"resample X, or bring the model to continuous time with SpuriousModeReducer"
@@ -305,12 +308,6 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             SegmentSimulator(self.model_, experiment.basis, drive, time, dt)
             for drive, time in zip(experiment.drive, experiment.times(), strict=True)
         ]
-
-    def _with_trim(self, outputs, experiment):
-        basis = experiment.basis
-        if basis is None or basis.output_trim is None:
-            return outputs
-        return outputs + basis.output_trim[basis.phase_index(experiment.base.time)]
 
     def _mirror(self, values, X):
         """Predictions in the container, with the columns and the index, of y at fit."""

@@ -1,5 +1,6 @@
 """Data in: frames, Series and arrays, read as signals, segments and experiments."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,34 +8,128 @@ import pandas as pd
 from scipy.sparse import issparse
 from sklearn.utils.validation import validate_data
 
-from sklearn_hd._frame import HarmonicBasis, HarmonicFrame
+from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
+from sklearn_hd._sampling import Sampling, lay_grid
 from sklearn_hd._validation import (
+    GAP,
+    RAISE,
     TimeBase,
+    check_azimuth,
     check_finite,
     check_same_rows,
     read_time,
     signal_names,
 )
 from sklearn_hd.algorithms.fourier import harmonic_labels
+from sklearn_hd.algorithms.resampling import bridge, unwrap
+from sklearn_hd.exceptions import JitterWarning
+
+PLAIN = Reading()
 
 
 @dataclass(frozen=True)
 class Signals:
-    """Values of some signals with their names and times."""
+    """Values of some signals with their names and times.
+
+    Attributes
+    ----------
+    data : ndarray, shape (n_rows, n_signals)
+        As given: NaN where a sample is missing.
+    names : tuple of str
+    base : TimeBase
+    azimuth : ndarray, shape (n_rows,), or None
+        ψ in radians, unwrapped within each segment; not among the signals.
+    """
 
     data: np.ndarray
     names: tuple
     base: TimeBase
+    azimuth: np.ndarray | None = None
+
+    def places(self, omega):
+        """Where the rows lie in the time that is analysed, seconds."""
+        return self.base.time if self.azimuth is None else self.azimuth / omega
+
+    def without(self, name):
+        """The signals but for one that is the azimuth."""
+        keep = [i for i, other in enumerate(self.names) if other != name]
+        return self.data[:, keep], tuple(self.names[i] for i in keep)
 
 
-def read_signals(data, prefix, what, sample_time=None):
-    """Finite float values, names and time base of a frame, Series or array."""
+def read_signals(data, prefix, what, reading=PLAIN):
+    """Float values, names and time base of a frame, Series or array.
+
+    The column that ``reading`` names as the azimuth is set apart.
+    """
     data = as_container(data, what)
     names = signal_names(data, prefix)
-    base = read_time(data, sample_time)
+    base = read_time(data, reading.sample_time, reading.time_origin)
     values = _to_float(data, names, what)
-    check_finite(values, names, base.time, what)
-    return Signals(values, names, base)
+    check_finite(values, names, base.time, what, reading.missing)
+    signals = Signals(values, names, base)
+    return signals if reading.azimuth is None else _set_azimuth_apart(signals, reading)
+
+
+def _set_azimuth_apart(signals, reading):
+    name, base = reading.azimuth, signals.base
+    if name not in signals.names:
+        raise ValueError(
+            f"azimuth={name!r} is not among the columns {list(signals.names)} of X; name the "
+            f"column that holds ψ in rad"
+        )
+    data, names = signals.without(name)
+    if not names:
+        raise ValueError(f"X holds the azimuth {name!r} alone; give the inputs beside it")
+    psi = signals.data[:, signals.names.index(name)].copy()
+    for segment in base.segments:
+        psi[segment] = unwrap(psi[segment], base.time[segment])
+        check_azimuth(psi[segment], base.time[segment], name)
+    psi = _bridged(psi[:, None], base, reading)[:, 0]
+    return Signals(data, names, base, psi)
+
+
+def read_values(y, X, base, reading):
+    """Float values and names of outputs sampled at the times of the inputs."""
+    y = as_container(y, "y")
+    check_same_rows(X, y)
+    names = signal_names(y, "y")
+    values = _to_float(y, names, "y")
+    check_finite(values, names, base.time, "y", reading.missing)
+    return values, names
+
+
+def _bridged(values, base, reading, held=False):
+    """Values whose short runs of NaN are interpolated, where that was asked for.
+
+    Linearly where signals are held (a spline overshoots their steps), by
+    cubic splines where they are smooth.
+    """
+    if reading.missing in (RAISE, GAP) or not np.isnan(values).any():
+        return values
+    longest = int(np.floor(reading.missing / base.sample_time + 1e-6))
+    values = values.copy()
+    held = np.broadcast_to(held, values.shape[1:])
+    for segment in base.segments:
+        for column in np.flatnonzero(np.isnan(values[segment]).any(axis=0)):
+            degree = 1 if held[column] else 3
+            values[segment, column] = bridge(
+                values[segment, column], base.time[segment], longest, degree
+            )
+    return values
+
+
+def warn_of_jitter(base, step, stacklevel=3):
+    """Say by how much the rows are off the uniform grid that they are resampled onto."""
+    rms, largest = base.jitter
+    if largest > 0.0:
+        warnings.warn(
+            f"the rows are not evenly spaced: they are off a grid of {step:.6g} s by {rms:.3g} s "
+            f"rms ({100 * rms / step:.2g} % of a sample) and by {largest:.3g} s at most "
+            f"({100 * largest / step:.2g} %); signals are resampled onto that grid, and results "
+            f"brought back to the rows given",
+            JitterWarning,
+            stacklevel=stacklevel,
+        )
 
 
 def check_features(estimator, X, *, reset):
@@ -103,12 +198,17 @@ class Experiment:
     frame : HarmonicFrame
         The rows as they came.
     base : TimeBase
+        Of the uniform grid that models are fitted and simulated on.
     basis : HarmonicBasis or None
     drive : list of ndarray, shapes (n_samples_s, n_drive)
         What drives the model, trim subtracted.
     drive_names : tuple of str
+    sampling : Sampling
+        How the user's rows lie on the grid.
     outputs : list of ndarray, shapes (n_samples_s, n_outputs), or None
-        Measured outputs, trim subtracted.
+        Measured outputs on the grid, trim subtracted.
+    measured : ndarray, shape (n_rows, n_outputs), or None
+        Outputs at the user's rows, as given.
     """
 
     frame: HarmonicFrame
@@ -116,7 +216,9 @@ class Experiment:
     basis: HarmonicBasis | None
     drive: list
     drive_names: tuple
+    sampling: Sampling
     outputs: list | None = None
+    measured: np.ndarray | None = None
 
     def times(self):
         """Time of the rows of each segment, seconds."""
@@ -130,9 +232,17 @@ class Experiment:
             signal for signal, orders in self.basis.inputs for _ in harmonic_labels(orders)
         )
 
+    def output_trim(self):
+        """Periodic waveforms of the outputs on each segment, zero where none were learned."""
+        basis = self.basis
+        if basis is None or basis.output_trim is None:
+            return None
+        return [basis.output_trim[basis.phase_index(time)] for time in self.times()]
+
     def span(self):
         """First and last time, worded for messages."""
-        return f"rows from t = {self.base.time[0]:.6g} s to {self.base.time[-1]:.6g} s"
+        clock = self.sampling.clock
+        return f"rows from t = {clock[0]:.6g} s to {clock[-1]:.6g} s"
 
 
 def as_frame(X):
@@ -159,42 +269,102 @@ def _refuse_lost_basis(X):
         )
 
 
+def sample(signals, basis, outputs=None):
+    """Grid for some rows, and the inputs and outputs on it, one array a segment.
+
+    Parameters
+    ----------
+    signals : Signals
+        Inputs.
+    basis : HarmonicBasis or None
+    outputs : ndarray, shape (n_rows, n_outputs), optional
+        At the same rows; what is missing of them is missing of the record.
+
+    Returns
+    -------
+    sampling : Sampling
+    inputs : list of ndarray
+    outputs : list of ndarray or None
+    """
+    reading = PLAIN if basis is None else basis.reading
+    base = signals.base
+    held = True if basis is None else basis.held
+    inputs = _bridged(signals.data, base, reading, held)
+    present = np.isfinite(inputs).all(axis=1)
+    if signals.azimuth is not None:
+        present &= np.isfinite(signals.azimuth)
+    if outputs is not None:
+        outputs = _bridged(outputs, base, reading)
+        present &= np.isfinite(outputs).all(axis=1)
+    step, shortest, places = base.sample_time, 1, base.time
+    if basis is not None:
+        step, shortest, places = basis.sample_time, len(basis.weights), signals.places(basis.omega)
+    sampling = lay_grid(base, places, present, step, reading, shortest)
+    return (
+        sampling,
+        sampling.onto_grid(inputs, held),
+        None if outputs is None else sampling.onto_grid(outputs),
+    )
+
+
+def without_trim(blocks, times, basis, trim):
+    """Signals on the grid less their periodic waveforms, one array a segment."""
+    if trim is None:
+        return blocks
+    return [
+        block - trim[basis.phase_index(time)] for block, time in zip(blocks, times, strict=True)
+    ]
+
+
+def mean_waveforms(sampling, blocks, basis, start, stop):
+    """Phase-averaged waveforms over the trim span, pooled over records."""
+    spp, dt = basis.samples_per_period, basis.sample_time
+    sums, counts = np.zeros((spp, blocks[0].shape[1])), np.zeros(spp)
+    tolerance = 1e-6 * dt
+    inside = (sampling.clock >= start - tolerance) & (sampling.clock < stop - tolerance)
+    for segment, values in zip(sampling.base.segments, blocks, strict=True):
+        rows = np.flatnonzero(inside[segment])
+        rows = rows[: len(rows) // spp * spp]  # whole periods: each phase counts alike
+        phase = basis.phase_index(sampling.base.time[segment][rows])
+        np.add.at(sums, phase, values[rows])
+        np.add.at(counts, phase, 1)
+    if not counts.all():
+        raise ValueError(
+            f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
+            f"({spp * dt:.4g} s) of any record; widen it"
+        )
+    return sums / counts[:, None]
+
+
 def read_experiment(X, y=None):
     """Segments of inputs and outputs that a model step fits or simulates."""
     frame = as_frame(X)
     basis = frame.basis
-    if basis is None:
-        signals = read_signals(frame, "x", "X")
-        drive = [signals.data[segment] for segment in signals.base.segments]
-        names = signals.names
-    else:
-        raw = frame[[signal for signal, _ in basis.inputs]]
-        signals = read_signals(raw, "x", "X", basis.sample_time)
-        values, time = signals.data, signals.base.time
-        if basis.input_trim is not None:
-            values = values - basis.input_trim[basis.phase_index(time)]
-        segments = signals.base.segments
-        drive = [basis.drive(values[segment], time[segment]) for segment in segments]
-        names = basis.drive_labels
-    outputs = None if y is None else _read_outputs(y, frame, X, signals.base, basis)
-    return Experiment(frame, signals.base, basis, drive, names, outputs)
-
-
-def _read_outputs(y, frame, X, base, basis):
-    y = as_container(y, "y")
-    check_same_rows(X if isinstance(X, pd.DataFrame | pd.Series) else frame, y)
-    sample_time = base.sample_time
-    values = read_signals(y, "y", "y", sample_time if basis is not None else None).data
-    if basis is not None:
-        if values.shape[1] != len(basis.outputs):
+    reading = PLAIN if basis is None else basis.reading
+    signals = read_signals(frame if basis is None else frame[basis.measured], "x", "X", reading)
+    measured = None
+    if y is not None:
+        given = X if isinstance(X, pd.DataFrame | pd.Series) else frame
+        measured, names = read_values(y, given, signals.base, reading)
+        if basis is not None and len(names) != len(basis.outputs):
             raise ValueError(
-                f"y has {values.shape[1]} columns, but the harmonic basis was fitted with "
+                f"y has {len(names)} columns, but the harmonic basis was fitted with "
                 f"{len(basis.outputs)}: {[signal for signal, _ in basis.outputs]}; fit "
                 f"HarmonicAnalyzer with the same y"
             )
-        if basis.output_trim is not None:
-            values = values - basis.output_trim[basis.phase_index(base.time)]
-    return [values[segment] for segment in base.segments]
+    sampling, drive, outputs = sample(signals, basis, measured)
+    base = sampling.base
+    times = [base.time[segment] for segment in base.segments]
+    if basis is None:
+        warn_of_jitter(signals.base, base.sample_time, stacklevel=4)
+        names = signals.names
+    else:
+        drive = without_trim(drive, times, basis, basis.input_trim)
+        drive = [basis.drive(u, time) for u, time in zip(drive, times, strict=True)]
+        if outputs is not None:
+            outputs = without_trim(outputs, times, basis, basis.output_trim)
+        names = basis.drive_labels
+    return Experiment(frame, base, basis, drive, names, sampling, outputs, measured)
 
 
 def rows_read(experiment):

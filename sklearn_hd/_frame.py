@@ -1,12 +1,13 @@
 """What travels between the steps: the frame, its harmonic basis, the model identified so far."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import control
 import numpy as np
 import pandas as pd
 from sklearn.base import TransformerMixin
 
+from sklearn_hd._validation import FIRST, RAISE
 from sklearn_hd.algorithms.fourier import (
     WINDOW_PERIODS,
     harmonic_functions,
@@ -15,10 +16,33 @@ from sklearn_hd.algorithms.fourier import (
     windowed_coefficients,
 )
 
-__all__ = ["HarmonicBasis", "HarmonicFrame", "LTIModel"]
+__all__ = ["HarmonicBasis", "HarmonicFrame", "LTIModel", "Reading"]
 
 PERIOD = "period"
 DUST = 1e-12
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How rows are read: when each was sampled, and what becomes of missing samples.
+
+    Attributes
+    ----------
+    sample_time : float or None
+        Seconds from row to row; None reads it from the index.
+    time_origin : str or None
+        The instant from which dates are counted, as ISO text, or FIRST for the
+        first of them; None refuses dates.
+    azimuth : str or None
+        Name of the column that holds ψ.
+    missing : "raise", "gap" or float
+        What becomes of NaN; a number is the longest run to bridge, in seconds.
+    """
+
+    sample_time: float | None = None
+    time_origin: str | None = FIRST
+    azimuth: str | None = None
+    missing: float | str = RAISE
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +52,9 @@ class HarmonicBasis:
     Attributes
     ----------
     omega : float
-        Fundamental frequency, rad/s.
+        Fundamental frequency, rad/s; the mean speed where an azimuth is given.
     sample_time : float
-        Seconds.
+        Seconds from row to row of the grid that is analysed.
     samples_per_period : int
     window : str
         Such as ``"boxcar"`` (causal) or ``"centred-boxcar"``.
@@ -40,6 +64,8 @@ class HarmonicBasis:
         Harmonics kept of each signal.
     input_trim, output_trim : ndarray, shapes (samples_per_period, n_signals), or None
         Periodic waveforms subtracted from the signals.
+    reading : Reading
+        How the user's rows are read.
     """
 
     omega: float
@@ -51,6 +77,7 @@ class HarmonicBasis:
     outputs: tuple
     input_trim: np.ndarray | None = None
     output_trim: np.ndarray | None = None
+    reading: Reading = field(default_factory=Reading)
 
     @property
     def synchronous(self):
@@ -91,6 +118,17 @@ class HarmonicBasis:
     def output_labels(self):
         """Names of the harmonic coefficients of the outputs."""
         return coefficient_names(self.outputs)
+
+    @property
+    def measured(self):
+        """Columns that the basis reads: the inputs, and the azimuth where there is one."""
+        inputs = [signal for signal, _ in self.inputs]
+        return inputs if self.reading.azimuth is None else [*inputs, self.reading.azimuth]
+
+    @property
+    def held(self):
+        """Which inputs drive the models as they were measured, held from row to row."""
+        return np.array([harmonics == (0,) for _, harmonics in self.inputs], dtype=bool)
 
     @property
     def drive_labels(self):

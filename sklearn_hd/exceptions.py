@@ -19,3 +19,7 @@ class IdentifiabilityWarning(UserWarning):
 
 class TimeBaseWarning(UserWarning):
     """The time base was assumed (samples counted) rather than read from an index."""
+
+
+class JitterWarning(UserWarning):
+    """Rows were not evenly spaced, and signals were resampled onto a uniform grid."""

@@ -99,6 +99,40 @@ ANALYZER = {
         {"sample_time": 0.1},
         r"sample_time=0.1 s, but the rows of the index are 0.0625 s apart; leave sample_time",
     ),
+    "no omega": (
+        {"omega": None},
+        r"omega=None and azimuth=None leave the period unknown; give omega in rad/s, or azimuth",
+    ),
+    "omega and azimuth": (
+        {"azimuth": "psi"},
+        r"omega=6.28.* and azimuth='psi' are both given; keep omega for a constant speed",
+    ),
+    "azimuth elsewhere": (
+        {"omega": None, "azimuth": "psi"},
+        r"azimuth='psi' is not among the columns \['u'\] of X; name the column",
+    ),
+    "azimuth alone": (
+        {"omega": None, "azimuth": "u"},
+        r"X holds the azimuth 'u' alone; give the inputs beside it",
+    ),
+    "azimuth no name": (
+        {"omega": None, "azimuth": 3},
+        r"azimuth=3 is no name; give the name of the column of X that holds ψ in rad",
+    ),
+    "missing": ({"missing": "drop"}, r"missing must be a positive number in seconds, got 'drop'"),
+    "missing nothing": (
+        {"missing": 0},
+        r"missing must be a positive number in seconds, got 0; it is the longest run of NaN to",
+    ),
+    "origin of seconds": (
+        {"time_origin": "2026-01-01"},
+        r"time_origin=2026-01-01T00:00:00 is given, but the index has dtype float64, which holds",
+    ),
+    "origin no date": (
+        {"time_origin": "noon-ish"},
+        r"time_origin='noon-ish' is not understood; give the instant of ψ = 0 as a date",
+    ),
+    "origin a number": ({"time_origin": 3.0}, r"time_origin=3.0 is not understood; give the"),
     "negative sample time": (
         {"sample_time": -1},
         r"sample_time must be a positive number in seconds, got -1; None reads it",
@@ -129,7 +163,8 @@ DATA = {
     ),
     "dates": (
         lambda u: u.set_axis(pd.Timestamp("2026-01-01") + pd.to_timedelta(u.index, unit="s")),
-        r"the index holds dates, which fix no azimuth; subtract the instant of ψ = 0",
+        r"the index holds dates, which fix no azimuth; give HarmonicAnalyzer the instant of "
+        r"ψ = 0 as time_origin",
     ),
     "text index": (
         lambda u: u.set_axis([f"row{i}" for i in range(len(u))]),
@@ -158,6 +193,55 @@ def test_analyzer_data(u, case):
     change, message = DATA[case]
     with pytest.raises(ValueError, match=message):
         HarmonicAnalyzer(OMEGA).fit(change(u))
+
+
+SPUN = {
+    "stands still": (
+        lambda psi: np.where(np.arange(len(psi)) == 40, psi[39], psi),
+        r"azimuth column 'psi' must grow with time: it does not at t = 2.5 s, where ψ = 15.3",
+    ),
+    "turns back": (lambda psi: -psi, r"must grow with time: .* \(its sign is yours to choose\)"),
+    "degrees": (np.rad2deg, r"'psi' grows by up to 22.5 rad .*; give it in radians, not degrees"),
+    "wrapped degrees": (lambda psi: np.rad2deg(psi) % 360, r"azimuth column 'psi' "),
+    "nan": (
+        lambda psi: np.where(psi > 3.0, np.nan, psi),
+        r"X contains NaN: column 'psi', first at t = 0.5 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SPUN)
+def test_azimuth_column(u, case):
+    change, message = SPUN[case]
+    X = u.assign(psi=change(OMEGA * u.index.to_numpy()))
+    with pytest.raises(ValueError, match=message):
+        HarmonicAnalyzer(azimuth="psi").fit(X)
+
+
+def test_azimuth_sampled_too_slowly(u):
+    X = u.assign(psi=OMEGA * u.index.to_numpy())
+    message = r"azimuth column 'psi' shows 16 samples a turn in the mean, too few for harmonic 9"
+    with pytest.raises(ValueError, match=message):
+        HarmonicAnalyzer(azimuth="psi", input_harmonics=9).fit(X)
+    with pytest.raises(ValueError, match=r"'psi' shows no motion: no segment has two rows"):
+        HarmonicAnalyzer(azimuth="psi").fit(X.iloc[:1])
+    analyzer = HarmonicAnalyzer(azimuth="psi", input_harmonics=1).fit(X)
+    frame = pd.DataFrame(analyzer.transform(X).drop(columns="psi"))
+    with pytest.raises(ValueError, match=r"X lacks the azimuth column 'psi'; give a frame as"):
+        analyzer.inverse_transform(frame)
+
+
+def test_clocks_and_zones(u):
+    stamps = pd.Timestamp("2026-01-01") + pd.to_timedelta(u.index, unit="s")
+    analyzer = HarmonicAnalyzer(OMEGA, time_origin="2026-01-01 00:00+01:00")
+    with pytest.raises(ValueError, match=r"the time_origin has a time zone and the index has none"):
+        analyzer.fit(u.set_axis(stamps))
+    analyzer = HarmonicAnalyzer(OMEGA, time_origin="2026-01-01")
+    with pytest.raises(ValueError, match=r"the index has a time zone and the time_origin has none"):
+        analyzer.fit(u.set_axis(stamps.tz_localize("UTC")))
+    wild = u.set_axis(u.index + 0.03 * (np.arange(len(u)) % 2))
+    with pytest.raises(ValueError, match=r"samples of .* s: too uneven for jitter \(0.6 to 1.4"):
+        HarmonicAnalyzer(OMEGA).fit(wild)
 
 
 def test_outputs_are_checked_like_inputs(u, y):

@@ -197,6 +197,7 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     assert set(trusted) <= {
         "sklearn_hd._frame.HarmonicBasis",
         "sklearn_hd._frame.LTIModel",
+        "sklearn_hd._frame.Reading",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.reduction.SpuriousModeReducer",

@@ -13,6 +13,7 @@ LAYERS = [
     {"algorithms"},
     {"systems"},
     {"_frame"},
+    {"_sampling"},
     {"_data"},
     {"_base"},
     {"_continuous"},

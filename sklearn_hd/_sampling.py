@@ -1,0 +1,174 @@
+"""From the user's rows to the uniform grid that is analysed, and back.
+
+Analysis, identification and simulation need rows that are evenly spaced in
+time, or in azimuth over the mean speed where a rotor's speed varies. One
+mechanism serves every record that is not so:
+
+1. every row of the user's has a *place*: its time t, or ψ/ω with ω the mean
+   speed, so that one period is one turn whatever the speed;
+2. rows with missing samples are taken out; what is left of each segment is a
+   *piece*;
+3. a piece whose places are one grid step apart is its own grid, and its values
+   pass unchanged, bit by bit. Any other (an azimuth, or jitter) gets the
+   multiples of the grid step that lie within it, and its signals are resampled
+   onto them: held inputs by their means, all else by splines;
+4. all that comes out, coefficients and predictions, is brought back to the
+   user's own rows by the same splines; rows in no piece get NaN.
+"""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_hd._validation import RAISE, TimeBase, even
+from sklearn_hd.algorithms.resampling import held_means, interpolate, uniform_grid
+
+__all__ = ["Sampling", "lay_grid"]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Consecutive rows of the user's without missing samples, and their grid.
+
+    Attributes
+    ----------
+    rows : slice
+        The user's rows.
+    places : ndarray, shape (n_rows,)
+        Where they lie in the time of the grid, seconds.
+    grid : ndarray, shape (n_grid,)
+        Times of the grid; ``places`` itself where these are evenly spaced.
+    step : float
+        Of the grid, seconds.
+    """
+
+    rows: slice
+    places: np.ndarray
+    grid: np.ndarray
+    step: float
+
+    @property
+    def is_grid(self):
+        """Whether the rows are the grid."""
+        return self.grid is self.places
+
+    def onto_grid(self, values, held):
+        """Values of the user's rows, resampled onto the grid."""
+        values = values[self.rows]
+        if self.is_grid:
+            return values
+        result = np.empty((len(self.grid), values.shape[1]))
+        result[:, held] = held_means(values[:, held], self.places, self.grid, self.step)
+        result[:, ~held] = interpolate(values[:, ~held], self.places, self.grid)
+        return result
+
+    def back(self, values):
+        """Values on the grid, brought to the user's rows."""
+        return values if self.is_grid else interpolate(values, self.grid, self.places)
+
+    def rows_between(self, start, stop):
+        """The user's rows among those of the grid from start to before stop."""
+        edges = self.grid[[start, stop - 1]] + np.array([-1e-6, 1e-6]) * self.step
+        first, last = np.searchsorted(self.places, edges)
+        return np.arange(first, last) + self.rows.start
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """The grid that is analysed, and how the user's rows lie on it.
+
+    Attributes
+    ----------
+    base : TimeBase
+        Of the grid, one segment a piece.
+    pieces : tuple of Piece
+    n_rows : int
+        The user's rows, those in no piece too.
+    clock : ndarray, shape (n_grid,)
+        Time of the index, seconds, at each row of the grid.
+    """
+
+    base: TimeBase
+    pieces: tuple
+    n_rows: int
+    clock: np.ndarray
+
+    def onto_grid(self, values, held=False):
+        """The user's rows of some signals on the grid, one array a segment.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n_rows, n_signals)
+        held : bool or ndarray of bool, shape (n_signals,)
+            Which signals are held from row to row; the others are smooth.
+        """
+        held = np.broadcast_to(held, values.shape[1:])
+        return [piece.onto_grid(values, held) for piece in self.pieces]
+
+    def back(self, blocks):
+        """Values on the grid, one array a segment, at the user's rows; NaN in no piece."""
+        result = np.full((self.n_rows, blocks[0].shape[1]), np.nan)
+        for piece, block in zip(self.pieces, blocks, strict=True):
+            result[piece.rows] = piece.back(block)
+        return result
+
+
+def lay_grid(base, places, present, step, reading, shortest=1):
+    """Grid for some rows.
+
+    Parameters
+    ----------
+    base : TimeBase
+        Of the user's rows.
+    places : ndarray, shape (n_rows,)
+        Where they lie in the time of the grid, seconds.
+    present : ndarray of bool, shape (n_rows,)
+        Rows of which no sample is missing.
+    step : float
+        Of the grid, seconds.
+    reading : Reading
+    shortest : int
+        Rows of the grid below which a piece is left out, if samples may be missing.
+
+    Returns
+    -------
+    sampling : Sampling
+    """
+    pieces, records = [], []
+    for segment, record in zip(base.segments, base.records, strict=True):
+        for rows in _runs_of(present, segment):
+            own = places[rows]
+            uniform = reading.azimuth is None and even(own, step)
+            grid = own if uniform else uniform_grid(own[0], own[-1], step)
+            if len(grid) >= shortest or reading.missing == RAISE:
+                pieces.append(Piece(rows, own, grid, step))
+                records.append(record)
+    if not pieces:
+        raise ValueError(
+            f"no {shortest} consecutive rows without missing samples are left between t = "
+            f"{base.time[0]:.6g} s and {base.time[-1]:.6g} s, and the analysis window needs as "
+            f"many; bridge longer runs of NaN (missing, in seconds), or use a shorter window"
+        )
+    edges = np.cumsum([0, *(len(piece.grid) for piece in pieces)])
+    clock = [
+        base.time[piece.rows]
+        if reading.azimuth is None and piece.is_grid
+        else np.interp(piece.grid, piece.places, base.time[piece.rows])
+        for piece in pieces
+    ]
+    grid_base = replace(
+        base,
+        time=np.concatenate([piece.grid for piece in pieces]),
+        segments=tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges)),
+        records=tuple(records),
+        sample_time=step,
+    )
+    return Sampling(grid_base, tuple(pieces), len(base.time), np.concatenate(clock))
+
+
+def _runs_of(present, segment):
+    """Runs of rows that are present within one segment."""
+    inside = np.concatenate([[False], present[segment], [False]]).astype(int)
+    edges = np.flatnonzero(np.diff(inside)) + segment.start
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
