@@ -12,6 +12,7 @@ from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd._data import read_signals, sample
 from sklearn_hd.exceptions import JitterWarning
 
 OMEGA = 2 * np.pi * 5  # mean speed, rad/s
@@ -371,14 +372,39 @@ def test_missing_azimuth_and_inputs_on_a_spin_up(spun):
     assert np.flatnonzero(predicted.isna().any(axis=1)).tolist() == list(range(3000, 3100))
 
 
-def test_a_jump_beyond_a_gap_moves_nothing(steady):
-    """A gap in uneven rows: no spline, window or Hankel column reaches across it."""
-    X, _ = jittered()
-    keep = np.r_[0:2000, 2100 : len(X)]
-    X = X.iloc[keep].copy()
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.JitterWarning")
+@pytest.mark.parametrize("sampling", ["azimuth", "jitter", "record"])
+def test_a_jump_beyond_a_border_moves_nothing(spun, sampling):
+    """Uneven rows: no spline and no window reaches across a gap or into the next record."""
+    X = jittered()[0] if sampling == "jitter" else spun[0]
+    params = {"omega": OMEGA} if sampling == "jitter" else {"azimuth": "psi"}
+    if sampling == "record":
+        (X,) = by_record(X)
+    else:
+        X = X.iloc[np.r_[0:2000, 2100 : len(X)]].copy()
+    border = len(X) // 2 if sampling == "record" else 2000
     other = X.copy()
-    other.iloc[2000:] += 1e9
-    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=1)
-    with pytest.warns(JitterWarning):
-        before, after = analyzer.fit_transform(X), analyzer.fit_transform(other)
-    np.testing.assert_array_equal(before.iloc[:2000], after.iloc[:2000])
+    other.iloc[border:, 0] += 1e9
+    analyzer = HarmonicAnalyzer(**params, input_harmonics=1)
+    before, after = analyzer.fit_transform(X), analyzer.fit_transform(other)
+    np.testing.assert_array_equal(before.iloc[:border], after.iloc[:border])
+
+
+def test_even_rows_pass_unchanged(steady, rng):
+    """Bit by bit: whatever rule for missing samples and whatever gaps there are."""
+    X, _ = steady
+    X = X.assign(u=rng.standard_normal(len(X))).drop(X.index[1000:1100])
+    frame = HarmonicAnalyzer(OMEGA, input_harmonics=1).fit_transform(X)
+    rows = np.delete(np.arange(len(X)), slice(1000, 1000 + SPP - 1))  # whole windows only
+    values = X["u"].to_numpy()
+    means = np.lib.stride_tricks.sliding_window_view(values, SPP).mean(axis=1)
+    inside = rows[rows >= SPP - 1]
+    np.testing.assert_allclose(frame["u_0"].to_numpy()[inside], means[inside - SPP + 1], atol=1e-14)
+    for missing in ("gap", 5 * DT):
+        again = HarmonicAnalyzer(OMEGA, input_harmonics=1, missing=missing).fit_transform(X)
+        np.testing.assert_array_equal(again, frame)
+        assert again.basis.reading.missing == missing
+    sampling, inputs, _ = sample(read_signals(X, "x", "X", frame.basis.reading), frame.basis)
+    assert all(piece.is_grid for piece in sampling.pieces)
+    np.testing.assert_array_equal(np.vstack(inputs), X)
+    np.testing.assert_array_equal(sampling.back(inputs), X)
