@@ -77,9 +77,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         the samples in a period. ``"period"`` decomposes whole periods, one
         after another (the blockwise Fourier transform), whatever the window.
     trim_span : (float, float) or None, default=None
-        Index times, in seconds within each record, between which the machine
-        is in periodic trim. The waveforms averaged over that span are
-        subtracted before decomposition, and added again by ``predict``.
+        Index times, in seconds within each record (dates: since
+        ``time_origin``), between which the machine is in periodic trim. The
+        waveforms averaged over that span are subtracted before decomposition,
+        and added again by ``predict``.
     sample_time : float or None, default=None
         Seconds. None reads it from the index, or is 1.0 where samples are counted.
     azimuth : str or None, default=None
