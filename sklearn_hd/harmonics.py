@@ -297,9 +297,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             highest,
             f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
         )
-        whole = isinstance(self.hop, numbers.Integral) and self.hop >= 1
-        hop = int(self.hop) if whole else 1
-        spp = hop * int(np.ceil((samples - PERIOD_TOLERANCE) / hop))
+        least = samples - PERIOD_TOLERANCE
+        whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
+        unit = int(self.hop) if whole else 1
+        spp = unit * int(np.ceil(least / unit))
         omega = float(turned / passed)
         return omega, spp, 2.0 * np.pi / omega / spp
 

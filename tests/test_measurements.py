@@ -408,3 +408,16 @@ def test_even_rows_pass_unchanged(steady, rng):
     assert all(piece.is_grid for piece in sampling.pieces)
     np.testing.assert_array_equal(np.vstack(inputs), X)
     np.testing.assert_array_equal(sampling.back(inputs), X)
+
+
+@pytest.mark.parametrize(("hop", "samples"), [(7, 70), (8, 72), ("period", 67)])
+def test_the_grid_in_azimuth_suits_the_hop(hop, samples):
+    """66.5 samples a turn are measured; the grid has as many or more, and whole hops."""
+    psi = np.arange(40 * SPP) * 2 * np.pi / 66.5
+    X = pd.DataFrame({"u": np.cos(psi), "psi": psi}, index=np.arange(len(psi)) * DT)
+    analyzer = HarmonicAnalyzer(azimuth="psi", input_harmonics=1, hop=hop)
+    frame = analyzer.fit_transform(X)
+    assert analyzer.basis_.samples_per_period == samples
+    np.testing.assert_allclose(frame[["u_0", "u_1c", "u_1s"]] - [0.0, 1.0, 0.0], 0.0, atol=1e-6)
+    with pytest.raises(ValueError, match=r"hop=80 does not divide the 67 samples of a period"):
+        HarmonicAnalyzer(azimuth="psi", hop=80).fit(X)
