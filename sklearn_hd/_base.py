@@ -76,7 +76,7 @@ class SegmentSimulator:
             self.A, self.B = continuous_to_discrete(model.A, model.B, sample_time)
         elif basis is not None:
             self.rows = basis.rows_read(time, whole_windows=False)
-            self.drive = hop_means(drive, self.rows, basis.hop_samples)
+            self.drive = hop_means(drive, basis, self.rows)
 
     def outputs(self, x0):
         """Outputs, trim not added, shape (n_samples, n_outputs)."""

@@ -51,18 +51,29 @@ def refit_inputs(A, C, experiment, feedthrough):
     scale = output_scale(experiment)
     observe = [R / scale[:, None] for R in observations(experiment, len(C))]
     outputs = [y / scale for y in experiment.outputs]
+    u_scale = input_scale(experiment)
+    inputs = [u / u_scale for u in experiment.drive]
     B_raw, D, _, rest = input_matrices(
-        A_raw, C, experiment.drive, outputs, feedthrough, observe, return_residual=True
+        A_raw, C, inputs, outputs, feedthrough, observe, return_residual=True
     )
+    B_raw, D = B_raw / u_scale, D / u_scale
     total = sum(float(np.sum(y**2)) for y in outputs)
     return linalg.solve(hold, B_raw), D, 1.0 - rest / total
 
 
+def input_scale(experiment):
+    """Largest value of each input over all segments, so that no square under- or overflows."""
+    scale = np.max(np.abs(np.vstack(experiment.drive)), axis=0, initial=0.0)
+    return np.where(scale == 0.0, 1.0, scale)
+
+
 def output_scale(experiment):
     """Standard deviation of each output over all segments, so that each counts alike."""
-    scale = np.std(np.vstack(experiment.outputs), axis=0)
-    scale[scale == 0.0] = 1.0
-    return scale
+    stacked = np.vstack(experiment.outputs)
+    largest = np.max(np.abs(stacked), axis=0, initial=0.0)
+    largest[largest == 0.0] = 1.0
+    scale = largest * np.std(stacked / largest, axis=0)
+    return np.where(scale == 0.0, largest, scale)
 
 
 def observations(experiment, n_coefficients):

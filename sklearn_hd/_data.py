@@ -377,16 +377,19 @@ def rows_read(experiment):
         experiment.drive, experiment.outputs, experiment.times(), strict=True
     ):
         rows = basis.rows_read(time)
-        inputs.append(hop_means(drive, rows, basis.hop_samples))
+        inputs.append(hop_means(drive, basis, rows))
         outputs.append(basis.coefficients(y, time, basis.outputs, rows))
     return inputs, outputs
 
 
-def hop_means(drive, rows, hop):
-    """Mean of the drive over the hop that follows each row read."""
-    if hop == 1 or len(rows) == 0:
+def hop_means(drive, basis, rows):
+    """Mean of the drive over the hop that follows the end of each row's window.
+
+    What lies beyond the segment is held at its last value.
+    """
+    if len(rows) == 0:
         return drive[rows]
-    sums = np.add.reduceat(drive, rows, axis=0)
-    sums[-1] = drive[rows[-1] : rows[-1] + hop].sum(axis=0)
-    counts = np.minimum(rows + hop, len(drive)) - rows
-    return sums / counts[:, None]
+    hop, ends = basis.hop_samples, rows + basis.lead
+    beyond = max(0, int(ends[-1]) + hop - len(drive))
+    held = np.concatenate([drive, np.repeat(drive[-1:], beyond, axis=0)])
+    return np.lib.stride_tricks.sliding_window_view(held, hop, axis=0)[ends].mean(axis=-1)

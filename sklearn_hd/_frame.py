@@ -111,8 +111,15 @@ class HarmonicBasis:
 
     @property
     def lead(self):
-        """Samples by which the window runs ahead of its row."""
-        return (len(self.weights) - 1) // 2 if self.window.startswith("centred-") else 0
+        """Samples by which the window runs ahead of its row, a multiple of the hop.
+
+        Ahead by whole hops, so that inputs that change where rows are read
+        still do so, seen from the end of the window.
+        """
+        if self.synchronous or not self.window.startswith("centred-"):
+            return 0
+        hops = round((len(self.weights) - 1) / 2 / self.hop_samples)
+        return min(hops, (len(self.weights) - 1) // self.hop_samples) * self.hop_samples
 
     @property
     def output_labels(self):

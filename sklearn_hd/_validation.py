@@ -383,7 +383,9 @@ def _check_increasing(seconds, start, stop):
         raise ValueError(
             f"time must increase within a record: t = {seconds[row]:.6g} s (row {row}) is {word}; "
             f"sort the rows, drop duplicates, or give each record its own label in a "
-            f"(record, time) MultiIndex"
+            f"(record, time) MultiIndex. Rows drawn at random (HalvingGridSearchCV over "
+            f"n_samples, a shuffled split) have no dynamics: halve over another resource, and "
+            f"split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
         )
 
 

@@ -45,6 +45,8 @@ from sklearn_hd.exceptions import TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]
 
+ROWS_PER_PERIOD = 8
+
 WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 
 
@@ -72,9 +74,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         end at the row that they are for, as a causal analyzer must;
         ``"centred-boxcar"``, ``"centred-triangle"`` and ``"centred-hann"``
         are centred on it.
-    hop : int or "period", default=1
+    hop : int, "period" or None, default=None
         Samples from one row read by the model steps to the next, a divisor of
-        the samples in a period. ``"period"`` decomposes whole periods, one
+        the samples in a period; None reads at least eight rows a period, and
+        three more than twice the highest harmonic. ``"period"`` decomposes whole periods, one
         after another (the blockwise Fourier transform), whatever the window.
     trim_span : (float, float) or None, default=None
         Index times, in seconds within each record (dates: since
@@ -178,7 +181,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         input_harmonics=0,
         output_harmonics=1,
         window="boxcar",
-        hop=1,
+        hop=None,
         trim_span=None,
         sample_time=None,
         azimuth=None,
@@ -246,7 +249,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             sample_time=step,
             samples_per_period=spp,
             window=window,
-            hop=_check_hop(self.hop, spp),
+            hop=_check_hop(self.hop, spp, highest),
             inputs=kept_in,
             outputs=kept_out,
             reading=reading,
@@ -300,6 +303,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         least = samples - PERIOD_TOLERANCE
         whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
         unit = int(self.hop) if whole else 1
+        if self.hop is None:
+            unit = max(ROWS_PER_PERIOD, 2 * highest + 3)  # rows read a turn, of whole hops
         spp = unit * int(np.ceil(least / unit))
         omega = float(turned / passed)
         return omega, spp, 2.0 * np.pi / omega / spp
@@ -429,14 +434,18 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         return np.asarray([*self.basis_.measured, *self.basis_.drive_labels], dtype=object)
 
 
-def _check_hop(hop, spp):
+def _check_hop(hop, spp, highest):
+    """The hop, None standing for about eight rows a period, more for high harmonics."""
     if hop == PERIOD and isinstance(hop, str):
         return PERIOD
+    divisors = [d for d in range(1, spp + 1) if spp % d == 0]
+    if hop is None:
+        rows = max(ROWS_PER_PERIOD, 2 * highest + 3)
+        return max((d for d in divisors if spp // d >= rows), default=1)
     whole = isinstance(hop, numbers.Integral) and not isinstance(hop, bool)
     if not whole or hop < 1 or spp % hop:
-        divisors = [d for d in range(1, spp + 1) if spp % d == 0]
         raise ValueError(
-            f"hop={hop!r} does not divide the {spp} samples of a period; use one of {divisors} "
-            f"or 'period'"
+            f"hop={hop!r} does not divide the {spp} samples of a period; use one of {divisors}, "
+            f"'period', or None for about {ROWS_PER_PERIOD} rows a period"
         )
     return int(hop)

@@ -22,6 +22,8 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = ["MatrixStructure", "StructuredMatcher"]
 
+POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
+
 _TERM = re.compile(r"\s*(?P<sign>[+-])?\s*(?:(?P<scale>[^*\s]+)\s*\*)?\s*(?P<name>\S.*?)\s*")
 _NAME = re.compile(r"[^\W\d]\w*(\[[^\]]*\])?")
 
@@ -362,7 +364,8 @@ class StructuredMatcher(ModelStep):
     Warns
     -----
     IdentifiabilityWarning
-        If these outputs do not determine some parameters; they are named.
+        If these outputs do not determine some parameters (they are named), or
+        model and structure differ in order and match poorly.
     ConvergenceWarning
         If the search stopped before the tolerance was met.
 
@@ -424,6 +427,12 @@ class StructuredMatcher(ModelStep):
         max_iter = check_count("max_iter", self.max_iter, 1, "100 is usual")
         tol = check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
         experiment, model = upstream(self, X, y)
+        if experiment.basis is not None and experiment.basis.synchronous:
+            raise ValueError(
+                "the model was identified period by period (hop='period'): it is discrete, its "
+                "states are not those of a harmonic decomposition, and no structure in continuous "
+                "time can be matched to it; use a hop that divides the samples in a period"
+            )
         model = to_continuous(model, experiment)
         if self.structure is None:
             return self._keep(model)._remember(model, experiment, X, y)
@@ -443,7 +452,7 @@ class StructuredMatcher(ModelStep):
             tol=tol,
             random_state=self.random_state,
         )
-        self._warn(result, tol)
+        self._warn(result, tol, model.n_states, structure.n_states)
         self._parameter_names = structure.parameter_names
         self._theta, self._theta_least_squares = result.theta, result.theta_least_squares
         self.hinf_error_, self.hinf_error_relative_ = result.hinf_error, result.relative_error
@@ -516,13 +525,21 @@ class StructuredMatcher(ModelStep):
         grid = grid[np.isfinite(grid)]
         return channel_scales(frequency_response(model.A, model.B, model.C, model.D, 1j * grid))
 
-    def _warn(self, result, tol):
+    def _warn(self, result, tol, n_found, n_wanted):
+        if n_found != n_wanted and result.relative_error > POOR_MATCH:
+            warnings.warn(
+                f"the model has {n_found} states, the structure {n_wanted}, and the match leaves "
+                f"a relative error of {result.relative_error:.2g}; the structure may not be that "
+                f"of the system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
+                IdentifiabilityWarning,
+                stacklevel=4,
+            )
         if result.unidentified:
             warnings.warn(
                 f"these outputs do not determine {', '.join(result.unidentified)} (only some "
                 f"combinations of them): fix some, share a name, or measure more outputs",
                 IdentifiabilityWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
         if not result.converged:
             warnings.warn(
@@ -531,7 +548,7 @@ class StructuredMatcher(ModelStep):
                 f"{result.predicted_decrease:.2g} of itself where tol={tol:g} was asked for; raise "
                 f"max_iter or n_starts",
                 ConvergenceWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
 
 

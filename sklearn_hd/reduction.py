@@ -7,13 +7,20 @@ import pandas as pd
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
-from sklearn_hd._continuous import observations, output_scale, refit_inputs, to_continuous
+from sklearn_hd._continuous import (
+    input_scale,
+    observations,
+    output_scale,
+    refit_inputs,
+    to_continuous,
+)
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd.algorithms.mode_shapes import (
     harmonic_state_matrix,
     mode_shapes,
     real_block,
+    refine_exponents,
     shape_condition,
     state_matrix_samples,
     strongest_free_decay,
@@ -37,6 +44,7 @@ __all__ = ["SpuriousModeReducer"]
 METHODS = ("truncate", "residualize", "both")
 FAMILY_TOLERANCE = 0.05
 WINDOW_DECAY = 1e-3
+MULTIPLIER_ANGLE = 0.3  # rad; a multiplier turned by less may be a real one
 SHAPE_CONDITION = 1e4
 REST_SHARE = 1e-9  # of an input's largest value, below which it counts as at rest
 MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
@@ -195,7 +203,7 @@ class SpuriousModeReducer(ModelStep):
             f"{int((~kept).sum())} mode(s) on the negative real axis have no continuous-time "
             f"counterpart and are dropped; sample faster, or lower the order",
             IdentifiabilityWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
         return self._refit(model, experiment, z, kept, np.zeros(len(z), dtype=bool))
 
@@ -213,22 +221,28 @@ class SpuriousModeReducer(ModelStep):
             families[~window] = floquet_families(
                 z[~window], basis.rows_per_period, FAMILY_TOLERANCE
             )
-        longest = max(segment.stop - segment.start for segment in experiment.base.segments)
-        growth = exponents.real * longest * experiment.base.sample_time
-        window_or_wild = window | (growth > MAX_GROWTH)
-        units = [unit for unit in conjugate_units(z) if not window_or_wild[list(unit)].any()]
+        wild = self._beyond_bounds(exponents, experiment)
+        units = [unit for unit in conjugate_units(z) if not (window | wild)[list(unit)].any()]
         kept_units, rivals = self._choose(units, exponents, shapes, experiment)
         kept = np.zeros(len(z), dtype=bool)
         kept[[i for unit in kept_units for i in unit]] = True
         doubtful = set(kept_units) - set.intersection(set(kept_units), *map(set, rivals))
-        verdicts = _verdicts(kept, window, families, exponents, doubtful)
+        verdicts = _verdicts(kept, window, wild, families, exponents, doubtful)
         self._modes = (exponents, families, *verdicts)
+        if self.left_out_ > DECISIVE_SHARE and self.n_states is None:
+            warnings.warn(
+                f"the {int(kept.sum())} modes kept explain much less than all modes do (of what "
+                f"they leave, the others explain {self.left_out_:.0%}); give n_states, or change "
+                f"the order of the identified model",
+                IdentifiabilityWarning,
+                stacklevel=4,
+            )
         if doubtful:
             warnings.warn(
                 f"{len(rivals)} other set(s) of {int(kept.sum())} modes explain the data as well "
                 f"as the one kept; see modes_, change n_states, or use a richer record",
                 IdentifiabilityWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
         if self.n_states is None and method == "truncate" and basis is not None:
             periodic = self._from_mode_shapes(model, experiment, z, families, kept)
@@ -236,6 +250,21 @@ class SpuriousModeReducer(ModelStep):
                 return periodic
         fast = _to_residualize(method, kept | window, exponents, z, basis)
         return self._refit(model, experiment, z, kept, fast)
+
+    @staticmethod
+    def _beyond_bounds(exponents, experiment):
+        """Modes that cannot be the system's own as the harmonics kept show it.
+
+        A coefficient of harmonic k turns by less than half the way to the next: members
+        further out are copies. And a mode that grows by e^20 within a segment would show.
+        """
+        longest = max(segment.stop - segment.start for segment in experiment.base.segments)
+        grows = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
+        if experiment.basis is None:
+            return grows
+        highest = max(k for _, orders in experiment.basis.outputs for k in orders)
+        turns = np.abs(exponents.imag) > (highest + 0.5) * experiment.basis.omega
+        return grows | turns
 
     def _choose(self, units, exponents, shapes, experiment):
         """Units to keep, and rival sets that explain the data as well."""
@@ -246,7 +275,7 @@ class SpuriousModeReducer(ModelStep):
             units,
             exponents,
             shapes,
-            experiment.drive,
+            [u / input_scale(experiment) for u in experiment.drive],
             [y / scale for y in experiment.outputs],
             experiment.base.sample_time,
             [R_psi / scale[:, None] for R_psi in observe],
@@ -254,19 +283,23 @@ class SpuriousModeReducer(ModelStep):
         floor = residual(R, columns, tuple(range(len(units))))
         rounding = 1e-14 * float(R[:, -1] @ R[:, -1])
         wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
-        ranking = []
+        ranking, self._compact = [], ()
         for n_states in wanted:
             ranking = best_modes(R, columns, sizes, n_states) or ranking
+            if ranking and n_states <= shapes.shape[1]:
+                self._compact = tuple(units[i] for i in ranking[0][1])
             # in harmonic-decomposition form the output coefficients are the states: more are
             # kept only where so many leave out what matters (noise can pair a real pole)
             share = MATERIAL_SHARE if n_states < shapes.shape[1] else DECISIVE_SHARE
             if ranking and ranking[0][0] <= floor / (1.0 - share) + rounding:
                 break
         if not ranking:
+            asked = "no mode" if self.n_states is None else f"n_states={self.n_states}"
             raise ValueError(
-                f"n_states={self.n_states} cannot be kept: {sum(sizes)} states in {len(units)} "
-                f"real poles or conjugate pairs are left once the window's memory is split off "
-                f"(pairs stay together); change n_states or raise the order of the identified model"
+                f"{asked} cannot be kept: {sum(sizes)} states in {len(units)} real poles or "
+                f"conjugate pairs are left once the window's memory and modes that turn or grow "
+                f"too fast are split off (pairs stay together); change n_states, keep more "
+                f"harmonics, or raise the order of the identified model"
             )
         self.left_out_ = 1.0 - min(1.0, (floor + rounding) / max(ranking[0][0], rounding))
         limit = ranking[0][0] * (1.0 + RIVAL_SHARE) + rounding
@@ -282,28 +315,31 @@ class SpuriousModeReducer(ModelStep):
         """
         basis = experiment.basis
         spp = basis.samples_per_period
-        kept_families = sorted(set(families[kept].tolist()))
-        exponents = family_exponents(
-            z, families, kept_families, basis.rows_per_period, FAMILY_TOLERANCE
-        )
         scale = output_scale(experiment)
         phases = [basis.phase_index(time) for time in experiment.times()]
         outputs = [y / scale for y in experiment.outputs]
         decay = strongest_free_decay(experiment.drive, outputs, phases, spp, REST_SHARE)
-        if exponents is None or decay is None:
+        choices = family_exponents(
+            z,
+            families,
+            sorted({int(families[unit[0]]) for unit in self._compact}),
+            basis.rows_per_period,
+            len(scale),
+            MULTIPLIER_ANGLE,
+        )
+        if not choices or decay is None or len(decay) < 2 * len(scale) * spp:
             return None
+        refined = [refine_exponents(decay, choice, spp) for choice in choices]
+        exponents = min(refined, key=lambda pair: pair[1])[0]
         R = real_block(exponents * basis.omega / (2.0 * np.pi))
-        if len(R) != decay.shape[1] or len(decay) < 2 * len(R) * spp:
-            return None
         P = mode_shapes(decay, R, basis.sample_time, spp)
         if shape_condition(P) > SHAPE_CONDITION:
             return None
-        P = P * scale[:, None]
         F = state_matrix_samples(P, R, basis.omega)
         highest = max(k for _, orders in basis.outputs for k in orders)
         A = harmonic_state_matrix(F, highest, basis.omega)
         where = _kept_states(basis)
-        A, C = A[np.ix_(where, where)], np.eye(len(where))
+        A, C = A[np.ix_(where, where)], np.diag(np.repeat(scale, _coefficient_counts(basis)))
         if np.max(np.linalg.eigvals(A).real) > max(0.0, np.max(np.linalg.eigvals(R).real)):
             return None  # noise, or too few harmonics: a decay that grows
         B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
@@ -318,7 +354,7 @@ class SpuriousModeReducer(ModelStep):
             for verdict, reason in zip(verdicts, reasons, strict=True)
         ]
         self._modes = (exponents, families, verdicts, reasons)
-        return model.in_continuous_time(A, B, C, D, state_names=model.output_names)
+        return model.in_continuous_time(A, B, C, D)
 
     def _refit(self, model, experiment, z, kept, fast):
         """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
@@ -349,6 +385,11 @@ def _kept_states(basis):
     return places
 
 
+def _coefficient_counts(basis):
+    """Coefficients kept of each output."""
+    return [sum(1 if k == 0 else 2 for k in orders) for _, orders in basis.outputs]
+
+
 def _to_residualize(method, others, exponents, z, basis):
     """Modes replaced by their static gain: neither kept nor the window's memory."""
     logarithm = ~((np.abs(z.imag) <= 1e-8 * np.abs(z)) & (z.real <= 0.0))
@@ -360,7 +401,7 @@ def _to_residualize(method, others, exponents, z, basis):
     return fast
 
 
-def _verdicts(kept, window, families, exponents, doubtful):
+def _verdicts(kept, window, wild, families, exponents, doubtful):
     """Verdict and reason of each mode."""
     doubt = {i for unit in doubtful for i in unit}
     verdicts, reasons = [], []
@@ -376,6 +417,9 @@ def _verdicts(kept, window, families, exponents, doubtful):
             near = min(relatives, key=lambda j: abs(exponents[j].imag - exponent.imag))
             verdict = "copy"
             reason = f"same Floquet multiplier as the mode at {exponents[near]:.4g} rad/s"
+        elif wild[i]:
+            verdict = "weak"
+            reason = "turns faster than the harmonics kept, or grows faster than the record shows"
         else:
             verdict, reason = "weak", "adds nothing material to the raw signals"
         verdicts.append(verdict)

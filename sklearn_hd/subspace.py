@@ -137,6 +137,7 @@ class MOESPRegressor(ModelStep):
         self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
         self._check_rank_bound(n_outputs)
         moving = _moving_inputs(inputs, experiment)
+        _check_outputs_move(experiment)
         if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
             return self._remember(self._static_model(experiment, y), experiment, X, y)
         u_scale, y_scale = (
@@ -187,7 +188,7 @@ class MOESPRegressor(ModelStep):
             f"the {experiment.span()} are too few to identify dynamics from "
             f"{inputs[0].shape[1]} input(s): a static gain is fitted; use a longer record",
             ExcitationWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
         self.singular_values_, self.noise_floor_, self.order_ = np.zeros(0), 0.0, 0
         A, C = np.zeros((0, 0)), np.zeros((n_outputs, 0))
@@ -227,6 +228,8 @@ class MOESPRegressor(ModelStep):
                 f"more, or a larger hop"
             )
         # the future inputs, i m rows, are projected out of j = n_rows − 2 i + 1 columns
+        if sliding:
+            self._check_rows_per_period(basis)
         need = i * n_inputs + 1 + (1 if self.order == "auto" else int(self.order))
         free = self.order == "auto" and self.block_rows is None and basis is None
         if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
@@ -237,6 +240,17 @@ class MOESPRegressor(ModelStep):
                 f"{n_inputs} input(s); use a longer record, fewer block rows or a smaller hop"
             )
         return i
+
+    @staticmethod
+    def _check_rows_per_period(basis):
+        highest = max(k for _, orders in basis.outputs for k in orders)
+        if basis.rows_per_period <= 2 * highest:
+            most = basis.samples_per_period // (2 * highest + 1)
+            raise ValueError(
+                f"hop={basis.hop} reads {basis.rows_per_period} rows a period, too few for "
+                f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
+                f"most {most}, or hop='period'"
+            )
 
     def _check_order(self):
         if self.order != "auto":
@@ -264,7 +278,7 @@ class MOESPRegressor(ModelStep):
                 f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
                 f"identified, and their columns of B are zero",
                 ExcitationWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         need = 2 * self.block_rows_ * int(moving.sum())
         size = 2 * self.block_rows_ * len(moving)
@@ -276,7 +290,7 @@ class MOESPRegressor(ModelStep):
                 f"block_rows={self.block_rows_} with {int(moving.sum())} input(s) asks for {need}; "
                 f"use a richer input or fewer block rows, and trust the order with care",
                 ExcitationWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
     @staticmethod
@@ -288,10 +302,21 @@ class MOESPRegressor(ModelStep):
 
 def _scales(signals):
     """Root mean square of each channel over all segments; one where a channel is zero."""
-    total = sum(len(signal) for signal in signals)
-    scale = np.sqrt(sum(np.sum(signal**2, axis=0) for signal in signals) / max(total, 1))
+    stacked = np.vstack(signals)
+    largest = np.max(np.abs(stacked), axis=0, initial=0.0)
+    largest[largest == 0.0] = 1.0
+    scale = largest * np.sqrt(np.mean((stacked / largest) ** 2, axis=0))
     scale[scale == 0.0] = 1.0
     return scale
+
+
+def _check_outputs_move(experiment):
+    """Raise ValueError if every output is zero throughout."""
+    if not any(np.any(y) for y in experiment.outputs):
+        raise ValueError(
+            f"all outputs are zero in the {experiment.span()} (trim subtracted): there is no "
+            f"response to identify; check the columns of y and trim_span"
+        )
 
 
 def _moving_inputs(inputs, experiment):

@@ -9,7 +9,10 @@ from sklearn_hd.algorithms.mode_shapes import (
     harmonic_state_matrix,
     mode_shapes,
     real_block,
+    refine_exponents,
+    shape_condition,
     state_matrix_samples,
+    strongest_free_decay,
 )
 from sklearn_hd.systems import LTPSystem
 
@@ -76,3 +79,44 @@ def test_real_block_has_the_exponents_as_eigenvalues():
     exponents = [-1.0, -0.5 + 2.0j]
     assert same_poles(np.linalg.eigvals(real_block(exponents)), [-1, -0.5 + 2j, -0.5 - 2j], 1e-12)
     assert real_block([]).shape == (0, 0)
+
+
+@pytest.mark.parametrize("exponents", [[-0.4, -2.0], [-0.3 + 1.2j], [-0.1, -0.5 + 0.8j]])
+def test_exponents_are_refined_to_those_of_the_decay(rng, exponents):
+    """Whatever the mode shapes: they are eliminated."""
+    R = real_block(exponents)
+    shapes = rng.standard_normal((16, 2, len(R)))
+    y = np.vstack([shapes @ linalg.expm(R * k) @ np.ones(len(R)) for k in range(12)]).reshape(-1, 2)
+    start = np.array(exponents, dtype=complex) * 1.15
+    found, rest = refine_exponents(y, start, 16)
+    np.testing.assert_allclose(found, exponents, rtol=1e-7)
+    assert rest < 1e-18 * np.sum(y**2)
+
+
+def test_refinement_averages_noise(rng):
+    """The spread of a refined exponent falls with the number of samples a period."""
+    spread = []
+    for spp in (4, 64):
+        shapes = rng.standard_normal((spp, 1))
+        shapes /= np.sqrt(np.mean(shapes**2))
+        decay = (shapes * np.exp(-0.3 * np.arange(20))[:, None, None]).reshape(-1, 1)
+        noisy = [decay + 0.01 * rng.standard_normal(decay.shape) for _ in range(30)]
+        spread.append(np.std([refine_exponents(y, np.array([-0.2]), spp)[0].real for y in noisy]))
+    assert spread[1] < spread[0] / 2.5  # 4 = sqrt(64 / 4) in the mean
+
+
+def test_the_strongest_decay_starts_with_the_period_after_the_last_motion():
+    phases = [np.arange(40) % 8, (np.arange(40) + 3) % 8]
+    u = [np.zeros((40, 1)), np.zeros((40, 1))]
+    u[0][5], u[1][9] = 1.0, 1.0
+    y = [np.ones((40, 1)), 2 * np.arange(40.0)[:, None]]
+    decay = strongest_free_decay(u, y, phases, 8, 1e-9)
+    np.testing.assert_array_equal(decay, y[1][13:37])
+    assert strongest_free_decay([u[0] * 0], [y[0]], phases[:1], 8, 1e-9) is None
+
+
+def test_a_missing_mode_or_output_makes_the_shapes_singular(rng):
+    P = rng.standard_normal((8, 2, 2))
+    assert np.isfinite(shape_condition(P))
+    assert shape_condition(P * [1e6, 1e-6]) == pytest.approx(shape_condition(P), rel=1e-3)
+    assert shape_condition(P * [1.0, 0.0]) == np.inf

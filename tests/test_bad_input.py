@@ -12,7 +12,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, UnstableModelError
 
 OMEGA = 2 * np.pi
 SPP = 16
@@ -69,7 +69,7 @@ ANALYZER = {
     ),
     "window": ({"window": "hamming"}, r"window='hamming' is not known; use one of 'boxcar'"),
     "hop": ({"hop": 5}, r"hop=5 does not divide the 16 samples of a period; use one of \[1, 2, 4"),
-    "hop text": ({"hop": "beat"}, r"hop='beat' does not divide .* or 'period'"),
+    "hop text": ({"hop": "beat"}, r"hop='beat' does not divide .* 'period', or None"),
     "hop zero": ({"hop": 0}, r"hop=0 does not divide"),
     "unknown input": (
         {"input_harmonics": {"x": 0}},
@@ -410,3 +410,43 @@ def test_unfitted_use(u):
     for step in (HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer()):
         with pytest.raises(ValueError, match="not fitted yet"):
             step.transform(u)
+
+
+def test_outputs_must_answer(u, y):
+    with pytest.raises(ValueError, match=r"all outputs are zero in the rows from t = 0 s .* check"):
+        identify(u, y * 0.0)
+
+
+def test_too_few_rows_a_period_fold_the_copies_onto_the_modes(u, y):
+    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics={"w": [0], "v": [1]}, hop=8)
+    pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
+    with pytest.raises(ValueError, match=r"hop=8 reads 2 rows a period, too few for harmonic 1"):
+        pipe.fit(u, y)
+
+
+def test_a_period_synchronous_model_is_not_matched(u, y):
+    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics={"w": [0], "v": [1]}, hop="period")
+    steps = [("harmonics", analyzer), ("identify", MOESPRegressor(order=1, block_rows=3))]
+    structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan))
+    with pytest.raises(ValueError, match=r"identified period by period \(hop='period'\)"):
+        Pipeline([*steps, ("match", StructuredMatcher(structure=structure))]).fit(u, y)
+
+
+def test_an_overflowing_simulation_is_refused():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((60, 1))
+    y = np.zeros(60)
+    for k in range(59):
+        y[k + 1] = 1.5 * y[k] + u[k, 0]
+    model = MOESPRegressor(order=1, block_rows=3).fit(u, y)
+    assert model.eigenvalues_[0].real == pytest.approx(1.5, abs=1e-6)
+    with pytest.raises(UnstableModelError, match=r"overflows: the model has a pole of size 1.5"):
+        model.predict(np.ones((5000, 1)))
+
+
+def test_frames_of_other_libraries_are_refused():
+    class Frame:
+        __dataframe__ = None
+
+    with pytest.raises(TypeError, match=r"carries no index of times; give X.to_pandas\(\)"):
+        HarmonicAnalyzer(OMEGA).fit(Frame())

@@ -55,8 +55,8 @@ def test_causal_windows_see_only_the_past(rng):
 
 def test_centred_windows_do_not_delay_a_ramp():
     ramp = record(lambda t: t)
-    causal = HarmonicAnalyzer(OMEGA).fit_transform(ramp)["u_0"].to_numpy()
-    centred = HarmonicAnalyzer(OMEGA, window="centred-triangle").fit_transform(ramp)["u_0"]
+    causal = HarmonicAnalyzer(OMEGA, hop=1).fit_transform(ramp)["u_0"].to_numpy()
+    centred = HarmonicAnalyzer(OMEGA, window="centred-triangle", hop=1).fit_transform(ramp)["u_0"]
     inside = slice(2 * SPP, -2 * SPP)
     np.testing.assert_allclose(centred.to_numpy()[inside], ramp["u"].to_numpy()[inside], atol=1e-12)
     delay = (ramp["u"].to_numpy() - causal)[inside]
@@ -148,3 +148,12 @@ def test_a_frame_without_the_coefficients_cannot_be_put_together():
     analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=1).fit(u)
     with pytest.raises(ValueError, match="lacks the coefficient column 'u_0'"):
         analyzer.inverse_transform(u)
+
+
+@pytest.mark.parametrize(("spp", "highest", "hop"), [(64, 1, 8), (60, 1, 6), (64, 3, 4), (7, 1, 1)])
+def test_default_hop_reads_about_eight_rows_a_period(spp, highest, hop):
+    u = record(np.cos, spp=spp)
+    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics=highest).fit(
+        u, u.rename(columns={"u": "y"})
+    )
+    assert analyzer.basis_.hop == hop

@@ -15,6 +15,7 @@ take up the difference.
 
 import numpy as np
 from scipy import linalg
+from scipy.optimize import least_squares
 
 from sklearn_hd.algorithms.floquet import derivative_matrix, toeplitz_matrix
 
@@ -22,6 +23,7 @@ __all__ = [
     "harmonic_state_matrix",
     "mode_shapes",
     "real_block",
+    "refine_exponents",
     "shape_condition",
     "state_matrix_samples",
     "strongest_free_decay",
@@ -81,6 +83,55 @@ def strongest_free_decay(inputs, outputs, phases, samples_per_period, rest_share
     return best
 
 
+def refine_exponents(decay, exponents, samples_per_period):
+    """Exponents that explain a free decay best, whatever its mode shapes.
+
+    From one period to the next every sample of the period decays alike, so that
+    with M holding shapes and amplitudes
+
+        y[k-th period] = (e^{R_T k} 1)ᵀ M,    R_T of eigenvalues λ_i T,
+
+    and M is eliminated by projection (Golub and Pereyra, 1973).
+
+    Parameters
+    ----------
+    decay : ndarray, shape (n_periods * samples_per_period, l)
+        Outputs in like units, so that each counts alike.
+    exponents : complex ndarray
+        λT to start from: real ones, and one member of each pair.
+    samples_per_period : int
+
+    Returns
+    -------
+    exponents : complex ndarray
+        λT; an exponent stays real, or one of a pair, as it was.
+    residual : float
+        Sum of squares left.
+    """
+    periods = decay.reshape(len(decay) // samples_per_period, -1)
+    # the periods hold as many directions as there are of them: the rest is eliminated at once
+    compact = linalg.qr(periods.T, mode="r")[0][: len(periods)].T
+    paired = np.asarray(exponents).imag != 0.0
+    start = np.concatenate([np.real(exponents), np.imag(exponents)[paired]])
+
+    def unpack(parameters):
+        values = parameters[: len(paired)].astype(complex)
+        values[paired] += 1j * parameters[len(paired) :]
+        return values
+
+    def left(parameters):
+        step = linalg.expm(real_block(unpack(parameters)))
+        states = np.empty((len(periods), len(step)))
+        states[0] = 1.0
+        for k in range(1, len(periods)):
+            states[k] = step @ states[k - 1]
+        basis = linalg.qr(states, mode="economic")[0]
+        return (compact - basis @ (basis.T @ compact)).ravel()
+
+    found = least_squares(left, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    return unpack(found.x), 2.0 * float(found.cost)
+
+
 def shape_condition(P):
     """Largest condition number of P(ψ), its rows and columns scaled over the period.
 
@@ -93,11 +144,17 @@ def shape_condition(P):
     condition : float
         Infinite where an output or a mode is not there at all.
     """
-    rows = np.linalg.norm(P, axis=(0, 2))[:, None]
-    columns = np.linalg.norm(P / np.where(rows > 0, rows, 1.0), axis=(0, 1))
-    if not (rows.all() and columns.all()):
-        return np.inf
-    return float(np.max(np.linalg.cond(P / rows / columns)))
+    scaled = P / np.max(np.abs(P)) if P.any() else P
+    for _ in range(20):
+        rows = np.linalg.norm(scaled, axis=(0, 2))[:, None]
+        if not rows.all():
+            return np.inf
+        scaled = scaled / rows
+        columns = np.linalg.norm(scaled, axis=(0, 1))
+        if not columns.all():
+            return np.inf
+        scaled = scaled / columns
+    return float(np.max(np.linalg.cond(scaled)))
 
 
 def mode_shapes(outputs, R, sample_time, samples_per_period):

@@ -92,10 +92,12 @@ def floquet_families(z, rows_per_period, tolerance):
     return np.array([heads.index(i) for i in first], dtype=int)
 
 
-def family_exponents(z, families, chosen, rows_per_period, tolerance):
-    """One Floquet exponent, or one of a pair, for each of some families.
+def family_exponents(z, families, chosen, rows_per_period, n_states, tolerance):
+    """Floquet exponents of some families that together make a given number of states.
 
-    The mean over a family's members of ln z^r: they differ by multiples of 2πj alone.
+    Of each family the mean of ln z^r, for its members differ by multiples of 2πj
+    alone. An angle within the tolerance may be that of a real exponent that noise
+    has turned, or of a pair: all choices that give the number of states are returned.
 
     Parameters
     ----------
@@ -104,22 +106,26 @@ def family_exponents(z, families, chosen, rows_per_period, tolerance):
         From :func:`floquet_families`.
     chosen : sequence of int
     rows_per_period : int
+    n_states : int
     tolerance : float
-        Angle of a multiplier below which it counts as real.
+        Angle of a multiplier below which it may count as real.
 
     Returns
     -------
-    exponents : complex ndarray, shape (n_chosen,), or None
-        λT. None where a multiplier is negative: its real form spans two periods.
+    choices : list of complex ndarray
+        λT, real ones and one of each pair; none where a multiplier is negative, whose
+        real form spans two periods.
     """
-    exponents = []
+    options = []
     for family in chosen:
         multipliers = z[families == family] ** rows_per_period
         mean = np.mean(np.log(multipliers.real + 1j * np.abs(multipliers.imag)))
         if np.pi - mean.imag <= tolerance:
-            return None
-        exponents.append(mean.real + 0j if mean.imag <= tolerance else mean)
-    return np.array(exponents, dtype=complex)
+            return []
+        real, pair = complex(mean.real), complex(mean.real, max(mean.imag, tolerance / 10))
+        options.append([real, pair] if mean.imag <= tolerance else [pair])
+    choices = [np.array(choice) for choice in itertools.product(*options)]
+    return [choice for choice in choices if len(choice) + np.sum(choice.imag != 0) == n_states]
 
 
 def conjugate_units(z):
