@@ -237,6 +237,10 @@ def test_bunch_can_be_pickled():
         ({"n_records": 1.5}, "n_records=1.5 must be an integer"),
         ({"snr": 10, "snr_db": 20}, "both given; give one of them"),
         ({"snr": 0}, "snr=0 must be a positive ratio"),
+        ({"offset": np.nan}, "offset=nan must be a finite number"),
+        ({"start": "a"}, "start='a' must be a finite number"),
+        ({"amplitude": np.inf}, "amplitude=inf must be a finite number"),
+        ({"snr_db": np.nan}, "snr_db=nan must be a positive ratio"),
         ({"input": "3211", "n_periods": 4}, "n_periods=4 leaves nothing of the 3211"),
         ({"input": "multisine", "n_periods": 6}, "a multisine needs three periods or more"),
         ({"input": np.zeros(7)}, r"input has shape \(1, 7\).* = 14080 samples"),
@@ -247,3 +251,11 @@ def test_bunch_can_be_pickled():
 def test_bad_arguments_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         make_flapping_wing(**arguments)
+
+
+def test_raw_records_begin_with_a_tenth_in_trim():
+    """Their trim waveforms are averaged over it; perturbations need none."""
+    T = 1 / 26.3
+    raw = make_flapping_wing("nltp", input="3211", n_periods=80, width=2)
+    assert raw.trim_span == pytest.approx((0.0, 8 * T))
+    assert make_flapping_wing("ltp", input="3211", n_periods=80, width=2).trim_span[1] < 5 * T

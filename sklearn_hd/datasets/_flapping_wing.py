@@ -1,5 +1,6 @@
 """Records of the flapping wing: what an experiment on the paper's vehicle would give."""
 
+import numbers
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,7 +16,8 @@ __all__ = ["make_flapping_wing"]
 
 KINDS = ("lti", "lti-signal", "ltp", "nltp")
 TRIM_HARMONICS = 512  # the orbit to 3e-10 of its size; w has a kink wherever the wing reverses
-QUIET_PERIODS = 4  # in trim before a 3211 or multisine begins
+QUIET_PERIODS = 4  # at rest before a 3211 or multisine begins
+TRIM_SHARE = 10  # a tenth of a raw record in trim, to average its waveforms over
 HIGHEST_FREQUENCY = 0.4  # of a multisine, in cycles a period
 STEPS_3211 = (3, 2, 1, 1)
 
@@ -91,8 +93,9 @@ def make_flapping_wing(
         ``"doublet"``: up, then down, once. ``"3211"``: steps of 3, 2, 1 and 1 widths,
         up and down in turn, repeated to the end. ``"multisine"``: all frequencies up to
         0.4 cycles a period with random phases, one value held for each period. The
-        latter two begin after four quiet periods. An array is ΔU itself, in the units
-        of U, of shape (n_samples,) or (n_records, n_samples).
+        latter two begin after four quiet periods; for kind "nltp" after a tenth of the
+        record if that is more, for the trim inside to be averaged over. An array is ΔU
+        itself, in the units of U, of shape (n_samples,) or (n_records, n_samples).
     n_records : int, default=1
         More than one gives a (record, time) index. The first record is as asked; the
         further ones differ at random in sign, width and size (doublet, 3211) or in
@@ -165,12 +168,21 @@ def make_flapping_wing(
     _check_choice("noise_on", noise_on, ("outputs", "both"))
     n_periods = _check_count("n_periods", n_periods)
     samples_per_period = _check_count("samples_per_period", samples_per_period, least=3)
+    for name, value in (
+        ("start", start),
+        ("width", width),
+        ("amplitude", amplitude),
+        ("offset", offset),
+    ):
+        if not isinstance(value, numbers.Real) or not np.isfinite(value):
+            raise ValueError(f"{name}={value!r} must be a finite number")
     ratio = _noise_ratio(snr, snr_db)
     rng = check_random_state(random_state)
     truth, part = _truth(), SUBSYSTEMS[subsystem]
     size = amplitude * truth.torque
+    quiet = max(QUIET_PERIODS, n_periods // TRIM_SHARE) if kind == "nltp" else QUIET_PERIODS
     du = _excitation(
-        input, n_periods, samples_per_period, start, width, size, offset, n_records, rng
+        input, n_periods, samples_per_period, start, width, size, offset, n_records, quiet, rng
     )
     sample_time = truth.ltp.period / samples_per_period
     t = np.arange(du.shape[1]) * sample_time
@@ -311,7 +323,7 @@ class _ModulatedRates:
 # ---- inputs: changes ΔU of shape (records, samples) ------------------------------------------
 
 
-def _excitation(input, n_periods, spp, start, width, size, offset, n_records, rng):
+def _excitation(input, n_periods, spp, start, width, size, offset, n_records, quiet, rng):
     n_samples = n_periods * spp
     n_records = _check_count("n_records", n_records)
     if not isinstance(input, str):
@@ -325,10 +337,10 @@ def _excitation(input, n_periods, spp, start, width, size, offset, n_records, rn
         records = _doublets(n_samples, spp, start + offset, width, size, n_records, rng)
     else:
         build = _steps_3211 if input == "3211" else _multisines
-        first = round((QUIET_PERIODS + offset) * spp)
+        first = round((quiet + offset) * spp)
         if not 0 <= first < n_samples - spp:
             raise ValueError(
-                f"n_periods={n_periods} leaves nothing of the {input} after {QUIET_PERIODS} quiet "
+                f"n_periods={n_periods} leaves nothing of the {input} after {quiet} quiet "
                 f"periods and offset={offset}; raise n_periods"
             )
         records = np.zeros((n_records, n_samples))
@@ -439,8 +451,9 @@ def _noise_ratio(snr, snr_db):
     if snr is not None and snr_db is not None:
         raise ValueError(f"snr={snr} and snr_db={snr_db} are both given; give one of them")
     ratio = snr if snr_db is None else 10.0 ** (snr_db / 20.0)
-    if ratio is not None and not ratio > 0:
-        raise ValueError(f"snr={snr} must be a positive ratio of standard deviations, or None")
+    if ratio is not None and not (np.isfinite(ratio) and ratio > 0):
+        given = f"snr={snr}" if snr_db is None else f"snr_db={snr_db}"
+        raise ValueError(f"{given} must be a positive ratio of standard deviations, or None")
     return ratio
 
 
