@@ -223,7 +223,7 @@ class SpuriousModeReducer(ModelStep):
             )
         wild = self._beyond_bounds(exponents, experiment)
         units = [unit for unit in conjugate_units(z) if not (window | wild)[list(unit)].any()]
-        kept_units, rivals = self._choose(units, exponents, shapes, experiment)
+        kept_units, rivals, best_of_size = self._choose(units, exponents, shapes, experiment)
         kept = np.zeros(len(z), dtype=bool)
         kept[[i for unit in kept_units for i in unit]] = True
         doubtful = set(kept_units) - set.intersection(set(kept_units), *map(set, rivals))
@@ -245,7 +245,8 @@ class SpuriousModeReducer(ModelStep):
                 stacklevel=4,
             )
         if self.n_states is None and method == "truncate" and basis is not None:
-            periodic = self._from_mode_shapes(model, experiment, z, families, kept)
+            chosen = {frozenset(families[unit[0]].item() for unit in best) for best in best_of_size}
+            periodic = self._from_mode_shapes(model, experiment, z, families, kept, chosen)
             if periodic is not None:
                 return periodic
         fast = _to_residualize(method, kept | window, exponents, z, basis)
@@ -267,7 +268,7 @@ class SpuriousModeReducer(ModelStep):
         return grows | turns
 
     def _choose(self, units, exponents, shapes, experiment):
-        """Units to keep, and rival sets that explain the data as well."""
+        """Units to keep, rival sets that explain the data as well, and the best of each size."""
         sizes = [len(unit) for unit in units]
         scale = output_scale(experiment)
         observe = observations(experiment, shapes.shape[1])
@@ -283,11 +284,10 @@ class SpuriousModeReducer(ModelStep):
         floor = residual(R, columns, tuple(range(len(units))))
         rounding = 1e-14 * float(R[:, -1] @ R[:, -1])
         wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
-        ranking, self._compact = [], ()
+        ranking, best_of_size = [], []
         for n_states in wanted:
             ranking = best_modes(R, columns, sizes, n_states) or ranking
-            if ranking and n_states <= shapes.shape[1]:
-                self._compact = tuple(units[i] for i in ranking[0][1])
+            best_of_size.append([units[i] for _, best in ranking[:1] for i in best])
             # in harmonic-decomposition form the output coefficients are the states: more are
             # kept only where so many leave out what matters (noise can pair a real pole)
             share = MATERIAL_SHARE if n_states < shapes.shape[1] else DECISIVE_SHARE
@@ -305,9 +305,9 @@ class SpuriousModeReducer(ModelStep):
         limit = ranking[0][0] * (1.0 + RIVAL_SHARE) + rounding
         rivals = [rival for value, rival in ranking[1:] if value <= limit]
         pick = [units[i] for i in ranking[0][1]]
-        return pick, [[units[i] for i in rival] for rival in rivals]
+        return pick, [[units[i] for i in rival] for rival in rivals], best_of_size
 
-    def _from_mode_shapes(self, model, experiment, z, families, kept):
+    def _from_mode_shapes(self, model, experiment, z, families, kept, chosen):
         """Harmonic decomposition of the F(ψ) behind the families, where the outputs show it.
 
         None where the outputs do not determine the state, no input rests long
@@ -319,14 +319,14 @@ class SpuriousModeReducer(ModelStep):
         phases = [basis.phase_index(time) for time in experiment.times()]
         outputs = [y / scale for y in experiment.outputs]
         decay = strongest_free_decay(experiment.drive, outputs, phases, spp, REST_SHARE)
-        choices = family_exponents(
-            z,
-            families,
-            sorted({int(families[unit[0]]) for unit in self._compact}),
-            basis.rows_per_period,
-            len(scale),
-            MULTIPLIER_ANGLE,
-        )
+        rows, n_states = basis.rows_per_period, len(scale)
+        choices = [
+            choice
+            for some in chosen
+            for choice in family_exponents(
+                z, families, sorted(some), rows, n_states, MULTIPLIER_ANGLE
+            )
+        ]
         if not choices or decay is None or len(decay) < 2 * len(scale) * spp:
             return None
         refined = [refine_exponents(decay, choice, spp) for choice in choices]

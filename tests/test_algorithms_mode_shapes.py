@@ -120,3 +120,10 @@ def test_a_missing_mode_or_output_makes_the_shapes_singular(rng):
     assert np.isfinite(shape_condition(P))
     assert shape_condition(P * [1e6, 1e-6]) == pytest.approx(shape_condition(P), rel=1e-3)
     assert shape_condition(P * [1.0, 0.0]) == np.inf
+
+
+def test_a_start_that_grows_beyond_all_bounds_explains_nothing():
+    decay = np.exp(-0.3 * np.arange(40.0))[:, None]
+    found, rest = refine_exponents(decay, np.array([5.0 + 0j]), 1)
+    assert np.isfinite(found).all()
+    assert rest == pytest.approx(np.sum(decay**2))

@@ -19,6 +19,8 @@ from scipy.optimize import least_squares
 
 from sklearn_hd.algorithms.floquet import derivative_matrix, toeplitz_matrix
 
+MAX_GROWTH = 50.0  # e-folds over a decay, far below overflow
+
 __all__ = [
     "harmonic_state_matrix",
     "mode_shapes",
@@ -120,7 +122,10 @@ def refine_exponents(decay, exponents, samples_per_period):
         return values
 
     def left(parameters):
-        step = linalg.expm(real_block(unpack(parameters)))
+        values = unpack(parameters)
+        if not np.max(values.real) * len(periods) < MAX_GROWTH:
+            return compact.ravel()  # grows beyond all bounds: explains nothing
+        step = linalg.expm(real_block(values))
         states = np.empty((len(periods), len(step)))
         states[0] = 1.0
         for k in range(1, len(periods)):
