@@ -12,6 +12,7 @@ from sklearn_hd._data import (
     as_frame,
     check_features,
     hop_means,
+    is_decomposed,
     read_experiment,
     read_signals,
 )
@@ -78,8 +79,8 @@ class SegmentSimulator:
             self.rows = basis.rows_read(time, whole_windows=False)
             self.drive = hop_means(drive, basis, self.rows)
 
-    def outputs(self, x0):
-        """Outputs, trim not added, shape (n_samples, n_outputs)."""
+    def outputs(self, x0, *, recompose=True):
+        """Outputs, or their harmonics, trim not added, shape (n_samples, n_outputs)."""
         states = propagate(self.A, self.drive @ self.B.T, x0)
         if not np.isfinite(states).all():
             radius = np.max(np.abs(np.linalg.eigvals(self.A)))
@@ -88,7 +89,8 @@ class SegmentSimulator:
                 f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
                 f"the order, or simulate a shorter span"
             )
-        return self._observe(states @ self.model.C.T + self.drive @ self.model.D.T, self.time)
+        Y = states @ self.model.C.T + self.drive @ self.model.D.T
+        return self._observe(Y, self.time, recompose)
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
@@ -98,12 +100,14 @@ class SegmentSimulator:
         states = propagate(self.A, np.zeros((n, min(steps, len(self.drive)), n)), np.eye(n))
         return self._observe(states @ self.model.C.T, time)
 
-    def _observe(self, Y, time):
+    def _observe(self, Y, time, recompose=True):
         """Model outputs brought to every sample, and recomposed where there is a basis."""
         if self.basis is None:
             return Y
         if self.rows is not None:
             Y = self._between_rows(Y, len(time))
+        if not recompose:
+            return Y
         R = self.basis.recomposition(self.basis.azimuth(time))
         return np.einsum("tsk,...tk->...ts", R, Y)
 
@@ -138,7 +142,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_features(self, X, reset=True)
         self.model_, self.basis_ = model, experiment.basis
         y = as_container(y, "y")
-        self.target_names_ = signal_names(y, "y")
+        self.predicts_harmonics_ = is_decomposed(y)
+        labels = experiment.basis.output_labels if self.predicts_harmonics_ else None
+        self.target_names_ = labels or signal_names(y, "y")
         kinds = {pd.DataFrame: "frame", pd.Series: "series"}
         self.target_kind_ = next((k for t, k in kinds.items() if isinstance(y, t)), None)
         if self.target_kind_ is None:
@@ -198,16 +204,17 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Returns
         -------
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Harmonics instead, trim left out, if y was a HarmonicFrame at fit.
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
         starts = _initial_states(x0, experiment.base, self.model_.n_states)
         outputs = [
-            simulator.outputs(start)
+            simulator.outputs(start, recompose=not self.predicts_harmonics_)
             for simulator, start in zip(self._simulators(experiment), starts, strict=True)
         ]
         trim = experiment.output_trim()
-        if trim is not None:
+        if trim is not None and not self.predicts_harmonics_:
             outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
         return self._mirror(experiment.sampling.back(outputs), X)
 
@@ -281,7 +288,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
     def _experiment(self, X, y=None):
         X = check_features(self, X, reset=False)
-        experiment = read_experiment(self._upstream_frame(X), y)
+        decomposition = self.basis_ if self.predicts_harmonics_ else None
+        experiment = read_experiment(self._upstream_frame(X), y, decomposition)
         self._check_basis(experiment.basis)
         dt, found = self.model_.dt, experiment.base.sample_time
         plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1

@@ -1,7 +1,7 @@
 """Data in: frames, Series and arrays, read as signals, segments and experiments."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -336,10 +336,24 @@ def mean_waveforms(sampling, blocks, basis, start, stop):
     return sums / counts[:, None]
 
 
-def read_experiment(X, y=None):
-    """Segments of inputs and outputs that a model step fits or simulates."""
+def is_decomposed(y):
+    """Whether y is a frame of harmonics, as HarmonicAnalyzer makes it."""
+    return isinstance(y, HarmonicFrame) and y.basis is not None
+
+
+def read_experiment(X, y=None, decomposition=None):
+    """Segments of inputs and outputs that a model step fits or simulates.
+
+    Where y has been decomposed already, its own basis says which harmonics of
+    which outputs are kept; ``decomposition`` repeats that of an earlier fit.
+    """
     frame = as_frame(X)
     basis = frame.basis
+    if is_decomposed(y):
+        decomposition = replace(y.basis, outputs=y.basis.inputs, output_trim=y.basis.input_trim)
+        y = pd.DataFrame(y)[[signal for signal, _ in y.basis.inputs]]
+    if decomposition is not None:
+        basis = _with_outputs_of(basis, decomposition)
     reading = PLAIN if basis is None else basis.reading
     signals = read_signals(frame if basis is None else frame[basis.measured], "x", "X", reading)
     measured = None
@@ -365,6 +379,18 @@ def read_experiment(X, y=None):
             outputs = without_trim(outputs, times, basis, basis.output_trim)
         names = basis.drive_labels
     return Experiment(frame, base, basis, drive, names, sampling, outputs, measured)
+
+
+def _with_outputs_of(basis, other):
+    """A basis whose outputs are decomposed as those of another one of the same analysis."""
+    for name in ("omega", "sample_time", "hop", "window"):
+        here, there = getattr(basis, name, None), getattr(other, name)
+        if here != there:
+            raise ValueError(
+                f"y was decomposed with {name}={there!r}, X with {here!r}; use the same "
+                f"HarmonicAnalyzer parameters for both, or give y in time"
+            )
+    return replace(basis, outputs=other.outputs, output_trim=other.output_trim)
 
 
 def rows_read(experiment):

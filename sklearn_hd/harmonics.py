@@ -11,6 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._data import (
     check_features,
+    is_decomposed,
     mean_waveforms,
     read_signals,
     read_values,
@@ -213,7 +214,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X : DataFrame, Series or ndarray, shape (n_samples, n_inputs)
             Inputs u.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs), optional
-            Outputs; without them the model steps cannot use the basis.
+            Outputs; without them the model steps cannot use the basis, unless
+            they are given harmonics of y themselves (a HarmonicFrame).
 
         Returns
         -------
@@ -225,7 +227,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X = check_features(self, X, reset=True)
         inputs = read_signals(X, "x", "X", reading)
         outputs, output_names = None, ()
-        if y is not None:
+        if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, reading)
         if inputs.base.counted:
             warnings.warn(

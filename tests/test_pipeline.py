@@ -362,3 +362,21 @@ def test_units_of_the_signals_do_not_matter(ltp):
     scaled = heave_pipeline(ltp.omega, n_states=3).fit(ltp.inputs * 1e5, outputs)
     assert scaled["identify"].order_ == plain["identify"].order_
     assert same_poles(scaled["reduce"].system_.poles(), plain["reduce"].system_.poles(), 1e-7)
+
+
+def test_outputs_that_are_decomposed_already(fitted, lti_signal):
+    """The same model, and predictions of harmonics instead of signals."""
+    u, y = lti_signal.inputs, lti_signal.outputs
+    options = {"omega": lti_signal.omega, "hop": 8}
+    Y = HarmonicAnalyzer(input_harmonics=KEPT, **options).fit_transform(y)
+    pipe = clone(fitted).set_params(harmonics__output_harmonics=0).fit(u, Y)
+    np.testing.assert_array_equal(pipe["match"].model_.A, fitted["match"].model_.A)
+    harmonics = pipe.predict(u)
+    assert harmonics.columns.tolist() == ["w_0", "phi_dot_1c", "phi_dot_1s"]
+    psi = lti_signal.omega * u.index.to_numpy()
+    phi_dot = harmonics["phi_dot_1c"] * np.cos(psi) + harmonics["phi_dot_1s"] * np.sin(psi)
+    np.testing.assert_allclose(phi_dot, fitted.predict(u)["phi_dot"], atol=1e-9)
+    assert pipe.score(u, Y) == pytest.approx(fitted.score(u, y))
+    other = HarmonicAnalyzer(input_harmonics=KEPT, omega=lti_signal.omega, hop=16)
+    with pytest.raises(ValueError, match=r"y was decomposed with hop=16, X with 8; use the same"):
+        clone(pipe).fit(u, other.fit_transform(y))
