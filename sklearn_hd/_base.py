@@ -44,11 +44,24 @@ def upstream(step, X, y):
         if frame.model is None:
             raise ValueError(
                 f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor "
-                f"in a Pipeline, or give it one: {type(step).__name__}(estimator=...)"
+                f"in a Pipeline (with no step between them that makes a frame anew), or give it "
+                f"one: {type(step).__name__}(estimator=...)"
             )
         return read_experiment(frame, y), frame.model
+    if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
+        isinstance(step.estimator, type)
+    ):
+        raise ValueError(
+            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"SpuriousModeReducer, or a Pipeline that ends in one"
+        )
     step.estimator_ = clone(step.estimator).fit(X, y)
     frame = step._upstream_frame(X)
+    if frame.model is None:
+        raise ValueError(
+            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"SpuriousModeReducer, or a Pipeline that ends in one"
+        )
     return read_experiment(frame, y), frame.model
 
 
@@ -145,6 +158,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         self.predicts_harmonics_ = is_decomposed(y)
         labels = experiment.basis.output_labels if self.predicts_harmonics_ else None
         self.target_names_ = labels or signal_names(y, "y")
+        self.target_columns_ = list(labels or getattr(y, "columns", self.target_names_))
+        if isinstance(y, pd.Series):
+            self.target_columns_ = [y.name]
         kinds = {pd.DataFrame: "frame", pd.Series: "series"}
         self.target_kind_ = next((k for t, k in kinds.items() if isinstance(y, t)), None)
         if self.target_kind_ is None:
@@ -237,8 +253,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         score : float
         """
         check_is_fitted(self)
+        check_outputs_given(y)
         truth, simulated, rows = self._fitted_simulation(X, y)
-        weight = None if sample_weight is None else np.asarray(sample_weight, dtype=float)[rows]
+        weight = None if sample_weight is None else _weights(sample_weight, len(y))[rows]
         return float(r2_score(truth, simulated, sample_weight=weight))
 
     def _fitted_simulation(self, X, y):
@@ -321,9 +338,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         """Predictions in the container, with the columns and the index, of y at fit."""
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else None
         if self.target_kind_ == "frame":
-            return pd.DataFrame(values, index=index, columns=list(self.target_names_))
+            return pd.DataFrame(values, index=index, columns=pd.Index(self.target_columns_))
         if self.target_kind_ == "series":
-            return pd.Series(values[:, 0], index=index, name=self.target_names_[0])
+            return pd.Series(values[:, 0], index=index, name=self.target_columns_[0])
         return values[:, 0] if self.target_kind_ == "vector" else values
 
     @property
@@ -341,15 +358,31 @@ def scored_simulation(step, X, y):
 
 def fit_initial_state(simulator, outputs, rows):
     """Initial state whose simulation fits the outputs best over some rows."""
+    largest = np.max(np.abs(outputs), axis=0)
+    unit = np.where(largest > 0.0, largest, 1.0)  # so that each output counts alike
     forced = simulator.outputs(np.zeros(simulator.model.n_states))[rows]
     if simulator.model.n_states == 0:
         return np.zeros(0)
-    free = simulator.free(rows.stop)[:, rows]
+    free = simulator.free(rows.stop)[:, rows] / unit
     regressors = free.reshape(len(free), -1).T
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
-    target = (outputs[rows] - forced).reshape(-1)
+    target = ((outputs[rows] - forced) / unit).reshape(-1)
     return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
+
+
+def _weights(sample_weight, n_samples):
+    """Sample weights as floats, after checking that they fit the rows."""
+    try:
+        weight = np.asarray(sample_weight, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError("sample_weight holds values that are no numbers") from None
+    if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
+        raise ValueError(
+            f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
+            f"each of the {n_samples} rows"
+        )
+    return weight
 
 
 def _initial_states(x0, base, n_states):
@@ -362,7 +395,15 @@ def _initial_states(x0, base, n_states):
         if missing:
             raise ValueError(f"x0 has no state for record {missing[0]!r}; give one for each record")
         x0 = [x0[record] for record in base.records]
-    x0 = np.asarray(x0, dtype=float)
+    try:
+        x0 = np.asarray(x0, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"x0={x0!r} holds no numbers, or states of different lengths; give {n_states} numbers, "
+            f"one row of them a segment, or a dict of them by record"
+        ) from None
+    if not np.isfinite(x0).all():
+        raise ValueError("x0 contains NaN or infinity; give finite states")
     if x0.ndim == 1:
         x0 = np.broadcast_to(x0, (n_segments, len(x0)))
     if x0.shape != (n_segments, n_states):

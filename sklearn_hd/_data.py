@@ -260,7 +260,7 @@ def as_frame(X):
 
 def _refuse_lost_basis(X):
     names = {str(column) for column in X.columns}
-    lost = [s for s in names if {f"{s}_0", f"{s}_1c"} <= names]
+    lost = sorted(s for s in names if f"{s}_0" in names)
     if lost:
         raise ValueError(
             f"column {lost[0]!r} stands beside its own coefficients ({lost[0]}_0, …), but the "
@@ -354,6 +354,8 @@ def read_experiment(X, y=None, decomposition=None):
         y = pd.DataFrame(y)[[signal for signal, _ in y.basis.inputs]]
     if decomposition is not None:
         basis = _with_outputs_of(basis, decomposition)
+    if basis is not None:
+        _check_columns(frame, basis)
     reading = PLAIN if basis is None else basis.reading
     signals = read_signals(frame if basis is None else frame[basis.measured], "x", "X", reading)
     measured = None
@@ -379,6 +381,19 @@ def read_experiment(X, y=None, decomposition=None):
             outputs = without_trim(outputs, times, basis, basis.output_trim)
         names = basis.drive_labels
     return Experiment(frame, base, basis, drive, names, sampling, outputs, measured)
+
+
+def _check_columns(frame, basis):
+    """Raise ValueError if a step has changed the columns that the analyzer made."""
+    found, made = [str(c) for c in frame.columns], [*basis.measured, *basis.drive_labels]
+    missing = [name for name in made if name not in found]
+    extra = [name for name in found if name not in made]
+    if missing or extra:
+        what = f"dropped {missing[0]!r}" if missing else f"added {extra[0]!r}"
+        raise ValueError(
+            f"a step between HarmonicAnalyzer and this one has {what}; the analyzer made {made}: "
+            f"put steps that change columns before it"
+        )
 
 
 def _with_outputs_of(basis, other):

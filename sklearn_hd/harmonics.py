@@ -224,6 +224,12 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         check_one_phase(self.omega, self.azimuth)
         window = check_choice("window", self.window, WINDOWS)
         reading = self._reading()
+        if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
+            raise ValueError(
+                "X comes from HarmonicAnalyzer or a model step already; the order of steps is "
+                "HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher, each "
+                "once"
+            )
         X = check_features(self, X, reset=True)
         inputs = read_signals(X, "x", "X", reading)
         outputs, output_names = None, ()
@@ -438,7 +444,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
 def _check_hop(hop, spp, highest):
     """The hop, None standing for about eight rows a period, more for high harmonics."""
-    if hop == PERIOD and isinstance(hop, str):
+    if isinstance(hop, str) and hop == PERIOD:
         return PERIOD
     divisors = [d for d in range(1, spp + 1) if spp % d == 0]
     if hop is None:

@@ -394,9 +394,7 @@ def test_another_analyzer_than_at_fit(u, y):
     with pytest.raises(ValueError, match=r"X was analysed with hop=8, the data at fit with 4; use"):
         pipe["identify"].predict(analyze(u, y, hop=8).transform(u))
     plain = pd.DataFrame(0.0, index=u.index, columns=["u", "u_0"])
-    with pytest.raises(
-        ValueError, match=r"X was analysed with omega=None, the data at fit with 6.28"
-    ):
+    with pytest.raises(ValueError, match=r"carries no harmonic basis"):
         pipe["identify"].predict(plain)
 
 
@@ -450,3 +448,50 @@ def test_frames_of_other_libraries_are_refused():
 
     with pytest.raises(TypeError, match=r"carries no index of times; give X.to_pandas\(\)"):
         HarmonicAnalyzer(OMEGA).fit(Frame())
+
+
+def test_a_step_that_changes_the_columns(u, y):
+    frame = analyze(u, y).transform(u)
+    for changed, what in (
+        (frame.drop(columns="u"), "has dropped 'u'"),
+        (frame.drop(columns="u_0"), "has dropped 'u_0'"),
+        (frame.assign(z=1.0), "has added 'z'"),
+    ):
+        with pytest.raises(ValueError, match=rf"a step between .* {what}; .*before"):
+            MOESPRegressor().fit(changed, y)
+
+
+def test_a_lost_basis_is_recognised_with_harmonic_0_alone(u, y):
+    with pytest.raises(ValueError, match=r"column 'u' stands beside its own coefficients"):
+        MOESPRegressor().fit(pd.DataFrame(analyze(u, y).transform(u)), y)
+
+
+def test_steps_in_the_wrong_order(u, y):
+    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics=0, hop=4)
+    for steps in ([analyzer, analyzer], [MOESPRegressor(order=1), analyzer]):
+        pipe = Pipeline([(f"step{k}", step) for k, step in enumerate(steps)])
+        with pytest.raises(ValueError, match=r"X comes from HarmonicAnalyzer or a model"):
+            pipe.fit(u, y[["w"]])
+
+
+def test_estimators_that_make_no_model(u, y):
+    for estimator in (HarmonicAnalyzer(OMEGA), "x", MOESPRegressor):
+        for step in (SpuriousModeReducer, StructuredMatcher):
+            with pytest.raises(ValueError, match=r"estimator=.* makes no model; give a"):
+                step(estimator).fit(u, y)
+
+
+def test_weights_targets_and_initial_states(u, y):
+    model = MOESPRegressor(order=1).fit(u, y[["w"]])
+    with pytest.raises(ValueError, match="the target y is None"):
+        model.score(u, None)
+    for weight in (np.ones(5), 2.0, -np.ones(len(u)), np.full(len(u), np.nan)):
+        with pytest.raises(ValueError, match=r"sample_weight has shape .* each of the 960 rows"):
+            model.score(u, y[["w"]], sample_weight=weight)
+    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+        model.score(u, y[["w"]], sample_weight=["a"] * len(u))
+    for x0 in ("abc", [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ValueError, match=r"holds no numbers, or states of different lengths"):
+            model.predict(u, x0=x0)
+    with pytest.raises(ValueError, match="x0 contains NaN or infinity"):
+        model.predict(u, x0=[np.nan])

@@ -380,3 +380,30 @@ def test_outputs_that_are_decomposed_already(fitted, lti_signal):
     other = HarmonicAnalyzer(input_harmonics=KEPT, omega=lti_signal.omega, hop=16)
     with pytest.raises(ValueError, match=r"y was decomposed with hop=16, X with 8; use the same"):
         clone(pipe).fit(u, other.fit_transform(y))
+
+
+def test_labels_of_the_outputs_are_mirrored(rng):
+    u = rng.standard_normal((100, 1))
+    y = np.column_stack([np.roll(u[:, 0], 1), np.roll(u[:, 0], 2)])
+    for columns in ([0, 1], pd.MultiIndex.from_tuples([("w", "m/s"), ("q", "rad/s")])):
+        frame = pd.DataFrame(y, columns=columns)
+        predicted = MOESPRegressor(order=2).fit(u, frame).predict(u)
+        assert predicted.columns.tolist() == frame.columns.tolist()
+    unnamed = pd.Series(y[:, 0])
+    assert MOESPRegressor(order=2).fit(u, unnamed).predict(u).name is None
+
+
+def test_score_does_not_depend_on_units(short_noisy):
+    u, y = short_noisy
+    model = MOESPRegressor(order=3, block_rows=8)
+    scaled = y * [1e-6, 1e6]
+    plain = clone(model).fit(u, y).score(u[150:], y[150:])
+    assert clone(model).fit(u, scaled).score(u[150:], scaled[150:]) == pytest.approx(plain)
+
+
+@pytest.fixture
+def short_noisy(rng):
+    A, B, C = random_stable(rng, 3, 1, 2)
+    u = rng.standard_normal((400, 1))
+    y = propagate(A, u @ B.T, np.zeros(3)) @ C.T
+    return u, y + 0.5 * rng.standard_normal(y.shape)
