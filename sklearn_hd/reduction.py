@@ -65,11 +65,12 @@ class SpuriousModeReducer(ModelStep):
        signals as well as all of them do, and no more of them than there are
        output coefficients unless more halve what is left unexplained (or the
        best set of ``n_states``), and calls the rest of their families copies;
-    4. where there are as many families as outputs and the inputs come to
-       rest, takes the mode shapes P(ψ) of the families from the free decay,
-       F(ψ) = (P′ + P R) P⁻¹ from them, and from that the harmonic
-       decomposition, which no choice within a family can bias; it replaces
-       the modes of 3. if it explains the raw signals as well;
+    4. where some families make as many states as there are outputs and the
+       inputs come to rest, refines their exponents on the raw free decay,
+       takes the mode shapes P(ψ) from it, F(ψ) = (P′ + P R) P⁻¹ from them,
+       and from that the harmonic decomposition, which no choice within a
+       family can bias; it replaces the modes of 3. if it explains the raw
+       signals as well;
     5. fits B, D and the initial states to the raw record through the exact
        response of what is kept, so that the window leaves no trace. Where
        another set of modes does as well, the verdict is ambiguous.

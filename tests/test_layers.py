@@ -17,7 +17,6 @@ LAYERS = [
     {"_data"},
     {"_base"},
     {"_continuous"},
-    {"structures"},
     {"harmonics", "subspace", "reduction", "matching"},
     {"datasets", "model_selection", "plotting"},
     {"__init__"},
