@@ -84,7 +84,7 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
     True
     """
     psi = np.asarray(psi, dtype=float)
-    units = _state_units(F)
+    units = state_units(F)
 
     def rule(left, right):
         return _collocation_step(F, G, left, right, omega, units)
@@ -409,7 +409,7 @@ def _collocation_step(F, G, left, right, omega, units):
 
     Stages K_i = F_i (x + h Σ_j a_ij K_j) + G_i u; step h Σ_i b_i K_i.
     """
-    c, a, b = _gauss_tableau(N_STAGES)
+    c, a, b = gauss_tableau(N_STAGES)
     width = right - left
     nodes = (left[:, None] + width[:, None] * c).ravel()
     Fs = F(nodes)
@@ -445,7 +445,7 @@ def _transition_weights(steps):
     return weight
 
 
-def _state_units(F):
+def state_units(F):
     """Powers of two in which the states' couplings are of the same size."""
     size = np.mean(np.abs(F(2.0 * np.pi * np.arange(16) / 16)), axis=0)
     pairs = size * size.T  # free of units
@@ -456,7 +456,7 @@ def _state_units(F):
 
 def _panel_integrals(matrix, n_harmonics, left, right):
     """∫ M(ψ) (1, cos ψ, sin ψ, …) dψ over each panel by Gauss quadrature."""
-    c, _, b = _gauss_tableau(N_STAGES)
+    c, _, b = gauss_tableau(N_STAGES)
     width = right - left
     nodes = left[:, None] + width[:, None] * c
     values = matrix(nodes.ravel())
@@ -474,7 +474,7 @@ def _integral_weights(integrals):
 
 
 @lru_cache(maxsize=4)
-def _gauss_tableau(n_stages):
+def gauss_tableau(n_stages):
     """Nodes c, matrix a and weights b of Gauss collocation on [0, 1]."""
     x, w = np.polynomial.legendre.leggauss(n_stages)
     legendre = np.polynomial.legendre
