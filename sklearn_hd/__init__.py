@@ -14,8 +14,9 @@ Steps 2 to 5 compose in a scikit-learn ``Pipeline``.
 
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd.harmonics import HarmonicAnalyzer
-from sklearn_hd.matching import MatrixStructure, StructuredMatcher
+from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.reduction import SpuriousModeReducer
+from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 from sklearn_hd.subspace import MOESPRegressor
 
 __version__ = "0.1.0"
@@ -23,6 +24,7 @@ __version__ = "0.1.0"
 __all__ = [
     "HarmonicAnalyzer",
     "HarmonicFrame",
+    "HarmonicStructure",
     "MOESPRegressor",
     "MatrixStructure",
     "SpuriousModeReducer",

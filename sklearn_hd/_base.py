@@ -224,10 +224,11 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
-        starts = _initial_states(x0, experiment.base, self.model_.n_states)
+        simulators = self._simulators(experiment)
+        starts = _initial_states(x0, experiment.base, simulators[0].model.n_states)
         outputs = [
             simulator.outputs(start, recompose=not self.predicts_harmonics_)
-            for simulator, start in zip(self._simulators(experiment), starts, strict=True)
+            for simulator, start in zip(simulators, starts, strict=True)
         ]
         trim = experiment.output_trim()
         if trim is not None and not self.predicts_harmonics_:

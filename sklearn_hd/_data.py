@@ -21,6 +21,7 @@ from sklearn_hd._validation import (
     signal_names,
 )
 from sklearn_hd.algorithms.fourier import harmonic_labels
+from sklearn_hd.algorithms.lifting import lift
 from sklearn_hd.algorithms.resampling import bridge, unwrap
 from sklearn_hd.exceptions import JitterWarning
 
@@ -203,6 +204,8 @@ class Experiment:
     drive : list of ndarray, shapes (n_samples_s, n_drive)
         What drives the model, trim subtracted.
     drive_names : tuple of str
+    inputs : list of ndarray, shapes (n_samples_s, n_inputs)
+        Measured inputs on the grid, trim subtracted.
     sampling : Sampling
         How the user's rows lie on the grid.
     outputs : list of ndarray, shapes (n_samples_s, n_outputs), or None
@@ -216,6 +219,7 @@ class Experiment:
     basis: HarmonicBasis | None
     drive: list
     drive_names: tuple
+    inputs: list
     sampling: Sampling
     outputs: list | None = None
     measured: np.ndarray | None = None
@@ -374,13 +378,14 @@ def read_experiment(X, y=None, decomposition=None):
     if basis is None:
         warn_of_jitter(signals.base, base.sample_time, stacklevel=4)
         names = signals.names
+        inputs = drive
     else:
-        drive = without_trim(drive, times, basis, basis.input_trim)
-        drive = [basis.drive(u, time) for u, time in zip(drive, times, strict=True)]
+        inputs = without_trim(drive, times, basis, basis.input_trim)
+        drive = [basis.drive(u, time) for u, time in zip(inputs, times, strict=True)]
         if outputs is not None:
             outputs = without_trim(outputs, times, basis, basis.output_trim)
         names = basis.drive_labels
-    return Experiment(frame, base, basis, drive, names, sampling, outputs, measured)
+    return Experiment(frame, base, basis, drive, names, inputs, sampling, outputs, measured)
 
 
 def _check_columns(frame, basis):
@@ -434,3 +439,12 @@ def hop_means(drive, basis, rows):
     beyond = max(0, int(ends[-1]) + hop - len(drive))
     held = np.concatenate([drive, np.repeat(drive[-1:], beyond, axis=0)])
     return np.lib.stride_tricks.sliding_window_view(held, hop, axis=0)[ends].mean(axis=-1)
+
+
+def lifted_periods(experiment, signals, scale=1.0):
+    """Whole periods of some signals of an experiment, (n_periods_s, samples, n_signals) each."""
+    basis = experiment.basis
+    return [
+        lift(values / scale, basis.phase_index(time), basis.samples_per_period)
+        for values, time in zip(signals, experiment.times(), strict=True)
+    ]

@@ -249,6 +249,11 @@ class HarmonicBasis:
         return R
 
 
+def highest_harmonic(signals):
+    """Highest harmonic kept of some signals."""
+    return max(k for _, orders in signals for k in orders)
+
+
 def _without_dust(coefficients):
     """Coefficients of one signal, those that are but rounding beside the others set to zero."""
     size = np.abs(coefficients).max(axis=0, initial=0.0)

@@ -1,9 +1,7 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
-import re
 import warnings
-from collections.abc import Mapping
-from numbers import Number
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -12,297 +10,42 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator, decomposed_structure
+from sklearn_hd._realization import realize
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_positive
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
+from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.simulation import frequency_response
-from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
-__all__ = ["MatrixStructure", "StructuredMatcher"]
+__all__ = ["StructuredMatcher"]
 
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
-
-_TERM = re.compile(r"\s*(?P<sign>[+-])?\s*(?:(?P<scale>[^*\s]+)\s*\*)?\s*(?P<name>\S.*?)\s*")
-_NAME = re.compile(r"[^\W\d]\w*(\[[^\]]*\])?")
+POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 
 
-class MatrixStructure:
-    """State-space matrices of which some entries are known and some are parameters.
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """A structured model: its parameters, and how it came about.
 
-        ẋ = A(θ) x + B(θ) u,   y = C(θ) x + D(θ) u
-
-    Parameters
-    ----------
-    A : array_like or DataFrame, shape (n, n)
-    B : array_like or DataFrame, shape (n, m)
-    C : array_like or DataFrame, shape (l, n), optional
-        The identity by default: every state is an output.
-    D : array_like or DataFrame, shape (l, m), optional
-        Zero by default.
-
-        In all four a number is a fixed entry, NaN a parameter of its own, and a text a
-        named parameter: ``"k"``, ``"-k"``, ``"2*k"``. A name that recurs, in whichever
-        matrix, is one parameter.
-    state_names, input_names, output_names : sequence of str, optional
-        By default the labels of the DataFrames. NaN entries are called after them,
-        ``"A[w_0,phi_dot_1c]"``; without names after their position, ``"A[0,1]"``.
-    initial : mapping of str to float, or array_like of shape (k,), optional
-        Where a search may start; every parameter must be given.
-
-    Attributes
-    ----------
-    parameter_names : tuple of str
-        In the order of their first appearance in A, B, C, D, read by rows.
-    n_parameters, n_states, n_inputs, n_outputs : int
-    initial : ndarray of shape (k,) or None
-    affine : AffineStructure
-        The form that the algorithms work on.
-
-    Raises
-    ------
-    ValueError
-        If shapes or labels do not fit together, or a cell is neither a number, NaN, nor
-        the text of a parameter.
-
-    Examples
-    --------
-    An oscillator of unknown frequency and damping (the same number stands twice):
-
-    >>> oscillator = MatrixStructure([["-d", "w"], ["-w", "-d"]], [[0], [np.nan]], C=[[1, 0]])
-    >>> oscillator.parameter_names
-    ('d', 'w', 'B[1,0]')
-    >>> A, B, C, D = oscillator.matrices([0.1, 2.0, 3.0])
-    >>> A.tolist()
-    [[-0.1, 2.0], [-2.0, -0.1]]
+    ``structure`` and ``observed`` say how the parameters make the outputs, for the
+    maximum-likelihood refinement; ``periodic`` is there for periodic structures only.
     """
 
-    def __init__(
-        self,
-        A,
-        B,
-        C=None,
-        D=None,
-        *,
-        state_names=None,
-        input_names=None,
-        output_names=None,
-        initial=None,
-    ):
-        n, m = _shape(A, "A")[0], _shape(B, "B")[1]
-        C = np.eye(n) if C is None else C
-        D = np.zeros((_shape(C, "C")[0], m)) if D is None else D
-        p = _shape(C, "C")[0]
-        for name, matrix, shape in zip("ABCD", (A, B, C, D), _shapes(n, m, p), strict=True):
-            if _shape(matrix, name) != shape:
-                raise ValueError(
-                    f"{name} has shape {_shape(matrix, name)} where A of {_shape(A, 'A')}, B of "
-                    f"{_shape(B, 'B')} and C of {_shape(C, 'C')} call for {shape}"
-                )
-        states = _labels("state", n, state_names, (A, "index"), (A, "columns"), (B, "index"))
-        states = _labels("state", n, states, (C, "columns"))
-        inputs = _labels("input", m, input_names, (B, "columns"), (D, "columns"))
-        outputs = _labels("output", p, output_names, (C, "index"), (D, "index"))
-        self.state_names, self.input_names, self.output_names = states, inputs, outputs
-        sides = {"A": (states, states), "B": (states, inputs)}
-        sides |= {"C": (outputs, states), "D": (outputs, inputs)}
-        cells = [
-            _read(name, matrix, *sides[name])
-            for name, matrix in zip("ABCD", (A, B, C, D), strict=True)
-        ]
-        self._texts = tuple(tuple(map(tuple, _write(part))) for part in cells)
-        self.affine = _affine(cells, n, m, p)
-        self.initial = _initial(initial, self.affine.parameter_names)
-
-    @property
-    def parameter_names(self):
-        return self.affine.parameter_names
-
-    @property
-    def n_parameters(self):
-        return self.affine.n_parameters
-
-    @property
-    def n_states(self):
-        return self.affine.n_states
-
-    @property
-    def n_inputs(self):
-        return self.affine.n_inputs
-
-    @property
-    def n_outputs(self):
-        return self.affine.n_outputs
-
-    def matrices(self, theta):
-        """(A, B, C, D) at the parameters θ, shape (k,) in the order of parameter_names."""
-        theta = np.asarray(theta, dtype=float)
-        if theta.shape != (self.n_parameters,):
-            raise ValueError(
-                f"theta of shape {theta.shape} must hold {self.n_parameters} numbers, one for "
-                f"each of {list(self.parameter_names)}"
-            )
-        return tuple(matrix.copy() for matrix in self.affine.matrices(theta))
-
-    def _key(self):
-        initial = None if self.initial is None else tuple(self.initial.tolist())
-        return self._texts, self.state_names, self.input_names, self.output_names, initial
-
-    def __eq__(self, other):
-        return self._key() == other._key() if isinstance(other, MatrixStructure) else NotImplemented
-
-    def __hash__(self):
-        return hash(self._key())
-
-    def __repr__(self):
-        return (
-            f"MatrixStructure({self.n_states} states, {self.n_inputs} inputs, "
-            f"{self.n_outputs} outputs, parameters={list(self.parameter_names)})"
-        )
-
-    def __str__(self):
-        return "\n".join(_layout(name, t) for name, t in zip("ABCD", self._texts, strict=True))
-
-
-def _shapes(n, m, p):
-    return (n, n), (n, m), (p, n), (p, m)
-
-
-def _places(n):
-    """Where A, B, C and D begin in [A B; C D]."""
-    return (0, 0), (0, n), (n, 0), (n, n)
-
-
-def _shape(matrix, name):
-    """Shape of a matrix given as array, nested list or DataFrame."""
-    try:
-        shape = np.shape(np.asarray(matrix, dtype=object))
-    except ValueError:
-        shape = ()
-    if len(shape) != 2:
-        raise ValueError(f"{name} must be a matrix, rows of equal length; got shape {shape}")
-    return shape
-
-
-def _labels(what, size, given, *sources):
-    """Names given, else those of the DataFrames' axes, which must agree; None if none."""
-    found = None if given is None else tuple(map(str, given))
-    for frame, axis in sources:
-        if not isinstance(frame, pd.DataFrame):
-            continue
-        labels = tuple(map(str, getattr(frame, axis)))
-        if found is not None and labels != found:
-            raise ValueError(
-                f"{what} names disagree: {list(found)} in one place, {list(labels)} in another; "
-                f"label the matrices alike, in one order"
-            )
-        found = labels
-    if found is not None and (len(found) != size or len(set(found)) != size):
-        raise ValueError(f"{what}_names={list(found)} must be {size} different names")
-    return found
-
-
-def _read(name, matrix, rows, columns):
-    """Each cell as (number, None) or (scale, parameter name)."""
-    matrix = np.asarray(matrix, dtype=object)
-    rows, columns = rows or range(matrix.shape[0]), columns or range(matrix.shape[1])
-    return [
-        [
-            _cell(value, f"{name}[{row},{column}]")
-            for value, column in zip(line, columns, strict=True)
-        ]
-        for line, row in zip(matrix, rows, strict=True)
-    ]
-
-
-def _cell(value, place):
-    """(number, None) for a fixed entry, (scale, name) for a free one."""
-    if isinstance(value, str):
-        return _text(value, place)
-    if value is None or value is pd.NA or (isinstance(value, Number) and value != value):
-        return 1.0, place
-    if isinstance(value, Number) and not isinstance(value, complex) and np.isfinite(value):
-        return float(value), None
-    raise ValueError(
-        f"{place} = {value!r} is no entry; give a finite number (fixed), NaN (free) or the name "
-        f"of a parameter"
-    )
-
-
-def _text(text, place):
-    try:
-        number = float(text)
-    except ValueError:
-        return _term(text, place)
-    return _cell(number, place)
-
-
-def _term(text, place):
-    """(scale, name) of 'k', '-k', '2*k'."""
-    term = _TERM.fullmatch(text)
-    try:
-        scale = float(term["scale"] or 1.0) * (-1.0 if term["sign"] == "-" else 1.0)
-    except (TypeError, ValueError):
-        scale = np.nan
-    if not (np.isfinite(scale) and scale != 0 and _NAME.fullmatch(term["name"])):
-        raise ValueError(
-            f"{place} = {text!r} is not understood; write a parameter as 'k', '-k' or '2*k', its "
-            f"name beginning with a letter"
-        )
-    return scale, term["name"]
-
-
-def _affine(cells, n, m, p):
-    """The affine form of four matrices of cells."""
-    constant, names, entries = np.zeros((n + p, n + m)), {}, []
-    for (top, left), part in zip(_places(n), cells, strict=True):
-        for i, line in enumerate(part):
-            for j, (number, name) in enumerate(line):
-                if name is None:
-                    constant[top + i, left + j] = number
-                else:
-                    entries.append((names.setdefault(name, len(names)), top + i, left + j, number))
-    basis = np.zeros((len(names), n + p, n + m))
-    for k, i, j, scale in entries:
-        basis[k, i, j] = scale
-    return AffineStructure(constant, basis, n, tuple(names))
-
-
-def _initial(initial, names):
-    if initial is None:
-        return None
-    if isinstance(initial, (Mapping, pd.Series)):
-        initial = dict(initial)
-        unknown = [name for name in initial if name not in names]
-        missing = [name for name in names if name not in initial]
-        if unknown or missing:
-            raise ValueError(
-                f"initial must give every parameter and no other; missing {missing}, unknown "
-                f"{unknown}, allowed {list(names)}"
-            )
-        initial = [initial[name] for name in names]
-    initial = np.asarray(initial, dtype=float)
-    if initial.shape != (len(names),) or not np.all(np.isfinite(initial)):
-        raise ValueError(f"initial must hold {len(names)} finite numbers, for {list(names)}")
-    return initial
-
-
-def _write(part):
-    """Cells as texts: 1.5, k, -k, 2*k."""
-    texts = {1.0: "", -1.0: "-"}
-    return [
-        [repr(x) if name is None else texts.get(x, f"{x:g}*") + name for x, name in line]
-        for line in part
-    ]
-
-
-def _layout(name, texts):
-    width = max((len(text) for line in texts for text in line), default=0)
-    lines = ["[ " + "  ".join(text.rjust(width) for text in line) + " ]" for line in texts]
-    return "\n".join(
-        f"{name} = {line}" if k == 0 else f"    {line}" for k, line in enumerate(lines)
-    )
+    model: LTIModel
+    names: tuple
+    theta: np.ndarray
+    structure: PeriodicStructure | None
+    periodic: PeriodicModel | None = None
+    theta_least_squares: np.ndarray | None = None
+    hinf_error: float = np.nan
+    relative_error: float = np.nan
+    peak_frequency: float = np.nan
+    n_iter: int = 1
 
 
 class StructuredMatcher(ModelStep):
@@ -423,58 +166,153 @@ class StructuredMatcher(ModelStep):
         -------
         self : StructuredMatcher
         """
-        n_starts = check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
-        max_iter = check_count("max_iter", self.max_iter, 1, "100 is usual")
-        tol = check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
+        self._check_settings()
         experiment, model = upstream(self, X, y)
-        if experiment.basis is not None and experiment.basis.synchronous:
+        structure = self.structure
+        if structure is not None and not isinstance(structure, MatrixStructure | HarmonicStructure):
             raise ValueError(
-                "the model was identified period by period (hop='period'): it is discrete, its "
-                "states are not those of a harmonic decomposition, and no structure in continuous "
-                "time can be matched to it; use a hop that divides the samples in a period"
+                f"structure={structure!r} is not understood; give a MatrixStructure, a "
+                f"HarmonicStructure, or None to leave every entry free"
             )
-        model = to_continuous(model, experiment)
+        lifted = experiment.basis is not None and experiment.basis.synchronous and model.dt > 0.0
+        if isinstance(structure, HarmonicStructure) or (lifted and structure is None):
+            match = self._match_periodic(model, experiment, lifted)
+        else:
+            if lifted:
+                model = self._realize(model, experiment, HarmonicStructure()).model
+            match = self._match(to_continuous(model, experiment))
+        return self._store(match)._remember(match.model, experiment, X, y)
+
+    def _check_settings(self):
+        check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
+        check_count("max_iter", self.max_iter, 1, "100 is usual")
+        check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
+
+    def _store(self, match):
+        self.periodic_ = match.periodic
+        self._parameter_names, self._theta = match.names, match.theta
+        least_squares = match.theta_least_squares
+        self._theta_least_squares = match.theta if least_squares is None else least_squares
+        self.hinf_error_, self.hinf_error_relative_ = match.hinf_error, match.relative_error
+        self.peak_frequency_, self.n_iter_ = match.peak_frequency, match.n_iter
+        return self
+
+    # ---- time-invariant structures -----------------------------------------------------------
+
+    def _match(self, model):
+        """The structure matched to a continuous model in the H∞ norm."""
         if self.structure is None:
-            return self._keep(model)._remember(model, experiment, X, y)
+            return _unchanged(model)
         structure = self._checked_structure(model)
+        result = self._match_affine(model, structure.affine, structure.initial)
+        matrices = (result.A, result.B, result.C, result.D)
+        return _Match(
+            model.in_continuous_time(*matrices, state_names=_state_names(structure, model)),
+            structure.parameter_names,
+            result.theta,
+            PeriodicStructure.time_invariant(structure.affine),
+            None,
+            *_figures(result),
+        )
+
+    def _match_affine(self, model, affine, initial=None):
         outputs, inputs = self._weights(model)
         result = match_structure(
             model.A,
             model.B,
             model.C,
             model.D,
-            structure.affine,
-            theta0=structure.initial,
+            affine,
+            theta0=initial,
             output_weights=outputs,
             input_weights=inputs,
-            n_starts=n_starts,
-            max_iter=max_iter,
-            tol=tol,
+            n_starts=self.n_starts,
+            max_iter=self.max_iter,
+            tol=self.tol,
             random_state=self.random_state,
         )
-        self._warn(result, tol, model.n_states, structure.n_states)
-        self._parameter_names = structure.parameter_names
-        self._theta, self._theta_least_squares = result.theta, result.theta_least_squares
-        self.hinf_error_, self.hinf_error_relative_ = result.hinf_error, result.relative_error
-        self.peak_frequency_ = result.peak_frequency
-        self.n_iter_ = result.n_iter
-        matrices = (result.A, result.B, result.C, result.D)
-        matched = model.in_continuous_time(*matrices, state_names=_state_names(structure, model))
-        return self._remember(matched, experiment, X, y)
+        self._warn(result, self.tol, model.n_states, affine.n_states)
+        return result
 
-    def _keep(self, model):
-        """No structure: every entry is a parameter, and the model stays as it is."""
-        matrices = (model.A, model.B, model.C, model.D)
-        self._parameter_names = tuple(
-            f"{name}[{i},{j}]"
-            for name, M in zip("ABCD", matrices, strict=True)
-            for i, j in np.ndindex(M.shape)
-        )
-        self._theta = np.concatenate([M.ravel() for M in matrices])
-        self._theta_least_squares = self._theta
-        self.hinf_error_, self.hinf_error_relative_ = 0.0, 0.0
-        self.peak_frequency_, self.n_iter_ = 0.0, 1
-        return self
+    # ---- periodic structures -----------------------------------------------------------------
+
+    def _match_periodic(self, model, experiment, lifted):
+        """The linear time-periodic system behind the model."""
+        if experiment.basis is None:
+            raise ValueError(
+                "a HarmonicStructure needs the fundamental frequency, and no harmonic basis rides "
+                "on X; put a HarmonicAnalyzer before the model"
+            )
+        structure = HarmonicStructure() if self.structure is None else self.structure
+        if lifted:
+            return self._realize(model, experiment, structure)
+        return self._match_decomposition(to_continuous(model, experiment), experiment, structure)
+
+    def _realize(self, model, experiment, structure):
+        """In closed form, from a model identified period by period."""
+        found = realize(model, experiment, structure)
+        if not found.physical:
+            warnings.warn(
+                f"the outputs {list(found.model.output_names)} do not determine the "
+                f"{found.model.n_states} states: the model is in Floquet coordinates, in which "
+                f"its states have no physical meaning; measure more outputs for that",
+                IdentifiabilityWarning,
+                stacklevel=5,
+            )
+        if found.r2 < POOR_FIT:
+            warnings.warn(
+                f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's "
+                f"variance; check order, omega and that the record is long enough, or refine it "
+                f"with criterion='output_error'",
+                IdentifiabilityWarning,
+                stacklevel=5,
+            )
+        return _periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
+
+    def _match_decomposition(self, model, experiment, structure):
+        """In the H∞ norm, from a model in harmonic-decomposition form."""
+        basis = experiment.basis
+        inputs, outputs = (tuple(s for s, _ in kept) for kept in (basis.inputs, basis.outputs))
+        if structure.states is not None and set(structure.states) != set(outputs):
+            raise ValueError(
+                f"states={list(structure.states)} are not the outputs {list(outputs)}, whose "
+                f"coefficients are the states of a harmonic decomposition; name these, or use "
+                f"HarmonicAnalyzer(hop='period')"
+            )
+        highest = [
+            max(k for _, orders in kept for k in orders) for kept in (basis.inputs, basis.outputs)
+        ]
+        n_harmonics = {"F": 2 * highest[1], "G": sum(highest), "P": None}
+        full = structure.resolve(outputs, inputs, outputs, n_harmonics)
+        affine, seen = decomposed_structure(full, basis)
+        result = self._match_affine(model, affine)
+        theta = np.zeros(full.n_parameters)
+        theta[seen] = result.theta
+        periodic = PeriodicModel(full.coefficients(theta), basis.omega, outputs, inputs, outputs)
+        return _periodic_match(full, theta, periodic, model, basis, _figures(result, seen, theta))
+
+    @property
+    def ltp_(self):
+        """The linear time-periodic system, as an LTPSystem."""
+        check_is_fitted(self)
+        if self.periodic_ is None:
+            raise AttributeError(
+                "ltp_ is there for a HarmonicStructure only; this match was made with "
+                f"structure={self.structure!r}"
+            )
+        return self.periodic_.to_system()
+
+    def _simulators(self, experiment):
+        if self.periodic_ is None or self.predicts_harmonics_:
+            return super()._simulators(experiment)
+        basis = experiment.basis
+        response = self.periodic_.sampled(basis.samples_per_period)
+        return [
+            PeriodicSimulator(self.periodic_, response, basis.phase_index(time), u, time)
+            for u, time in zip(experiment.inputs, experiment.times(), strict=True)
+        ]
+
+    # ---- parameters --------------------------------------------------------------------------
 
     @property
     def theta_(self):
@@ -492,11 +330,6 @@ class StructuredMatcher(ModelStep):
     def _checked_structure(self, model):
         """The structure, after checking that it fits the model."""
         structure = self.structure
-        if not isinstance(structure, MatrixStructure):
-            raise ValueError(
-                f"structure={structure!r} is not understood; give a MatrixStructure, or None to "
-                f"leave every entry free"
-            )
         for what, given, there in (
             ("inputs", structure.n_inputs, model.input_names),
             ("outputs", structure.n_outputs, model.output_names),
@@ -560,3 +393,37 @@ def _state_names(structure, model):
     C = structure.affine.constant[n:, :n]
     fixed = not structure.affine.basis[:, n:, :n].any()
     return model.output_names if fixed and np.array_equal(C, np.eye(n)) else None
+
+
+def _figures(result, seen=None, theta=None):
+    """Least-squares parameters, H∞ errors, peak and iterations of a match."""
+    least_squares = result.theta_least_squares
+    if seen is not None:
+        least_squares = np.array(theta)
+        least_squares[seen] = result.theta_least_squares
+    return (
+        least_squares,
+        result.hinf_error,
+        result.relative_error,
+        result.peak_frequency,
+        result.n_iter,
+    )
+
+
+def _unchanged(model):
+    """No structure: every entry is a parameter, and the model stays as it is."""
+    matrices = (model.A, model.B, model.C, model.D)
+    names = tuple(
+        f"{name}[{i},{j}]"
+        for name, M in zip("ABCD", matrices, strict=True)
+        for i, j in np.ndindex(M.shape)
+    )
+    theta = np.concatenate([M.ravel() for M in matrices])
+    return _Match(model, names, theta, None, None, None, 0.0, 0.0, 0.0)
+
+
+def _periodic_match(structure, theta, periodic, model, basis, figures=()):
+    """The match of a periodic structure; its time-invariant model is the decomposition."""
+    matrices, state_names = periodic.time_invariant(basis)
+    matched = model.in_continuous_time(*matrices, state_names=state_names)
+    return _Match(matched, structure.parameter_names, theta, structure, periodic, *figures)

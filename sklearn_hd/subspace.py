@@ -5,11 +5,13 @@ import warnings
 import numpy as np
 
 from sklearn_hd._base import ModelStep
-from sklearn_hd._data import as_container, read_experiment, rows_read
+from sklearn_hd._continuous import output_scale
+from sklearn_hd._data import as_container, lifted_periods, read_experiment, rows_read
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
+from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.moesp import (
     input_matrices,
     noise_floor,
@@ -17,12 +19,15 @@ from sklearn_hd.algorithms.moesp import (
     order_by_gap,
     state_matrices,
 )
+from sklearn_hd.algorithms.periodic_realization import order_by_residual
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["MOESPRegressor"]
 
 DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
+MOST_STATES = 12  # tried by order="auto", period by period
+MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 
 
 class MOESPRegressor(ModelStep):
@@ -131,13 +136,15 @@ class MOESPRegressor(ModelStep):
         check_outputs_given(y)
         experiment = read_experiment(X, y)
         inputs, outputs = rows_read(experiment)
-        n_outputs, n_inputs = outputs[0].shape[1], inputs[0].shape[1]
+        excitation = self._excitation(experiment, inputs)
+        n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
         lengths = [len(u) for u in inputs]
         self._check_order()
         self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
         self._check_rank_bound(n_outputs)
         moving = _moving_inputs(inputs, experiment)
         _check_outputs_move(experiment)
+        _warn_idle(moving, experiment)
         if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
             return self._remember(self._static_model(experiment, y), experiment, X, y)
         u_scale, y_scale = (
@@ -146,7 +153,10 @@ class MOESPRegressor(ModelStep):
         )
         inputs = [u / u_scale for u in inputs]
         outputs = [y_s / y_scale for y_s in outputs]
-        U, values = self._decompose(inputs, outputs, moving, experiment, y_scale)
+        if not _lifted(experiment):
+            excitation = inputs
+        n_moving = n_inputs if _lifted(experiment) else int(moving.sum())
+        U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = bool(self.feedthrough) or (basis is not None and basis.synchronous)
@@ -164,21 +174,70 @@ class MOESPRegressor(ModelStep):
         )
         return self._remember(model, experiment, X, y)
 
-    def _decompose(self, inputs, outputs, moving, experiment, y_scale):
+    def _excitation(self, experiment, inputs):
+        """What is projected out of the future: the inputs, as they move within each period.
+
+        Period by period the outputs answer to every sample of the inputs, whatever
+        harmonics of them are kept.
+        """
+        if not _lifted(experiment):
+            return inputs
+        lifted = lifted_periods(experiment, experiment.inputs)
+        rows = 2 if self.block_rows is None else self.block_rows
+        states = 1 if self.order == "auto" else self.order
+        lengths = [len(u) for u in lifted]
+        most = max(1, (n_hankel_columns(lengths, rows) - 1 - states) // rows)
+        directions, n_all, left_out = input_directions(lifted, most)
+        if n_all > most:
+            need = rows * n_all + 1 + states + 2 * rows - 1
+            words = (
+                f"the inputs in the {experiment.span()} move in {n_all} directions within the "
+                f"period, of which {sum(lengths)} periods tell {most} apart at block_rows={rows}: "
+                f"{left_out:.2g} of their energy is taken for noise; {need} consecutive periods "
+                f"would do"
+            )
+            if left_out > MOST_LEFT_OUT:
+                raise ValueError(
+                    f"{words}; use a longer record, inputs that change less often, or analyse "
+                    f"with hop=None and refine with StructuredMatcher(structure="
+                    f"HarmonicStructure(), criterion='output_error')"
+                )
+            warnings.warn(words, ExcitationWarning, stacklevel=4)
+        return directions
+
+    def _decompose(self, inputs, outputs, n_moving, experiment, y_scale):
         """Project the future outputs, look at the singular values and settle the order."""
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
         R = hankel_factor(inputs, outputs, i)
-        self._warn_excitation(R, moving, experiment)
+        self._warn_excitation(R, n_inputs, n_moving, experiment)
         U, values = observability_subspace(R, i, n_inputs)
         floor = noise_floor(R, i, n_inputs, n_hankel_columns([len(u) for u in inputs], i))
         unit = np.sqrt(np.mean(y_scale**2))
         self.singular_values_, self.noise_floor_ = values * unit, floor * unit
-        self.order_ = (
-            order_by_gap(values, floor, (i - 1) * n_outputs)
-            if self.order == "auto"
-            else int(self.order)
-        )
+        self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
         return U, values
+
+    def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
+        """The order asked for, or that of the singular values, or of the raw periods."""
+        bound = (self.block_rows_ - 1) * n_outputs
+        if self.order != "auto":
+            return int(self.order)
+        if not _lifted(experiment):
+            return order_by_gap(values, floor, bound)
+        scale = output_scale(experiment)
+        lifted = [
+            y.reshape(len(y), -1) for y in lifted_periods(experiment, experiment.outputs, scale)
+        ]
+        n_periods, r = sum(map(len, lifted)), directions[0].shape[1]
+        # as many as the raw periods tell apart once the inputs' directions are projected out
+        most = min(bound, MOST_STATES, (n_periods // 2 - r) // (r + len(lifted)))
+        rank = int(np.sum(values > np.finfo(float).eps * values[0] * len(values)))
+        candidates = [
+            state_matrices(U, values, n, n_outputs)[0] for n in range(1, min(most, rank) + 1)
+        ]
+        if not candidates:
+            return order_by_gap(values, floor, bound)
+        return len(order_by_residual(candidates, directions, lifted))
 
     def _static_model(self, experiment, y):
         """Gain without states, all that a record too short for any dynamics gives."""
@@ -268,26 +327,21 @@ class MOESPRegressor(ModelStep):
                 f"{self.block_rows_} with {n_outputs} outputs; lower order or raise block_rows"
             )
 
-    def _warn_excitation(self, R, moving, experiment):
-        """Warn of inputs at rest, and of Hankel matrices of deficient rank."""
-        idle = [
-            name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves
-        ]
-        if idle:
-            warnings.warn(
-                f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
-                f"identified, and their columns of B are zero",
-                ExcitationWarning,
-                stacklevel=5,
-            )
-        need = 2 * self.block_rows_ * int(moving.sum())
-        size = 2 * self.block_rows_ * len(moving)
+    def _warn_excitation(self, R, n_inputs, n_moving, experiment):
+        """Warn of Hankel matrices of deficient rank.
+
+        Not period by period, where a step in mid-period moves in a direction that
+        occurs but once, and what cannot be told apart is projected out as a whole.
+        """
+        if _lifted(experiment):
+            return
+        need, size = (2 * self.block_rows_ * count for count in (n_moving, n_inputs))
         values = np.linalg.svd(R[:size, :size], compute_uv=False)
         found = int(np.sum(values > RANK_TOLERANCE * values[0]))
         if found < need:
             warnings.warn(
                 f"the inputs in the {experiment.span()} excite {found} directions, but "
-                f"block_rows={self.block_rows_} with {int(moving.sum())} input(s) asks for {need}; "
+                f"block_rows={self.block_rows_} with {n_moving} input(s) asks for {need}; "
                 f"use a richer input or fewer block rows, and trust the order with care",
                 ExcitationWarning,
                 stacklevel=5,
@@ -308,6 +362,23 @@ def _scales(signals):
     scale = largest * np.sqrt(np.mean((stacked / largest) ** 2, axis=0))
     scale[scale == 0.0] = 1.0
     return scale
+
+
+def _lifted(experiment):
+    """Whether the record is read period by period."""
+    return experiment.basis is not None and experiment.basis.synchronous
+
+
+def _warn_idle(moving, experiment):
+    """Warn of inputs at rest."""
+    idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
+    if idle:
+        warnings.warn(
+            f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
+            f"identified, and their columns of B are zero",
+            ExcitationWarning,
+            stacklevel=4,
+        )
 
 
 def _check_outputs_move(experiment):

@@ -10,7 +10,7 @@ from sklearn_hd.algorithms.matching_problem import MatchingProblem, channel_scal
 from sklearn_hd.algorithms.simulation import frequency_response
 from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.exceptions import UnstableModelError
-from sklearn_hd.matching import MatrixStructure
+from sklearn_hd.structures import MatrixStructure
 
 NAN = np.nan
 

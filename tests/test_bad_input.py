@@ -422,14 +422,6 @@ def test_too_few_rows_a_period_fold_the_copies_onto_the_modes(u, y):
         pipe.fit(u, y)
 
 
-def test_a_period_synchronous_model_is_not_matched(u, y):
-    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics={"w": [0], "v": [1]}, hop="period")
-    steps = [("harmonics", analyzer), ("identify", MOESPRegressor(order=1, block_rows=3))]
-    structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan))
-    with pytest.raises(ValueError, match=r"identified period by period \(hop='period'\)"):
-        Pipeline([*steps, ("match", StructuredMatcher(structure=structure))]).fit(u, y)
-
-
 def test_an_overflowing_simulation_is_refused():
     rng = np.random.default_rng(0)
     u = rng.standard_normal((60, 1))

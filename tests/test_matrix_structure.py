@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from sklearn.base import BaseEstimator, clone
 
-from sklearn_hd.matching import MatrixStructure
+from sklearn_hd.structures import MatrixStructure
 
 NAN = np.nan
 

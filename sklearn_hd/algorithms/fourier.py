@@ -16,6 +16,7 @@ __all__ = [
     "harmonic_functions",
     "harmonic_labels",
     "recompose",
+    "sampled_harmonics",
     "window_weights",
     "windowed_coefficients",
 ]
@@ -74,6 +75,35 @@ def recompose(coefficients, psi, harmonics):
     signal : ndarray, shape (...,)
     """
     return np.sum(np.asarray(coefficients) * harmonic_functions(psi, harmonics), axis=-1)
+
+
+def sampled_harmonics(values, n_harmonics):
+    """Fourier coefficients of a periodic matrix given at equally spaced phases.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, ...)
+        From ψ = 0.
+    n_harmonics : int
+        Below n_phases / 2.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 n_harmonics + 1, ...)
+        In the order 0, 1c, 1s, ….
+
+    Examples
+    --------
+    >>> psi = 2 * np.pi * np.arange(8) / 8
+    >>> (sampled_harmonics(3.0 - np.sin(psi), 1) + 0.0).round(12).tolist()
+    [3.0, 0.0, -1.0]
+    """
+    spectrum = np.fft.rfft(values, axis=0) / len(values)
+    coefficients = np.empty((2 * n_harmonics + 1, *values.shape[1:]))
+    coefficients[0] = spectrum[0].real
+    coefficients[1::2] = 2.0 * spectrum[1 : n_harmonics + 1].real
+    coefficients[2::2] = -2.0 * spectrum[1 : n_harmonics + 1].imag
+    return coefficients
 
 
 def complex_transformation(n_harmonics):

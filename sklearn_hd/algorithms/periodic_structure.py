@@ -347,8 +347,8 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
     observe = np.eye(n_outputs)[None] if observe is None else np.asarray(observe, dtype=float)
     if observe.ndim != 3 or len(observe) not in (1, n_phases) or observe.shape[2] != n_outputs:
         raise ValueError(
-            f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs of the "
-            f"model it must be ({n_phases}, n_measured, {n_outputs})"
+            f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs of "
+            f"the model it must be ({n_phases}, n_measured, {n_outputs})"
         )
     q = n_phases if structure.varies[1] else 1
     functions = harmonic_functions(

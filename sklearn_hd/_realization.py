@@ -1,0 +1,374 @@
+"""From a period-synchronous model to the linear time-periodic one behind it, in closed form.
+
+1. The Poincaré map Φ, refined on the raw record; what every sample of the period sees of
+   the state; from both the mode shapes P(ψ) and R = log(Φ)/T.
+2. F(ψ) = (P′ + P R) P⁻¹ where the outputs determine the state; else Floquet coordinates,
+   in which F = R and the outputs are P(ψ) x.
+3. G(ψ) and Q(ψ) by linear least squares on the raw record.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd._continuous import output_scale
+from sklearn_hd._data import lifted_periods, rows_read
+from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd.algorithms.floquet import propagate_periodic
+from sklearn_hd.algorithms.fourier import sampled_harmonics
+from sklearn_hd.algorithms.lifting import input_directions
+from sklearn_hd.algorithms.mode_shapes import shape_condition
+from sklearn_hd.algorithms.periodic_realization import (
+    fit_shapes,
+    floquet_logarithm,
+    refine_multipliers,
+    state_response,
+)
+from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+
+MODE_SEPARATION = 1e-3
+N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+ROUNDING = 1e-28
+SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
+LARGEST_FIT = 4e7  # numbers in one regressor matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Realization:
+    """A periodic model in closed form, and how far it can be trusted.
+
+    Attributes
+    ----------
+    model : PeriodicModel
+    structure : PeriodicStructure
+        Whose parameters the model's coefficients are.
+    theta : ndarray
+    physical : bool
+        Whether the states are outputs, rather than Floquet coordinates.
+    r2 : float
+        Share of the raw record's variance that the model explains.
+    """
+
+    model: PeriodicModel
+    structure: PeriodicStructure
+    theta: np.ndarray
+    physical: bool
+    r2: float
+
+
+def realize(model, experiment, structure):
+    """Periodic model behind a period-synchronous one, in closed form.
+
+    Parameters
+    ----------
+    model : LTIModel
+        Discrete, from one period to the next.
+    experiment : Experiment
+    structure : HarmonicStructure
+
+    Returns
+    -------
+    realization : Realization
+    """
+    basis = experiment.basis
+    spp = basis.samples_per_period
+    scale = output_scale(experiment)
+    shapes = _shapes(model, experiment, scale)
+    names = [name for name, _ in basis.outputs]
+    rows = _state_outputs(shapes, structure, names, spp)
+    psi = 2.0 * np.pi * np.arange(spp) / spp
+    P, _ = shapes(psi)
+    highest = (spp - 1) // 2
+    count = min(shapes.n_harmonics, highest)
+    if rows is None:
+        F, P, directions = floquet_coordinates(shapes, psi, basis.omega)
+        states = tuple(f"z{i + 1}" for i in range(len(F[0])))
+        n_harmonics = {"F": 0 if directions else 1, "P": min(count + (not directions), highest)}
+    else:
+        F, directions = shapes.state_matrix(psi, basis.omega, rows), None
+        P = P @ np.linalg.inv(P[:, rows])
+        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
+        states = tuple(names[i] for i in rows)
+        n_harmonics = {"F": min(2 * count, highest), "P": min(2 * count, highest)}
+        if set(names) == set(states):
+            n_harmonics["P"] = None
+    P = P * scale[:, None]
+    for name in n_harmonics:
+        n_harmonics[name] = given(structure, name, n_harmonics[name])
+    free = {
+        name: sampled_harmonics(values, n_harmonics[name] or 0)
+        for name, values in (("F", F), ("P", P))
+    }
+    problem = _InputProblem(structure, states, experiment, free, directions, scale)
+    return problem.solve(n_harmonics, physical=rows is not None)
+
+
+def given(structure, name, default):
+    """Number of harmonics that the structure asks for, or a default."""
+    asked = structure.n_harmonics(name)
+    return default if asked is None else asked
+
+
+# ---- the free response -----------------------------------------------------------------------
+
+
+def _shapes(model, experiment, scale):
+    """Mode shapes of the outputs, in parts of their scale."""
+    basis = experiment.basis
+    spp = basis.samples_per_period
+    inputs = lifted_periods(experiment, experiment.inputs)
+    outputs = lifted_periods(experiment, experiment.outputs, scale)
+    n_periods, n = sum(map(len, outputs)), model.n_states
+    directions, _, _ = input_directions(inputs, most_directions(n_periods, n))
+    lifted = [y.reshape(len(y), -1) for y in outputs]
+    _, seen = rows_read(experiment)
+    unit = _sizes(np.vstack(seen))
+    Phi = refine_multipliers(model.A, directions, lifted)
+    sights, information, residual = state_response(
+        Phi, model.C / unit[:, None], directions, lifted, [Y / unit for Y in seen]
+    )
+    R, to_original, flips = floquet_logarithm(Phi, 2.0 * np.pi / basis.omega)
+    back = linalg.inv(to_original)
+    sights = sights.reshape(spp, -1, n) @ to_original
+    n_rows = n_periods - directions[0].shape[1] - n
+    return fit_shapes(
+        sights,
+        back @ information @ back.T,
+        residual.reshape(spp, -1),
+        R,
+        flips,
+        2.0 * np.pi / basis.omega,
+        n_rows,
+    )
+
+
+def most_directions(n_periods, n_states):
+    """Directions of the inputs that some periods can tell from the states."""
+    return max(1, n_periods // 2 - n_states)
+
+
+def _sizes(columns):
+    sizes = np.sqrt(np.mean(columns**2, axis=0))
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def _state_outputs(shapes, structure, names, n_phases):
+    """Which outputs are the states; None if no choice of them determines the state."""
+    n = len(shapes.R)
+    P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
+    if structure.states is not None:
+        unknown = [name for name in structure.states if name not in names]
+        if unknown or len(structure.states) != n:
+            raise ValueError(
+                f"states={list(structure.states)} must be {n} of the outputs {names}, for the "
+                f"identified model has {n} states; change them, or the order of the model"
+            )
+        rows = [names.index(name) for name in structure.states]
+        if not shape_condition(P[:, rows]) < SHAPE_CONDITION:
+            raise ValueError(
+                f"the outputs {list(structure.states)} do not determine the {n} states; leave "
+                f"states=None, or name others of {names}"
+            )
+        return rows
+    for rows in combinations(range(len(names)), n):
+        if shape_condition(P[:, list(rows)]) < SHAPE_CONDITION:
+            return list(rows)
+    return None
+
+
+def floquet_coordinates(shapes, psi, omega):
+    """F and P at some phases in coordinates in which F is (as near as can be) constant.
+
+    Shapes that change sign from one period to the next come in pairs; coordinates that
+    turn by half a revolution a period make them periodic, and F a first harmonic.
+
+    Returns
+    -------
+    F, P : ndarray, shapes (n_points, n, n), (n_points, l, n)
+    directions : dict of str to ndarray, or None
+        How a constant F may move, by parameter name; None if it is not constant, or its
+        modes are too close to be told apart.
+    """
+    P, _ = shapes(psi)
+    n, n_flips = len(shapes.R), int(np.sum(shapes.flips))
+    if n_flips % 2:
+        raise ValueError(
+            f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
+            f"which no real system has (their product is positive): the order is wrong, or noise "
+            f"hides the fast modes; try order={n - 1} or {n + 1}, or a longer record"
+        )
+    if n_flips:
+        turn = _half_turns(psi, n, n_flips)
+        spin = (
+            0.5
+            * omega
+            * linalg.block_diag(
+                *[np.array([[0.0, -1.0], [1.0, 0.0]])] * (n_flips // 2),
+                np.zeros((n - n_flips,) * 2),
+            )
+        )
+        back = np.swapaxes(turn, -1, -2)
+        return spin + turn @ shapes.R @ back, P @ back, None
+    modal, to_modal, directions = _modal_form(shapes.R)
+    if directions is None:
+        return np.broadcast_to(shapes.R, (len(psi), n, n)), P, None
+    return np.broadcast_to(modal, (len(psi), n, n)), P @ to_modal, directions
+
+
+def _half_turns(psi, n, n_flips):
+    """Rotations by ψ/2 in the first planes, shape (n_points, n, n)."""
+    turn = np.zeros((len(psi), n, n)) + np.eye(n)
+    c, s = np.cos(0.5 * psi), np.sin(0.5 * psi)
+    for i in range(0, n_flips, 2):
+        turn[:, i, i], turn[:, i, i + 1] = c, -s
+        turn[:, i + 1, i], turn[:, i + 1, i + 1] = s, c
+    return turn
+
+
+def _modal_form(R):
+    """Real block-diagonal form of R, the way there, and how its entries may move."""
+    exponents, V = linalg.eig(R)
+    n, size = len(R), np.max(np.abs(exponents), initial=0.0)
+    gaps = np.abs(exponents[:, None] - exponents) + np.eye(n) * size
+    if np.any(gaps <= MODE_SEPARATION * size):
+        return R, np.eye(n), None
+    lead = [i for i in np.lexsort((exponents.imag, -exponents.real)) if exponents[i].imag >= 0.0]
+    columns, blocks, directions, at = [], [], {}, 0
+    for i in lead:
+        e, width = exponents[i], 1 if exponents[i].imag == 0.0 else 2
+        columns += [V[:, i].real] if width == 1 else [V[:, i].real, V[:, i].imag]
+        blocks.append(np.array([[e.real, e.imag], [-e.imag, e.real]])[:width, :width])
+        name = f"exponent_{len(blocks)}"
+        place = np.zeros((n, n))
+        place[at : at + width, at : at + width] = np.eye(width)
+        directions[name if width == 1 else f"{name}_real"] = place
+        if width == 2:
+            turned = np.zeros((n, n))
+            turned[at, at + 1], turned[at + 1, at] = 1.0, -1.0
+            directions[f"{name}_imag"] = turned
+        at += width
+    return linalg.block_diag(*blocks), np.stack(columns, axis=1), directions
+
+
+# ---- the inputs' way in ----------------------------------------------------------------------
+
+
+class _InputProblem:
+    """G(ψ) and Q(ψ) of a system of known F and P, by linear least squares on the raw record."""
+
+    def __init__(self, structure, states, experiment, free, directions, scale):
+        basis = experiment.basis
+        self.structure, self.free, self.directions = structure, free, directions
+        self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
+        self.experiment, self.scale = experiment, scale
+        self.phases = [basis.phase_index(time) for time in experiment.times()]
+
+    def solve(self, n_harmonics, physical):
+        """The realization with as many harmonics of G as the data show (Akaike's criterion)."""
+        spp, best, worse = self.experiment.basis.samples_per_period, None, 0
+        asked = self.structure.n_harmonics("G")
+        for count in N_INPUT_HARMONICS if asked is None else [asked]:
+            if best is not None and (count > (spp - 1) // 2 or self._numbers(count) > LARGEST_FIT):
+                break
+            found = self._fit({**n_harmonics, "G": count}, physical)
+            worse = 0 if best is None or found[0] < best[0] else worse + 1
+            best = found if worse == 0 else best
+            if worse == 2:
+                break
+        return best[1]
+
+    def _numbers(self, count):
+        n, m = len(self.names[0]), len(self.names[1])
+        n_rows = sum(y.size for y in self.experiment.outputs)
+        return n_rows * ((2 * count + 1) * n * m + n * len(self.phases))
+
+    def _fit(self, n_harmonics, physical):
+        """Akaike's criterion, and the realization, with some number of harmonics of G."""
+        full = self.structure.resolve(*self.names, n_harmonics, constant_F=self.directions)
+        n = full.n_states
+        constant = full.constant.copy()
+        for name, part in (("F", constant[:, :n, :n]), ("P", constant[:, n:, :n])):
+            part[:] = 0.0
+            part[: len(self.free[name])] = self.free[name][: len(part)]
+        columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
+        drives = np.asarray(abs(full.basis) @ (columns >= n)) > 0
+        linear = PeriodicStructure(
+            constant, full.basis[drives], n, tuple(np.array(full.parameter_names)[drives])
+        )
+        gains, rss, n_rows = self._least_squares(linear)
+        found = linear.coefficients(gains)
+        theta = project(full, found)
+        basis = self.experiment.basis
+        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
+        aic = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows)))) + 2 * len(gains)
+        total = sum(float(np.sum((y / self.scale) ** 2)) for y in self.experiment.outputs)
+        return aic, Realization(model, full, theta, physical, 1.0 - float(np.sum(rss)) / total)
+
+    def _least_squares(self, linear):
+        """Parameters that enter linearly, sums of squares left by output, and rows of each."""
+        blocks = []
+        spp = self.experiment.basis.samples_per_period
+        response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
+        for s, (u, y, phase) in enumerate(
+            zip(self.experiment.inputs, self.experiment.outputs, self.phases, strict=True)
+        ):
+            forced, given, free = linear_response(response, u, phase)
+            rows = np.zeros(
+                (*y.shape, linear.n_parameters + len(self.phases) * linear.n_states + 1)
+            )
+            rows[:, :, : linear.n_parameters] = forced
+            start = linear.n_parameters + s * linear.n_states
+            rows[:, :, start : start + linear.n_states] = free
+            rows[:, :, -1] = y - given
+            blocks.append(rows / self.scale[:, None])
+        rows = np.concatenate(blocks)
+        n_rows = len(rows)
+        rows = rows.reshape(-1, rows.shape[-1])
+        size = np.linalg.norm(rows[:, :-1], axis=0)
+        size[size == 0.0] = 1.0
+        solution = linalg.lstsq(rows[:, :-1] / size, rows[:, -1])[0]
+        left = rows[:, -1] - rows[:, :-1] @ (solution / size)
+        rss = np.sum(left.reshape(n_rows, -1) ** 2, axis=0)
+        return (solution / size)[: linear.n_parameters], rss, n_rows
+
+    @property
+    def omega(self):
+        return self.experiment.basis.omega
+
+
+def linear_response(response, u, phase):
+    """Outputs of one segment per unit parameter, at θ = 0, and per unit initial state.
+
+    Returns
+    -------
+    forced : ndarray, shape (n_samples, l, k)
+    given : ndarray, shape (n_samples, l)
+    free : ndarray, shape (n_samples, l, n)
+    """
+    n = response.n_states
+    p, q = len(response.Psi), len(response.Out)
+    at, seen = phase % p, phase % q
+    Phi = np.roll(response.Phi, -at[0], axis=0)
+    inputs = np.concatenate([response.dPsi[:, :, :, n:], response.Psi[None, :, :, n:]])
+    forcing = np.einsum("ktim,tm->kti", inputs[:, at], u)
+    forcing = np.concatenate([forcing, np.zeros((n, *forcing.shape[1:]))])
+    starts = np.zeros((len(forcing), n))
+    starts[-n:] = np.eye(n)
+    states = propagate_periodic(Phi, forcing, starts)
+    outputs = np.einsum("tli,kti->tlk", response.Out[seen][:, :, :n], states)
+    k = len(response.dPsi)
+    outputs[:, :, :k] += np.einsum("ktlm,tm->tlk", response.dOut[:, seen][:, :, :, n:], u)
+    given = outputs[:, :, k] + np.einsum("tlm,tm->tl", response.Out[seen][:, :, n:], u)
+    return outputs[:, :, :k], given, outputs[:, :, k + 1 :]
+
+
+def project(structure, coefficients):
+    """Parameters of the structure whose coefficients are nearest to some given ones."""
+    gap = np.zeros(structure.constant.shape)
+    gap[: len(coefficients)] = coefficients[: len(gap)]
+    gap -= structure.constant
+    basis = structure.basis
+    gram = (basis @ basis.T).toarray()
+    return linalg.solve(gram, basis @ gap.ravel(), assume_a="pos") if len(gram) else np.zeros(0)

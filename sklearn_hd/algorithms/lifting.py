@@ -1,0 +1,97 @@
+"""Periodic systems seen once a period: lifted signals and the directions inputs take.
+
+Sampled once a period, a linear time-periodic system is time-invariant, its inputs and
+outputs being all the samples of the period (the lifted signals):
+
+    z[k+1] = Φ z[k] + B w[k],    y_j[k] = O_j z[k] + D_j w[k]     (sample j of period k)
+
+w holds an input's samples of a whole period. Mostly they move in few directions (a step at
+a period's start in one, at any other phase in two), and only those have to be told apart.
+"""
+
+import numpy as np
+from scipy import linalg
+
+__all__ = ["input_directions", "lift"]
+
+DIRECTION_TOLERANCE = 1e-10
+LEAST_DIRECTIONS = 8  # that a level of noise can be seen from
+NOISE_SHARE = 0.1  # of the energy at most is taken for noise of the inputs
+
+
+def lift(values, phase, samples_per_period):
+    """Whole periods of a segment, one a row.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_samples, n_signals)
+    phase : ndarray of int, shape (n_samples,)
+        Sample within the period of each row; consecutive.
+    samples_per_period : int
+
+    Returns
+    -------
+    lifted : ndarray, shape (n_periods, samples_per_period, n_signals)
+        From the first ψ = 0.
+
+    Examples
+    --------
+    >>> lift(np.arange(6.0)[:, None], np.array([1, 0, 1, 0, 1, 0]), 2)[:, :, 0].tolist()
+    [[1.0, 2.0], [3.0, 4.0]]
+    """
+    spp = samples_per_period
+    first = int(-phase[0] % spp) if len(phase) else 0
+    n_periods = max(0, len(values) - first) // spp
+    return values[first : first + n_periods * spp].reshape(n_periods, spp, values.shape[1])
+
+
+def input_directions(lifted, most=None):
+    """Inputs of each period in the fewest directions, the strongest first.
+
+    Directions no stronger than white noise on the inputs would give are left out, where the
+    weaker half of all looks like such noise and it holds but little energy.
+
+    Parameters
+    ----------
+    lifted : list of ndarray, shapes (n_periods_s, samples_per_period, m)
+    most : int, optional
+        Largest number of directions kept.
+
+    Returns
+    -------
+    directions : list of ndarray, shapes (n_periods_s, r)
+        Uncorrelated, of mean square one over all periods.
+    n_all : int
+        Directions that the inputs move in, but for noise.
+    left_out : float
+        Share of the inputs' energy in directions not kept.
+
+    Examples
+    --------
+    A step at a period's start moves in one direction, one in mid-period in another, too:
+
+    >>> u = np.repeat([0.0, 1.0], [5, 7])[:, None]
+    >>> input_directions([lift(u, np.arange(12) % 4, 4)])[1]
+    2
+    """
+    stacked = np.vstack([block.reshape(len(block), -1) for block in lifted])
+    largest = np.max(np.abs(stacked), initial=0.0)
+    if largest == 0.0:
+        return [np.zeros((len(block), 0)) for block in lifted], 0, 0.0
+    U, s, _ = linalg.svd(stacked / largest, full_matrices=False)
+    n_all = int(np.sum(s > max(DIRECTION_TOLERANCE * s[0], _noise_level(s, stacked.shape))))
+    kept = n_all if most is None else min(n_all, most)
+    W = U[:, :kept] * np.sqrt(len(stacked))
+    edges = np.cumsum([len(block) for block in lifted])[:-1]
+    return np.split(W, edges), n_all, float(np.sum(s[kept:] ** 2) / np.sum(s**2))
+
+
+def _noise_level(singular_values, shape):
+    """Largest singular value of white noise whose smaller half these are; 0 if it is signal."""
+    if len(singular_values) < LEAST_DIRECTIONS:
+        return 0.0
+    weaker = singular_values[len(singular_values) // 2 :]
+    sigma = np.sqrt(np.mean(weaker**2) / max(shape))
+    level = 1.5 * sigma * (np.sqrt(shape[0]) + np.sqrt(shape[1]))
+    below = np.sum(singular_values[singular_values <= level] ** 2)
+    return level if below < NOISE_SHARE * np.sum(singular_values**2) else 0.0

@@ -1,0 +1,419 @@
+"""From the Poincaré map back to the periodic system, in closed form.
+
+A period-synchronous model knows Φ and the outputs O(ψ) z that a state z at ψ = 0 leaves
+within the period. With real logarithms of Φ (of −Φ on the subspace of negative
+multipliers, whose shapes change sign from one period to the next),
+
+    R = log(±Φ) / T,    P(ψ) = O(ψ) e^{−Rt},    F(ψ) = (P′(ψ) + P(ψ) R) P(ψ)⁻¹
+
+is the state matrix where the outputs determine the state. Neither needs eigenvectors, so
+repeated and defective multipliers are no special case.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import least_squares
+
+from sklearn_hd.algorithms.simulation import propagate
+
+__all__ = [
+    "FloquetShapes",
+    "fit_shapes",
+    "floquet_logarithm",
+    "order_by_residual",
+    "refine_multipliers",
+    "shape_functions",
+    "state_response",
+]
+
+SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
+BIC_PATIENCE = 2
+SQUARE_DROP = 10.0**0.5
+WHITE_MARGIN = 1.3
+LARGEST_MULTIPLIER = 1e3
+UNSEEN = 1e-9
+SWEEPS = 20
+SWEEP_TOLERANCE = 1e-13
+
+
+# ---- the Poincaré map ------------------------------------------------------------------------
+
+
+def refine_multipliers(Phi, directions, lifted):
+    """Φ whose multipliers explain the lifted outputs best, whatever else is.
+
+    Every sample of the period answers to one Φ: with all else (how inputs and initial
+    states enter, how outputs see the state) eliminated by projection (Golub and Pereyra,
+    1973), the multipliers are left as the only unknowns.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        To start from; keeps its eigenvectors.
+    directions : list of ndarray, shapes (n_periods_s, r)
+        Inputs, from :func:`~sklearn_hd.algorithms.lifting.input_directions`.
+    lifted : list of ndarray, shapes (n_periods_s, q)
+        Outputs of whole periods, in like units.
+
+    Returns
+    -------
+    Phi : ndarray, shape (n, n)
+        As given where multipliers are too close to be told apart, or the periods too few.
+    """
+    multipliers, V = linalg.eig(Phi)
+    n, r = len(Phi), directions[0].shape[1]
+    n_periods = sum(len(block) for block in lifted)
+    gaps = np.abs(multipliers[:, None] - multipliers) + np.eye(n) * np.max(np.abs(multipliers))
+    if 2 * (r + n * (r + len(lifted))) > n_periods or not np.all(
+        gaps > SEPARATION * np.max(np.abs(multipliers))
+    ):
+        return Phi
+    lead = multipliers[multipliers.imag >= 0.0]
+    paired = lead.imag > 0.0
+    target = _compact(np.vstack(lifted))
+
+    def unpack(parameters):
+        return parameters[: len(lead)] + 1j * _scatter(parameters[len(lead) :], paired)
+
+    def left(parameters):
+        values = unpack(parameters)
+        if not np.max(np.abs(values), initial=0.0) < LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5:
+            return target.ravel()
+        regressors = np.vstack(_mode_responses(values, directions))
+        Q = linalg.qr(regressors / _lengths(regressors), mode="economic")[0]
+        return (target - Q @ (Q.T @ target)).ravel()
+
+    start = np.concatenate([lead.real, lead.imag[paired]])
+    found = least_squares(left, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    values = unpack(found.x)
+    every = np.empty(n, dtype=complex)
+    every[multipliers.imag >= 0.0] = values
+    for i in np.flatnonzero(multipliers.imag < 0.0):
+        every[i] = every[np.argmin(np.abs(multipliers - multipliers[i].conj()))].conj()
+    return np.real(V * every @ linalg.inv(V))
+
+
+def order_by_residual(candidates, directions, lifted):
+    """Which of some maps Φ, of rising order, the lifted outputs call for.
+
+    The order of the least Bayesian information criterion, if what it leaves is white noise.
+    Systematic errors (a nonlinear system's) call for ever more states: then the last order
+    that brought down the sum of squares left by half a decade.
+
+    Parameters
+    ----------
+    candidates : list of ndarray, shapes (n, n), n = 1, 2, …
+    directions, lifted : list of ndarray
+        As in :func:`refine_multipliers`.
+
+    Returns
+    -------
+    Phi : ndarray, shape (n, n)
+        The candidate chosen.
+    """
+    n_columns = lifted[0].shape[1]
+    target = _compact(np.vstack(lifted))
+    n_free = (len(target) - directions[0].shape[1]) * n_columns
+    left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
+    for Phi in candidates:
+        left.append(_left_by(refine_multipliers(Phi, directions, lifted), directions, target))
+        rss = max(float(np.sum(left[-1] ** 2)), np.finfo(float).eps ** 2 * np.sum(target**2))
+        bic.append(n_free * np.log(rss / n_free) + len(Phi) * n_columns * np.log(n_free))
+        if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
+            break
+    best = int(np.argmin(bic))
+    if not _is_white(left[best], n_columns):
+        sizes = np.array([np.linalg.norm(rest) for rest in left])
+        drops = np.flatnonzero(sizes[:-1] >= SQUARE_DROP**0.5 * sizes[1:])
+        best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
+    return candidates[best - 1]
+
+
+def _left_by(Phi, directions, target):
+    """Lifted outputs less what modes of some multipliers can explain."""
+    multipliers = linalg.eigvals(Phi) if len(Phi) else np.zeros(0, dtype=complex)
+    regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], directions))
+    if regressors.shape[1] == 0:
+        return target
+    Q = linalg.qr(regressors / _lengths(regressors), mode="economic")[0]
+    return target - Q @ (Q.T @ target)
+
+
+def _is_white(rest, n_columns):
+    """Whether no direction stands out of what is left (Marchenko and Pastur, 1967)."""
+    sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
+    largest = np.linalg.norm(rest, 2)
+    return largest <= WHITE_MARGIN * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
+
+
+def _scatter(values, where):
+    full = np.zeros(len(where))
+    full[where] = values
+    return full
+
+
+def _compact(stacked):
+    """Rows with the same scalar products, as few columns as there are rows."""
+    if stacked.shape[1] <= len(stacked):
+        return stacked
+    return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
+
+
+def _lengths(columns):
+    sizes = np.linalg.norm(columns, axis=0)
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def _mode_responses(multipliers, directions):
+    """Inputs, and the responses of each mode to each of them and to each initial state."""
+    blocks = [
+        np.array([[z.real, z.imag], [-z.imag, z.real]]) if z.imag else np.array([[z.real]])
+        for z in multipliers
+    ]
+    step = linalg.block_diag(*blocks) if blocks else np.zeros((0, 0))
+    n = len(step)
+    responses = []
+    for s, w in enumerate(directions):
+        forcing = np.repeat(w.T[:, :, None], n, axis=2)
+        forced = propagate(step, forcing, np.zeros((w.shape[1], n)))
+        free = np.zeros((len(directions), len(w), n))
+        free[s] = propagate(step, np.zeros((len(w), n)), np.ones(n))
+        both = np.concatenate([forced, free])
+        responses.append(np.hstack([w, both.transpose(1, 0, 2).reshape(len(w), -1)]))
+    return responses
+
+
+def state_response(Phi, C, directions, lifted, seen):
+    """How the state moves, and what every sample of the period sees of it.
+
+    Alternates two linear least-squares fits, each exact where the other is: B and the
+    initial states from the outputs, and the outputs' O_j and D_j from the states.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+    C : ndarray, shape (c, n)
+        What some combinations of the lifted outputs see of the state, to start from.
+    directions : list of ndarray, shapes (n_periods_s, r)
+    lifted : list of ndarray, shapes (n_periods_s, q)
+    seen : list of ndarray, shapes (n_periods_s, c)
+        Those combinations.
+
+    Returns
+    -------
+    sights : ndarray, shape (q, n)
+        O: what each sample of the period sees of the state at its start.
+    information : ndarray, shape (n, n)
+        Inverse covariance of the rows of O for noise of variance one.
+    residual : ndarray, shape (q,)
+        Sum of squares left of each sample of the period.
+    """
+    W = np.vstack(directions)
+    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
+
+    def project(block):
+        return block - Q @ (Q.T @ block)
+
+    units, outputs = _unit_responses(Phi, directions), project(np.vstack(lifted))
+    units = np.stack([project(unit) for unit in units], axis=1)  # (n_periods, n_unknown, n)
+    target, sees, before = project(np.vstack(seen)), C, np.inf
+    compact = _compact(outputs)
+    for _ in range(SWEEPS):
+        regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
+        size = _lengths(regressors)
+        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=1e-13)[0] / size
+        states = np.einsum("kun,u->kn", units, unknown)
+        sees = linalg.lstsq(states, compact)[0].T
+        left = float(np.sum((compact - states @ sees.T) ** 2))
+        if left >= (1.0 - 1e-6) * before or left <= SWEEP_TOLERANCE**2 * np.sum(compact**2):
+            break
+        target, before = compact, left
+    sights = linalg.lstsq(states, outputs)[0].T
+    return sights, states.T @ states, np.sum((outputs - states @ sights.T) ** 2, axis=0)
+
+
+def _unit_responses(Phi, directions):
+    """States for each entry of B, row by row, and of every initial state, all periods stacked."""
+    n, r = len(Phi), directions[0].shape[1]
+    lengths = [len(w) for w in directions]
+    units = []
+    for s, w in enumerate(directions):
+        forcing = np.einsum("ab,kq->aqkb", np.eye(n), w).reshape(n * r, len(w), n)
+        forced = propagate(Phi, forcing, np.zeros((n * r, n)))
+        free = np.zeros((len(directions), n, len(w), n))
+        free[s] = propagate(Phi, np.zeros((n, lengths[s], n)), np.eye(n))
+        units.append(np.concatenate([forced, free.reshape(-1, len(w), n)]))
+    return np.concatenate(units, axis=1)
+
+
+# ---- Floquet form ----------------------------------------------------------------------------
+
+
+def floquet_logarithm(Phi, period):
+    """Real R and coordinates in which Φ = S e^{RT}, S = ±1 a coordinate.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+    period : float
+        T in seconds.
+
+    Returns
+    -------
+    R : ndarray, shape (n, n)
+        1/s; block diagonal, the subspace of negative real multipliers first.
+    to_original : ndarray, shape (n, n)
+        z = to_original z_new.
+    flips : ndarray of bool, shape (n,)
+        Coordinates whose shapes change sign from one period to the next.
+
+    Raises
+    ------
+    ValueError
+        If a multiplier is zero, which no periodic system has.
+
+    Examples
+    --------
+    >>> R, _, flips = floquet_logarithm(np.diag([-0.5, 0.25]), 1.0)
+    >>> np.exp(np.diag(R)).round(6).tolist(), flips.tolist()
+    ([0.5, 0.25], [True, False])
+    """
+    multipliers = linalg.eigvals(Phi)
+    size = np.max(np.abs(multipliers), initial=0.0)
+    if np.min(np.abs(multipliers), initial=np.inf) <= 1e-14 * size or size == 0.0:
+        raise ValueError(
+            f"a Floquet multiplier is zero (they are {np.array2string(multipliers, precision=3)}): "
+            f"no periodic system forgets a state within one period; lower the order"
+        )
+    upper, Z, n_flips = linalg.schur(
+        Phi, output="real", sort=lambda re, im: abs(im) <= 1e-12 * size and re < 0.0
+    )
+    upper_right = upper[:n_flips, n_flips:]
+    X = np.zeros_like(upper_right)
+    if 0 < n_flips < len(Phi):
+        X = linalg.solve_sylvester(
+            upper[:n_flips, :n_flips], -upper[n_flips:, n_flips:], -upper_right
+        )
+    to_original = Z.copy()
+    to_original[:, n_flips:] += Z[:, :n_flips] @ X
+    parts = [-upper[:n_flips, :n_flips], upper[n_flips:, n_flips:]]
+    logarithms = [np.real(linalg.logm(part)) / period if len(part) else part for part in parts]
+    flips = np.arange(len(Phi)) < n_flips
+    return linalg.block_diag(*logarithms)[-len(Phi) :, -len(Phi) :], to_original, flips
+
+
+def shape_functions(psi, n_harmonics, flips):
+    """Functions that shapes are made of, and their derivatives with respect to ψ.
+
+    1, cos ψ, sin ψ, … for shapes that repeat; cos ψ/2, sin ψ/2, cos 3ψ/2, … for those that
+    change sign from one period to the next.
+
+    Returns
+    -------
+    values, slopes : ndarray, shape (n_points, n_functions)
+    """
+    orders = np.arange(max(n_harmonics, 1)) + 0.5 if flips else np.arange(n_harmonics + 1)
+    angles = np.multiply.outer(psi, orders)
+    values = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    slopes = orders[:, None] * np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
+    nothing = [] if flips else [1]  # sin 0ψ
+    return tuple(np.delete(f.reshape(len(psi), -1), nothing, axis=1) for f in (values, slopes))
+
+
+@dataclass(frozen=True, eq=False)
+class FloquetShapes:
+    """Mode shapes P(ψ) of a periodic system as series in ψ.
+
+    Attributes
+    ----------
+    R : ndarray, shape (n, n)
+        1/s; the free response is y = P(ψ) e^{Rt} q.
+    flips : ndarray of bool, shape (n,)
+    coefficients : tuple of ndarray, shapes (n_functions_a, l), one for each state a
+    n_harmonics : int
+    """
+
+    R: np.ndarray
+    flips: np.ndarray
+    coefficients: tuple
+    n_harmonics: int
+
+    def __call__(self, psi):
+        """P(ψ) and dP/dψ, shapes (n_points, l, n)."""
+        parts = [
+            [f @ c for f in shape_functions(psi, self.n_harmonics, flips)]
+            for flips, c in zip(self.flips, self.coefficients, strict=True)
+        ]
+        return np.stack([p for p, _ in parts], axis=2), np.stack([s for _, s in parts], axis=2)
+
+    def state_matrix(self, psi, omega, rows):
+        """F(ψ) = (P′ + P R) P⁻¹ with some rows of P as states, shape (n_points, n, n)."""
+        P, slope = self(psi)
+        P, slope = P[:, rows], omega * slope[:, rows]
+        scale = np.linalg.norm(P, axis=(0, 2))[:, None]  # outputs in like units
+        inverse = np.linalg.inv(P / scale) / scale.T
+        return (slope + P @ self.R) @ inverse
+
+
+def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmonics=None):
+    """Mode shapes behind what each sample of the period sees of the state.
+
+    P(ψ_j) e^{R t_j} = O_j in the least-squares sense that the noise of O asks for, with as
+    many harmonics as stand out of it (Akaike's criterion).
+
+    Parameters
+    ----------
+    sights : ndarray, shape (n_phases, l, n)
+        O, in the coordinates of R.
+    information : ndarray, shape (n, n)
+    residual : ndarray, shape (n_phases, l)
+        Sum of squares left.
+    R : ndarray, shape (n, n)
+    flips : ndarray of bool, shape (n,)
+    period : float
+    n_rows : int
+        Periods less parameters behind each sum of squares.
+    n_harmonics : int, optional
+        Decided by the data where not given.
+
+    Returns
+    -------
+    shapes : FloquetShapes
+    """
+    n_phases, n_outputs, n = sights.shape
+    psi = 2.0 * np.pi * np.arange(n_phases) / n_phases
+    step = linalg.expm(R * period / n_phases)
+    decays = np.empty((n_phases, n, n))
+    decays[0] = np.eye(n)
+    for j in range(1, n_phases):
+        decays[j] = step @ decays[j - 1]
+    root = _root(information)
+    weighted = decays @ root
+    target = (sights @ root).transpose(0, 2, 1).reshape(n_phases * n, n_outputs)
+    variance = residual.sum(axis=0) / (n_phases * max(1, n_rows))
+    rounding = (1e-15 * np.linalg.norm(target, axis=0)) ** 2
+    variance = np.where(variance > rounding, variance, np.where(rounding > 0, rounding, 1.0))
+    highest = n_phases // 2
+    best = None
+    for count in range(highest + 1) if n_harmonics is None else [min(n_harmonics, highest)]:
+        functions = [shape_functions(psi, count, flip)[0] for flip in flips]
+        design = np.concatenate(
+            [f[:, None, :] * weighted[:, a, :, None] for a, f in enumerate(functions)], axis=2
+        ).reshape(n_phases * n, -1)
+        size = np.linalg.norm(design, axis=0)
+        size[size < UNSEEN * size.max()] = np.inf  # the sine that is zero at every sample
+        solution = linalg.lstsq(design / size, target)[0] / size[:, None]
+        left = np.sum((target - design @ solution) ** 2, axis=0)
+        value = float(np.sum(left / variance)) + 2.0 * solution.size
+        if best is None or value < best[0]:
+            edges = np.cumsum([f.shape[1] for f in functions])[:-1]
+            best = value, FloquetShapes(R, flips, tuple(np.split(solution, edges)), count)
+    return best[1]
+
+
+def _root(information):
+    """L with L Lᵀ = information, by its eigenvalues."""
+    values, vectors = linalg.eigh(information)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,0 +1,6 @@
+"""What is known of a model beforehand: which entries are fixed, free or shared."""
+
+from sklearn_hd.structures._harmonic import HarmonicStructure
+from sklearn_hd.structures._matrix import MatrixStructure
+
+__all__ = ["HarmonicStructure", "MatrixStructure"]
