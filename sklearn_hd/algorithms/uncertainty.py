@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.floquet import monodromy_exponents
-from sklearn_hd.algorithms.output_error import eliminate_states
+from sklearn_hd.algorithms.likelihood import eliminate_states
 from sklearn_hd.algorithms.periodic_structure import sampled_response
 from sklearn_hd.algorithms.sensitivity import as_records, jacobian_factors
 
