@@ -181,8 +181,9 @@ class SampledResponse:
     def monodromy(self):
         """Transition matrix over the p intervals: one period, or one sample if p is 1."""
         product = np.eye(self.n_states)
-        for factor in self.Phi:
-            product = factor @ product
+        with np.errstate(over="ignore", invalid="ignore"):
+            for factor in self.Phi:
+                product = factor @ product
         return product
 
     @cached_property
@@ -347,8 +348,8 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
     observe = np.eye(n_outputs)[None] if observe is None else np.asarray(observe, dtype=float)
     if observe.ndim != 3 or len(observe) not in (1, n_phases) or observe.shape[2] != n_outputs:
         raise ValueError(
-            f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs of "
-            f"the model it must be ({n_phases}, n_measured, {n_outputs})"
+            f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs "
+            f"of the model it must be ({n_phases}, n_measured, {n_outputs})"
         )
     q = n_phases if structure.varies[1] else 1
     functions = harmonic_functions(
