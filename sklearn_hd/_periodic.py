@@ -41,6 +41,10 @@ class PeriodicModel:
         M, n = self.coefficients, self.n_states
         return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
 
+    def highest(self, name):
+        """Highest harmonic of F, G, P or Q that is not zero."""
+        return len(_trimmed(self.matrices()["FGPQ".index(name)])) // 2
+
     def to_system(self):
         """The model as an LTPSystem."""
         F, G, P, Q = (_trimmed(M) for M in self.matrices())
@@ -72,21 +76,54 @@ class PeriodicModel:
         A, B, C, D : ndarray
         state_names : tuple of str
         """
-        M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
-        F, G, P, Q = self.matrices()
-        measured = self.state_names == self.output_names
-        N = L if measured else L + len(_trimmed(P)) // 2
-        A, B, C, D = harmonic_decomposition(F, G, P, Q, self.omega, N, M, L)
-        rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
-        labels = [
-            f"{name}_{label}"
-            for label in harmonic_labels(range(N + 1))
-            for name in self.state_names
+        N, states = self._states_kept(basis)
+        labels = [f"{x}_{k}" for k in harmonic_labels(range(N + 1)) for x in self.state_names]
+        stacked = _decompose(self.coefficients, self.omega, basis, N, states)
+        n = len(states)
+        parts = stacked[:n, :n], stacked[:n, n:], stacked[n:, :n], stacked[n:, n:]
+        return parts, tuple(labels[i] for i in states)
+
+    def decomposed_structure(self, structure, basis):
+        """The same with the parameters of a periodic structure, whose model this is.
+
+        Returns
+        -------
+        affine : AffineStructure
+        seen : ndarray of int
+            Parameters that stand in it.
+        """
+        N, states = self._states_kept(basis)
+        shape = structure.constant.shape
+        rates = [
+            _decompose(row.reshape(shape), 0.0, basis, N, states)
+            for row in structure.basis.toarray()
         ]
-        states = rows if measured else range(len(A))
-        A, B = A[np.ix_(states, states)], B[np.ix_(states, columns)]
-        C, D = C[np.ix_(rows, states)], D[np.ix_(rows, columns)]
-        return (A, B, C, D), tuple(labels[i] for i in states)
+        seen = np.array([k for k, rate in enumerate(rates) if rate.any()], dtype=int)
+        constant = _decompose(structure.constant, self.omega, basis, N, states)
+        stacked = np.array([rates[k] for k in seen]).reshape(len(seen), *constant.shape)
+        names = tuple(structure.parameter_names[k] for k in seen)
+        return AffineStructure(constant, stacked, len(states), names), seen
+
+    def _states_kept(self, basis):
+        """Harmonics of the states, and the places of those kept."""
+        L = highest_harmonic(basis.outputs)
+        if self.state_names == self.output_names:
+            return L, kept_places(basis.outputs)
+        N = L + len(_trimmed(self.matrices()[2])) // 2
+        return N, list(range((2 * N + 1) * self.n_states))
+
+
+def _decompose(coefficients, omega, basis, n_harmonics, states):
+    """[A B; C D] of the harmonic decomposition between some states and what a basis keeps."""
+    n = coefficients.shape[1] - len(basis.outputs)
+    M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
+    parts = coefficients[:, :n, :n], coefficients[:, :n, n:]
+    parts += coefficients[:, n:, :n], coefficients[:, n:, n:]
+    A, B, C, D = harmonic_decomposition(*parts, omega, n_harmonics, M, L)
+    rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
+    left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
+    right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]
+    return np.hstack([np.vstack(left), np.vstack(right)])
 
 
 def _trimmed(coefficients):
@@ -147,45 +184,3 @@ class PeriodicSimulator:
         forcing = np.einsum("tij,tj->ti", turned[which, :, n:], inputs)
         forcing = np.broadcast_to(forcing, (*x0.shape[:-1], *forcing.shape))
         return propagate_periodic(turned[:, :, :n], forcing, x0)
-
-
-def decomposed_structure(structure, basis):
-    """The harmonic decomposition of a periodic structure, between the coefficients kept.
-
-    Parameters
-    ----------
-    structure : PeriodicStructure
-        Its outputs are its states.
-    basis : HarmonicBasis
-
-    Returns
-    -------
-    affine : AffineStructure
-    seen : ndarray of int
-        Parameters that stand in it.
-    """
-    n, shape = structure.n_states, structure.constant.shape
-    M, N = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
-    rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
-
-    def decompose(coefficients, omega):
-        parts = coefficients[:, :n, :n], coefficients[:, :n, n:]
-        parts += coefficients[:, n:, :n], coefficients[:, n:, n:]
-        A, B, C, D = harmonic_decomposition(*parts, omega, N, M, N)
-        return np.block(
-            [
-                [A[np.ix_(rows, rows)], B[np.ix_(rows, columns)]],
-                [C[np.ix_(rows, rows)], D[np.ix_(rows, columns)]],
-            ]
-        )
-
-    rates = [decompose(row.reshape(shape), 0.0) for row in structure.basis.toarray()]
-    seen = np.array([k for k, rate in enumerate(rates) if rate.any()], dtype=int)
-    stacked = np.array([rates[k] for k in seen]).reshape(len(seen), *_stacked_shape(rows, columns))
-    names = tuple(structure.parameter_names[k] for k in seen)
-    constant = decompose(structure.constant, basis.omega)
-    return AffineStructure(constant, stacked, len(rows), names), seen
-
-
-def _stacked_shape(rows, columns):
-    return 2 * len(rows), len(rows) + len(columns)

@@ -266,7 +266,7 @@ class _InputProblem:
         self.phases = [basis.phase_index(time) for time in experiment.times()]
 
     def solve(self, n_harmonics, physical):
-        """The realization with as many harmonics of G as the data show (Akaike's criterion)."""
+        """The realization with as many harmonics of G as the data show (Schwarz's criterion)."""
         spp, best, worse = self.experiment.basis.samples_per_period, None, 0
         asked = self.structure.n_harmonics("G")
         for count in N_INPUT_HARMONICS if asked is None else [asked]:
@@ -285,7 +285,7 @@ class _InputProblem:
         return n_rows * ((2 * count + 1) * n * m + n * len(self.phases))
 
     def _fit(self, n_harmonics, physical):
-        """Akaike's criterion, and the realization, with some number of harmonics of G."""
+        """Schwarz's criterion, and the realization, with some number of harmonics of G."""
         full = self.structure.resolve(*self.names, n_harmonics, constant_F=self.directions)
         n = full.n_states
         constant = full.constant.copy()
@@ -302,9 +302,12 @@ class _InputProblem:
         theta = project(full, found)
         basis = self.experiment.basis
         model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
-        aic = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows)))) + 2 * len(gains)
+        if self.directions is not None:
+            full, theta = fixed_scale(full, theta)
+        fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
+        bic = fit + np.log(n_rows * len(rss)) * len(gains)
         total = sum(float(np.sum((y / self.scale) ** 2)) for y in self.experiment.outputs)
-        return aic, Realization(model, full, theta, physical, 1.0 - float(np.sum(rss)) / total)
+        return bic, Realization(model, full, theta, physical, 1.0 - float(np.sum(rss)) / total)
 
     def _least_squares(self, linear):
         """Parameters that enter linearly, sums of squares left by output, and rows of each."""
@@ -336,6 +339,41 @@ class _InputProblem:
     @property
     def omega(self):
         return self.experiment.basis.omega
+
+
+def fixed_scale(structure, theta):
+    """A structure in Floquet coordinates whose states' scale is fixed, and its parameters.
+
+    Scaling a mode's coordinate (turning it, for a pair) changes P and G against each other,
+    and no output: the largest coefficient of each column of P is held at its value.
+
+    Returns
+    -------
+    structure : PeriodicStructure
+    theta : ndarray
+    """
+    n, basis = structure.n_states, structure.basis.tocsr()
+    single = np.flatnonzero(np.diff(basis.indptr) == 1)
+    where = np.unravel_index(basis.indices[basis.indptr[single]], structure.constant.shape)
+    held = np.zeros(len(theta), dtype=bool)
+    paired = np.zeros(n, dtype=int)
+    for row in basis.toarray().reshape(-1, *structure.constant.shape)[:, 0, :n, :n]:
+        for i, j in np.argwhere(np.triu(row, 1)):
+            paired[i], paired[j] = 1, -1
+    for column in np.flatnonzero(paired >= 0):
+        mine = single[(where[1] >= n) & (where[2] == column)]
+        if len(mine) == 0:
+            continue  # P is given
+        largest = mine[np.argmax(np.abs(theta[mine]))]
+        held[largest] = True
+        if paired[column]:
+            place = np.unravel_index(basis.indices[basis.indptr[largest]], structure.constant.shape)
+            other = (place[0], place[1], column + 1)
+            flat = np.ravel_multi_index(other, structure.constant.shape)
+            held[[k for k in single if basis.indices[basis.indptr[k]] == flat]] = True
+    constant = structure.constant + (theta * held @ basis).reshape(structure.constant.shape)
+    names = tuple(np.array(structure.parameter_names, dtype=object)[~held])
+    return PeriodicStructure(constant, basis[~held], n, names), theta[~held]
 
 
 def linear_response(response, u, phase):

@@ -1,20 +1,28 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from scipy.stats import norm
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator, decomposed_structure
+from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator
 from sklearn_hd._realization import realize
+from sklearn_hd._refinement import (
+    Uncertainty,
+    refine_harmonics,
+    refine_invariant,
+    refine_periodic,
+    uncertainty,
+)
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import check_count, check_positive
+from sklearn_hd._validation import check_choice, check_count, check_positive
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
@@ -24,6 +32,7 @@ from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
+CRITERIA = ("hinf", "output_error")
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 
@@ -46,6 +55,7 @@ class _Match:
     relative_error: float = np.nan
     peak_frequency: float = np.nan
     n_iter: int = 1
+    uncertainty: Uncertainty | None = None
 
 
 class StructuredMatcher(ModelStep):
@@ -135,6 +145,7 @@ class StructuredMatcher(ModelStep):
         estimator=None,
         *,
         structure=None,
+        criterion="hinf",
         scale=True,
         n_starts=6,
         random_state=0,
@@ -144,6 +155,7 @@ class StructuredMatcher(ModelStep):
     ):
         self.estimator = estimator
         self.structure = structure
+        self.criterion = criterion
         self.scale = scale
         self.n_starts = n_starts
         self.random_state = random_state
@@ -181,9 +193,12 @@ class StructuredMatcher(ModelStep):
             if lifted:
                 model = self._realize(model, experiment, HarmonicStructure()).model
             match = self._match(to_continuous(model, experiment))
+        if self.criterion == "output_error":
+            match = self._refine(match, experiment)
         return self._store(match)._remember(match.model, experiment, X, y)
 
     def _check_settings(self):
+        check_choice("criterion", self.criterion, CRITERIA)
         check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
         check_count("max_iter", self.max_iter, 1, "100 is usual")
         check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
@@ -195,6 +210,7 @@ class StructuredMatcher(ModelStep):
         self._theta_least_squares = match.theta if least_squares is None else least_squares
         self.hinf_error_, self.hinf_error_relative_ = match.hinf_error, match.relative_error
         self.peak_frequency_, self.n_iter_ = match.peak_frequency, match.n_iter
+        self._uncertainty = match.uncertainty
         return self
 
     # ---- time-invariant structures -----------------------------------------------------------
@@ -284,11 +300,12 @@ class StructuredMatcher(ModelStep):
         ]
         n_harmonics = {"F": 2 * highest[1], "G": sum(highest), "P": None}
         full = structure.resolve(outputs, inputs, outputs, n_harmonics)
-        affine, seen = decomposed_structure(full, basis)
-        result = self._match_affine(model, affine)
         theta = np.zeros(full.n_parameters)
-        theta[seen] = result.theta
         periodic = PeriodicModel(full.coefficients(theta), basis.omega, outputs, inputs, outputs)
+        affine, seen = periodic.decomposed_structure(full, basis)
+        result = self._match_affine(model, affine)
+        theta[seen] = result.theta
+        periodic = replace(periodic, coefficients=full.coefficients(theta))
         return _periodic_match(full, theta, periodic, model, basis, _figures(result, seen, theta))
 
     @property
@@ -312,6 +329,83 @@ class StructuredMatcher(ModelStep):
             for u, time in zip(experiment.inputs, experiment.times(), strict=True)
         ]
 
+    # ---- maximum likelihood ------------------------------------------------------------------
+
+    def _refine(self, match, experiment):
+        """The same structure, its parameters those of the largest likelihood of the record."""
+        if match.structure is None:
+            raise ValueError(
+                "criterion='output_error' needs a structure whose parameters the record "
+                "determines; give a MatrixStructure or a HarmonicStructure"
+            )
+        if match.periodic is None:
+            return self._refine_invariant(match, experiment)
+        asked = self.structure if self.structure is not None else HarmonicStructure()
+        physical = set(match.periodic.state_names) <= set(match.periodic.output_names)
+        structure = match.structure
+        if physical and None in (asked.n_harmonics("F"), asked.n_harmonics("G")):
+            fixed = {name: asked.n_harmonics(name) for name in "FG"}
+            fixed = {name: count for name, count in fixed.items() if count is not None}
+            fixed["P"] = self._n_harmonics_of_outputs(match, asked)
+            structure, result = refine_harmonics(
+                asked, match.periodic, fixed, experiment, self.max_iter
+            )
+        else:
+            result = refine_periodic(structure, match.theta, experiment, self.max_iter)
+        self._warn_refined(result)
+        coefficients = structure.coefficients(result.theta)
+        periodic = replace(match.periodic, coefficients=coefficients)
+        basis = experiment.basis
+        found = uncertainty(
+            structure, result, experiment, *periodic.decomposed_structure(structure, basis)
+        )
+        refined = _periodic_match(structure, result.theta, periodic, match.model, basis)
+        return replace(refined, n_iter=result.n_iter, uncertainty=found)
+
+    @staticmethod
+    def _n_harmonics_of_outputs(match, structure):
+        """Highest harmonic of P in a match; None where P is the identity."""
+        asked, periodic = structure.n_harmonics("P"), match.periodic
+        if asked is not None or set(periodic.state_names) == set(periodic.output_names):
+            return asked
+        return periodic.highest("P")
+
+    def _refine_invariant(self, match, experiment):
+        structure = match.structure
+        result = refine_invariant(structure, match.theta, experiment, self.max_iter)
+        self._warn_refined(result)
+        matrices = [M[0] for M in structure.matrices(result.theta)]
+        names = match.model.state_names
+        model = match.model.in_continuous_time(*matrices, state_names=names)
+        everything = np.arange(structure.n_parameters)
+        affine = self.structure.affine
+        return replace(
+            match,
+            model=model,
+            theta=result.theta,
+            n_iter=result.n_iter,
+            uncertainty=uncertainty(structure, result, experiment, affine, everything),
+        )
+
+    @staticmethod
+    def _warn_refined(result):
+        if result.unidentified:
+            warnings.warn(
+                f"the record does not determine {', '.join(result.unidentified)} (only some "
+                f"combinations of them): their standard deviation is infinite; fix some, share a "
+                f"name, or use a richer record",
+                IdentifiabilityWarning,
+                stacklevel=4,
+            )
+        if not result.converged:
+            warnings.warn(
+                f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
+                f"lower the sum of squares by {result.relative_decrease:.2g} of itself; raise "
+                f"max_iter",
+                ConvergenceWarning,
+                stacklevel=4,
+            )
+
     # ---- parameters --------------------------------------------------------------------------
 
     @property
@@ -326,6 +420,84 @@ class StructuredMatcher(ModelStep):
         check_is_fitted(self)
         names = list(self._parameter_names)
         return pd.Series(self._theta_least_squares, index=names, name="theta_least_squares")
+
+    @property
+    def theta_std_(self):
+        """Standard deviation of each parameter, as a Series; NaN without maximum likelihood."""
+        check_is_fitted(self)
+        std = np.full(len(self._theta), np.nan)
+        if self._uncertainty is not None:
+            std = np.sqrt(np.diag(self._uncertainty.covariance))
+        return pd.Series(std, index=list(self._parameter_names), name="theta_std")
+
+    @property
+    def covariance_(self):
+        """Covariance of the parameters, as a DataFrame."""
+        names = list(self._parameter_names)
+        return pd.DataFrame(self._bounds("covariance_").covariance, index=names, columns=names)
+
+    @property
+    def noise_std_(self):
+        """Standard deviation of each output's noise, as a Series, in the units of y."""
+        names = list(self.target_names_)
+        if self.predicts_harmonics_:
+            names = [signal for signal, _ in self.basis_.outputs]
+        return pd.Series(self._bounds("noise_std_").noise_std, index=names, name="noise_std")
+
+    @property
+    def eigenvalues_(self):
+        """Eigenvalues (Floquet exponents of a periodic model), 1/s, and their deviations."""
+        found = self._bounds("eigenvalues_")
+        return pd.DataFrame(
+            {
+                "eigenvalue": found.exponents,
+                "std_real": found.exponents_std.real,
+                "std_imag": found.exponents_std.imag,
+            }
+        )
+
+    def confidence_interval(self, level=0.95):
+        """Bounds θ ± z σ between which each parameter lies with some probability.
+
+        Parameters
+        ----------
+        level : float, default=0.95
+
+        Returns
+        -------
+        interval : DataFrame, shape (n_parameters, 2)
+            Columns ``lower`` and ``upper``.
+        """
+        if not 0.0 < level < 1.0:
+            raise ValueError(f"level={level!r} must be a probability between 0 and 1, such as 0.95")
+        self._bounds("confidence_interval")
+        reach = norm.ppf(0.5 + 0.5 * level) * self.theta_std_
+        return pd.DataFrame({"lower": self.theta_ - reach, "upper": self.theta_ + reach})
+
+    def frequency_response(self, frequencies):
+        """Frequency response of ``system_`` with its standard deviation.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n_frequencies,)
+            rad/s.
+
+        Returns
+        -------
+        response : complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
+        std : complex ndarray, of the same shape
+            Standard deviation of the real part + j times that of the imaginary part.
+        """
+        found = self._bounds("frequency_response")
+        return found.frequency_response(self._theta, frequencies)
+
+    def _bounds(self, what):
+        check_is_fitted(self)
+        if self._uncertainty is None:
+            raise AttributeError(
+                f"{what} is there after maximum likelihood only; fit with criterion='output_error'"
+            )
+        return self._uncertainty
 
     def _checked_structure(self, model):
         """The structure, after checking that it fits the model."""

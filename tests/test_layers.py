@@ -19,6 +19,7 @@ LAYERS = [
     {"_continuous"},
     {"_periodic"},
     {"_realization"},
+    {"_refinement"},
     {"harmonics", "subspace", "reduction", "matching"},
     {"datasets", "model_selection", "plotting"},
     {"__init__"},
