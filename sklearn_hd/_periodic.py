@@ -9,7 +9,10 @@ from sklearn_hd.algorithms.floquet import harmonic_decomposition, propagate_peri
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.structured_model import AffineStructure
+from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
+
+OVERFLOW = 1e150  # squares of anything larger overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +167,12 @@ class PeriodicSimulator:
     def outputs(self, x0, *, recompose=True):
         """Outputs, trim not added, shape (n_samples, n_outputs)."""
         states = self._states(self.inputs, x0)
+        if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
+            raise UnstableModelError(
+                f"the simulation overflows: the model's largest Floquet multiplier is "
+                f"{self.response.spectral_radius:.4g} (1 is the bound of stability); change the "
+                f"order of the identified model, or simulate a shorter span"
+            )
         extended = np.concatenate([states, self.inputs], axis=-1)
         return np.einsum("tla,ta->tl", self._at(self.response.Out), extended)
 
@@ -183,4 +192,5 @@ class PeriodicSimulator:
         which = np.arange(len(inputs)) % len(Psi)
         forcing = np.einsum("tij,tj->ti", turned[which, :, n:], inputs)
         forcing = np.broadcast_to(forcing, (*x0.shape[:-1], *forcing.shape))
-        return propagate_periodic(turned[:, :, :n], forcing, x0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return propagate_periodic(turned[:, :, :n], forcing, x0)

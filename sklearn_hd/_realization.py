@@ -30,6 +30,7 @@ from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_
 
 MODE_SEPARATION = 1e-3
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+MAX_GROWTH = 100.0  # e-folds over a record
 ROUNDING = 1e-28
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
@@ -121,6 +122,12 @@ def _shapes(model, experiment, scale):
     inputs = lifted_periods(experiment, experiment.inputs)
     outputs = lifted_periods(experiment, experiment.outputs, scale)
     n_periods, n = sum(map(len, outputs)), model.n_states
+    growth = max(map(len, outputs)) * np.log(np.max(np.abs(linalg.eigvals(model.A))))
+    if growth > MAX_GROWTH:
+        raise ValueError(
+            f"a mode of the identified model grows e^{growth:.0f} times over the record, which "
+            f"the record cannot have shown: lower the order, check omega, or use a longer record"
+        )
     directions, _, _ = input_directions(inputs, most_directions(n_periods, n))
     lifted = [y.reshape(len(y), -1) for y in outputs]
     _, seen = rows_read(experiment)

@@ -17,6 +17,7 @@ from sklearn_hd.algorithms.moesp import (
     noise_floor,
     observability_subspace,
     order_by_gap,
+    order_by_wide_gap,
     state_matrices,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
@@ -222,21 +223,17 @@ class MOESPRegressor(ModelStep):
         bound = (self.block_rows_ - 1) * n_outputs
         if self.order != "auto":
             return int(self.order)
-        if not _lifted(experiment):
-            return order_by_gap(values, floor, bound)
-        scale = output_scale(experiment)
-        lifted = [
-            y.reshape(len(y), -1) for y in lifted_periods(experiment, experiment.outputs, scale)
-        ]
-        n_periods, r = sum(map(len, lifted)), directions[0].shape[1]
+        by_gap = order_by_gap(values, floor, bound)
+        if not _lifted(experiment) or order_by_wide_gap(values, floor, bound) is not None:
+            return by_gap
+        lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
+        lifted = [y.reshape(len(y), -1) for y in lifted]
         # as many as the raw periods tell apart once the inputs' directions are projected out
+        n_periods, r = sum(map(len, lifted)), directions[0].shape[1]
         most = min(bound, MOST_STATES, (n_periods // 2 - r) // (r + len(lifted)))
-        rank = int(np.sum(values > np.finfo(float).eps * values[0] * len(values)))
-        candidates = [
-            state_matrices(U, values, n, n_outputs)[0] for n in range(1, min(most, rank) + 1)
-        ]
-        if not candidates:
-            return order_by_gap(values, floor, bound)
+        if most < by_gap:
+            return by_gap
+        candidates = [state_matrices(U, values, n + 1, n_outputs)[0] for n in range(most)]
         return len(order_by_residual(candidates, directions, lifted))
 
     def _static_model(self, experiment, y):

@@ -18,6 +18,7 @@ __all__ = [
     "noise_floor",
     "observability_subspace",
     "order_by_gap",
+    "order_by_wide_gap",
     "response_regressors",
     "state_matrices",
 ]
@@ -110,13 +111,22 @@ def order_by_gap(singular_values, floor, max_order):
     >>> order_by_gap(np.array([9.0, 5.0, 2.0, 1e-15, 5e-16]), floor=1e-14, max_order=4)
     3
     """
+    order = order_by_wide_gap(singular_values, floor, max_order)
+    if order is not None:
+        return order
     values = np.maximum(singular_values, floor)
     ratios = (values[:-1] / values[1:])[:max_order]
     near = np.where(values[1:][:max_order] <= GAP_REACH * floor, ratios, 0.0)
-    for gaps, least in ((ratios, WIDE_GAP), (near, CLEAR_GAP)):
-        if np.max(gaps, initial=0.0) >= least:
-            return int(np.argmax(gaps)) + 1
+    if np.max(near, initial=0.0) >= CLEAR_GAP:
+        return int(np.argmax(near)) + 1
     return int(np.clip(np.sum(singular_values > floor), 1, max_order))
+
+
+def order_by_wide_gap(singular_values, floor, max_order):
+    """Order at a gap of three decades or more, the widest; None if there is none."""
+    values = np.maximum(singular_values, floor)
+    ratios = (values[:-1] / values[1:])[:max_order]
+    return int(np.argmax(ratios)) + 1 if np.max(ratios, initial=0.0) >= WIDE_GAP else None
 
 
 def state_matrices(U, singular_values, order, n_outputs):
