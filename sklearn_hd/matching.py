@@ -59,23 +59,34 @@ class _Match:
 
 
 class StructuredMatcher(ModelStep):
-    """Bring the identified model to the structure of the physics, in the H∞ norm.
+    """Bring the identified model to the structure of the physics.
 
         θ* = arg min_θ ‖G_c(s) − G_s(s; θ)‖_∞                            (Eq. 22)
+        θ* = arg max_θ  likelihood of the measured y(t)        (criterion="output_error")
 
-    The channels are scaled alike first (each output by the size of its row of
-    G_c, each input by that of its column), so that units do not decide which
-    one is matched.
+    With a :class:`MatrixStructure` the model is time-invariant. With a
+    :class:`HarmonicStructure` it is the linear time-periodic system behind the
+    harmonics: ``ltp_``, which ``predict`` then simulates, and ``system_``, its harmonic
+    decomposition. A model identified period by period (``HarmonicAnalyzer(hop="period")``)
+    is brought to periodic form in closed form first, whatever the structure.
 
     Parameters
     ----------
     estimator : estimator or None, default=None
         Whose model to match, fitted here; None takes the model that rides on X.
-    structure : MatrixStructure or None, default=None
-        The structure; None leaves every entry free, and the model as it is.
+    structure : MatrixStructure, HarmonicStructure or None, default=None
+        The structure. None leaves every entry free: the model as it is, or the periodic
+        system if the model was identified period by period.
+    criterion : {"hinf", "output_error"}, default="hinf"
+        ``"hinf"`` matches the model identified; where the closed form is exact there is
+        nothing left to minimise. ``"output_error"`` goes on from there to the parameters
+        of largest likelihood for the raw record, if the noise on the outputs is white:
+        no bias by windows, and standard deviations beside the parameters. It chooses the
+        numbers of harmonics that a HarmonicStructure leaves open (Akaike's criterion).
     scale : bool, default=True
-        Whether to scale the channels; without, the norm is taken in the
-        units of the model, and the largest channel decides.
+        Whether to scale the channels for the H∞ norm, each output by the size of its
+        row of G_c, each input by that of its column; without, the units of the model
+        decide which channel is matched.
     n_starts : int, default=6
         Largest number of starts tried where no exact match is found.
     random_state : int, default=0
@@ -92,13 +103,26 @@ class StructuredMatcher(ModelStep):
     ----------
     system_ : control.StateSpace
         The matched model, in continuous time, its states named by the structure.
+    ltp_ : LTPSystem
+        The linear time-periodic system, for periodic structures; its
+        ``harmonic_decomposition(n_harmonics)`` gives the model for any N.
     theta_ : Series, shape (n_parameters,)
         The parameters by name.
+    theta_std_ : Series, shape (n_parameters,)
+        Their standard deviations, the Cramér-Rao bound at the estimate; NaN for
+        ``criterion="hinf"``.
+    covariance_ : DataFrame, shape (n_parameters, n_parameters)
+    eigenvalues_ : DataFrame
+        Eigenvalues, or Floquet exponents, with the standard deviations of their real and
+        imaginary parts, 1/s.
+    noise_std_ : Series, shape (n_outputs,)
+        Standard deviation of the noise of each output, in the units of y.
     theta_least_squares_ : Series, shape (n_parameters,)
         The match in the mean square over frequency, usually the better
         estimate of parameters where no exact match exists.
     hinf_error_ : float
-        ‖W_o (G_c − G_s(θ)) W_i‖_∞, W_o and W_i the channel scales.
+        ‖W_o (G_c − G_s(θ)) W_i‖_∞, W_o and W_i the channel scales; NaN where the match
+        was not made in this norm.
     hinf_error_relative_ : float
         The same divided by ‖W_o G_c W_i‖_∞.
     peak_frequency_ : float
@@ -117,14 +141,16 @@ class StructuredMatcher(ModelStep):
     Warns
     -----
     IdentifiabilityWarning
-        If these outputs do not determine some parameters (they are named), or
-        model and structure differ in order and match poorly.
+        If these outputs do not determine some parameters (they are named); if model and
+        structure differ in order and match poorly; if the outputs do not determine the
+        state of a periodic system, which is then in Floquet coordinates.
     ConvergenceWarning
         If the search stopped before the tolerance was met.
 
     References
     ----------
     Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, section 2.4.
+    Jategaonkar (2006), Flight Vehicle System Identification, chapter 4 (output error).
 
     Examples
     --------
