@@ -436,9 +436,10 @@ def test_failed_candidates_are_named_with_their_folds():
 @pytest.mark.parametrize(
     ("table", "kwargs", "message"),
     [
-        (results(SCORES, window=list("abcd")), {}, r"none of size=\['order', 'block_rows'\] was"),
+        (results(SCORES, window=list("abcd")), {"size": "order"}, r"none of size=\['order'\] was"),
+        (results(SCORES, n_states=[1, 2, 3, 4]), {}, r"none of size=\['order', 'block_rows'\] was"),
         (results(SCORES[:2], order=[2, "auto"]), {}, "order='auto' of candidate .* is no size"),
-        (results(SCORES[:2], order=[2, 2], block_rows=[4, None]), {}, "block_rows=None of cand"),
+        (results(SCORES[:2], block_rows=[4, None]), {}, "block_rows=None of candidate .* is no s"),
         (
             results(SCORES[:2], a__order=[1, 2], b__order=[1, 2]),
             {},
@@ -451,6 +452,21 @@ def test_failed_candidates_are_named_with_their_folds():
 def test_rule_words_what_is_wrong(table, kwargs, message):
     with pytest.raises(ValueError, match=message):
         smallest_within_one_standard_error(table, **kwargs)
+
+
+def test_choices_without_a_size_are_parted_by_score():
+    """A window alone, block rows left to the estimator, and grids of different parameters."""
+    windows = results(SCORES, harmonics__window=["hann", "boxcar", "triangle", "centred-hann"])
+    assert smallest_within_one_standard_error(windows) == 2
+    left_open = results(SCORES[1:3], order=[2, 2], block_rows=[None, 14])
+    assert smallest_within_one_standard_error(left_open) == 1
+    lists = results(SCORES[1:3], order=[2, 2])
+    lists["params"] = [{"order": 2, "block_rows": 14}, {"order": 2}]
+    lists["param_block_rows"] = np.ma.array([14, 0], mask=[False, True])
+    assert smallest_within_one_standard_error(lists) == 1
+    lists["params"] = [{"order": 2}, {"block_rows": 9}]
+    with pytest.raises(ValueError, match=r"order was not searched for this candidate: .*'block_r"):
+        smallest_within_one_standard_error(lists)
 
 
 def test_a_whole_name_parts_two_steps():
@@ -474,6 +490,23 @@ def test_grid_search_over_period_blocks(lti):
     assert search.best_estimator_.order_ == 3
     assert not hasattr(search, "best_score_")  # scikit-learn's way with a callable refit
     assert clone(search).refit is smallest_within_one_standard_error
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        [{"order": [2, 3, 4], "block_rows": [8]}, {"order": [3, 5]}],
+        {"order": [2, 3, 4], "block_rows": [None, 14]},
+    ],
+)
+def test_grids_whose_candidates_leave_something_open(lti, grid):
+    search = GridSearchCV(
+        MOESPRegressor(),
+        grid,
+        cv=PeriodBlockSplit(3, omega=lti.omega),
+        refit=smallest_within_one_standard_error,
+    ).fit(lti.inputs, lti.outputs)
+    assert search.best_params_["order"] == 3
 
 
 def test_grid_search_with_several_metrics(lti):

@@ -32,7 +32,10 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     size : str or sequence of str, default=("order", "block_rows")
         Parameters that make a model large, the first above all. Names of
         parameters, alone or with their steps (``"identify__order"``); those
-        that were not searched are passed over, but not all of them.
+        that were not searched are passed over. The first that was needs a
+        number for every candidate; a later one that has none for some
+        (``block_rows=None``) parts nobody. Where nothing but choices without
+        a size were searched (a window, a method), the best score is taken.
     metric : str, default="score"
         With several metrics, the one to decide by. (Like every callable
         ``refit``, the rule leaves a search without ``best_score_``; read
@@ -49,7 +52,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     ------
     ValueError
         If a candidate failed on some fold (its score is not finite), there are
-        fewer than two folds, or the candidates have no size.
+        fewer than two folds, or the candidates cannot be told apart by size.
 
     References
     ----------
@@ -122,7 +125,7 @@ def _fold_scores(cv_results, metric):
 
 
 def _sizes(cv_results, names):
-    """One tuple of numbers a candidate, in the order of the names."""
+    """One tuple of numbers a candidate, in the order of the names; empty where all are alike."""
     keys = [key for key in cv_results if key.startswith("param_")]
     columns = []
     for name in names:
@@ -130,21 +133,42 @@ def _sizes(cv_results, names):
         if len(found) > 1:
             searched = [key.removeprefix("param_") for key in found]
             raise ValueError(f"size={name!r} could be any of {searched}; give the whole name")
-        columns += found
+        columns += [key.removeprefix("param_") for key in found]
+    candidates = cv_results["params"]
     if not columns:
-        searched = [key.removeprefix("param_") for key in keys]
+        _check_alike(candidates, names)
+        return [()] * len(candidates)
+    _check_numbers(candidates, columns[0], names)
+    parting = [key for key in columns[1:] if all(_is_number(p.get(key)) for p in candidates)]
+    return [tuple(params[key] for key in (columns[0], *parting)) for params in candidates]
+
+
+def _is_number(value):
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _check_alike(candidates, names):
+    """Raise ValueError unless the candidates differ in nothing that may be a size."""
+    searched = sorted({key for params in candidates for key in params})
+    numbers = [key for key in searched if any(_is_number(p.get(key)) for p in candidates)]
+    if names != SIZE or numbers:
         raise ValueError(
             f"none of size={list(names)} was searched, only {searched}; name the parameters that "
             f"make a model large with size="
         )
-    sizes = [tuple(params.get(key.removeprefix("param_")) for key in columns)
-             for params in cv_results["params"]]  # fmt: skip
-    for params, values in zip(cv_results["params"], sizes, strict=True):
-        for key, value in zip(columns, values, strict=True):
-            if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-                raise ValueError(
-                    f"{key.removeprefix('param_')}={value!r} of candidate {params} is no size: "
-                    f"candidates can be compared by numbers only; search over numbers, or leave "
-                    f"that parameter out of size={list(names)}"
-                )
-    return sizes
+
+
+def _check_numbers(candidates, key, names):
+    """Raise ValueError unless every candidate has a number for the parameter that decides."""
+    for params in candidates:
+        if key not in params:
+            raise ValueError(
+                f"{key} was not searched for this candidate: {params}; give it a value in every "
+                f"grid of the list, or leave it out of size={list(names)}"
+            )
+        if not _is_number(params[key]):
+            raise ValueError(
+                f"{key}={params[key]!r} of candidate {params} is no size: candidates can be "
+                f"compared by numbers only; search over numbers, or leave that parameter out of "
+                f"size={list(names)}"
+            )
