@@ -18,8 +18,8 @@ from sklearn_hd._data import (
 )
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd._validation import (
-    STEP_TOLERANCE,
     check_outputs_given,
     check_positive,
     signal_names,

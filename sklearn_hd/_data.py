@@ -10,14 +10,14 @@ from sklearn.utils.validation import validate_data
 
 from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
 from sklearn_hd._sampling import Sampling, lay_grid
+from sklearn_hd._time import TimeBase, read_time
 from sklearn_hd._validation import (
     GAP,
     RAISE,
-    TimeBase,
     check_azimuth,
     check_finite,
     check_same_rows,
-    read_time,
+    check_wrap,
     signal_names,
 )
 from sklearn_hd.algorithms.fourier import harmonic_labels
@@ -72,20 +72,32 @@ def read_signals(data, prefix, what, reading=PLAIN):
 
 def _set_azimuth_apart(signals, reading):
     name, base = reading.azimuth, signals.base
-    if name not in signals.names:
-        raise ValueError(
-            f"azimuth={name!r} is not among the columns {list(signals.names)} of X; name the "
-            f"column that holds ψ in rad"
-        )
-    data, names = signals.without(name)
-    if not names:
+    if signals.names == (name,):
         raise ValueError(f"X holds the azimuth {name!r} alone; give the inputs beside it")
-    psi = signals.data[:, signals.names.index(name)].copy()
+    psi = _azimuth(signals.data, signals.names, base, name)
+    data, names = signals.without(name)
+    return Signals(data, names, base, _bridged(psi[:, None], base, reading)[:, 0])
+
+
+def _azimuth(data, names, base, name):
+    """ψ of each row, unwrapped and checked within each segment; NaN where it is missing."""
+    if name not in names:
+        raise ValueError(
+            f"azimuth={name!r} is not among the columns {list(names)} of X; name the column that "
+            f"holds ψ in rad"
+        )
+    psi = data[:, names.index(name)].copy()
     for segment in base.segments:
+        check_wrap(psi[segment], name)
         psi[segment] = unwrap(psi[segment], base.time[segment])
         check_azimuth(psi[segment], base.time[segment], name)
-    psi = _bridged(psi[:, None], base, reading)[:, 0]
-    return Signals(data, names, base, psi)
+    return psi
+
+
+def read_azimuth(X, base, name):
+    """The azimuth among the columns of X, unwrapped within each segment."""
+    names = signal_names(X, "x")
+    return _azimuth(_to_float(X, names, "X"), names, base, name)
 
 
 def read_values(y, X, base, reading):

@@ -28,18 +28,17 @@ from sklearn_hd._frame import (
     coefficient_names,
 )
 from sklearn_hd._sampling import lay_grid
+from sklearn_hd._time import why_short
 from sklearn_hd._validation import (
-    FIRST,
     PERIOD_TOLERANCE,
     RAISE,
     check_choice,
     check_harmonics,
     check_missing,
-    check_one_phase,
     check_period,
-    check_positive,
+    check_phase,
     check_rate,
-    check_time_origin,
+    check_span,
 )
 from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -221,7 +220,6 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         -------
         self : HarmonicAnalyzer
         """
-        check_one_phase(self.omega, self.azimuth)
         window = check_choice("window", self.window, WINDOWS)
         reading = self._reading()
         if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
@@ -267,17 +265,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
     def _reading(self):
         """How rows are to be read, as the parameters say."""
-        origin = check_time_origin(self.time_origin)
-        if self.azimuth is None:
-            hint = "it is 2π over the period, such as 2 * np.pi * 26.3 for 26.3 beats a second"
-            check_positive("omega", self.omega, "rad/s", hint)
-        else:
-            if not isinstance(self.azimuth, str):
-                raise ValueError(
-                    f"azimuth={self.azimuth!r} is no name; give the name of the column of X that "
-                    f"holds ψ in rad (columns of arrays are x0, x1, …)"
-                )
-            origin = FIRST if origin is None else origin
+        origin = check_phase(self.omega, self.azimuth, self.time_origin)
         return Reading(self.sample_time, origin, self.azimuth, check_missing(self.missing))
 
     def _constant_speed(self, base, highest):
@@ -321,23 +309,13 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         """The basis with the waveforms of inputs and outputs in trim, where asked for."""
         if self.trim_span is None:
             return basis
-        start, stop = self._checked_trim_span()
+        start, stop = check_span("trim_span", self.trim_span)
         sampling, values, _ = sample(inputs, basis)
         waveforms = {"input_trim": mean_waveforms(sampling, values, basis, start, stop)}
         if outputs is not None:
             sampling, _, values = sample(inputs, basis, outputs)
             waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
-
-    def _checked_trim_span(self):
-        try:
-            start, stop = (float(edge) for edge in self.trim_span)
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"trim_span={self.trim_span!r} is not a pair of times; give (start, stop) in "
-                f"seconds"
-            ) from None
-        return start, stop
 
     def transform(self, X):
         """Inputs with their harmonic coefficients, on the same rows.
@@ -360,7 +338,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if shortest < len(basis.weights):
             raise ValueError(
                 f"the shortest segment has {shortest} rows, less than the {len(basis.weights)} "
-                f"of the analysis window; drop it, or use a window of fewer periods"
+                f"of the analysis window{why_short(signals.base)}; drop it, or use a window of "
+                f"fewer periods"
             )
         if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)

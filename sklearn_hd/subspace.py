@@ -8,6 +8,7 @@ from sklearn_hd._base import ModelStep
 from sklearn_hd._data import as_container, read_experiment, rows_read
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import why_short
 from sklearn_hd._validation import check_count, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.moesp import (
@@ -237,7 +238,8 @@ class MOESPRegressor(ModelStep):
             raise ValueError(
                 f"the {experiment.span()} give {rows} to identify from, too few for "
                 f"block_rows={i}: at least {need + 2 * i - 1} consecutive rows are needed with "
-                f"{n_inputs} input(s); use a longer record, fewer block rows or a smaller hop"
+                f"{n_inputs} input(s){why_short(experiment.base)}; use a longer record, fewer "
+                f"block rows or a smaller hop"
             )
         return i
 
