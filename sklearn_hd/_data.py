@@ -16,7 +16,9 @@ from sklearn_hd._validation import (
     RAISE,
     check_azimuth,
     check_finite,
+    check_output_names,
     check_same_rows,
+    check_size,
     check_wrap,
     signal_names,
 )
@@ -66,6 +68,7 @@ def read_signals(data, prefix, what, reading=PLAIN):
     base = read_time(data, reading.sample_time, reading.time_origin)
     values = _to_float(data, names, what)
     check_finite(values, names, base.time, what, reading.missing)
+    values = check_size(values, names, what)
     signals = Signals(values, names, base)
     return signals if reading.azimuth is None else _set_azimuth_apart(signals, reading)
 
@@ -107,6 +110,7 @@ def read_values(y, X, base, reading):
     names = signal_names(y, "y")
     values = _to_float(y, names, "y")
     check_finite(values, names, base.time, "y", reading.missing)
+    values = check_size(values, names, "y")
     return values, names
 
 
@@ -131,13 +135,17 @@ def _bridged(values, base, reading, held=False):
 
 
 def warn_of_jitter(base, step, stacklevel=3):
-    """Say by how much the rows are off the uniform grid that they are resampled onto."""
+    """Say by how much the rows are off the uniform grid that they are resampled onto.
+
+    In few digits: Python shows a warning once for each text, and the folds of a
+    cross-validation differ in the others.
+    """
     rms, largest = base.jitter
     if largest > 0.0:
         warnings.warn(
-            f"the rows are not evenly spaced: they are off a grid of {step:.6g} s by {rms:.3g} s "
-            f"rms ({100 * rms / step:.2g} % of a sample) and by {largest:.3g} s at most "
-            f"({100 * largest / step:.2g} %); signals are resampled onto that grid, and results "
+            f"the rows are not evenly spaced: they are off a grid of {step:.4g} s by {rms:.1g} s "
+            f"rms ({100 * rms / step:.1g} % of a sample) and by {largest:.1g} s at most "
+            f"({100 * largest / step:.1g} %); signals are resampled onto that grid, and results "
             f"brought back to the rows given",
             JitterWarning,
             stacklevel=stacklevel,
@@ -147,6 +155,7 @@ def warn_of_jitter(base, step, stacklevel=3):
 def check_features(estimator, X, *, reset):
     """X as a container, after scikit-learn's own check of its columns against those at fit."""
     X = as_container(X, "X")
+    signal_names(X, "x")  # each only once
     columns = X.to_frame() if isinstance(X, pd.Series) else X
     validate_data(estimator, columns, reset=reset, skip_check_array=True)
     return X
@@ -164,7 +173,7 @@ def as_container(data, what):
                 f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
                 f"carries no index of times; give {what}.to_pandas() with its times as the index"
             )
-        data = np.asarray(data)
+        data = _as_array(data, what)
         if data.ndim == 1 and what == "X":
             raise ValueError(
                 "Expected 2D array, got 1D array instead. Reshape your data with "
@@ -182,6 +191,24 @@ def as_container(data, what):
             f"required."
         )
     return data
+
+
+def _as_array(data, what):
+    """An array of anything that has rows, NaN where it is masked."""
+    if data is None or isinstance(data, str | bytes | dict):
+        way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
+        raise TypeError(
+            f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is no "
+            f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"
+        )
+    if isinstance(data, np.ma.MaskedArray):
+        return data.astype(np.result_type(data.dtype, np.float32)).filled(np.nan)
+    try:
+        return np.asarray(data)
+    except ValueError:
+        raise ValueError(
+            f"{what} has rows of different lengths; give (n_samples, n_signals), every row as long"
+        ) from None
 
 
 def _to_float(data, names, what):
@@ -221,6 +248,8 @@ class Experiment:
         Measured outputs on the grid, trim subtracted.
     measured : ndarray, shape (n_rows, n_outputs), or None
         Outputs at the user's rows, as given.
+    output_names : tuple of str
+        Of the columns of ``measured``.
     """
 
     frame: HarmonicFrame
@@ -231,6 +260,7 @@ class Experiment:
     sampling: Sampling
     outputs: list | None = None
     measured: np.ndarray | None = None
+    output_names: tuple = ()
 
     def times(self):
         """Time of the rows of each segment, seconds."""
@@ -343,7 +373,8 @@ def mean_waveforms(sampling, blocks, basis, start, stop):
     if not counts.all():
         raise ValueError(
             f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
-            f"({spp * dt:.4g} s) of any record; widen it"
+            f"({spp * dt:.4g} s) of any record; widen it, or, where a fold of a cross-validation "
+            f"leaves it out, keep it in all of them: PeriodBlockSplit(..., trim_span=...)"
         )
     return sums / counts[:, None]
 
@@ -370,21 +401,18 @@ def read_experiment(X, y=None, decomposition=None):
         _check_columns(frame, basis)
     reading = PLAIN if basis is None else basis.reading
     signals = read_signals(frame if basis is None else frame[basis.measured], "x", "X", reading)
-    measured = None
+    measured, output_names = None, ()
     if y is not None:
         given = X if isinstance(X, pd.DataFrame | pd.Series) else frame
-        measured, names = read_values(y, given, signals.base, reading)
-        if basis is not None and len(names) != len(basis.outputs):
-            raise ValueError(
-                f"y has {len(names)} columns, but the harmonic basis was fitted with "
-                f"{len(basis.outputs)}: {[signal for signal, _ in basis.outputs]}; fit "
-                f"HarmonicAnalyzer with the same y"
-            )
+        measured, output_names = read_values(y, given, signals.base, reading)
+        if basis is not None:
+            expected = tuple(signal for signal, _ in basis.outputs)
+            check_output_names(output_names, expected, "the harmonic basis")
     sampling, drive, outputs = sample(signals, basis, measured)
     base = sampling.base
     times = [base.time[segment] for segment in base.segments]
     if basis is None:
-        warn_of_jitter(signals.base, base.sample_time, stacklevel=4)
+        warn_of_jitter(signals.base, base.sample_time, stacklevel=6)
         names = signals.names
     else:
         drive = without_trim(drive, times, basis, basis.input_trim)
@@ -392,7 +420,7 @@ def read_experiment(X, y=None, decomposition=None):
         if outputs is not None:
             outputs = without_trim(outputs, times, basis, basis.output_trim)
         names = basis.drive_labels
-    return Experiment(frame, base, basis, drive, names, sampling, outputs, measured)
+    return Experiment(frame, base, basis, drive, names, sampling, outputs, measured, output_names)
 
 
 def _check_columns(frame, basis):

@@ -146,7 +146,7 @@ def _label(index, row):
     """Label of the record of a row: a tuple where there are several levels above the time."""
     if not isinstance(index, pd.MultiIndex):
         return 0
-    *label, _ = index[row]
+    *label, _ = (x.item() if isinstance(x, np.generic) else x for x in index[row])
     return label[0] if len(label) == 1 else tuple(label)
 
 

@@ -7,6 +7,11 @@ import pandas as pd
 
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
 FIRST = "first sample"  # the time origin of dates that fix no azimuth
+SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
+NO_TIMES = (
+    " (no times in the index of X: rows are counted; give sample_time, index by seconds, or, where "
+    "a step before has dropped the index, keep it with that step's .set_output(transform='pandas'))"
+)
 RAISE, GAP = "raise", "gap"  # what becomes of missing samples
 
 
@@ -28,6 +33,13 @@ def check_choice(name, value, allowed):
         choices = ", ".join(repr(choice) for choice in allowed)
         raise ValueError(f"{name}={value!r} is not known; use one of {choices}")
     return value
+
+
+def check_flag(name, value):
+    """Return a bool if it is one."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
 
 
 def check_count(name, value, minimum, hint):
@@ -71,6 +83,22 @@ def check_finite(values, names, time, what, missing=RAISE):
             f"to NaN and give HarmonicAnalyzer missing='gap', or the longest run of NaN to bridge "
             f"in seconds"
         )
+
+
+def check_size(values, names, what):
+    """Return the values, with signals too small for squares of them set to zero.
+
+    Raises ValueError naming a signal that is too large.
+    """
+    largest = np.fmax.reduce(np.abs(values), axis=0, initial=0.0)
+    for name, size in zip(names, largest, strict=True):
+        if size > 1.0 / SMALLEST:
+            raise ValueError(
+                f"{what} reaches {size:.3g} in column {name!r}, too large to be squared: at most "
+                f"{1.0 / SMALLEST:g} is allowed; give it in other units"
+            )
+    tiny = (largest > 0.0) & (largest < SMALLEST)
+    return np.where(tiny, 0.0, values) if tiny.any() else values
 
 
 def check_missing(missing):
@@ -235,18 +263,46 @@ def check_same_rows(X, y):
             f"X has {len(X)} rows and y has {len(y)}: inputs and outputs must be sampled at the "
             f"same times; select the rows they share"
         )
-    both = all(isinstance(data, pd.DataFrame | pd.Series) for data in (X, y))
-    if both and not X.index.equals(y.index):
+    if not isinstance(y, pd.DataFrame | pd.Series):
+        return
+    index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
+    counts = [pd.api.types.is_integer_dtype(each.dtype) for each in (index, y.index)]
+    if counts == [True, False]:
         raise ValueError(
-            "X and y have different indices: inputs and outputs must be sampled at the same "
-            "times; align them first, for example with X, y = X.align(y, axis=0, join='inner')"
+            "y has times in its index, and X counts its rows: the times of X were lost, perhaps "
+            "in a step before this one; keep them with that step's "
+            ".set_output(transform='pandas'), or give X the index of y"
+        )
+    if not index.equals(y.index) and isinstance(X, pd.DataFrame | pd.Series):
+        hint = " (y counts its rows: y.set_axis(X.index), if they are those of X)"
+        raise ValueError(
+            f"X and y have different indices{hint if counts[1] else ''}: inputs and outputs must "
+            f"be sampled at the same times; align them first, for example with X, y = X.align(y, "
+            f"axis=0, join='inner')"
         )
 
 
-def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0):
+def check_output_names(names, expected, where):
+    """Raise ValueError unless outputs are those expected, in their order; arrays have no names."""
+    numbered = tuple(f"y{i}" for i in range(len(expected)))
+    if len(names) != len(expected):
+        raise ValueError(
+            f"y has {len(names)} columns, but {where} was fitted with {len(expected)}: "
+            f"{list(expected)}; give the same outputs"
+        )
+    if names != expected and numbered not in (names, expected):
+        way = f"y[{list(expected)}]" if set(names) == set(expected) else "the same columns"
+        raise ValueError(
+            f"y has the columns {list(names)}, but {where} was fitted with {list(expected)}; "
+            f"give {way}"
+        )
+
+
+def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0, counted=False):
     """Samples in a period, a whole number and enough for the harmonics kept.
 
-    ``uncertainty`` of the sample time, in seconds, widens what counts as whole.
+    ``uncertainty`` of the sample time, in seconds, widens what counts as whole;
+    ``counted`` says that there were no times.
     """
     period = 2.0 * np.pi / omega
     samples = period / sample_time
@@ -255,12 +311,13 @@ def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0):
         samples,
         highest_harmonic,
         f"omega={omega:.6g} rad/s and a sample time of {sample_time:.6g} s give {samples:.4g} "
-        f"samples a period",
+        f"samples a period" + (NO_TIMES if counted else ""),
     )
     if abs(samples - round(samples)) > min(tolerance, 0.1):
         raise ValueError(
             f"omega={omega:.9g} rad/s and a sample time of {sample_time:.9g} s give {samples:.6g} "
-            f"samples a period, not a whole number; resample to {round(samples)} samples a period "
+            f"samples a period{NO_TIMES if counted else ''}, not a whole number; resample to "
+            f"{round(samples)} samples a period "
             f"(a sample time of {period / round(samples):.9g} s) or correct omega"
         )
     return round(samples)

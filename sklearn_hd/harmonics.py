@@ -9,6 +9,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._data import (
     check_features,
     is_decomposed,
@@ -205,6 +206,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         tags.input_tags.allow_nan = self.missing != RAISE
         return tags
 
+    def __sklearn_is_fitted__(self):
+        return hasattr(self, "basis_")
+
+    @within_range
     def fit(self, X, y=None):
         """Learn the time base, the names of the signals and their trim waveforms.
 
@@ -236,9 +241,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if inputs.base.counted:
             warnings.warn(
                 f"no times given: samples are counted, {inputs.base.sample_time:g} s apart and "
-                f"one contiguous record from psi = 0; use a DataFrame indexed by seconds",
+                f"one contiguous record from psi = 0, in the order given; use a DataFrame indexed "
+                f"by seconds",
                 TimeBaseWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
         kept_in = check_harmonics("input_harmonics", self.input_harmonics, inputs.names)
         kept_out = ()
@@ -271,7 +277,13 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     def _constant_speed(self, base, highest):
         """ω, samples in a period, and their distance in seconds."""
         omega = float(self.omega)
-        spp = check_period(omega, base.sample_time, highest, base.uncertainty)
+        spp = check_period(
+            omega,
+            base.sample_time,
+            highest,
+            base.uncertainty,
+            base.counted and self.sample_time is None,
+        )
         uneven = base.jitter[1] > 0.0  # then resampled, to fit the period exactly
         return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time
 
@@ -317,6 +329,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
 
+    @within_range
     def transform(self, X):
         """Inputs with their harmonic coefficients, on the same rows.
 
@@ -342,7 +355,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"fewer periods"
             )
         if self.azimuth is None:
-            warn_of_jitter(signals.base, basis.sample_time)
+            warn_of_jitter(signals.base, basis.sample_time, stacklevel=5)
         times = [piece.grid for piece in sampling.pieces]
         inputs = without_trim(inputs, times, basis, basis.input_trim)
         coefficients = sampling.back(
@@ -358,6 +371,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
         return HarmonicFrame.attach(pd.DataFrame(columns, index=index), basis, None)
 
+    @within_range
     def inverse_transform(self, X):
         """Signals put together again from their coefficients (Eq. 7), trim added.
 
