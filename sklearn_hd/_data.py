@@ -66,7 +66,7 @@ def read_signals(data, prefix, what, reading=PLAIN):
     data = as_container(data, what)
     names = signal_names(data, prefix)
     base = read_time(data, reading.sample_time, reading.time_origin)
-    values = _to_float(data, names, what)
+    values = to_float(data, what)
     check_finite(values, names, base.time, what, reading.missing)
     values = check_size(values, names, what)
     signals = Signals(values, names, base)
@@ -100,7 +100,7 @@ def _azimuth(data, names, base, name):
 def read_azimuth(X, base, name):
     """The azimuth among the columns of X, unwrapped within each segment."""
     names = signal_names(X, "x")
-    return _azimuth(_to_float(X, names, "X"), names, base, name)
+    return _azimuth(to_float(X, "X"), names, base, name)
 
 
 def read_values(y, X, base, reading):
@@ -108,7 +108,7 @@ def read_values(y, X, base, reading):
     y = as_container(y, "y")
     check_same_rows(X, y)
     names = signal_names(y, "y")
-    values = _to_float(y, names, "y")
+    values = to_float(y, "y")
     check_finite(values, names, base.time, "y", reading.missing)
     values = check_size(values, names, "y")
     return values, names
@@ -140,13 +140,13 @@ def warn_of_jitter(base, step, stacklevel=3):
     In few digits: Python shows a warning once for each text, and the folds of a
     cross-validation differ in the others.
     """
-    rms, largest = base.jitter
+    rms, largest = (float(f"{100.0 * off / step:.1g}") for off in base.jitter)  # percent
     if largest > 0.0:
         warnings.warn(
-            f"the rows are not evenly spaced: they are off a grid of {step:.4g} s by {rms:.1g} s "
-            f"rms ({100 * rms / step:.1g} % of a sample) and by {largest:.1g} s at most "
-            f"({100 * largest / step:.1g} %); signals are resampled onto that grid, and results "
-            f"brought back to the rows given",
+            f"the rows are not evenly spaced: they are off a grid of {step:.4g} s by "
+            f"{rms / 100.0 * step:.2g} s rms ({rms:g} % of a sample) and by "
+            f"{largest / 100.0 * step:.2g} s at most ({largest:g} %); signals are resampled onto "
+            f"that grid, and results brought back to the rows given",
             JitterWarning,
             stacklevel=stacklevel,
         )
@@ -211,21 +211,41 @@ def _as_array(data, what):
         ) from None
 
 
-def _to_float(data, names, what):
-    values = data.to_numpy() if isinstance(data, pd.DataFrame | pd.Series) else data
-    if np.iscomplexobj(values):
+def to_float(data, what):
+    """Float values, (n_samples, n_signals), of a container."""
+    types = list(data.dtypes) if isinstance(data, pd.DataFrame) else [data.dtype]
+    kinds = {getattr(dtype, "kind", "O") for dtype in types}
+    if "c" in kinds:
         raise ValueError(
             f"Complex data not supported: {what} is complex; give real and imaginary parts as "
             f"columns of their own"
         )
     try:
-        values = np.asarray(values, dtype=float)
+        if kinds & {"m", "M"}:
+            raise TypeError("they are times")
+        if isinstance(data, pd.DataFrame | pd.Series):
+            values = data.to_numpy(dtype=float, na_value=np.nan)
+        else:
+            values = np.asarray(data, dtype=float)
     except (TypeError, ValueError) as error:
         raise type(error)(
-            f"{what} holds values that are no numbers (columns {list(names)}): {error}; convert "
-            f"them first"
+            f"{what} holds values that are no numbers{_culprit(data)}: {error}; convert them first"
         ) from None
     return values.reshape(len(values), -1)
+
+
+def _culprit(data):
+    """The first column of a frame that holds no numbers, worded for messages."""
+    if not isinstance(data, pd.DataFrame):
+        return ""
+    for name, column in data.items():
+        try:
+            if column.dtype.kind in "mM":
+                return f" (column {str(name)!r})"
+            column.to_numpy(dtype=float, na_value=np.nan)
+        except (TypeError, ValueError):
+            return f" (column {str(name)!r})"
+    return ""
 
 
 @dataclass(frozen=True)

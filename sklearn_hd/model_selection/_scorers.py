@@ -8,7 +8,7 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd._base import ModelStep, scored_simulation
-from sklearn_hd._data import as_container
+from sklearn_hd._data import as_container, to_float
 
 
 def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
@@ -156,7 +156,7 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
         as_container(values, name) for values, name in ((y_true, "y_true"), (y_pred, "y_pred"))
     )
     _check_comparable(truth, predicted)
-    y, y_hat = (np.asarray(v, dtype=float).reshape(len(v), -1) for v in (truth, predicted))
+    y, y_hat = to_float(truth, "y_true"), to_float(predicted, "y_pred")
     for values, name in ((y, "y_true"), (y_hat, "y_pred")):
         if not np.all(np.isfinite(values)):
             row, column = np.argwhere(~np.isfinite(values))[0]
@@ -186,7 +186,10 @@ def _check_comparable(truth, predicted):
 def _check_weight(sample_weight, n_samples):
     if sample_weight is None:
         return np.ones(n_samples)
-    weight = np.asarray(sample_weight, dtype=float)
+    try:
+        weight = np.asarray(sample_weight, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError("sample_weight holds values that are no numbers") from None
     if weight.shape != (n_samples,) or not np.all(weight >= 0.0) or not np.any(weight > 0.0):
         raise ValueError(
             f"sample_weight of shape {weight.shape} must hold {n_samples} numbers of at least 0, "
