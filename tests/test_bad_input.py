@@ -404,7 +404,9 @@ def test_sample_time_of_plain_data_must_not_change(u, y):
 
 
 def test_unfitted_use(u):
-    for step in (HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer()):
+    for step in (
+        HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer(), StructuredMatcher()
+    ):  # fmt: skip
         with pytest.raises(ValueError, match="not fitted yet"):
             step.transform(u)
 
