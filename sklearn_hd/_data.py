@@ -309,7 +309,7 @@ class Experiment:
 
 def as_frame(X):
     """X as a HarmonicFrame; plain data get neither basis nor model."""
-    if isinstance(X, HarmonicFrame):
+    if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
         return X
     if isinstance(X, pd.DataFrame):
         _refuse_lost_basis(X)

@@ -136,8 +136,10 @@ def _record_bounds(index):
     if 2 * (len(starts) + 1) > len(index) and len(np.unique(codes, axis=1).T) <= len(starts):
         raise ValueError(
             f"the records of the index take turns (rows 0 and {int(starts[0])} are of "
-            f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}), as if sorted by time; "
-            f"sort by record first, with data.sort_index()"
+            f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}): sorted by time, they "
+            f"need data.sort_index(), which sorts by record first; drawn at random "
+            f"(HalvingGridSearchCV over n_samples, a shuffled split), they have no dynamics: halve "
+            f"over another resource, and split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
         )
     return [0, *starts.tolist(), len(index)]
 

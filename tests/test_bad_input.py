@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.pipeline import Pipeline
+from sklearn.compose import ColumnTransformer
+from sklearn.pipeline import FeatureUnion, Pipeline
 
 from sklearn_hd import (
     HarmonicAnalyzer,
@@ -460,6 +461,16 @@ def test_a_step_that_changes_the_columns(u, y):
     ):
         with pytest.raises(ValueError, match=rf"a step between .* {what}; .*before"):
             MOESPRegressor().fit(changed, y)
+
+
+def test_unions_of_the_analyzer_are_refused(u, y):
+    """They concatenate, which keeps the frame's type but not what rides on it."""
+    columns = ColumnTransformer([("h", HarmonicAnalyzer(OMEGA, output_harmonics=0), ["u"])])
+    union = FeatureUnion([("h", HarmonicAnalyzer(OMEGA, output_harmonics=0))])
+    for step in (columns, union):
+        pipe = Pipeline([("h", step.set_output(transform="pandas")), ("i", MOESPRegressor())])
+        with pytest.raises(ValueError, match=r"stands beside its own coefficients .* dropped it"):
+            pipe.fit(u, y)
 
 
 def test_a_lost_basis_is_recognised_with_harmonic_0_alone(u, y):

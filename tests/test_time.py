@@ -109,6 +109,8 @@ def test_records_that_take_turns_or_have_no_label():
         ValueError, match=r"records .* take turns \(rows 0 and 1 are of 'a' and 'b'\)"
     ):
         read_time(data.sort_index(level="time"))
+    with pytest.raises(ValueError, match=r"take turns .* drawn at random \(HalvingGridSearchCV"):
+        read_time(data.sample(frac=1.0, random_state=0))
     codes = [[0] * 20 + [-1] * 20, [*range(20), *range(20)]]
     missing = pd.MultiIndex([["a"], TIMES], codes, names=["record", "time"])
     with pytest.raises(ValueError, match=r"label of the record is missing in row 20 of the index"):
