@@ -7,6 +7,7 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._data import (
     as_container,
     as_frame,
@@ -17,9 +18,11 @@ from sklearn_hd._data import (
     read_signals,
 )
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._states import initial_states
 from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd._validation import (
-    STEP_TOLERANCE,
+    check_output_names,
     check_outputs_given,
     check_positive,
     signal_names,
@@ -39,6 +42,7 @@ def upstream(step, X, y):
     fitted here (``step.estimator_``).
     """
     check_outputs_given(y)
+    step._check_warmup()
     if step.estimator is None:
         frame = as_frame(X)
         if frame.model is None:
@@ -141,6 +145,9 @@ class SegmentSimulator:
 class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
+    def __sklearn_is_fitted__(self):
+        return hasattr(self, "model_")
+
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
         tags.target_tags.required = True
@@ -159,6 +166,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         labels = experiment.basis.output_labels if self.predicts_harmonics_ else None
         self.target_names_ = labels or signal_names(y, "y")
         self.target_columns_ = list(labels or getattr(y, "columns", self.target_names_))
+        self.target_levels_ = list(y.columns.names) if isinstance(y, pd.DataFrame) else [None]
+        self.target_dtypes_ = _float_types(y, len(self.target_names_))
         if isinstance(y, pd.Series):
             self.target_columns_ = [y.name]
         kinds = {pd.DataFrame: "frame", pd.Series: "series"}
@@ -207,6 +216,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         return np.asarray(getattr(self, "feature_names_in_", names), dtype=object)
 
     @one_blas_thread
+    @within_range
     def predict(self, X, x0=None):
         """Free simulation of the model, in the units and the container of y at fit.
 
@@ -215,7 +225,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         X : DataFrame or ndarray, shape (n_samples, n_features)
         x0 : array_like or dict, optional
             State at the start of each segment: one vector of n_states for all,
-            one row a segment, or a dict by record; zero where not given.
+            one row a segment, or a dict (or a DataFrame's rows) by record, whose
+            label is a tuple where several levels stand above the time; zero
+            where not given.
 
         Returns
         -------
@@ -225,7 +237,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         experiment = self._experiment(X)
         simulators = self._simulators(experiment)
-        starts = _initial_states(x0, experiment.base, simulators[0].model.n_states)
+        model = simulators[0].model
+        starts = initial_states(x0, experiment.base, model.n_states, model.state_names)
         outputs = [
             simulator.outputs(start, recompose=not self.predicts_harmonics_)
             for simulator, start in zip(simulators, starts, strict=True)
@@ -236,6 +249,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         return self._mirror(experiment.sampling.back(outputs), X)
 
     @one_blas_thread
+    @within_range
     def score(self, X, y, sample_weight=None):
         """R² of the free simulation in the units of y, averaged over the outputs.
 
@@ -257,7 +271,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_outputs_given(y)
         truth, simulated, rows = self._fitted_simulation(X, y)
         weight = None if sample_weight is None else _weights(sample_weight, len(y))[rows]
-        return float(r2_score(truth, simulated, sample_weight=weight))
+        unit = _power_of_two(truth)  # R² is the same, and its squares do not overflow
+        return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
     def _fitted_simulation(self, X, y):
         """Measured and simulated outputs on the rows that count, and those rows."""
@@ -299,16 +314,23 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         return slice(first, first + warm), slice(first + warm, last)
 
     def _warmup_samples(self, basis, dt):
-        if self.warmup is None:
+        if self._check_warmup() is None:
             return WARMUP_SAMPLES if basis is None else WARMUP_PERIODS * basis.samples_per_period
+        return round(self.warmup / dt)
+
+    def _check_warmup(self):
+        if self.warmup is None:
+            return None
         hint = "None is five periods, or 50 samples without a harmonic basis"
-        return round(check_positive("warmup", self.warmup, "seconds", hint) / dt)
+        return check_positive("warmup", self.warmup, "seconds", hint)
 
     def _experiment(self, X, y=None):
         X = check_features(self, X, reset=False)
         decomposition = self.basis_ if self.predicts_harmonics_ else None
         experiment = read_experiment(self._upstream_frame(X), y, decomposition)
         self._check_basis(experiment.basis)
+        if y is not None and not self.predicts_harmonics_:
+            check_output_names(experiment.output_names, self.target_names_, "the model")
         dt, found = self.model_.dt, experiment.base.sample_time
         plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1
         if plain and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * experiment.base.uncertainty:
@@ -338,10 +360,17 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
     def _mirror(self, values, X):
         """Predictions in the container, with the columns and the index, of y at fit."""
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else None
-        if self.target_kind_ == "frame":
-            return pd.DataFrame(values, index=index, columns=pd.Index(self.target_columns_))
-        if self.target_kind_ == "series":
-            return pd.Series(values[:, 0], index=index, name=self.target_columns_[0])
+        types = self.target_dtypes_
+        with np.errstate(over="ignore"):  # beyond float32 is infinity, as NumPy has it
+            if self.target_kind_ == "frame":
+                columns = pd.Index(self.target_columns_)
+                frame = pd.DataFrame(values, index=index, columns=range(len(columns)))
+                frame = frame.astype(dict(enumerate(types)))
+                return frame.set_axis(columns.set_names(self.target_levels_), axis=1)
+            if self.target_kind_ == "series":
+                name = self.target_columns_[0]
+                return pd.Series(values[:, 0], index=index, name=name).astype(types[0])
+            values = values.astype(types[0])
         return values[:, 0] if self.target_kind_ == "vector" else values
 
     @property
@@ -372,6 +401,22 @@ def fit_initial_state(simulator, outputs, rows):
     return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
 
 
+def _power_of_two(values):
+    """About the largest magnitude of each column, as a power of two: dividing rounds nothing."""
+    _, exponent = np.frexp(np.max(np.abs(values), axis=0))
+    return np.ldexp(1.0, np.clip(exponent, -1000, 1000))
+
+
+def _float_types(y, n_outputs):
+    """Name of the type of each prediction: that of y where it is one of floats, else float64."""
+    given = y.dtypes if isinstance(y, pd.DataFrame) else [y.dtype]
+    types = [
+        str(dtype) if pd.api.types.is_float_dtype(dtype) and str(dtype) != "float16" else "float64"
+        for dtype in given
+    ]
+    return types if len(types) == n_outputs else types[:1] * n_outputs
+
+
 def _weights(sample_weight, n_samples):
     """Sample weights as floats, after checking that they fit the rows."""
     try:
@@ -384,32 +429,3 @@ def _weights(sample_weight, n_samples):
             f"each of the {n_samples} rows"
         )
     return weight
-
-
-def _initial_states(x0, base, n_states):
-    """One initial state a segment, from a vector, an array of rows or a dict by record."""
-    n_segments = len(base.segments)
-    if x0 is None:
-        return np.zeros((n_segments, n_states))
-    if isinstance(x0, dict):
-        missing = [record for record in base.records if record not in x0]
-        if missing:
-            raise ValueError(f"x0 has no state for record {missing[0]!r}; give one for each record")
-        x0 = [x0[record] for record in base.records]
-    try:
-        x0 = np.asarray(x0, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"x0={x0!r} holds no numbers, or states of different lengths; give {n_states} numbers, "
-            f"one row of them a segment, or a dict of them by record"
-        ) from None
-    if not np.isfinite(x0).all():
-        raise ValueError("x0 contains NaN or infinity; give finite states")
-    if x0.ndim == 1:
-        x0 = np.broadcast_to(x0, (n_segments, len(x0)))
-    if x0.shape != (n_segments, n_states):
-        raise ValueError(
-            f"x0 has shape {x0.shape}; the model has {n_states} states and the data {n_segments} "
-            f"segments: give ({n_states},), ({n_segments}, {n_states}) or a dict by record"
-        )
-    return x0

@@ -10,14 +10,16 @@ from sklearn.utils.validation import validate_data
 
 from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
 from sklearn_hd._sampling import Sampling, lay_grid
+from sklearn_hd._time import TimeBase, read_time
 from sklearn_hd._validation import (
     GAP,
     RAISE,
-    TimeBase,
     check_azimuth,
     check_finite,
+    check_output_names,
     check_same_rows,
-    read_time,
+    check_size,
+    check_wrap,
     signal_names,
 )
 from sklearn_hd.algorithms.fourier import harmonic_labels
@@ -65,28 +67,41 @@ def read_signals(data, prefix, what, reading=PLAIN):
     data = as_container(data, what)
     names = signal_names(data, prefix)
     base = read_time(data, reading.sample_time, reading.time_origin)
-    values = _to_float(data, names, what)
+    values = to_float(data, what)
     check_finite(values, names, base.time, what, reading.missing)
+    values = check_size(values, names, what)
     signals = Signals(values, names, base)
     return signals if reading.azimuth is None else _set_azimuth_apart(signals, reading)
 
 
 def _set_azimuth_apart(signals, reading):
     name, base = reading.azimuth, signals.base
-    if name not in signals.names:
-        raise ValueError(
-            f"azimuth={name!r} is not among the columns {list(signals.names)} of X; name the "
-            f"column that holds ψ in rad"
-        )
-    data, names = signals.without(name)
-    if not names:
+    if signals.names == (name,):
         raise ValueError(f"X holds the azimuth {name!r} alone; give the inputs beside it")
-    psi = signals.data[:, signals.names.index(name)].copy()
+    psi = _azimuth(signals.data, signals.names, base, name)
+    data, names = signals.without(name)
+    return Signals(data, names, base, _bridged(psi[:, None], base, reading)[:, 0])
+
+
+def _azimuth(data, names, base, name):
+    """ψ of each row, unwrapped and checked within each segment; NaN where it is missing."""
+    if name not in names:
+        raise ValueError(
+            f"azimuth={name!r} is not among the columns {list(names)} of X; name the column that "
+            f"holds ψ in rad"
+        )
+    psi = data[:, names.index(name)].copy()
     for segment in base.segments:
+        check_wrap(psi[segment], name)
         psi[segment] = unwrap(psi[segment], base.time[segment])
         check_azimuth(psi[segment], base.time[segment], name)
-    psi = _bridged(psi[:, None], base, reading)[:, 0]
-    return Signals(data, names, base, psi)
+    return psi
+
+
+def read_azimuth(X, base, name):
+    """The azimuth among the columns of X, unwrapped within each segment."""
+    names = signal_names(X, "x")
+    return _azimuth(to_float(X, "X"), names, base, name)
 
 
 def read_values(y, X, base, reading):
@@ -94,8 +109,9 @@ def read_values(y, X, base, reading):
     y = as_container(y, "y")
     check_same_rows(X, y)
     names = signal_names(y, "y")
-    values = _to_float(y, names, "y")
+    values = to_float(y, "y")
     check_finite(values, names, base.time, "y", reading.missing)
+    values = check_size(values, names, "y")
     return values, names
 
 
@@ -120,14 +136,18 @@ def _bridged(values, base, reading, held=False):
 
 
 def warn_of_jitter(base, step, stacklevel=3):
-    """Say by how much the rows are off the uniform grid that they are resampled onto."""
-    rms, largest = base.jitter
+    """Say by how much the rows are off the uniform grid that they are resampled onto.
+
+    In few digits: Python shows a warning once for each text, and the folds of a
+    cross-validation differ in the others.
+    """
+    rms, largest = (float(f"{100.0 * off / step:.1g}") for off in base.jitter)  # percent
     if largest > 0.0:
         warnings.warn(
-            f"the rows are not evenly spaced: they are off a grid of {step:.6g} s by {rms:.3g} s "
-            f"rms ({100 * rms / step:.2g} % of a sample) and by {largest:.3g} s at most "
-            f"({100 * largest / step:.2g} %); signals are resampled onto that grid, and results "
-            f"brought back to the rows given",
+            f"the rows are not evenly spaced: they are off a grid of {step:.4g} s by "
+            f"{rms / 100.0 * step:.2g} s rms ({rms:g} % of a sample) and by "
+            f"{largest / 100.0 * step:.2g} s at most ({largest:g} %); signals are resampled onto "
+            f"that grid, and results brought back to the rows given",
             JitterWarning,
             stacklevel=stacklevel,
         )
@@ -136,6 +156,7 @@ def warn_of_jitter(base, step, stacklevel=3):
 def check_features(estimator, X, *, reset):
     """X as a container, after scikit-learn's own check of its columns against those at fit."""
     X = as_container(X, "X")
+    signal_names(X, "x")  # each only once
     columns = X.to_frame() if isinstance(X, pd.Series) else X
     validate_data(estimator, columns, reset=reset, skip_check_array=True)
     return X
@@ -153,7 +174,7 @@ def as_container(data, what):
                 f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
                 f"carries no index of times; give {what}.to_pandas() with its times as the index"
             )
-        data = np.asarray(data)
+        data = _as_array(data, what)
         if data.ndim == 1 and what == "X":
             raise ValueError(
                 "Expected 2D array, got 1D array instead. Reshape your data with "
@@ -173,21 +194,59 @@ def as_container(data, what):
     return data
 
 
-def _to_float(data, names, what):
-    values = data.to_numpy() if isinstance(data, pd.DataFrame | pd.Series) else data
-    if np.iscomplexobj(values):
+def _as_array(data, what):
+    """An array of anything that has rows, NaN where it is masked."""
+    if data is None or isinstance(data, str | bytes | dict):
+        way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
+        raise TypeError(
+            f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is no "
+            f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"
+        )
+    if isinstance(data, np.ma.MaskedArray):
+        return data.astype(np.result_type(data.dtype, np.float32)).filled(np.nan)
+    try:
+        return np.asarray(data)
+    except ValueError:
+        raise ValueError(
+            f"{what} has rows of different lengths; give (n_samples, n_signals), every row as long"
+        ) from None
+
+
+def to_float(data, what):
+    """Float values, (n_samples, n_signals), of a container."""
+    types = list(data.dtypes) if isinstance(data, pd.DataFrame) else [data.dtype]
+    kinds = {getattr(dtype, "kind", "O") for dtype in types}
+    if "c" in kinds:
         raise ValueError(
             f"Complex data not supported: {what} is complex; give real and imaginary parts as "
             f"columns of their own"
         )
     try:
-        values = np.asarray(values, dtype=float)
+        if kinds & {"m", "M"}:
+            raise TypeError("they are times")
+        if isinstance(data, pd.DataFrame | pd.Series):
+            values = data.to_numpy(dtype=float, na_value=np.nan)
+        else:
+            values = np.asarray(data, dtype=float)
     except (TypeError, ValueError) as error:
         raise type(error)(
-            f"{what} holds values that are no numbers (columns {list(names)}): {error}; convert "
-            f"them first"
+            f"{what} holds values that are no numbers{_culprit(data)}: {error}; convert them first"
         ) from None
     return values.reshape(len(values), -1)
+
+
+def _culprit(data):
+    """The first column of a frame that holds no numbers, worded for messages."""
+    if not isinstance(data, pd.DataFrame):
+        return ""
+    for name, column in data.items():
+        try:
+            if column.dtype.kind in "mM":
+                return f" (column {str(name)!r})"
+            column.to_numpy(dtype=float, na_value=np.nan)
+        except (TypeError, ValueError):
+            return f" (column {str(name)!r})"
+    return ""
 
 
 @dataclass(frozen=True)
@@ -212,6 +271,8 @@ class Experiment:
         Measured outputs on the grid, trim subtracted.
     measured : ndarray, shape (n_rows, n_outputs), or None
         Outputs at the user's rows, as given.
+    output_names : tuple of str
+        Of the columns of ``measured``.
     """
 
     frame: HarmonicFrame
@@ -223,6 +284,7 @@ class Experiment:
     sampling: Sampling
     outputs: list | None = None
     measured: np.ndarray | None = None
+    output_names: tuple = ()
 
     def times(self):
         """Time of the rows of each segment, seconds."""
@@ -251,7 +313,7 @@ class Experiment:
 
 def as_frame(X):
     """X as a HarmonicFrame; plain data get neither basis nor model."""
-    if isinstance(X, HarmonicFrame):
+    if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
         return X
     if isinstance(X, pd.DataFrame):
         _refuse_lost_basis(X)
@@ -335,7 +397,8 @@ def mean_waveforms(sampling, blocks, basis, start, stop):
     if not counts.all():
         raise ValueError(
             f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
-            f"({spp * dt:.4g} s) of any record; widen it"
+            f"({spp * dt:.4g} s) of any record; widen it, or, where a fold of a cross-validation "
+            f"leaves it out, keep it in all of them: PeriodBlockSplit(..., trim_span=...)"
         )
     return sums / counts[:, None]
 
@@ -362,21 +425,18 @@ def read_experiment(X, y=None, decomposition=None):
         _check_columns(frame, basis)
     reading = PLAIN if basis is None else basis.reading
     signals = read_signals(frame if basis is None else frame[basis.measured], "x", "X", reading)
-    measured = None
+    measured, output_names = None, ()
     if y is not None:
         given = X if isinstance(X, pd.DataFrame | pd.Series) else frame
-        measured, names = read_values(y, given, signals.base, reading)
-        if basis is not None and len(names) != len(basis.outputs):
-            raise ValueError(
-                f"y has {len(names)} columns, but the harmonic basis was fitted with "
-                f"{len(basis.outputs)}: {[signal for signal, _ in basis.outputs]}; fit "
-                f"HarmonicAnalyzer with the same y"
-            )
+        measured, output_names = read_values(y, given, signals.base, reading)
+        if basis is not None:
+            expected = tuple(signal for signal, _ in basis.outputs)
+            check_output_names(output_names, expected, "the harmonic basis")
     sampling, drive, outputs = sample(signals, basis, measured)
     base = sampling.base
     times = [base.time[segment] for segment in base.segments]
     if basis is None:
-        warn_of_jitter(signals.base, base.sample_time, stacklevel=4)
+        warn_of_jitter(signals.base, base.sample_time, stacklevel=6)
         names = signals.names
         inputs = drive
     else:
@@ -385,7 +445,9 @@ def read_experiment(X, y=None, decomposition=None):
         if outputs is not None:
             outputs = without_trim(outputs, times, basis, basis.output_trim)
         names = basis.drive_labels
-    return Experiment(frame, base, basis, drive, names, inputs, sampling, outputs, measured)
+    return Experiment(
+        frame, base, basis, drive, names, inputs, sampling, outputs, measured, output_names
+    )
 
 
 def _check_columns(frame, basis):

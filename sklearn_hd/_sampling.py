@@ -21,7 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd._validation import RAISE, TimeBase, even
+from sklearn_hd._time import TimeBase, even
+from sklearn_hd._validation import RAISE
 from sklearn_hd.algorithms.resampling import held_means, interpolate, uniform_grid
 
 __all__ = ["Sampling", "lay_grid"]

@@ -1,49 +1,18 @@
-"""The one place that words errors about time, period, shape and finite values."""
+"""The one place that words errors about parameters, period, shape and finite values."""
 
-import itertools
 import numbers
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
-STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
-JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
 FIRST = "first sample"  # the time origin of dates that fix no azimuth
+SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
+NO_TIMES = (
+    " (no times in the index of X: rows are counted; give sample_time, index by seconds, or, where "
+    "a step before has dropped the index, keep it with that step's .set_output(transform='pandas'))"
+)
 RAISE, GAP = "raise", "gap"  # what becomes of missing samples
-
-
-@dataclass(frozen=True)
-class TimeBase:
-    """When each row was sampled, and where rows stop being consecutive.
-
-    Attributes
-    ----------
-    time : ndarray, shape (n_samples,)
-        Seconds.
-    segments : tuple of slice
-        Runs of consecutive rows; a new record or a gap starts a new one. Their
-        steps may jitter.
-    records : tuple
-        Label of the record of each segment (0 where there is but one).
-    sample_time : float
-        Seconds.
-    counted : bool
-        True where samples were counted because no times were given.
-    jitter : (float, float)
-        Seconds by which rows are off evenly spaced instants: root mean square, largest.
-    uncertainty : float
-        Standard error of ``sample_time`` that the jitter leaves, seconds.
-    """
-
-    time: np.ndarray
-    segments: tuple
-    records: tuple
-    sample_time: float
-    counted: bool
-    jitter: tuple = (0.0, 0.0)
-    uncertainty: float = 0.0
 
 
 def check_positive(name, value, unit, hint):
@@ -64,6 +33,13 @@ def check_choice(name, value, allowed):
         choices = ", ".join(repr(choice) for choice in allowed)
         raise ValueError(f"{name}={value!r} is not known; use one of {choices}")
     return value
+
+
+def check_flag(name, value):
+    """Return a bool if it is one."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
 
 
 def check_count(name, value, minimum, hint):
@@ -109,6 +85,22 @@ def check_finite(values, names, time, what, missing=RAISE):
         )
 
 
+def check_size(values, names, what):
+    """Return the values, with signals too small for squares of them set to zero.
+
+    Raises ValueError naming a signal that is too large.
+    """
+    largest = np.fmax.reduce(np.abs(values), axis=0, initial=0.0)
+    for name, size in zip(names, largest, strict=True):
+        if size > 1.0 / SMALLEST:
+            raise ValueError(
+                f"{what} reaches {size:.3g} in column {name!r}, too large to be squared: at most "
+                f"{1.0 / SMALLEST:g} is allowed; give it in other units"
+            )
+    tiny = (largest > 0.0) & (largest < SMALLEST)
+    return np.where(tiny, 0.0, values) if tiny.any() else values
+
+
 def check_missing(missing):
     """Return the rule for missing samples: "raise", "gap" or seconds as a float."""
     if isinstance(missing, str) and missing in (RAISE, GAP):
@@ -135,8 +127,11 @@ def check_time_origin(origin):
     return stamp.isoformat()
 
 
-def check_one_phase(omega, azimuth):
-    """Raise ValueError unless exactly one of the two says where in the period a row is."""
+def check_phase(omega, azimuth, time_origin):
+    """Return the origin of dates, after checking what says where in the period a row is.
+
+    Exactly one of ω and the name of an azimuth column does.
+    """
     if omega is None and azimuth is None:
         raise ValueError(
             "omega=None and azimuth=None leave the period unknown; give omega in rad/s, or "
@@ -146,6 +141,44 @@ def check_one_phase(omega, azimuth):
         raise ValueError(
             f"omega={omega!r} and azimuth={azimuth!r} are both given; keep omega for a constant "
             f"speed, or azimuth for one that varies, and leave the other at None"
+        )
+    origin = check_time_origin(time_origin)
+    if azimuth is None:
+        hint = "it is 2π over the period, such as 2 * np.pi * 26.3 for 26.3 beats a second"
+        check_positive("omega", omega, "rad/s", hint)
+        return origin
+    if not isinstance(azimuth, str):
+        raise ValueError(
+            f"azimuth={azimuth!r} is no name; give the name of the column of X that holds ψ in rad "
+            f"(columns of arrays are x0, x1, …)"
+        )
+    return FIRST if origin is None else origin
+
+
+def check_span(name, span):
+    """Return (start, stop) as floats if they are seconds, the first before the second."""
+    edges = () if isinstance(span, str) or not np.iterable(span) else tuple(span)
+    number = [isinstance(e, numbers.Real) and not isinstance(e, bool) for e in edges]
+    if len(edges) != 2 or not all(number) or not edges[0] < edges[1]:
+        hint = ""
+        if any(hasattr(edge, "timestamp") or hasattr(edge, "total_seconds") for edge in edges):
+            hint = "; of dates, (start - time_origin).total_seconds() and so on"
+        raise ValueError(
+            f"{name}={span!r} is not a pair of times; give (start, stop) in seconds, start before "
+            f"stop, or None{hint}"
+        )
+    return float(edges[0]), float(edges[1])
+
+
+def check_wrap(psi, name):
+    """Raise ValueError if ψ starts anew at each turn, but not after 2π."""
+    known = psi[np.isfinite(psi)]
+    drops = np.diff(known)[np.diff(known) < 0.0]
+    wrapped = len(drops) and np.ptp(known) > 4.0 * np.pi and -np.median(drops) > 4.0 * np.pi
+    if wrapped:
+        raise ValueError(
+            f"azimuth column {name!r} starts anew after {np.ptp(known):.4g}, not 2π rad; give it "
+            f"in radians, not degrees: np.deg2rad(X[{name!r}])"
         )
 
 
@@ -230,18 +263,46 @@ def check_same_rows(X, y):
             f"X has {len(X)} rows and y has {len(y)}: inputs and outputs must be sampled at the "
             f"same times; select the rows they share"
         )
-    both = all(isinstance(data, pd.DataFrame | pd.Series) for data in (X, y))
-    if both and not X.index.equals(y.index):
+    if not isinstance(y, pd.DataFrame | pd.Series):
+        return
+    index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
+    counts = [pd.api.types.is_integer_dtype(each.dtype) for each in (index, y.index)]
+    if counts == [True, False]:
         raise ValueError(
-            "X and y have different indices: inputs and outputs must be sampled at the same "
-            "times; align them first, for example with X, y = X.align(y, axis=0, join='inner')"
+            "y has times in its index, and X counts its rows: the times of X were lost, perhaps "
+            "in a step before this one; keep them with that step's "
+            ".set_output(transform='pandas'), or give X the index of y"
+        )
+    if not index.equals(y.index) and isinstance(X, pd.DataFrame | pd.Series):
+        hint = " (y counts its rows: y.set_axis(X.index), if they are those of X)"
+        raise ValueError(
+            f"X and y have different indices{hint if counts[1] else ''}: inputs and outputs must "
+            f"be sampled at the same times; align them first, for example with X, y = X.align(y, "
+            f"axis=0, join='inner')"
         )
 
 
-def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0):
+def check_output_names(names, expected, where):
+    """Raise ValueError unless outputs are those expected, in their order; arrays have no names."""
+    numbered = tuple(f"y{i}" for i in range(len(expected)))
+    if len(names) != len(expected):
+        raise ValueError(
+            f"y has {len(names)} columns, but {where} was fitted with {len(expected)}: "
+            f"{list(expected)}; give the same outputs"
+        )
+    if names != expected and numbered not in (names, expected):
+        way = f"y[{list(expected)}]" if set(names) == set(expected) else "the same columns"
+        raise ValueError(
+            f"y has the columns {list(names)}, but {where} was fitted with {list(expected)}; "
+            f"give {way}"
+        )
+
+
+def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0, counted=False):
     """Samples in a period, a whole number and enough for the harmonics kept.
 
-    ``uncertainty`` of the sample time, in seconds, widens what counts as whole.
+    ``uncertainty`` of the sample time, in seconds, widens what counts as whole;
+    ``counted`` says that there were no times.
     """
     period = 2.0 * np.pi / omega
     samples = period / sample_time
@@ -250,12 +311,13 @@ def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0):
         samples,
         highest_harmonic,
         f"omega={omega:.6g} rad/s and a sample time of {sample_time:.6g} s give {samples:.4g} "
-        f"samples a period",
+        f"samples a period" + (NO_TIMES if counted else ""),
     )
     if abs(samples - round(samples)) > min(tolerance, 0.1):
         raise ValueError(
             f"omega={omega:.9g} rad/s and a sample time of {sample_time:.9g} s give {samples:.6g} "
-            f"samples a period, not a whole number; resample to {round(samples)} samples a period "
+            f"samples a period{NO_TIMES if counted else ''}, not a whole number; resample to "
+            f"{round(samples)} samples a period "
             f"(a sample time of {period / round(samples):.9g} s) or correct omega"
         )
     return round(samples)
@@ -270,161 +332,3 @@ def check_rate(samples, highest_harmonic, given):
             f"period of the highest harmonic kept are needed (here {need}); sample faster or keep "
             f"fewer harmonics"
         )
-
-
-def read_time(data, sample_time=None, time_origin=None):
-    """Time base of a frame, Series or array.
-
-    Steps between 0.6 and 1.4 sample times are consecutive: rows whose instants
-    jitter by up to a fifth of a sample. A longer step is a gap if it is a whole
-    number of samples, give or take the same jitter at both of its ends.
-
-    Parameters
-    ----------
-    data : DataFrame, Series or ndarray
-        The index holds seconds (float), Timedelta or dates, alone or as the
-        last level of a (record, time) MultiIndex; integers count samples.
-    sample_time : float, optional
-        Seconds; None reads it from the index, or is 1.0 where samples are counted.
-    time_origin : str, optional
-        The instant from which dates are counted, as ISO text, or FIRST for the
-        first of them; None refuses dates.
-
-    Returns
-    -------
-    base : TimeBase
-    """
-    if sample_time is not None:
-        hint = "None reads it from the index"
-        sample_time = check_positive("sample_time", sample_time, "seconds", hint)
-    index = getattr(data, "index", None)
-    if not isinstance(index, pd.Index):
-        index = pd.RangeIndex(len(data))
-    if isinstance(index, pd.MultiIndex):
-        codes = [index.codes[level] for level in range(index.nlevels - 1)]
-        starts = np.flatnonzero(np.any([np.diff(code) != 0 for code in codes], axis=0)) + 1
-        times = index.get_level_values(-1)
-    else:
-        starts, times = np.empty(0, dtype=int), index
-    seconds, counted = _seconds(times, sample_time, time_origin)
-    bounds = [0, *starts.tolist(), len(seconds)]
-    for a, b in itertools.pairwise(bounds):
-        _check_increasing(seconds, a, b)
-    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
-    found = float(np.median(steps)) if steps.size else 1.0
-    unit = sample_time if counted and sample_time is not None else found
-    segments, records = [], []
-    for a, b in itertools.pairwise(bounds):
-        for segment in _runs(seconds, a, b, unit):
-            segments.append(segment)
-            records.append(index[a][0] if isinstance(index, pd.MultiIndex) else 0)
-    found, jitter, uncertainty = _mean_step(seconds, segments, found)
-    if sample_time is None:
-        sample_time = found
-    tolerance = STEP_TOLERANCE * sample_time + 4.0 * uncertainty
-    if not counted and steps.size and abs(found - sample_time) > tolerance:
-        raise ValueError(
-            f"sample_time={sample_time:.6g} s, but the rows of the index are {found:.6g} s apart; "
-            f"leave sample_time at None, or resample the data"
-        )
-    return TimeBase(
-        seconds, tuple(segments), tuple(records), sample_time, counted, jitter, uncertainty
-    )
-
-
-def _seconds(times, sample_time, time_origin):
-    """Times in seconds, and whether samples were counted."""
-    if isinstance(times, pd.DatetimeIndex):
-        return _since(times, time_origin), False
-    if time_origin not in (None, FIRST):
-        raise ValueError(
-            f"time_origin={time_origin} is given, but the index has dtype {times.dtype}, which "
-            f"holds no dates; leave time_origin at None (ψ = 0 at t = 0), or index by dates"
-        )
-    if isinstance(times, pd.TimedeltaIndex):
-        return times.total_seconds().to_numpy(), False
-    if pd.api.types.is_integer_dtype(times.dtype):
-        return times.to_numpy() * (1.0 if sample_time is None else sample_time), True
-    if not pd.api.types.is_float_dtype(times.dtype):
-        raise ValueError(
-            f"the index has dtype {times.dtype}, which is no time; use seconds (float), Timedelta, "
-            f"dates, integers that count samples, or a (record, time) MultiIndex"
-        )
-    return times.to_numpy(dtype=float), False
-
-
-def _since(times, origin):
-    """Seconds from an instant to each date."""
-    if origin is None:
-        raise ValueError(
-            "the index holds dates, which fix no azimuth; give HarmonicAnalyzer the instant of "
-            "ψ = 0 as time_origin, such as time_origin=data.index[0]"
-        )
-    origin = times.min() if origin == FIRST else pd.Timestamp(origin)
-    if (origin.tzinfo is None) != (times.tz is None):
-        aware, naive = "time_origin", "index"
-        if times.tz is not None:
-            aware, naive = naive, aware
-        raise ValueError(
-            f"the {aware} has a time zone and the {naive} has none (time_origin={origin}, index of "
-            f"dtype {times.dtype}); give both one, with tz_localize, or neither"
-        )
-    return (times - origin).total_seconds().to_numpy()
-
-
-def _check_increasing(seconds, start, stop):
-    """Raise ValueError unless time increases within one record."""
-    if not np.all(np.isfinite(seconds[start:stop])):
-        raise ValueError("the time index contains NaN or infinity; drop those rows")
-    step = np.diff(seconds[start:stop])
-    if np.any(step <= 0):
-        row = start + int(np.argmax(step <= 0)) + 1
-        word = "repeated" if step[row - start - 1] == 0 else "smaller than the one before it"
-        raise ValueError(
-            f"time must increase within a record: t = {seconds[row]:.6g} s (row {row}) is {word}; "
-            f"sort the rows, drop duplicates, or give each record its own label in a "
-            f"(record, time) MultiIndex. Rows drawn at random (HalvingGridSearchCV over "
-            f"n_samples, a shuffled split) have no dynamics: halve over another resource, and "
-            f"split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
-        )
-
-
-def _runs(seconds, start, stop, sample_time):
-    """Consecutive runs of one record, whose steps may jitter."""
-    step = np.diff(seconds[start:stop]) / sample_time
-    odd = np.abs(step - np.maximum(np.rint(step), 1.0)) > 2.0 * JITTER_LIMIT
-    if np.any(odd):
-        row = start + int(np.argmax(odd)) + 1
-        raise ValueError(
-            f"the step to t = {seconds[row]:.6g} s (row {row}) is {step[row - start - 1]:.4g} "
-            f"samples of {sample_time:.6g} s: too uneven for jitter (0.6 to 1.4 samples) and not "
-            f"a whole number, as a gap would be; resample the data, drop the stray rows, or give "
-            f"parts with clocks of their own a label each in a (record, time) MultiIndex"
-        )
-    edges = [start, *(np.flatnonzero(np.rint(step) > 1.0) + start + 1).tolist(), stop]
-    return [slice(a, b) for a, b in itertools.pairwise(edges)]
-
-
-def even(places, step):
-    """Whether neighbours are one step apart, so that nothing need be resampled."""
-    return bool(np.all(np.abs(np.diff(places) - step) <= STEP_TOLERANCE * step))
-
-
-def _mean_step(seconds, segments, found):
-    """Sample time, jitter (rms, largest) and standard error of the sample time.
-
-    Evenly spaced rows keep the step found; else lines of one slope are fitted
-    to all segments by least squares.
-    """
-    if all(even(seconds[segment], found) for segment in segments):
-        return found, (0.0, 0.0), 0.0
-    counts, times = [], []
-    for segment in segments:
-        rows = np.arange(segment.stop - segment.start, dtype=float)
-        counts.append(rows - rows.mean())
-        times.append(seconds[segment] - seconds[segment].mean())
-    counts, times = np.concatenate(counts), np.concatenate(times)
-    slope = float(counts @ times / (counts @ counts))
-    off = times - slope * counts
-    rms = float(np.sqrt(np.mean(off**2)))
-    return slope, (rms, float(np.max(np.abs(off)))), rms / float(np.sqrt(counts @ counts))

@@ -9,6 +9,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._data import (
     check_features,
     is_decomposed,
@@ -28,18 +29,17 @@ from sklearn_hd._frame import (
     coefficient_names,
 )
 from sklearn_hd._sampling import lay_grid
+from sklearn_hd._time import why_short
 from sklearn_hd._validation import (
-    FIRST,
     PERIOD_TOLERANCE,
     RAISE,
     check_choice,
     check_harmonics,
     check_missing,
-    check_one_phase,
     check_period,
-    check_positive,
+    check_phase,
     check_rate,
-    check_time_origin,
+    check_span,
 )
 from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -206,6 +206,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         tags.input_tags.allow_nan = self.missing != RAISE
         return tags
 
+    def __sklearn_is_fitted__(self):
+        return hasattr(self, "basis_")
+
+    @within_range
     def fit(self, X, y=None):
         """Learn the time base, the names of the signals and their trim waveforms.
 
@@ -221,7 +225,6 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         -------
         self : HarmonicAnalyzer
         """
-        check_one_phase(self.omega, self.azimuth)
         window = check_choice("window", self.window, WINDOWS)
         reading = self._reading()
         if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
@@ -238,9 +241,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if inputs.base.counted:
             warnings.warn(
                 f"no times given: samples are counted, {inputs.base.sample_time:g} s apart and "
-                f"one contiguous record from psi = 0; use a DataFrame indexed by seconds",
+                f"one contiguous record from psi = 0, in the order given; use a DataFrame indexed "
+                f"by seconds",
                 TimeBaseWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
         kept_in = check_harmonics("input_harmonics", self.input_harmonics, inputs.names)
         kept_out = ()
@@ -267,23 +271,19 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
     def _reading(self):
         """How rows are to be read, as the parameters say."""
-        origin = check_time_origin(self.time_origin)
-        if self.azimuth is None:
-            hint = "it is 2π over the period, such as 2 * np.pi * 26.3 for 26.3 beats a second"
-            check_positive("omega", self.omega, "rad/s", hint)
-        else:
-            if not isinstance(self.azimuth, str):
-                raise ValueError(
-                    f"azimuth={self.azimuth!r} is no name; give the name of the column of X that "
-                    f"holds ψ in rad (columns of arrays are x0, x1, …)"
-                )
-            origin = FIRST if origin is None else origin
+        origin = check_phase(self.omega, self.azimuth, self.time_origin)
         return Reading(self.sample_time, origin, self.azimuth, check_missing(self.missing))
 
     def _constant_speed(self, base, highest):
         """ω, samples in a period, and their distance in seconds."""
         omega = float(self.omega)
-        spp = check_period(omega, base.sample_time, highest, base.uncertainty)
+        spp = check_period(
+            omega,
+            base.sample_time,
+            highest,
+            base.uncertainty,
+            base.counted and self.sample_time is None,
+        )
         uneven = base.jitter[1] > 0.0  # then resampled, to fit the period exactly
         return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time
 
@@ -321,7 +321,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         """The basis with the waveforms of inputs and outputs in trim, where asked for."""
         if self.trim_span is None:
             return basis
-        start, stop = self._checked_trim_span()
+        start, stop = check_span("trim_span", self.trim_span)
         sampling, values, _ = sample(inputs, basis)
         waveforms = {"input_trim": mean_waveforms(sampling, values, basis, start, stop)}
         if outputs is not None:
@@ -329,16 +329,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
 
-    def _checked_trim_span(self):
-        try:
-            start, stop = (float(edge) for edge in self.trim_span)
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"trim_span={self.trim_span!r} is not a pair of times; give (start, stop) in "
-                f"seconds"
-            ) from None
-        return start, stop
-
+    @within_range
     def transform(self, X):
         """Inputs with their harmonic coefficients, on the same rows.
 
@@ -360,10 +351,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if shortest < len(basis.weights):
             raise ValueError(
                 f"the shortest segment has {shortest} rows, less than the {len(basis.weights)} "
-                f"of the analysis window; drop it, or use a window of fewer periods"
+                f"of the analysis window{why_short(signals.base)}; drop it, or use a window of "
+                f"fewer periods"
             )
         if self.azimuth is None:
-            warn_of_jitter(signals.base, basis.sample_time)
+            warn_of_jitter(signals.base, basis.sample_time, stacklevel=5)
         times = [piece.grid for piece in sampling.pieces]
         inputs = without_trim(inputs, times, basis, basis.input_trim)
         coefficients = sampling.back(
@@ -379,6 +371,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
         return HarmonicFrame.attach(pd.DataFrame(columns, index=index), basis, None)
 
+    @within_range
     def inverse_transform(self, X):
         """Signals put together again from their coefficients (Eq. 7), trim added.
 

@@ -9,6 +9,7 @@ from scipy.stats import norm
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._frame import LTIModel
@@ -190,6 +191,7 @@ class StructuredMatcher(ModelStep):
         self.warmup = warmup
 
     @one_blas_thread
+    @within_range
     def fit(self, X, y):
         """Match the structure to the model that rides on X.
 
@@ -563,14 +565,14 @@ class StructuredMatcher(ModelStep):
                 f"a relative error of {result.relative_error:.2g}; the structure may not be that "
                 f"of the system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
                 IdentifiabilityWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         if result.unidentified:
             warnings.warn(
                 f"these outputs do not determine {', '.join(result.unidentified)} (only some "
                 f"combinations of them): fix some, share a name, or measure more outputs",
                 IdentifiabilityWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         if not result.converged:
             warnings.warn(
@@ -579,7 +581,7 @@ class StructuredMatcher(ModelStep):
                 f"{result.predicted_decrease:.2g} of itself where tol={tol:g} was asked for; raise "
                 f"max_iter or n_starts",
                 ConvergenceWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
 

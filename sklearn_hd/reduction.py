@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import (
     input_scale,
@@ -148,6 +149,7 @@ class SpuriousModeReducer(ModelStep):
         self.warmup = warmup
 
     @one_blas_thread
+    @within_range
     def fit(self, X, y):
         """Tell genuine from spurious modes, and fit the inputs' effect to the raw record.
 
@@ -236,14 +238,14 @@ class SpuriousModeReducer(ModelStep):
                 f"they leave, the others explain {self.left_out_:.0%}); give n_states, or change "
                 f"the order of the identified model",
                 IdentifiabilityWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         if doubtful:
             warnings.warn(
                 f"{len(rivals)} other set(s) of {int(kept.sum())} modes explain the data as well "
                 f"as the one kept; see modes_, change n_states, or use a richer record",
                 IdentifiabilityWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         if self.n_states is None and method == "truncate" and basis is not None:
             chosen = {frozenset(families[unit[0]].item() for unit in best) for best in best_of_size}

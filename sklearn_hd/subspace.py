@@ -3,13 +3,22 @@
 import warnings
 
 import numpy as np
+from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import as_container, lifted_periods, read_experiment, rows_read
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import check_count, check_outputs_given, signal_names
+from sklearn_hd._time import why_short
+from sklearn_hd._validation import (
+    SMALLEST,
+    check_count,
+    check_flag,
+    check_outputs_given,
+    signal_names,
+)
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.moesp import (
@@ -21,7 +30,7 @@ from sklearn_hd.algorithms.moesp import (
     state_matrices,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["MOESPRegressor"]
 
@@ -29,6 +38,7 @@ DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
+DUST = 1e-13  # share of an output's size that is rounding
 
 
 class MOESPRegressor(ModelStep):
@@ -83,8 +93,8 @@ class MOESPRegressor(ModelStep):
     Raises
     ------
     ValueError
-        At ``fit``, if the record is too short for the block rows, an input is
-        constant, the block rows do not exceed the window, or the order
+        At ``fit``, if the record is too short for the block rows, an input or
+        all outputs are constant, the block rows do not exceed the window, or the order
         exceeds the rank that block rows allow.
 
     Warns
@@ -92,6 +102,8 @@ class MOESPRegressor(ModelStep):
     ExcitationWarning
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
+    IdentifiabilityWarning
+        If an output rests at a value other than zero.
 
     References
     ----------
@@ -120,6 +132,7 @@ class MOESPRegressor(ModelStep):
         self.warmup = warmup
 
     @one_blas_thread
+    @within_range
     def fit(self, X, y):
         """Identify the model.
 
@@ -135,6 +148,11 @@ class MOESPRegressor(ModelStep):
         self : MOESPRegressor
         """
         check_outputs_given(y)
+        self._check_warmup()
+        scale, feedthrough = (
+            check_flag("scale", self.scale),
+            check_flag("feedthrough", self.feedthrough),
+        )
         experiment = read_experiment(X, y)
         inputs, outputs = rows_read(experiment)
         excitation = self._excitation(experiment, inputs)
@@ -149,7 +167,7 @@ class MOESPRegressor(ModelStep):
         if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
             return self._remember(self._static_model(experiment, y), experiment, X, y)
         u_scale, y_scale = (
-            _scales(signals) if self.scale else np.ones(signals[0].shape[1])
+            _scales(signals) if scale else np.ones(signals[0].shape[1])
             for signals in (inputs, outputs)
         )
         inputs = [u / u_scale for u in inputs]
@@ -160,13 +178,13 @@ class MOESPRegressor(ModelStep):
         U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
-        feedthrough = bool(self.feedthrough) or (basis is not None and basis.synchronous)
+        feedthrough = feedthrough or (basis is not None and basis.synchronous)
         B, D, self.x0_ = input_matrices(A, C, inputs, outputs, feedthrough)
         model = LTIModel(
             A=A,
             B=B / u_scale,
             C=C * y_scale[:, None],
-            D=D / u_scale * y_scale[:, None],
+            D=D * (y_scale[:, None] / u_scale),
             dt=experiment.base.sample_time * (1 if basis is None else basis.hop_samples),
             input_names=experiment.drive_names,
             output_names=self._output_names(basis, y),
@@ -213,7 +231,7 @@ class MOESPRegressor(ModelStep):
         self._warn_excitation(R, n_inputs, n_moving, experiment)
         U, values = observability_subspace(R, i, n_inputs)
         floor = noise_floor(R, i, n_inputs, n_hankel_columns([len(u) for u in inputs], i))
-        unit = np.sqrt(np.mean(y_scale**2))
+        unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
         self.singular_values_, self.noise_floor_ = values * unit, floor * unit
         self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
         return U, values
@@ -244,7 +262,7 @@ class MOESPRegressor(ModelStep):
             f"the {experiment.span()} are too few to identify dynamics from "
             f"{inputs[0].shape[1]} input(s): a static gain is fitted; use a longer record",
             ExcitationWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
         self.singular_values_, self.noise_floor_, self.order_ = np.zeros(0), 0.0, 0
         A, C = np.zeros((0, 0)), np.zeros((n_outputs, 0))
@@ -263,6 +281,7 @@ class MOESPRegressor(ModelStep):
     @property
     def eigenvalues_(self):
         """Eigenvalues of the discrete A."""
+        check_is_fitted(self)
         return np.linalg.eigvals(self.model_.A)
 
     def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
@@ -293,7 +312,8 @@ class MOESPRegressor(ModelStep):
             raise ValueError(
                 f"the {experiment.span()} give {rows} to identify from, too few for "
                 f"block_rows={i}: at least {need + 2 * i - 1} consecutive rows are needed with "
-                f"{n_inputs} input(s); use a longer record, fewer block rows or a smaller hop"
+                f"{n_inputs} input(s){why_short(experiment.base)}; use a longer record, fewer "
+                f"block rows or a smaller hop"
             )
         return i
 
@@ -341,7 +361,7 @@ class MOESPRegressor(ModelStep):
                 f"block_rows={self.block_rows_} with {n_moving} input(s) asks for {need}; "
                 f"use a richer input or fewer block rows, and trust the order with care",
                 ExcitationWarning,
-                stacklevel=5,
+                stacklevel=6,
             )
 
     @staticmethod
@@ -374,16 +394,32 @@ def _warn_idle(moving, experiment):
             f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
             f"identified, and their columns of B are zero",
             ExcitationWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 
 def _check_outputs_move(experiment):
-    """Raise ValueError if every output is zero throughout."""
-    if not any(np.any(y) for y in experiment.outputs):
+    """Raise ValueError if no output moves within any segment; warn of one that rests off zero."""
+    size = np.fmax.reduce(np.abs(experiment.measured), axis=0, initial=0.0)
+    moves, off = np.zeros(len(size), dtype=bool), np.zeros(len(size), dtype=bool)
+    for y in experiment.outputs:
+        if len(y):
+            moves |= y.max(axis=0) - y.min(axis=0) > DUST * size
+            off |= np.abs(y).max(axis=0) > DUST * size
+    if not moves.any():
         raise ValueError(
-            f"all outputs are zero in the {experiment.span()} (trim subtracted): there is no "
-            f"response to identify; check the columns of y and trim_span"
+            f"all outputs are {'constant' if off.any() else 'zero'} in the {experiment.span()} "
+            f"(trim subtracted, less than {SMALLEST:g} being zero): there is no response to "
+            f"identify; check the columns of y, their units and trim_span"
+        )
+    names = experiment.output_names
+    resting = [n for n, m, o in zip(names, moves, off, strict=True) if o and not m]
+    if resting:
+        warnings.warn(
+            f"the outputs {resting} are constant, but not zero, in the {experiment.span()}: no "
+            f"input explains them; subtract what they rest at (trim_span), or drop them",
+            IdentifiabilityWarning,
+            stacklevel=5,
         )
 
 
@@ -392,12 +428,13 @@ def _moving_inputs(inputs, experiment):
     moving = np.zeros(inputs[0].shape[1], dtype=bool)
     for u in inputs:
         if len(u):
-            moving |= np.ptp(u, axis=0) > 0.0
+            moving |= u.max(axis=0) > u.min(axis=0)
     signals = experiment.drive_signals()
     for name in dict.fromkeys(signals):
         if not any(m for m, signal in zip(moving, signals, strict=True) if signal == name):
             raise ValueError(
-                f"input {name!r} is constant in the {experiment.span()}: nothing excites the "
-                f"system; choose a span in which it moves, or drop that input"
+                f"input {name!r} is constant in the {experiment.span()} (less than {SMALLEST:g} "
+                f"being zero): nothing excites the system; choose a span in which it moves, or "
+                f"drop that input"
             )
     return moving

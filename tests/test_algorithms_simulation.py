@@ -71,3 +71,17 @@ def test_similarity_leaves_the_response_alone(rng):
     inverse = np.linalg.inv(T)
     moved = frequency_response(T @ A @ inverse, T @ B, C @ inverse, D, s)
     np.testing.assert_allclose(moved, frequency_response(A, B, C, D, s), rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e-150, 1e-6, 1e6, 1e150])
+def test_units_of_the_inputs_scale_b_alone(rng, unit):
+    """The exponential of [[A, B], [0, 0]] is not scaled with B: 1e100 cost ten digits of A."""
+    A = rng.standard_normal((4, 4)) - 2.0 * np.eye(4)
+    B, units = rng.standard_normal((4, 2)), np.array([unit, 1.0])
+    A_ref, B_ref = continuous_to_discrete(A, B, 0.1)
+    A_d, B_d = continuous_to_discrete(A, B * units, 0.1)
+    np.testing.assert_allclose(A_d, A_ref, rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(B_d / units, B_ref, rtol=1e-13, atol=1e-15)
+    A_again, B_again = discrete_to_continuous(A_d, B_d, 0.1)
+    np.testing.assert_allclose(A_again, A, atol=1e-10)
+    np.testing.assert_allclose(B_again / units, B, atol=1e-10)

@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.pipeline import Pipeline
+from sklearn.compose import ColumnTransformer
+from sklearn.pipeline import FeatureUnion, Pipeline
 
 from sklearn_hd import (
     HarmonicAnalyzer,
@@ -181,7 +182,7 @@ DATA = {
     ),
     "column twice": (
         lambda u: pd.concat([u, u], axis=1),
-        r"Expected unique column names, got:\n- 'u' 2 times",
+        r"column 'u' stands more than once; give every signal its own name",
     ),
     "no rows": (lambda u: u.iloc[:0], r"X has no rows: 0 sample\(s\)"),
     "three dimensions": (lambda u: np.zeros((4, 3, 2)), r"X has 3 dimensions; give"),
@@ -380,9 +381,8 @@ def test_a_lost_basis_is_recognised(u, y):
 
 
 def test_warmup_and_rows_to_score(u, y):
-    pipe = identify(u, y, order=6, warmup=-1)
     with pytest.raises(ValueError, match=r"warmup must be a positive number in seconds, got -1"):
-        pipe.score(u, y)
+        identify(u, y, order=6, warmup=-1)
     with pytest.raises(ValueError, match=r"no rows are left to score in rows from t = 0 s"):
         identify(u, y, order=6).score(u.iloc[:17], y.iloc[:17])
 
@@ -405,7 +405,9 @@ def test_sample_time_of_plain_data_must_not_change(u, y):
 
 
 def test_unfitted_use(u):
-    for step in (HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer()):
+    for step in (
+        HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer(), StructuredMatcher()
+    ):  # fmt: skip
         with pytest.raises(ValueError, match="not fitted yet"):
             step.transform(u)
 
@@ -451,6 +453,16 @@ def test_a_step_that_changes_the_columns(u, y):
     ):
         with pytest.raises(ValueError, match=rf"a step between .* {what}; .*before"):
             MOESPRegressor().fit(changed, y)
+
+
+def test_unions_of_the_analyzer_are_refused(u, y):
+    """They concatenate, which keeps the frame's type but not what rides on it."""
+    columns = ColumnTransformer([("h", HarmonicAnalyzer(OMEGA, output_harmonics=0), ["u"])])
+    union = FeatureUnion([("h", HarmonicAnalyzer(OMEGA, output_harmonics=0))])
+    for step in (columns, union):
+        pipe = Pipeline([("h", step.set_output(transform="pandas")), ("i", MOESPRegressor())])
+        with pytest.raises(ValueError, match=r"stands beside its own coefficients .* dropped it"):
+            pipe.fit(u, y)
 
 
 def test_a_lost_basis_is_recognised_with_harmonic_0_alone(u, y):

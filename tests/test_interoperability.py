@@ -159,6 +159,15 @@ def test_permutation_importance_of_an_input_channel(rng):
     assert abs(importance.importances_mean[1]) < 1e-6
 
 
+def test_permutation_importance_through_a_pipeline(short, rng):
+    """The command explains the outputs, a column of noise beside it nothing."""
+    u = short.inputs.assign(noise=rng.standard_normal(len(short.inputs)))
+    pipe = heave_pipeline(short.omega, n_states=3).fit(u, short.outputs)
+    importance = permutation_importance(pipe, u, short.outputs, n_repeats=2, random_state=0)
+    assert importance.importances_mean[0] > 0.9
+    assert abs(importance.importances_mean[1]) < 1e-4
+
+
 def test_frozen_models_are_not_fitted_again(short):
     u, y = short.inputs, short.outputs
     analyzer = HarmonicAnalyzer(short.omega, output_harmonics=KEPT, hop=8)
@@ -205,6 +214,60 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     }
     loaded = skops.load(path, trusted=trusted)
     pd.testing.assert_frame_equal(loaded.predict(short.inputs), fitted.predict(short.inputs))
+
+
+def test_skops_keeps_a_structure(tmp_path, short):
+    skops = pytest.importorskip("skops.io")
+    names = ["w_0", "phi_dot_1c", "phi_dot_1s"]
+    structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan), state_names=names)
+    steps = heave_pipeline(short.omega, n_states=3).steps
+    pipe = Pipeline([*steps, ("match", StructuredMatcher(structure=structure))])
+    pipe.fit(short.inputs, short.outputs)
+    path = tmp_path / "pipe.skops"
+    skops.dump(pipe, path)
+    trusted = skops.get_untrusted_types(file=path)
+    assert set(trusted) == {
+        "sklearn_hd._frame.HarmonicBasis",
+        "sklearn_hd._frame.LTIModel",
+        "sklearn_hd._frame.Reading",
+        "sklearn_hd.algorithms.structured_model.AffineStructure",
+        "sklearn_hd.harmonics.HarmonicAnalyzer",
+        "sklearn_hd.matching.MatrixStructure",
+        "sklearn_hd.matching.StructuredMatcher",
+        "sklearn_hd.reduction.SpuriousModeReducer",
+        "sklearn_hd.subspace.MOESPRegressor",
+    }
+    loaded = skops.load(path, trusted=trusted)
+    assert loaded["match"].structure == structure
+    pd.testing.assert_series_equal(loaded["match"].theta_, pipe["match"].theta_)
+    pd.testing.assert_frame_equal(loaded.predict(short.inputs), pipe.predict(short.inputs))
+
+
+def test_all_records_from_one_csv_file(tmp_path, short, fitted):
+    """The one line of docs/data.md, for several records."""
+    pd.concat([short.inputs, short.outputs], axis=1).to_csv(tmp_path / "flights.csv")
+    flights = pd.read_csv(tmp_path / "flights.csv", index_col=["record", "time"])
+    u, y = flights[["U"]], flights[["w", "phi_dot"]]
+    assert fitted.score(u, y) == pytest.approx(fitted.score(short.inputs, short.outputs), abs=1e-12)
+    again = clone(fitted).fit(u, y)
+    np.testing.assert_allclose(again["match"].model_.A, fitted["match"].model_.A, rtol=1e-6)
+
+
+def test_parquet_files_keep_index_and_types(tmp_path, short, fitted):
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "flights.parquet"
+    pd.concat([short.inputs, short.outputs.astype("float32")], axis=1).to_parquet(path)
+    flights = pd.read_parquet(path)
+    pd.testing.assert_frame_equal(flights[["U"]], short.inputs)
+    again = clone(fitted).fit(flights[["U"]], flights[["w", "phi_dot"]])
+    predicted = again.predict(flights[["U"]])
+    assert predicted.dtypes.astype(str).tolist() == ["float32", "float32"]
+    pd.testing.assert_index_equal(predicted.index, short.inputs.index)
+    np.testing.assert_allclose(predicted, fitted.predict(short.inputs), atol=1e-3)
+    arrow = pd.read_parquet(path, dtype_backend="pyarrow")
+    backed = clone(fitted).fit(arrow[["U"]], arrow[["w", "phi_dot"]]).predict(arrow[["U"]])
+    assert backed.dtypes.astype(str).tolist() == ["float[pyarrow]", "float[pyarrow]"]
+    np.testing.assert_array_equal(backed.to_numpy(dtype="float32"), predicted.to_numpy())
 
 
 def test_records_from_a_csv_file(tmp_path, short, fitted):

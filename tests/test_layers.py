@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_validation", "_threads"},
+    {"exceptions", "_arithmetic", "_validation", "_threads", "_time", "_states"},
     {"algorithms"},
     {"systems", "structures"},
     {"_frame"},

@@ -130,6 +130,44 @@ def test_arrays_count_samples_and_timedeltas_are_seconds():
             np.testing.assert_array_equal(test, test_0)
 
 
+def test_dates_count_from_their_origin():
+    data = record(12, first=3)
+    expected = list(PeriodBlockSplit(3, omega=OMEGA, trim_span=(1, 3)).split(data))
+    origin = pd.Timestamp("2026-05-01 12:00", tz="UTC")
+    dated = data.set_axis(origin + pd.to_timedelta(data.index, unit="s"))
+    split = PeriodBlockSplit(3, omega=OMEGA, trim_span=(1, 3), time_origin=origin)
+    for found, (train, test) in zip(split.split(dated), expected, strict=True):
+        np.testing.assert_array_equal(found[0], train)
+        np.testing.assert_array_equal(found[1], test)
+    with pytest.raises(ValueError, match=r"index holds dates, which fix no azimuth; .*PeriodBlock"):
+        list(PeriodBlockSplit(3, omega=OMEGA).split(dated))
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_blocks_of_a_rotor_whose_speed_varies(wrapped):
+    """Whole turns by the azimuth, of 76 rows at first and 54 at last, missing instants or not."""
+    time = np.arange(64 * 24) / 64
+    psi = OMEGA * (0.85 * time + 0.3 * time**2 / 48) + 0.2
+    data = pd.DataFrame({"u": np.sin(time), "psi": psi % OMEGA if wrapped else psi}, index=time)
+    data.iloc[200:203, 1] = np.nan
+    data.iloc[500:510, 0] = np.nan  # what the analyzer's missing= is for
+    hole = data.drop(data.index[800:1000])
+    for given, own in ((data, psi), (hole, np.delete(psi, slice(800, 1000)))):
+        folds = list(PeriodBlockSplit(4, azimuth="psi", gap=1).split(given))
+        assert np.concatenate([test for _, test in folds]).tolist() == list(range(len(given)))
+        turns = own / (2 * np.pi)
+        for train, test in folds:
+            if test[0] > 0:
+                assert turns[test[0]] % 1 < 1.2 / 54  # a block begins with a turn
+            beyond = np.maximum(
+                np.floor(turns[test[0]]) - turns[train], turns[train] - np.ceil(turns[test[-1]])
+            )
+            assert beyond.min() > 1 - 2 / 54
+    by_speed = PeriodBlockSplit(4, omega=OMEGA).split(data)
+    starts = np.array([psi[test[0]] / (2 * np.pi) % 1 for _, test in list(by_speed)[1:]])
+    assert np.all((starts > 0.03) & (starts < 0.97))  # which the mean speed does not find
+
+
 def test_every_record_is_cut_by_itself():
     parts = {"a": record(9), "b": record(12), "c": record(7)}
     data = pd.concat(parts, names=["record"])
@@ -178,8 +216,8 @@ def test_training_rows_begin_new_segments(lti):
 def test_splitter_prints_clones_and_pickles(lti):
     split = PeriodBlockSplit(3, omega=OMEGA, gap=2)
     assert repr(split) == (
-        "PeriodBlockSplit(gap=2, n_splits=3, omega=6.283185307179586, sample_time=None,\n"
-        "         trim_span=None)"
+        "PeriodBlockSplit(azimuth=None, gap=2, n_splits=3, omega=6.283185307179586,\n"
+        "         sample_time=None, time_origin=None, trim_span=None)"
     )
     search = GridSearchCV(MOESPRegressor(), {"order": [1]}, cv=split)
     assert clone(search).cv.gap == 2
@@ -197,8 +235,15 @@ def test_splitter_prints_clones_and_pickles(lti):
         ({"gap": 12}, "gap=12 leaves no whole period to train on beside block 0 of n_splits=5"),
         ({"omega": 0.0}, "omega must be a positive number in rad/s"),
         ({"omega": 60.0}, "0.8378 samples a period; at least two are needed: correct omega, or"),
-        ({"trim_span": (3.0, 1.0)}, r"trim_span=\(3.0, 1.0\) is no span of time"),
-        ({"trim_span": 2.0}, "trim_span=2.0 is no span of time; give"),
+        ({"trim_span": (3.0, 1.0)}, r"trim_span=\(3.0, 1.0\) is not a pair of times; give"),
+        (
+            {"omega": None},
+            "omega=None and azimuth=None leave the period unknown; give omega in rad",
+        ),
+        ({"azimuth": "psi"}, "omega=6.28.* and azimuth='psi' are both given"),
+        ({"omega": None, "azimuth": "psi"}, r"azimuth='psi' is not among the columns \['u'\] of X"),
+        ({"time_origin": "2026-01-01"}, "time_origin=2026-01-01T00:00:00 is given, but the index"),
+        ({"trim_span": 2.0}, "trim_span=2.0 is not a pair of times; give"),
         ({"sample_time": 0.5}, "sample_time=0.5 s, but the rows of the index are 0.125 s apart"),
     ],
 )
@@ -213,6 +258,11 @@ def test_splitter_needs_times_and_names_the_short_record():
     data = pd.concat({"long": record(9), "short": record(2)}, names=["record"])
     with pytest.raises(ValueError, match=r"record 'short' has 2 whole period\(s\)"):
         list(PeriodBlockSplit(3, omega=OMEGA).split(data))
+    unseen = record(9).assign(psi=np.where(np.arange(9 * SPP) < 9 * SPP - 1, np.nan, 1.0))
+    with pytest.raises(
+        ValueError, match=r"'psi' shows no motion in record 0: it is known at fewer"
+    ):
+        list(PeriodBlockSplit(3, azimuth="psi").split(unseen))
 
 
 # ---- scorers -----------------------------------------------------------------------------------
@@ -436,9 +486,10 @@ def test_failed_candidates_are_named_with_their_folds():
 @pytest.mark.parametrize(
     ("table", "kwargs", "message"),
     [
-        (results(SCORES, window=list("abcd")), {}, r"none of size=\['order', 'block_rows'\] was"),
+        (results(SCORES, window=list("abcd")), {"size": "order"}, r"none of size=\['order'\] was"),
+        (results(SCORES, n_states=[1, 2, 3, 4]), {}, r"none of size=\['order', 'block_rows'\] was"),
         (results(SCORES[:2], order=[2, "auto"]), {}, "order='auto' of candidate .* is no size"),
-        (results(SCORES[:2], order=[2, 2], block_rows=[4, None]), {}, "block_rows=None of cand"),
+        (results(SCORES[:2], block_rows=[4, None]), {}, "block_rows=None of candidate .* is no s"),
         (
             results(SCORES[:2], a__order=[1, 2], b__order=[1, 2]),
             {},
@@ -451,6 +502,21 @@ def test_failed_candidates_are_named_with_their_folds():
 def test_rule_words_what_is_wrong(table, kwargs, message):
     with pytest.raises(ValueError, match=message):
         smallest_within_one_standard_error(table, **kwargs)
+
+
+def test_choices_without_a_size_are_parted_by_score():
+    """A window alone, block rows left to the estimator, and grids of different parameters."""
+    windows = results(SCORES, harmonics__window=["hann", "boxcar", "triangle", "centred-hann"])
+    assert smallest_within_one_standard_error(windows) == 2
+    left_open = results(SCORES[1:3], order=[2, 2], block_rows=[None, 14])
+    assert smallest_within_one_standard_error(left_open) == 1
+    lists = results(SCORES[1:3], order=[2, 2])
+    lists["params"] = [{"order": 2, "block_rows": 14}, {"order": 2}]
+    lists["param_block_rows"] = np.ma.array([14, 0], mask=[False, True])
+    assert smallest_within_one_standard_error(lists) == 1
+    lists["params"] = [{"order": 2}, {"block_rows": 9}]
+    with pytest.raises(ValueError, match=r"order was not searched for this candidate: .*'block_r"):
+        smallest_within_one_standard_error(lists)
 
 
 def test_a_whole_name_parts_two_steps():
@@ -474,6 +540,23 @@ def test_grid_search_over_period_blocks(lti):
     assert search.best_estimator_.order_ == 3
     assert not hasattr(search, "best_score_")  # scikit-learn's way with a callable refit
     assert clone(search).refit is smallest_within_one_standard_error
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        [{"order": [2, 3, 4], "block_rows": [8]}, {"order": [3, 5]}],
+        {"order": [2, 3, 4], "block_rows": [None, 14]},
+    ],
+)
+def test_grids_whose_candidates_leave_something_open(lti, grid):
+    search = GridSearchCV(
+        MOESPRegressor(),
+        grid,
+        cv=PeriodBlockSplit(3, omega=lti.omega),
+        refit=smallest_within_one_standard_error,
+    ).fit(lti.inputs, lti.outputs)
+    assert search.best_params_["order"] == 3
 
 
 def test_grid_search_with_several_metrics(lti):

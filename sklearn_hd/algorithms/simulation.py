@@ -72,9 +72,10 @@ def continuous_to_discrete(A, B, dt):
     """
     n, m = B.shape
     block = np.zeros((n + m, n + m), dtype=np.result_type(A, B, float))
-    block[:n, :n], block[:n, n:] = A, B
-    power = linalg.expm(block * dt)
-    return power[:n, :n], power[:n, n:]
+    size = _column_sizes(B) * dt
+    block[:n, :n], block[:n, n:] = A * dt, B / size * dt
+    power = linalg.expm(block)
+    return power[:n, :n], power[:n, n:] * size
 
 
 def discrete_to_continuous(A, B, dt):
@@ -103,8 +104,8 @@ def discrete_to_continuous(A, B, dt):
         )
     if n == 0:
         return A.copy(), B.copy()
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:], block[n:, n:] = A, B, np.eye(m)
+    block, columns = np.zeros((n + m, n + m)), _column_sizes(B)
+    block[:n, :n], block[:n, n:], block[n:, n:] = A, B / columns, np.eye(m)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # judged below, by the residual
         logarithm = np.real(linalg.logm(block))
@@ -114,7 +115,17 @@ def discrete_to_continuous(A, B, dt):
             f"the matrix logarithm of this model is good to {rest:.1g} only (nearly defective or "
             f"very fast poles); drop such modes (SpuriousModeReducer does) or lower the order"
         )
-    return logarithm[:n, :n] / dt, logarithm[:n, n:] / dt
+    return logarithm[:n, :n] / dt, logarithm[:n, n:] * columns / dt
+
+
+def _column_sizes(B):
+    """About the largest entry of each column, as a power of two; one where it is zero.
+
+    Divided by it, inputs in small units do not make the matrix exponential of
+    [[A, B], [0, 0]] scale A with them: 1e-100 cost ten digits.
+    """
+    _, exponent = np.frexp(np.max(np.abs(B), axis=0, initial=0.0))
+    return np.ldexp(1.0, exponent)
 
 
 def frequency_response(A, B, C, D, s):

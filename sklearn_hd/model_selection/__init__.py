@@ -1,0 +1,26 @@
+"""Choosing the order: a splitter, scorers and a rule for scikit-learn's searches.
+
+Rows of a record follow one another in time, so three of scikit-learn's habits
+need a counterpart here:
+
+- folds are blocks of whole periods (:class:`PeriodBlockSplit`), or whole
+  records (``GroupKFold`` on the record level of the index), never random rows;
+- a fold that begins in mid-record does not begin at rest, so that scorers
+  simulate from a fitted initial state, as ``score`` of the model steps does
+  (:func:`simulation_scorer`, :func:`fit_percent_scorer`);
+- a model with states to spare predicts as well as the true one, to within the
+  noise: the smallest within one standard error of the best is the one to take
+  (:func:`smallest_within_one_standard_error`).
+"""
+
+from sklearn_hd.model_selection._rule import smallest_within_one_standard_error
+from sklearn_hd.model_selection._scorers import fit_percent, fit_percent_scorer, simulation_scorer
+from sklearn_hd.model_selection._splitter import PeriodBlockSplit
+
+__all__ = [
+    "PeriodBlockSplit",
+    "fit_percent",
+    "fit_percent_scorer",
+    "simulation_scorer",
+    "smallest_within_one_standard_error",
+]

@@ -1,0 +1,259 @@
+"""Scorers that simulate as ``score`` of the model steps does."""
+
+import inspect
+
+import numpy as np
+import pandas as pd
+from sklearn.frozen import FrozenEstimator
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd._base import ModelStep, scored_simulation
+from sklearn_hd._data import as_container, to_float
+
+
+def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
+    """A scorer that simulates as ``score`` does, for any metric of scikit-learn.
+
+    Plain ``scoring="r2"`` compares with ``predict``, which starts at rest; in
+    the middle of a record that can be far off. This one calls
+
+        ± metric(y, ŷ, **kwargs)
+
+    with ŷ the free simulation from an initial state fitted on each segment's
+    warm-up, on the rows after it and in whole periods, the periodic trim taken
+    from both: ``simulation_scorer(r2_score)`` is the estimator's own ``score``.
+
+    Parameters
+    ----------
+    metric : callable
+        ``metric(y_true, y_pred, **kwargs)``, a number.
+    greater_is_better : bool, default=True
+        False for errors: the scorer then returns −metric.
+    **kwargs
+        Handed on to the metric.
+
+    Returns
+    -------
+    scorer : callable
+        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``. The
+        estimator is a model step, or a Pipeline, search or FrozenEstimator
+        that ends in one.
+
+    Examples
+    --------
+    >>> from sklearn.metrics import mean_absolute_error
+    >>> from sklearn_hd import MOESPRegressor
+    >>> scorer = simulation_scorer(mean_absolute_error, greater_is_better=False)
+    >>> u, y = np.random.default_rng(0).standard_normal((300, 1)), np.zeros((300, 1))
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.9 * y[k] + u[k]
+    >>> model = MOESPRegressor(order=1, block_rows=5).fit(u[:200], y[:200])
+    >>> bool(scorer(model, u[200:], y[200:]) > -1e-12)
+    True
+    """
+    if not callable(metric):
+        raise ValueError(
+            f"metric={metric!r} is not callable; give a function such as sklearn.metrics.r2_score, "
+            f"not its name"
+        )
+    return _SimulationScorer(metric, 1.0 if greater_is_better else -1.0, kwargs)
+
+
+class _SimulationScorer:
+    """What :func:`simulation_scorer` returns."""
+
+    def __init__(self, metric, sign, kwargs):
+        self.metric, self.sign, self.kwargs = metric, sign, kwargs
+
+    def __call__(self, estimator, X, y, sample_weight=None):
+        step, truth, simulated, weight = _simulate(estimator, X, y, sample_weight)
+        if step.target_kind_ in ("series", "vector"):
+            truth, simulated = truth[:, 0], simulated[:, 0]
+        kwargs = dict(self.kwargs)
+        if weight is not None:
+            self._check_takes_weight()
+            kwargs["sample_weight"] = weight
+        return self.sign * float(self.metric(truth, simulated, **kwargs))
+
+    def _check_takes_weight(self):
+        parameters = inspect.signature(self.metric).parameters.values()
+        if not any(p.name == "sample_weight" or p.kind is p.VAR_KEYWORD for p in parameters):
+            raise TypeError(
+                f"sample_weight was given, but {_name(self.metric)} takes none; leave it out or "
+                f"use a metric that does"
+            )
+
+    def __repr__(self):
+        given = "".join(f", {key}={value!r}" for key, value in self.kwargs.items())
+        sign = "" if self.sign > 0 else ", greater_is_better=False"
+        return f"simulation_scorer({_name(self.metric)}{sign}{given})"
+
+
+def _name(function):
+    return getattr(function, "__name__", repr(function))
+
+
+def _simulate(estimator, X, y, sample_weight):
+    """Last model step, measured and simulated outputs on the rows that score counts, weights."""
+    step = estimator
+    while not isinstance(step, ModelStep):
+        if isinstance(step, Pipeline):
+            if len(step) > 1:
+                X = step[:-1].transform(X)
+            step = step[-1]
+        elif isinstance(step, FrozenEstimator):
+            step = step.estimator
+        elif hasattr(step, "best_estimator_"):
+            step = step.best_estimator_
+        else:
+            raise TypeError(
+                f"{type(estimator).__name__} does not end in a model step of sklearn_hd but in "
+                f"{step!r}, which cannot simulate from a fitted initial state; give "
+                f"MOESPRegressor, SpuriousModeReducer, StructuredMatcher or a Pipeline that ends "
+                f"in one, or use scikit-learn's own scorers"
+            )
+    truth, simulated, rows = scored_simulation(step, X, y)
+    weight = None if sample_weight is None else np.asarray(sample_weight, dtype=float)[rows]
+    return step, truth, simulated, weight
+
+
+def fit_percent(y_true, y_pred, *, sample_weight=None):
+    """Fit of each output in percent, the NRMSE fit of system identification.
+
+        fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
+
+    100 for a perfect model, 0 for one no better than the mean, negative for a
+    worse one; R² = 1 − (1 − fit/100)². An output that never moves has 100
+    where it is met exactly, else 0 (as ``r2_score`` has 1 and 0).
+
+    Parameters
+    ----------
+    y_true, y_pred : DataFrame, Series or ndarray, shape (n_samples, n_outputs) or (n_samples,)
+    sample_weight : array_like, shape (n_samples,), optional
+        Weights of the squares in both norms.
+
+    Returns
+    -------
+    fit : ndarray, shape (n_outputs,)
+        Percent.
+
+    Raises
+    ------
+    ValueError
+        If shapes or indices differ, or a value is not finite.
+
+    References
+    ----------
+    Ljung (1999), System Identification, section 16.4; ``compare`` of MATLAB's
+    System Identification Toolbox prints the same number.
+
+    Examples
+    --------
+    >>> fit_percent([[1.0, 0.0], [3.0, 1.0]], [[1.0, 0.0], [3.0, 0.5]]).round(2).tolist()
+    [100.0, 29.29]
+    """
+    truth, predicted = (
+        as_container(values, name) for values, name in ((y_true, "y_true"), (y_pred, "y_pred"))
+    )
+    _check_comparable(truth, predicted)
+    y, y_hat = to_float(truth, "y_true"), to_float(predicted, "y_pred")
+    for values, name in ((y, "y_true"), (y_hat, "y_pred")):
+        if not np.all(np.isfinite(values)):
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise ValueError(
+                f"{name} is not finite in row {row}, output {column}; drop those rows from both"
+            )
+    weight = _check_weight(sample_weight, len(y))
+    mean = np.average(y, axis=0, weights=weight)
+    error = np.sqrt(weight @ (y - y_hat) ** 2)
+    spread = np.sqrt(weight @ (y - mean) ** 2)
+    constant = np.ptp(y[weight > 0.0], axis=0) == 0.0
+    share = error / np.where(constant, 1.0, spread)
+    return 100.0 * np.where(constant, error == 0.0, 1.0 - share)
+
+
+def _check_comparable(truth, predicted):
+    if truth.shape != predicted.shape:
+        raise ValueError(
+            f"y_true has shape {truth.shape} and y_pred {predicted.shape}; give the same rows and "
+            f"outputs of both"
+        )
+    both = all(isinstance(data, pd.DataFrame | pd.Series) for data in (truth, predicted))
+    if both and not truth.index.equals(predicted.index):
+        raise ValueError("y_true and y_pred have different indices; align them first")
+
+
+def _check_weight(sample_weight, n_samples):
+    if sample_weight is None:
+        return np.ones(n_samples)
+    try:
+        weight = np.asarray(sample_weight, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError("sample_weight holds values that are no numbers") from None
+    if weight.shape != (n_samples,) or not np.all(weight >= 0.0) or not np.any(weight > 0.0):
+        raise ValueError(
+            f"sample_weight of shape {weight.shape} must hold {n_samples} numbers of at least 0, "
+            f"not all of them 0"
+        )
+    return weight
+
+
+def fit_percent_scorer(output=None):
+    """A scorer of the fit in percent, simulated as ``score`` does.
+
+        fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
+
+    Parameters
+    ----------
+    output : str, int or None, default=None
+        Name or position of the output that alone counts; None is the mean over
+        all of them.
+
+    Returns
+    -------
+    scorer : callable
+        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``.
+
+    See Also
+    --------
+    fit_percent : The same number, per output, of any two signals.
+    simulation_scorer : The same simulation, for other metrics.
+
+    Examples
+    --------
+    >>> from sklearn_hd import MOESPRegressor
+    >>> u, y = np.random.default_rng(0).standard_normal((300, 1)), np.zeros((300, 1))
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.9 * y[k] + u[k]
+    >>> model = MOESPRegressor(order=1, block_rows=5).fit(u, y)
+    >>> round(fit_percent_scorer(output=0)(model, u, y), 6)
+    100.0
+    """
+    return _FitPercentScorer(output)
+
+
+class _FitPercentScorer:
+    """What :func:`fit_percent_scorer` returns."""
+
+    def __init__(self, output):
+        self.output = output
+
+    def __call__(self, estimator, X, y, sample_weight=None):
+        step, truth, simulated, weight = _simulate(estimator, X, y, sample_weight)
+        fit = fit_percent(truth, simulated, sample_weight=weight)
+        return float(fit.mean() if self.output is None else fit[self._position(step)])
+
+    def _position(self, step):
+        names = list(step.target_names_)
+        if self.output in names:
+            return names.index(self.output)
+        whole = isinstance(self.output, int | np.integer) and not isinstance(self.output, bool)
+        if not whole or not 0 <= self.output < len(names):
+            raise ValueError(
+                f"output={self.output!r} is not among the outputs {names}; give one of these "
+                f"names, a position from 0 to {len(names) - 1}, or None for the mean of all"
+            )
+        return int(self.output)
+
+    def __repr__(self):
+        return f"fit_percent_scorer(output={self.output!r})"

@@ -1,0 +1,215 @@
+"""Folds of whole periods."""
+
+import numpy as np
+from sklearn.model_selection import BaseCrossValidator
+
+from sklearn_hd._data import as_container, read_azimuth
+from sklearn_hd._time import read_time
+from sklearn_hd._validation import PERIOD_TOLERANCE, check_count, check_phase, check_span
+from sklearn_hd.algorithms.resampling import unwrap
+
+ROUNDING = 1e-6  # of a period
+
+
+class PeriodBlockSplit(BaseCrossValidator):
+    """Cut each record into blocks of whole periods, and test on one block after another.
+
+    Period p holds the rows with 2πp ≤ ψ < 2π(p + 1), ψ being ωt or a measured
+    azimuth. The whole periods of a record are shared among ``n_splits`` blocks as
+    evenly as they go; the incomplete ones at its ends stay with their neighbours, so that
+    every row is tested once. Fold k tests block k of every record and trains
+    on the rest in order of time, without the ``gap`` periods on either side:
+    there the outputs still move with what the tested inputs, or their window,
+    left behind. Model steps read the hole as a gap in time, which starts a new
+    segment.
+
+    Parameters
+    ----------
+    n_splits : int, default=5
+        Number of blocks, at least 2.
+    omega : float or None, default=None
+        Fundamental frequency in rad/s. Give this or ``azimuth``.
+    gap : int, default=1
+        Periods left out of training on either side of a test block.
+    trim_span : (float, float) or None, default=None
+        Index times, in seconds within each record (dates: since ``time_origin``),
+        whose rows are trained on in every fold and tested in none: the
+        ``trim_span`` of the analyzer, which must see the machine in trim
+        whichever block is held out.
+    sample_time : float or None, default=None
+        Seconds. None reads it from the index, or is 1.0 where samples are counted.
+    azimuth : str or None, default=None
+        Column of X that holds ψ in rad, growing, or starting anew at each turn, of
+        a rotor whose speed varies; where it is NaN it is interpolated.
+    time_origin : date or None, default=None
+        The instant of ψ = 0, for an index of dates. With ``azimuth`` it is but the
+        zero of ``trim_span``; None is then the first sample.
+
+        These four are those of :class:`~sklearn_hd.HarmonicAnalyzer`.
+
+    See Also
+    --------
+    sklearn.model_selection.TimeSeriesSplit : Trains on the past alone.
+    sklearn.model_selection.GroupKFold : Whole records, by the record level of the index.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> u = pd.DataFrame({"u": np.zeros(24)}, index=pd.Index(np.arange(24) / 4, name="time"))
+    >>> split = PeriodBlockSplit(3, omega=2 * np.pi)
+    >>> for train, test in split.split(u):
+    ...     print(train, test)
+    [12 13 14 15 16 17 18 19 20 21 22 23] [0 1 2 3 4 5 6 7]
+    [ 0  1  2  3 20 21 22 23] [ 8  9 10 11 12 13 14 15]
+    [ 0  1  2  3  4  5  6  7  8  9 10 11] [16 17 18 19 20 21 22 23]
+    """
+
+    def __init__(
+        self,
+        n_splits=5,
+        *,
+        omega=None,
+        gap=1,
+        trim_span=None,
+        sample_time=None,
+        azimuth=None,
+        time_origin=None,
+    ):
+        self.n_splits = n_splits
+        self.omega = omega
+        self.gap = gap
+        self.trim_span = trim_span
+        self.sample_time = sample_time
+        self.azimuth = azimuth
+        self.time_origin = time_origin
+
+    def get_n_splits(self, X=None, y=None, groups=None):
+        """Number of folds.
+
+        Parameters
+        ----------
+        X, y, groups : ignored
+            Present for the habits of scikit-learn.
+
+        Returns
+        -------
+        n_splits : int
+        """
+        return check_count("n_splits", self.n_splits, 2, "a single block leaves nothing to train")
+
+    def split(self, X, y=None, groups=None):
+        """Rows to train and to test on, fold by fold, each in order of time.
+
+        Parameters
+        ----------
+        X : DataFrame, Series or ndarray, shape (n_samples, n_features)
+            With times in its index, or a (record, time) MultiIndex; rows of
+            an array are counted from ψ = 0.
+        y, groups : ignored
+            Present for the habits of scikit-learn.
+
+        Yields
+        ------
+        train, test : ndarray of int
+            Row numbers.
+
+        Raises
+        ------
+        ValueError
+            If a record has fewer whole periods than blocks, or the gap leaves
+            nothing of the records to train on.
+        """
+        n_splits = self.get_n_splits()
+        gap = check_count("gap", self.gap, 0, "it counts the periods left out beside a block")
+        if X is None:
+            raise ValueError("X is None; PeriodBlockSplit reads the times of its rows: give X")
+        origin = check_phase(self.omega, self.azimuth, self.time_origin)
+        X = as_container(X, "X")
+        base = read_time(X, self.sample_time, origin)
+        turns, share = self._turns(X, base)
+        periods = np.floor(turns).astype(int)
+        always = self._always_trained(base)
+        block = np.empty(len(periods), dtype=int)
+        for rows, label in _records(base):
+            counted = np.where(always[rows], 0.0, share[rows])
+            block[rows] = self._blocks(periods[rows], counted, n_splits, label)
+        for k in range(n_splits):
+            tested = (block == k) & ~always
+            near = np.zeros_like(tested)
+            for rows, _ in _records(base):
+                own = periods[rows][tested[rows]]
+                near[rows] = (periods[rows] >= own[0] - gap) & (periods[rows] <= own[-1] + gap)
+            train = np.flatnonzero((~near & ~tested) | always)
+            if np.sum(share[~near]) < 1.0 - share.max() + ROUNDING:
+                raise ValueError(
+                    f"gap={gap} leaves no whole period to train on beside block {k} of "
+                    f"n_splits={n_splits}; give longer records, a smaller gap or more blocks"
+                )
+            yield train, np.flatnonzero(tested)
+
+    def _turns(self, X, base):
+        """Turns made at each row, a row just short of ψ = 0 on it, and turns from row to row."""
+        if self.azimuth is not None:
+            return self._turns_measured(X, base)
+        omega = float(self.omega)
+        samples = 2.0 * np.pi / omega / base.sample_time
+        if samples < 2.0:
+            raise ValueError(
+                f"omega={omega:.6g} rad/s and a sample time of {base.sample_time:.6g} s give "
+                f"{samples:.4g} samples a period; at least two are needed: correct omega, or give "
+                f"sample_time where rows carry no times"
+            )
+        turns = base.time * omega / (2.0 * np.pi)
+        return turns + 0.5 / samples, np.full(len(turns), 1.0 / samples)
+
+    def _turns_measured(self, X, base):
+        psi = read_azimuth(X, base, self.azimuth)
+        turns, share = np.empty(len(psi)), np.empty(len(psi))
+        for rows, label in _records(base):
+            known = np.isfinite(psi[rows])
+            if known.sum() < 2:
+                raise ValueError(
+                    f"azimuth column {self.azimuth!r} shows no motion in record {label!r}: it is "
+                    f"known at fewer than two rows; drop that record"
+                )
+            time = base.time[rows]
+            whole = unwrap(psi[rows], time)
+            turns[rows] = np.interp(time, time[known], whole[known]) / (2.0 * np.pi)
+        for segment in base.segments:
+            steps = np.diff(turns[segment])
+            share[segment] = np.append(steps, steps[-1:] if len(steps) else 0.0)
+        return turns + ROUNDING, share
+
+    def _always_trained(self, base):
+        """Rows of the trim span."""
+        if self.trim_span is None:
+            return np.zeros(len(base.time), dtype=bool)
+        start, stop = check_span("trim_span", self.trim_span)
+        tolerance = 0.5 * base.sample_time
+        return (base.time >= start - tolerance) & (base.time < stop - tolerance)
+
+    def _blocks(self, periods, share, n_splits, label):
+        """Block of each row of one record, of which each holds some share of a period."""
+        numbers, own = np.unique(periods, return_inverse=True)
+        held, rows = np.bincount(own, share), np.bincount(own, share > 0.0)
+        whole = numbers[held * (rows + 1.0) > rows + PERIOD_TOLERANCE]  # a row short is incomplete
+        if len(whole) < n_splits:
+            given = f"omega={self.omega:.6g} rad/s" if self.azimuth is None else self.azimuth
+            raise ValueError(
+                f"record {label!r} has {len(whole)} whole period(s) of {given}, too few for "
+                f"n_splits={n_splits} blocks; give longer records or fewer blocks"
+            )
+        borders = [part[0] for part in np.array_split(whole, n_splits)[1:]]
+        return np.searchsorted(borders, periods, side="right")
+
+
+def _records(base):
+    """Rows and label of each record, whatever gaps are in it."""
+    segments, time = base.segments, base.time
+    starts = [0]
+    for i in range(1, len(segments)):
+        again = time[segments[i].start] <= time[segments[i].start - 1]  # time begins anew
+        if again or base.records[i] != base.records[i - 1]:
+            starts.append(i)
+    for first, following in zip(starts, [*starts[1:], len(segments)], strict=True):
+        yield slice(segments[first].start, segments[following - 1].stop), base.records[first]

@@ -1,0 +1,285 @@
+"""Wrong data, wrong times and wrong moments: each ends in a message that names the way out."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.exceptions import NotFittedError
+from sklearn.model_selection import KFold, TimeSeriesSplit, cross_val_score
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.exceptions import JitterWarning, TimeBaseWarning
+from sklearn_hd.model_selection import fit_percent
+
+OMEGA = 2 * np.pi
+SPP = 16
+
+
+@pytest.fixture
+def u(rng):
+    index = pd.Index(np.arange(60 * SPP) / SPP, name="time")
+    return pd.DataFrame({"u": rng.standard_normal(60 * SPP)}, index=index)
+
+
+@pytest.fixture
+def y(u):
+    lag = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        lag[k + 1] = 0.9 * lag[k] + u.iloc[k, 0]
+    return pd.DataFrame({"w": lag}, index=u.index)
+
+
+def analyzer(**params):
+    return HarmonicAnalyzer(**{"omega": OMEGA, "output_harmonics": 0, "hop": 4} | params)
+
+
+def chain(*steps):
+    return Pipeline([(f"step{k}", step) for k, step in enumerate(steps)])
+
+
+# ---- containers -------------------------------------------------------------------------------
+
+CONTAINERS = {
+    "nothing": (None, TypeError, r"X is None, which is no table of signals; give a DataFrame, or"),
+    "text": ("abc", TypeError, r"X is a str, which is no table of signals"),
+    "dict": ({"u": [1, 2]}, TypeError, r"X is a dict, .*; make a frame of it: pd.DataFrame\(X\)"),
+    "ragged": ([[1, 2], [3]], ValueError, r"X has rows of different lengths; give \(n_samples"),
+    "number": (5.0, ValueError, r"X has 0 dimensions; give \(n_samples, n_signals\)"),
+    "text cells": ([["a"]] * 9, ValueError, r"X holds values that are no numbers.*: .*; convert"),
+    "dates": (
+        np.full((9, 1), np.datetime64("2026-05-01")),
+        TypeError,
+        r"X holds values that are no numbers.*: they are times; convert them first",
+    ),
+    "a column of dates": (
+        pd.DataFrame({"u": [1.0] * 9, "when": pd.Timestamp("2026-05-01")}),
+        TypeError,
+        r"X holds values that are no numbers \(column 'when'\): they are times",
+    ),
+    "a column of text": (
+        pd.DataFrame({"u": [1.0] * 9, "phase": "climb"}),
+        ValueError,
+        r"X holds values that are no numbers \(column 'phase'\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONTAINERS)
+@pytest.mark.parametrize("step", [analyzer(), MOESPRegressor(order=1)], ids=["analyze", "identify"])
+def test_containers_that_are_no_table(case, step):
+    X, error, message = CONTAINERS[case]
+    with pytest.raises(error, match=message):
+        step.fit(X, np.ones(9))
+
+
+def test_targets_that_are_no_table(u):
+    for y, error, message in (
+        ("abc", TypeError, "y is a str, which is no table of signals"),
+        ({"w": 1}, TypeError, r"y is a dict, .* pd.DataFrame\(y\)"),
+        ([[1], [2, 3]], ValueError, "y has rows of different lengths"),
+    ):
+        with pytest.raises(error, match=message):
+            MOESPRegressor().fit(u, y)
+
+
+def test_masked_and_nullable_values_are_missing(u, y):
+    """A mask is not dropped: it is NaN, with what ``missing`` makes of that."""
+    masked = np.ma.masked_array(u.to_numpy(), mask=np.arange(len(u))[:, None] == 40)
+    nullable = u.astype("Float64")
+    nullable.iloc[40, 0] = pd.NA
+    holed = u.copy()
+    holed.iloc[40, 0] = np.nan
+    for X in (masked, nullable):
+        with pytest.raises(
+            ValueError, match=r"X contains NaN: column '.*', first at t = .* \(row 40"
+        ):
+            MOESPRegressor(order=1).fit(X, y.to_numpy())
+    expected = analyzer(missing="gap", input_harmonics=1).fit_transform(holed)
+    np.testing.assert_array_equal(
+        analyzer(missing="gap", input_harmonics=1).fit_transform(nullable), expected
+    )
+    with pytest.warns(TimeBaseWarning):
+        found = analyzer(missing="gap", input_harmonics=1, sample_time=1 / SPP).fit_transform(
+            masked
+        )
+    np.testing.assert_array_equal(found, expected)
+    whole = np.ma.masked_array(np.arange(9), mask=np.arange(9) == 3)
+    with pytest.raises(ValueError, match=r"y contains NaN: column 'y0', first at .* \(row 3\)"):
+        MOESPRegressor().fit(u[:9].to_numpy(), whole)
+
+
+def test_fit_percent_of_text():
+    with pytest.raises(ValueError, match="y_pred holds values that are no numbers"):
+        fit_percent([1.0, 2.0], ["a", "b"])
+    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+        fit_percent([1.0, 2.0], [1.0, 2.0], sample_weight=["a", "b"])
+
+
+# ---- times ------------------------------------------------------------------------------------
+
+
+def test_times_lost_on_the_way(u, y):
+    """A step that returns arrays: before the analyzer, and between it and the model."""
+    lost = r"y has times in its index, and X counts its rows: .*set_output\(transform='pandas'\)"
+    for steps in (
+        (StandardScaler(), analyzer(), MOESPRegressor(order=1)),
+        (analyzer(), StandardScaler(), MOESPRegressor(order=1)),
+        (StandardScaler(), MOESPRegressor(order=1)),
+    ):
+        with pytest.raises(ValueError, match=lost):
+            chain(*steps).fit(u, y)
+        with pytest.raises(ValueError, match=lost):
+            chain(*steps).fit(u, y["w"])
+    with (
+        pytest.warns(TimeBaseWarning),
+        pytest.raises(
+            ValueError,
+            match=r"1 samples a period \(no times in the index of X: .*set_output\(transform",
+        ),
+    ):
+        chain(StandardScaler(), analyzer(), MOESPRegressor(order=1)).fit(u, y.to_numpy())
+    kept = chain(
+        StandardScaler(with_mean=False).set_output(transform="pandas"), MOESPRegressor(order=1)
+    )
+    assert kept.fit(u, y).score(u, y) > 0.999
+
+
+def test_outputs_that_count_their_rows(u, y):
+    with pytest.raises(
+        ValueError, match=r"different indices \(y counts its rows: y.set_axis\(X.index"
+    ):
+        MOESPRegressor(order=1).fit(u, y.reset_index(drop=True))
+
+
+def test_rows_of_arrays_are_taken_in_the_order_given(u):
+    with pytest.warns(
+        TimeBaseWarning, match=r"one contiguous record from psi = 0, in the order giv"
+    ):
+        analyzer(sample_time=1 / SPP).fit(u.to_numpy())
+
+
+def test_a_shuffled_split_is_named(u, y):
+    pipe = chain(analyzer(), MOESPRegressor(order=1))
+    for step in (pipe, MOESPRegressor(order=1, block_rows=8)):
+        with pytest.raises(ValueError, match=r"drawn at random, as by a shuffled split"):
+            cross_val_score(
+                step, u, y, cv=KFold(3, shuffle=True, random_state=0), error_score="raise"
+            )
+
+
+@pytest.mark.parametrize("revolve", [lambda psi: psi % 360, lambda psi: (psi + 180) % 360 - 180])
+def test_wrapped_degrees(u, revolve):
+    psi = np.rad2deg(OMEGA * u.index.to_numpy())
+    X = u.assign(psi=revolve(psi))
+    with pytest.raises(ValueError, match=r"'psi' starts anew after 360, not 2π rad; .*np.deg2rad"):
+        HarmonicAnalyzer(azimuth="psi").fit(X)
+    whole = X.assign(psi=np.deg2rad(X["psi"]))
+    assert HarmonicAnalyzer(azimuth="psi").fit(whole).basis_.omega == pytest.approx(OMEGA)
+
+
+SPANS = {
+    "backwards": (5, 2),
+    "empty": (2, 2),
+    "nan": (0.0, np.nan),
+    "text": "03",
+    "texts": ("0", "3"),
+    "three": (0, 1, 2),
+    "truths": (False, True),
+    "number": 4.0,
+}
+
+
+@pytest.mark.parametrize("case", SPANS)
+def test_trim_spans(u, case):
+    with pytest.raises(
+        ValueError, match=r"is not a pair of times; give \(start, stop\) in seconds, sta"
+    ):
+        analyzer(trim_span=SPANS[case]).fit(u)
+
+
+def test_trim_spans_are_no_dates(u):
+    start = pd.Timestamp("2026-05-01")
+    for span in ((start, start + pd.Timedelta("4s")), (pd.Timedelta("1s"), pd.Timedelta("4s"))):
+        with pytest.raises(
+            ValueError, match=r"of dates, \(start - time_origin\).total_seconds\(\)"
+        ):
+            analyzer(trim_span=span).fit(u)
+
+
+def test_a_fold_without_the_trim_names_the_splitter(u, y):
+    pipe = chain(analyzer(trim_span=(0.0, 5.0)), MOESPRegressor(order=1))
+    with pytest.raises(
+        ValueError, match=r"less than one whole period .* PeriodBlockSplit\(..., trim_"
+    ):
+        cross_val_score(pipe, u, y, cv=KFold(4), error_score="raise")
+
+
+def test_a_search_says_once_that_rows_jitter(u, y, rng):
+    """Python shows a warning once for each text: folds share it, but for a last digit or two."""
+    index = u.index + rng.uniform(-0.1, 0.1, len(u)) / SPP
+    pipe = chain(analyzer(), MOESPRegressor(order=1))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cross_val_score(pipe, u.set_axis(index), y.set_axis(index), cv=TimeSeriesSplit(5))
+    said = [str(w.message) for w in caught if w.category is JitterWarning]
+    assert len(said) == 10
+    assert len(set(said)) <= 4
+
+
+# ---- the wrong moment -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("step", "names"),
+    [
+        (HarmonicAnalyzer(OMEGA), []),
+        (MOESPRegressor(), ["system_", "eigenvalues_"]),
+        (SpuriousModeReducer(), ["system_", "modes_"]),
+        (StructuredMatcher(), ["system_", "theta_", "theta_least_squares_"]),
+    ],
+)
+def test_nothing_is_answered_before_fit(u, step, names):
+    for method in ("transform", "predict", "score"):
+        if hasattr(step, method):
+            args = (u, u) if method == "score" else (u,)
+            with pytest.raises(NotFittedError, match="not fitted yet"):
+                getattr(step, method)(*args)
+    with pytest.raises(NotFittedError, match="not fitted yet"):
+        step.get_feature_names_out()
+    for name in names:
+        with pytest.raises(NotFittedError, match="not fitted yet"):
+            getattr(step, name)
+
+
+def test_a_fit_that_failed_leaves_nothing_fitted(u, y):
+    model, analysis = MOESPRegressor(order=40, block_rows=12), analyzer(hop=5)
+    for step in (model, analysis):
+        with pytest.raises(ValueError, match=r"order=40 exceeds|hop=5 does not divide"):
+            step.fit(u, y)
+        with pytest.raises(NotFittedError):
+            step.transform(u)
+
+
+@pytest.mark.parametrize("warmup", [-1, 0, "5s", np.nan, True])
+def test_warmup_is_checked_at_fit(u, y, warmup):
+    message = r"warmup must be a positive number in seconds, got .*; None is five periods"
+    with pytest.raises(ValueError, match=message):
+        MOESPRegressor(warmup=warmup).fit(u, y)
+    for step in (SpuriousModeReducer, StructuredMatcher):
+        with pytest.raises(ValueError, match=message):
+            step(MOESPRegressor(order=1), warmup=warmup).fit(u, y)
+
+
+@pytest.mark.parametrize("name", ["feedthrough", "scale"])
+@pytest.mark.parametrize("value", ["no", 1, None, 0.5])
+def test_switches_are_switches(u, y, name, value):
+    with pytest.raises(ValueError, match=rf"{name} must be True or False, got {value!r}"):
+        MOESPRegressor(**{name: value}).fit(u, y)

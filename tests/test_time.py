@@ -1,0 +1,136 @@
+"""When rows were sampled: jitter, rounding, long holes, records, and indices that are no time."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd._time import read_time, why_short
+from sklearn_hd.exceptions import JitterWarning
+
+DT = 2 * np.pi / (2 * np.pi * 26.3) / 64  # 64 samples a wingbeat of the hawkmoth
+
+
+def frame(index):
+    return pd.DataFrame({"u": np.zeros(len(index))}, index=index)
+
+
+@pytest.mark.parametrize("hole", [50, 10_000, 3_000_000])
+@pytest.mark.parametrize("jitter", [0.0, 0.02, 0.2])
+def test_jitter_and_a_hole_of_any_length(rng, jitter, hole):
+    """The length of the hole in samples is known no better than the sample time."""
+    rows = np.r_[0:300, 300 + hole : 900 + hole]
+    time = DT * (rows + rng.uniform(-jitter, jitter, len(rows)))
+    base = read_time(frame(time))
+    assert base.segments == (slice(0, 300), slice(300, 900))
+    assert abs(base.sample_time - DT) <= 4 * base.uncertainty + 1e-9 * DT
+
+
+@pytest.mark.parametrize("digits", [5, 6, 9])
+def test_rounded_times(digits):
+    """594.1 μs written with five, six or nine digits: the step is found, the hole is a hole."""
+    rows = np.r_[0:2000, 102_000:104_000]
+    base = read_time(frame(np.round(DT * rows, digits)))
+    assert len(base.segments) == 2
+    assert base.sample_time == pytest.approx(DT, rel=10.0 ** (1 - digits))
+    assert (base.jitter[1] > 0.0) == (digits < 9)
+
+
+def test_a_period_of_rounded_times_is_whole():
+    """32 samples a wingbeat, 1188.2 μs apart: the median step of 1188 μs gives 32.006."""
+    omega = 2 * np.pi * 26.3
+    time = np.round(2 * DT * np.arange(3200), 6)
+    basis = HarmonicAnalyzer(omega).fit(frame(time)).basis_
+    assert basis.samples_per_period == 32
+    assert basis.sample_time == pytest.approx(2 * DT, rel=1e-7)
+
+
+def test_even_times_keep_their_step_to_the_last_bit():
+    for step in (0.1, 1 / 3, DT):
+        base = read_time(frame(step * np.arange(500)))
+        assert base.sample_time == np.median(np.diff(step * np.arange(500)))
+        assert base.jitter == (0.0, 0.0)
+
+
+def test_a_stray_row_is_refused_beside_jitter(rng):
+    time = np.arange(600.0) + rng.uniform(-0.05, 0.05, 600)
+    time[300:] += 0.5
+    with pytest.raises(
+        ValueError, match=r"\(row 300\) is 1\.\d+ samples of .*: too uneven for jit"
+    ):
+        read_time(frame(time))
+
+
+def test_resampled_rows_of_a_long_hole_keep_their_phase(rng):
+    """A cosine on both sides of a hole of 1e5 jittered samples comes out as one."""
+    rows = np.r_[0:1280, 101_280:102_560]
+    time = DT * (rows + rng.uniform(-0.1, 0.1, len(rows)))
+    omega = 2 * np.pi * 26.3
+    X = pd.DataFrame({"u": np.cos(omega * time)}, index=time)
+    with pytest.warns(JitterWarning):
+        found = HarmonicAnalyzer(omega, input_harmonics=1).fit_transform(X)
+    np.testing.assert_allclose(found[["u_0", "u_1c", "u_1s"]] - [0.0, 1.0, 0.0], 0.0, atol=1e-5)
+
+
+def test_records_are_labelled_by_all_levels_above_the_time():
+    parts = {(day, flight): frame(np.arange(4.0)) for day in "ab" for flight in (1, 2)}
+    data = pd.concat(parts, names=["day", "flight", "time"])
+    assert read_time(data).records == (("a", 1), ("a", 2), ("b", 1), ("b", 2))
+    assert read_time(data.droplevel("flight").iloc[:4]).records == ("a",)
+
+
+TIMES = np.arange(20) / 16
+NO_TIMES = {
+    "floats as objects": (pd.Index(list(TIMES), dtype=object), r"data.index.astype\(float\)"),
+    "numbers as text": (pd.Index([f"{t}" for t in TIMES]), r"data.index.astype\(float\)"),
+    "dates as text": (
+        pd.Index([f"2026-05-01 12:00:{s:02}" for s in range(20)]),
+        r"\(though its labels read as one: data.set_axis\(pd.to_datetime\(data.index\)\)\)",
+    ),
+    "dates as objects": (
+        pd.Index([pd.Timestamp("2026-05-01").date()] * 20, dtype=object),
+        r"pd.to_datetime\(data.index\)",
+    ),
+    "text": (pd.Index(list("abcdefghijklmnopqrst")), r"which is no time; use seconds"),
+    "truth": (pd.Index([True, False] * 10), r"dtype bool, which is no time; use seconds"),
+}
+
+
+@pytest.mark.parametrize("case", NO_TIMES)
+def test_an_index_that_is_no_time(case):
+    index, message = NO_TIMES[case]
+    with pytest.raises(ValueError, match=message):
+        read_time(frame(index))
+
+
+def test_records_that_take_turns_or_have_no_label():
+    data = pd.concat({"a": frame(TIMES), "b": frame(TIMES)}, names=["record", "time"])
+    with pytest.raises(
+        ValueError, match=r"records .* take turns \(rows 0 and 1 are of 'a' and 'b'\)"
+    ):
+        read_time(data.sort_index(level="time"))
+    with pytest.raises(ValueError, match=r"take turns .* drawn at random \(HalvingGridSearchCV"):
+        read_time(data.sample(frac=1.0, random_state=0))
+    codes = [[0] * 20 + [-1] * 20, [*range(20), *range(20)]]
+    missing = pd.MultiIndex([["a"], TIMES], codes, names=["record", "time"])
+    with pytest.raises(ValueError, match=r"label of the record is missing in row 20 of the index"):
+        read_time(frame(missing))
+
+
+def test_short_segments_say_what_made_them_so(rng):
+    rows = np.sort(rng.choice(600, 400, replace=False))
+    base = read_time(frame(rows / 16))
+    assert "fall into" in why_short(base)
+    assert "drawn at random, as by a shuffled split, or thinned out?" in why_short(base)
+    assert why_short(read_time(frame(np.r_[0:300, 340:600, 620:900] / 16))) == ""
+    X = frame(TIMES).reset_index(drop=True)
+    long = pd.concat([X] * 10, ignore_index=True)
+    with pytest.warns(match="no times given"):
+        analyzer = HarmonicAnalyzer(2 * np.pi / 16).fit(long)
+    message = r"shortest segment has 1 rows, .* 2 samples of 1 s apart .* keep the sample time"
+    with pytest.raises(ValueError, match=message):
+        analyzer.transform(long.iloc[::2])
+    target = pd.Series(rng.standard_normal(400), index=rows / 16)
+    inputs = pd.DataFrame({"u": rng.standard_normal(400)}, index=rows / 16)
+    with pytest.raises(ValueError, match=r"too few for block_rows=15: .*shuffled split"):
+        MOESPRegressor(order=2, block_rows=15).fit(inputs, target)
