@@ -45,7 +45,7 @@ def test_trace_gives_the_sum_of_the_exponents(entry):
     """Liouville: Σ λ is the mean of tr F, up to the folding of imaginary parts."""
     system = entry()
     trace = np.trace(system.fourier_coefficients(0)[0][0])
-    assert system.floquet_exponents().sum().real == pytest.approx(trace, abs=1e-9)
+    assert system.floquet_exponents().sum().real == pytest.approx(trace, abs=1e-12)
 
 
 @pytest.mark.parametrize("entry", LINEAR, ids=lambda entry: entry.__name__)
@@ -135,7 +135,7 @@ def test_vinograd_is_unstable_with_frozen_eigenvalues_in_the_left_half_plane():
     np.testing.assert_allclose(system.F(psi), np.moveaxis(F, -1, 0), atol=1e-13)
     frozen = np.sort(np.linalg.eigvals(system.F(psi)).real, axis=1)
     np.testing.assert_allclose(frozen, np.broadcast_to([-10.0, -1.0], frozen.shape), rtol=1e-9)
-    np.testing.assert_allclose(system.floquet_exponents(), [2, -13], atol=1e-9)
+    np.testing.assert_allclose(system.floquet_exponents(), [2, -13], atol=1e-12)
 
 
 # ---- hinged blade -----------------------------------------------------------------------------

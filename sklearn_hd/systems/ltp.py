@@ -6,6 +6,7 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd.algorithms import floquet
+from sklearn_hd.algorithms.floquet_exponents import floquet_exponents
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, resize_harmonics
 
@@ -180,9 +181,11 @@ class LTPSystem:
         Returns
         -------
         exponents : complex ndarray, shape (n_states,)
-            In 1/s.
+            In 1/s. Right also where multipliers e^{λT} differ by a hundred decades,
+            which :meth:`monodromy` cannot hold.
         """
-        return floquet.monodromy_exponents(self.monodromy(), self.omega)
+        tolerance = max(1e-14, _precision(self.F))
+        return floquet_exponents(self.F, self.omega, tolerance=tolerance)
 
     def harmonic_decomposition(self, n_harmonics, n_input_harmonics=None, n_output_harmonics=None):
         """Time-invariant model of the harmonics of the states (Eqs. 8 and 9).
