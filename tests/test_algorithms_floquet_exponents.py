@@ -120,6 +120,13 @@ def test_many_close_multipliers_part_sweep_by_sweep():
     np.testing.assert_allclose(found, exponents, atol=1e-10)
 
 
+def test_multipliers_too_close_to_part_stay_in_one_block():
+    """Forty multipliers, each 0.8 of the last: no two part within the sweeps allowed."""
+    exponents = np.log(0.8) * np.arange(40) / PERIOD
+    found = floquet_exponents(transformed(np.diag(exponents), seed=6), OMEGA)
+    np.testing.assert_allclose(found, exponents, atol=1e-11)
+
+
 def test_no_states_no_exponents():
     assert product_logarithms(np.empty((3, 0, 0))).shape == (0,)
 

@@ -94,11 +94,10 @@ def product_logarithms(factors):
     n = factors.shape[1]
     start = linalg.qr(np.random.default_rng(0).standard_normal((n, n)))[0]  # in no one's favour
     tolerance = max(SPLIT, 2.0 * len(factors) * np.finfo(float).eps)
-    for sweep in range(MAX_SWEEPS):
+    for _ in range(MAX_SWEEPS):
         end, triangles = _carry(factors, start)
         closing = start.T @ end
-        last = sweep == MAX_SWEEPS - 1
-        blocks = _blocks(closing, np.sqrt(tolerance) if last else tolerance)
+        blocks = _blocks(closing, tolerance)
         logarithms = [_block_logarithms(closing, triangles, block) for block in blocks]
         if all(np.ptp(block.real) <= -np.log(WIDE) for block in logarithms):
             break
