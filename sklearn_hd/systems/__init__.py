@@ -10,17 +10,23 @@ from sklearn_hd.systems.catalog import (
     meissner,
     vinograd,
 )
+from sklearn_hd.systems.harmonic_transfer import (
+    HarmonicTransferFunction,
+    estimate_harmonic_transfer_function,
+)
 from sklearn_hd.systems.ltp import FourierMatrix, LTPSystem
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 
 __all__ = [
     "FourierMatrix",
+    "HarmonicTransferFunction",
     "LTPSystem",
     "PeriodicSystem",
     "Trim",
     "bittanti_colaneri",
     "coupled_oscillators",
     "duffing",
+    "estimate_harmonic_transfer_function",
     "flapping_blade",
     "flapping_wing",
     "mathieu",
