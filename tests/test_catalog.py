@@ -4,10 +4,19 @@ import inspect
 import pickle
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import linalg, special
+from sklearn.pipeline import Pipeline
 
-from sklearn_hd import systems
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+    systems,
+)
 from sklearn_hd.systems import (
     LTPSystem,
     PeriodicSystem,
@@ -275,3 +284,33 @@ def test_duffing_jacobian_is_the_derivative():
     found, expected = numeric.linearize(trim), system.linearize(trim)
     np.testing.assert_allclose(found.F(psi), expected.F(psi), atol=1e-7)
     np.testing.assert_allclose(found.G(psi), expected.G(psi), atol=1e-9)
+
+
+# ---- identified from their own responses ------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore:the outputs .* do not determine")  # two positions, four states
+@pytest.mark.parametrize(
+    "system",
+    [mathieu(), flapping_blade(), coupled_oscillators(), meissner(damping=0.1)],
+    ids=["mathieu", "blade", "coupled", "meissner"],
+)
+def test_exponents_come_back_from_a_record(system):
+    """Inputs new in every period, then free decay; period-synchronous, the truth not shown."""
+    S, n_periods, rng = 64, 60, np.random.default_rng(0)
+    t = pd.Index(np.arange(S * n_periods) * system.period / S, name="time")
+    levels = np.zeros((n_periods, system.n_inputs))
+    levels[2:20] = rng.choice([-1.0, 1.0], (18, system.n_inputs))
+    u = pd.DataFrame(levels.repeat(S, axis=0), t, list(system.input_names))
+    y = pd.DataFrame(system.simulate(u, t), t, list(system.output_names))
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(system.omega, hop="period")),
+            ("identify", MOESPRegressor(order=system.n_states)),
+            ("reduce", SpuriousModeReducer()),
+            ("match", StructuredMatcher(structure=HarmonicStructure())),
+        ]
+    ).fit(u, y)
+    expected = system.floquet_exponents()
+    found = pipe["match"].ltp_.floquet_exponents()
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.max(np.abs(expected)))
