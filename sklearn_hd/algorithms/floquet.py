@@ -27,8 +27,10 @@ __all__ = [
     "harmonic_decomposition",
     "monodromy_exponents",
     "monodromy_matrix",
+    "on_branch",
     "participation_factors",
     "propagate_periodic",
+    "state_units",
     "toeplitz_matrix",
     "transition_matrices",
 ]
@@ -110,6 +112,9 @@ def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
 def monodromy_exponents(monodromy, omega):
     """Floquet exponents λ = log(μ) / T of a monodromy matrix with eigenvalues μ.
 
+    Multipliers more than some ten decades below the largest are lost in the matrix
+    already; :mod:`~sklearn_hd.algorithms.floquet_exponents` keeps them.
+
     Known only up to multiples of jω; the branch with imaginary part in
     (−ω/2, ω/2] is returned, sorted from the rightmost leftwards, conjugate pairs
     with the negative imaginary part first.
@@ -129,9 +134,13 @@ def monodromy_exponents(monodromy, omega):
     >>> monodromy_exponents(np.diag([np.exp(-2.0), 1.0]), 2 * np.pi).real.tolist()
     [0.0, -2.0]
     """
-    period = 2.0 * np.pi / omega
     multipliers = linalg.eigvals(monodromy).astype(complex)
-    exponents = np.log(multipliers) / period
+    return on_branch(np.log(multipliers) * omega / (2.0 * np.pi), omega)
+
+
+def on_branch(exponents, omega):
+    """Exponents with imaginary part in [−ω/2, ω/2], its lower edge moved to the upper, sorted."""
+    exponents = np.array(exponents, dtype=complex)
     edge = exponents.imag <= -0.5 * omega * (1.0 - 1e-12)
     exponents[edge] += 1j * omega
     return exponents[np.lexsort((exponents.imag, -exponents.real))]
@@ -446,7 +455,7 @@ def _transition_weights(steps):
 
 
 def state_units(F):
-    """Powers of two in which the states' couplings are of the same size."""
+    """Powers of two, shape (n,), in which the states' couplings are of the same size."""
     size = np.mean(np.abs(F(2.0 * np.pi * np.arange(16) / 16)), axis=0)
     pairs = size * size.T  # free of units
     size[~(pairs > COUPLED * np.max(pairs, initial=0.0))] = 0.0

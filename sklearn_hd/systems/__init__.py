@@ -1,7 +1,35 @@
 """Step 1 and what a model is: periodic systems, nonlinear and linear, and a catalog."""
 
-from sklearn_hd.systems.catalog import flapping_wing
+from sklearn_hd.systems.catalog import (
+    bittanti_colaneri,
+    coupled_oscillators,
+    duffing,
+    flapping_blade,
+    flapping_wing,
+    mathieu,
+    meissner,
+    vinograd,
+)
+from sklearn_hd.systems.harmonic_transfer import (
+    HarmonicTransferFunction,
+    estimate_harmonic_transfer_function,
+)
 from sklearn_hd.systems.ltp import FourierMatrix, LTPSystem
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 
-__all__ = ["FourierMatrix", "LTPSystem", "PeriodicSystem", "Trim", "flapping_wing"]
+__all__ = [
+    "FourierMatrix",
+    "HarmonicTransferFunction",
+    "LTPSystem",
+    "PeriodicSystem",
+    "Trim",
+    "bittanti_colaneri",
+    "coupled_oscillators",
+    "duffing",
+    "estimate_harmonic_transfer_function",
+    "flapping_blade",
+    "flapping_wing",
+    "mathieu",
+    "meissner",
+    "vinograd",
+]

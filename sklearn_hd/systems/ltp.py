@@ -6,41 +6,18 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd.algorithms import floquet
+from sklearn_hd.algorithms.floquet_exponents import floquet_exponents
 from sklearn_hd.algorithms.fourier import harmonic_labels
-from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, resize_harmonics
+from sklearn_hd.systems.harmonic_transfer import model_response
+from sklearn_hd.systems.periodic_matrix import (
+    FourierMatrix,
+    matrix_coefficients,
+    measure,
+    periodic_matrix,
+    precision,
+)
 
 __all__ = ["FourierMatrix", "LTPSystem"]
-
-
-class FourierMatrix:
-    """Periodic matrix M(ψ) = M_0 + Σ_k (M_kc cos kψ + M_ks sin kψ).
-
-    Parameters
-    ----------
-    coefficients : array_like, shape (2 K + 1, rows, columns)
-        Real coefficients in the order 0, 1c, 1s, ….
-
-    Examples
-    --------
-    >>> M = FourierMatrix(np.array([1.0, 0.5, 0.0]).reshape(3, 1, 1))
-    >>> M(np.array([0.0, np.pi])).ravel().tolist()
-    [1.5, 0.5]
-    """
-
-    def __init__(self, coefficients):
-        self.coefficients = np.array(coefficients, dtype=float)
-        if self.coefficients.ndim != 3 or len(self.coefficients) % 2 == 0:
-            raise ValueError(
-                f"Fourier coefficients have shape {self.coefficients.shape}; give an array of "
-                f"shape (2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
-            )
-
-    def __call__(self, psi):
-        """Values at azimuths psi, shape (n_points,) -> (n_points, rows, columns)."""
-        return evaluate_harmonics(self.coefficients, psi)
-
-    def __repr__(self):
-        return f"FourierMatrix(shape={self.coefficients.shape})"
 
 
 class LTPSystem:
@@ -107,16 +84,16 @@ class LTPSystem:
         if not (np.isfinite(omega) and omega > 0):
             raise ValueError(f"omega={omega} must be a positive frequency in rad/s")
         self.omega = float(omega)
-        self.F, (n, columns) = _periodic_matrix(F, "F")
-        self.G, (rows, m) = _periodic_matrix(G, "G")
+        self.F, (n, columns) = periodic_matrix(F, "F")
+        self.G, (rows, m) = periodic_matrix(G, "G")
         if n != columns or rows != n:
             raise ValueError(
                 f"F is {n} x {columns} and G is {rows} x {m}; F must be square, with as many "
                 f"rows as G"
             )
         measures_states = P is None
-        self.P, (n_outputs, columns) = _periodic_matrix(np.eye(n) if P is None else P, "P")
-        self.Q, shape = _periodic_matrix(np.zeros((n_outputs, m)) if Q is None else Q, "Q")
+        self.P, (n_outputs, columns) = periodic_matrix(np.eye(n) if P is None else P, "P")
+        self.Q, shape = periodic_matrix(np.zeros((n_outputs, m)) if Q is None else Q, "Q")
         if columns != n or shape != (n_outputs, m):
             raise ValueError(
                 f"P is {n_outputs} x {columns} and Q is {shape[0]} x {shape[1]}; with {n} states "
@@ -163,11 +140,11 @@ class LTPSystem:
         F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
             In the order 0, 1c, 1s, …; jumps within the period cost no accuracy.
         """
-        return tuple(_coefficients(M, n_harmonics) for M in (self.F, self.G, self.P, self.Q))
+        return tuple(matrix_coefficients(M, n_harmonics) for M in (self.F, self.G, self.P, self.Q))
 
     def monodromy(self, start=0.0):
         """Transition matrix over one period that begins at azimuth ``start`` (radians)."""
-        tolerance = max(1e-14, _precision(self.F))
+        tolerance = max(1e-14, precision(self.F))
         return floquet.monodromy_matrix(self.F, self.omega, start=start, tolerance=tolerance)
 
     def floquet_exponents(self):
@@ -180,9 +157,11 @@ class LTPSystem:
         Returns
         -------
         exponents : complex ndarray, shape (n_states,)
-            In 1/s.
+            In 1/s. Right also where multipliers e^{λT} differ by a hundred decades,
+            which :meth:`monodromy` cannot hold.
         """
-        return floquet.monodromy_exponents(self.monodromy(), self.omega)
+        tolerance = max(1e-14, precision(self.F))
+        return floquet_exponents(self.F, self.omega, tolerance=tolerance)
 
     def harmonic_decomposition(self, n_harmonics, n_input_harmonics=None, n_output_harmonics=None):
         """Time-invariant model of the harmonics of the states (Eqs. 8 and 9).
@@ -227,6 +206,59 @@ class LTPSystem:
             inputs=harmonic_names(self.input_names, M),
             outputs=harmonic_names(self.output_names, L),
         )
+
+    def harmonic_transfer_function(
+        self,
+        frequencies,
+        n_harmonics,
+        *,
+        sample_time=None,
+        tolerance=1e-8,
+        max_internal_harmonics=128,
+    ):
+        """Response to u e^{jΩt}, harmonic by harmonic.
+
+            y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
+
+        from T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q), the Toeplitz form of the harmonic
+        decomposition, whose internal harmonics are doubled until nothing changes.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n_frequencies,)
+            Ω in rad/s.
+        n_harmonics : int
+            N, harmonics of inputs and outputs.
+        sample_time : float, optional
+            Seconds. The response from sample to sample of inputs held between
+            them, as :meth:`simulate` holds them: what records made that way are to be
+            compared with. It is exact, also for matrices that jump. There must be a
+            whole number of samples in a period.
+        tolerance : float, default=1e-8
+            Largest change on doubling the internal harmonics, relative to the largest
+            block.
+        max_internal_harmonics : int, default=128
+            Bound on the internal harmonics; a ConvergenceWarning says what is left.
+
+        Returns
+        -------
+        response : HarmonicTransferFunction
+            With ``response`` H_n(jΩ) and ``blocks`` H_{p,q}(jΩ).
+
+        References
+        ----------
+        N. M. Wereley, S. R. Hall, "Frequency response of linear time periodic
+        systems", 29th IEEE Conference on Decision and Control (1990).
+
+        Examples
+        --------
+        >>> system = LTPSystem([[-1.0]], [[1.0]], omega=5.0)
+        >>> response = system.harmonic_transfer_function([0.0, 1.0], 1)
+        >>> response.harmonic(0).ravel().round(12).tolist()
+        [(1+0j), (0.5-0.5j)]
+        """
+        N = check_harmonics(n_harmonics, "n_harmonics")
+        return model_response(self, frequencies, N, sample_time, tolerance, max_internal_harmonics)
 
     def participation_factors(self, n_harmonics):
         """Participation of each harmonic of each state in each mode of the HD model.
@@ -324,18 +356,18 @@ class LTPSystem:
         x0 = check_state(x0, u.shape[:-2], self.state_names)
         psi = self.omega * t
         intervals = psi[: _intervals_of_a_period(psi) + 1]
-        tolerance = max(1e-14, _precision(self.F, self.G))
+        tolerance = max(1e-14, precision(self.F, self.G))
         Phi, Gamma = floquet.transition_matrices(
             self.F, self.G, intervals, self.omega, tolerance=tolerance
         )
         which = np.arange(len(t)) % len(Phi)
         forcing = np.einsum("kij,...kj->...ki", Gamma[which], u)
         x = floquet.propagate_periodic(Phi, forcing, x0)
-        y = _measure(self.P, x, psi) + _measure(self.Q, u, psi)
+        y = measure(self.P, x, psi) + measure(self.Q, u, psi)
         return (y, x) if return_states else y
 
     def _hd_matrix(self, n_harmonics):
-        F = _coefficients(self.F, 2 * n_harmonics)
+        F = matrix_coefficients(self.F, 2 * n_harmonics)
         return floquet.toeplitz_matrix(F, n_harmonics, n_harmonics) - floquet.derivative_matrix(
             n_harmonics, self.n_states, self.omega
         )
@@ -409,37 +441,6 @@ def check_harmonics(value, parameter):
     return int(value)
 
 
-def _periodic_matrix(matrix, name):
-    """Callable of ψ and the shape of its value."""
-    if not callable(matrix):
-        values = np.asarray(matrix, dtype=float)
-        if values.ndim not in (2, 3):
-            raise ValueError(
-                f"{name} has shape {values.shape}; give a matrix (rows, columns), Fourier "
-                f"coefficients (2 K + 1, rows, columns), or a callable of psi"
-            )
-        matrix = FourierMatrix(values[None] if values.ndim == 2 else values)
-    shape = np.shape(matrix(np.zeros(2)))
-    if len(shape) != 3 or shape[0] != 2:
-        raise ValueError(
-            f"{name} returned an array of shape {shape} for two azimuths; a callable of psi with "
-            f"shape (n_points,) must return (n_points, rows, columns)"
-        )
-    return matrix, shape[1:]
-
-
-def _coefficients(matrix, n_harmonics):
-    if isinstance(matrix, FourierMatrix):
-        return resize_harmonics(matrix.coefficients, n_harmonics)
-    tolerance = max(1e-13, _precision(matrix))
-    return floquet.fourier_coefficients(matrix, n_harmonics, tolerance=tolerance)
-
-
-def _precision(*matrices):
-    """Relative error of the values themselves, where a matrix states it (differences do)."""
-    return max(getattr(matrix, "precision", 0.0) for matrix in matrices)
-
-
 def _harmonic_sizes(vectors):
     """|c_k| + |c_−k| of each harmonic from real-order coefficients (2N + 1, …)."""
     cosines, sines = vectors[1::2], vectors[2::2]
@@ -460,14 +461,3 @@ def _intervals_of_a_period(psi):
     k = np.arange(len(psi))
     expected = psi[k % p] + 2.0 * np.pi * (k // p)
     return p if np.max(np.abs(psi - expected)) < 1e-10 else n_intervals
-
-
-def _measure(matrix, signals, psi):
-    """M(ψ_k) s_k for each sample, the samples taken in blocks."""
-    if isinstance(matrix, FourierMatrix) and len(matrix.coefficients) == 1:
-        return signals @ matrix.coefficients[0].T
-    blocks = [
-        np.einsum("kij,...kj->...ki", matrix(psi[k : k + 4096]), signals[..., k : k + 4096, :])
-        for k in range(0, len(psi), 4096)
-    ]
-    return np.concatenate(blocks, axis=-2)

@@ -1,4 +1,4 @@
-"""Named periodic systems of the literature, their parameters as keyword arguments."""
+"""The flapping wing whose identification the paper reports."""
 
 from dataclasses import dataclass
 

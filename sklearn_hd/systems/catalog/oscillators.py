@@ -1,0 +1,273 @@
+"""Oscillators whose stiffness is periodic, and one that makes it so by itself."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd.systems.ltp import LTPSystem
+from sklearn_hd.systems.periodic import PeriodicSystem
+
+__all__ = ["coupled_oscillators", "duffing", "mathieu", "meissner"]
+
+
+def mathieu(a=2.0, q=0.5, *, damping=0.1):
+    """Damped Mathieu oscillator, driven by a force.
+
+        ÿ + d ẏ + (a − 2q cos 2t) y = u
+
+    States and outputs are ``y`` and ``y_dot``, the input is ``u``; the period is π s.
+    With ν(a, q) the characteristic exponent of the undamped equation, the Floquet
+    exponents are −d/2 ± j ν(a − d²/4, q), up to multiples of 2j.
+
+    Parameters
+    ----------
+    a, q : float
+        Mean stiffness and half the amplitude of its change.
+    damping : float, default=0.1
+        d in 1/s; 0 gives Mathieu's own equation.
+
+    Returns
+    -------
+    system : LTPSystem
+
+    References
+    ----------
+    N. W. McLachlan, *Theory and Application of Mathieu Functions*, Oxford, 1947;
+    NIST Digital Library of Mathematical Functions, section 28.2.
+
+    Examples
+    --------
+    >>> exponents = mathieu(2.0, 0.5, damping=0.0).floquet_exponents()
+    >>> print(f"{abs(exponents[0].imag):.10f}")
+    0.6304914303
+    """
+    F = np.zeros((3, 2, 2))
+    F[0] = [[0.0, 1.0], [-a, -damping]]
+    F[1, 1, 0] = 2.0 * q
+    return LTPSystem(F, [[0.0], [1.0]], omega=2.0, state_names=["y", "y_dot"], input_names=["u"])
+
+
+def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, damping=0.0):
+    """Oscillator whose stiffness switches between two values within the period.
+
+        ÿ + d ẏ + (s − m ψ) y = u,   ψ = +1 for t ≤ p T, else −1
+
+    States and outputs are ``y`` and ``y_dot``, the input is ``u``. The monodromy
+    matrix is the product of two matrix exponentials. The defaults are unstable:
+    their multipliers are −0.878096922 and −1.138826449.
+
+    Parameters
+    ----------
+    stiffness, modulation : float
+        s and m in 1/s².
+    share : float, default=1/3
+        p, the part of the period with the lower stiffness, in (0, 1).
+    period : float
+        T in seconds.
+    damping : float, default=0.0
+        d in 1/s.
+
+    Returns
+    -------
+    system : LTPSystem
+
+    References
+    ----------
+    E. Meissner, "Über Schüttelerscheinungen in Systemen mit periodisch
+    veränderlicher Elastizität", Schweizerische Bauzeitung 72 (1918), 95–98.
+
+    Examples
+    --------
+    >>> multipliers = np.linalg.eigvals(meissner().monodromy())
+    >>> np.sort(multipliers.real).round(9).tolist()
+    [-1.138826449, -0.878096922]
+    """
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"share={share} must lie between 0 and 1")
+    return LTPSystem(
+        _SwitchedStiffness(stiffness, modulation, share, damping),
+        [[0.0], [1.0]],
+        omega=2.0 * np.pi / period,
+        state_names=["y", "y_dot"],
+        input_names=["u"],
+    )
+
+
+def coupled_oscillators(
+    *,
+    frequencies=(1.0, 1.7),
+    damping_ratios=(0.06, 0.04),
+    coupling=((0.2, 0.4), (0.5, 0.3)),
+    omega=2.3,
+):
+    """Two oscillators coupled by a periodic stiffness, each driven by a force.
+
+        ẍ_i + 2 ζ_i ω_i ẋ_i + ω_i² x_i + cos ψ Σ_j e_ij x_j = u_i,   i = 1, 2
+
+    States ``x1``, ``x2``, ``x1_dot``, ``x2_dot``; outputs the positions ``x1`` and
+    ``x2``; inputs ``u1`` and ``u2``. The exponents sum to −2 Σ ζ_i ω_i. Near
+    ω = ω_1 + ω_2 the two resonate together: undamped, and for small e, solutions
+    grow like e^{σt} with σ = √(e_12 e_21 / (ω_1 ω_2)) / 4.
+
+    Parameters
+    ----------
+    frequencies : pair of float
+        Natural frequencies ω_1 and ω_2 in rad/s.
+    damping_ratios : pair of float
+        ζ_1 and ζ_2.
+    coupling : array_like, shape (2, 2)
+        e_ij in 1/s².
+    omega : float
+        Frequency of the excitation in rad/s.
+
+    Returns
+    -------
+    system : LTPSystem
+
+    References
+    ----------
+    C. S. Hsu, "On the Parametric Excitation of a Dynamic System Having Multiple
+    Degrees of Freedom", Journal of Applied Mechanics 30 (1963), 367–372; A. H.
+    Nayfeh, D. T. Mook, *Nonlinear Oscillations*, Wiley, 1979, section 5.4.
+
+    Examples
+    --------
+    >>> system = coupled_oscillators()
+    >>> system.n_states, system.n_inputs
+    (4, 2)
+    >>> bool(np.isclose(system.floquet_exponents().sum().real, -2 * (0.06 * 1.0 + 0.04 * 1.7)))
+    True
+    """
+    natural, ratios = np.asarray(frequencies, float), np.asarray(damping_ratios, float)
+    coupling = np.asarray(coupling, dtype=float)
+    if natural.shape != (2,) or ratios.shape != (2,) or coupling.shape != (2, 2):
+        raise ValueError(
+            f"frequencies, damping_ratios and coupling have shapes {natural.shape}, "
+            f"{ratios.shape} and {coupling.shape}; two oscillators take (2,), (2,) and (2, 2)"
+        )
+    F = np.zeros((3, 4, 4))
+    F[0, :2, 2:] = np.eye(2)
+    F[0, 2:, :2] = -np.diag(natural**2)
+    F[0, 2:, 2:] = -np.diag(2.0 * ratios * natural)
+    F[1, 2:, :2] = -coupling
+    return LTPSystem(
+        F,
+        np.vstack([np.zeros((2, 2)), np.eye(2)]),
+        np.hstack([np.eye(2), np.zeros((2, 2))]),
+        omega=omega,
+        state_names=["x1", "x2", "x1_dot", "x2_dot"],
+        output_names=["x1", "x2"],
+    )
+
+
+def duffing(*, damping=0.2, stiffness=1.0, hardening=1.0, amplitude=1.0, omega=1.5):
+    """Duffing oscillator under a periodic force, its trim the forced oscillation.
+
+        ẍ + δ ẋ + α x + β x³ = Γ cos ωt + u
+
+    States and outputs are ``x`` and ``x_dot``; the input ``u`` is a force beside the
+    periodic one, zero in trim. About the trim x* the stiffness α + 3β x*² is
+    periodic; the Floquet exponents sum to −δ.
+
+    Parameters
+    ----------
+    damping, stiffness, hardening : float
+        δ, α, β.
+    amplitude : float
+        Γ, amplitude of the periodic force.
+    omega : float
+        ω in rad/s.
+
+    Returns
+    -------
+    system : PeriodicSystem
+
+    Notes
+    -----
+    Near resonance there may be three periodic solutions. The trim starts from the
+    smallest balance of the first harmonic,
+
+        ((α − ω² + 3/4 β A²)² + δ² ω²) A² = Γ²
+
+    another ``guess`` finds the others.
+
+    References
+    ----------
+    G. Duffing, *Erzwungene Schwingungen bei veränderlicher Eigenfrequenz*, Vieweg,
+    1918; A. H. Nayfeh, D. T. Mook, *Nonlinear Oscillations*, Wiley, 1979, section 4.1.
+
+    Examples
+    --------
+    >>> system = duffing()
+    >>> ltp = system.linearize(system.trim(20))
+    >>> bool(np.isclose(ltp.floquet_exponents().sum().real, -0.2))
+    True
+    """
+    oscillator = _Duffing(damping, stiffness, hardening, amplitude, omega)
+    return PeriodicSystem(
+        oscillator,
+        period=2.0 * np.pi / omega,
+        state_names=["x", "x_dot"],
+        input_names=["u"],
+        jacobian=oscillator.jacobian,
+        trim_guess=oscillator.trim_guess(),
+    )
+
+
+@dataclass(frozen=True)
+class _SwitchedStiffness:
+    """F(ψ) of Meissner's equation."""
+
+    stiffness: float
+    modulation: float
+    share: float
+    damping: float
+
+    def __call__(self, psi):
+        early = np.mod(psi, 2.0 * np.pi) <= 2.0 * np.pi * self.share
+        F = np.zeros((len(psi), 2, 2))
+        F[:, 0, 1], F[:, 1, 1] = 1.0, -self.damping
+        F[:, 1, 0] = -self.stiffness + self.modulation * np.where(early, 1.0, -1.0)
+        return F
+
+
+@dataclass(frozen=True)
+class _Duffing:
+    """Right-hand side of Duffing's equation and its derivatives."""
+
+    damping: float
+    stiffness: float
+    hardening: float
+    amplitude: float
+    omega: float
+
+    def __call__(self, x, u, t):
+        position, speed = x
+        spring = self.stiffness * position + self.hardening * position**3
+        force = self.amplitude * np.cos(self.omega * t) + u[0]
+        return np.array([speed, force - self.damping * speed - spring])
+
+    def jacobian(self, x, u, t):
+        F = np.zeros((len(t), 2, 2))
+        F[:, 0, 1], F[:, 1, 1] = 1.0, -self.damping
+        F[:, 1, 0] = -self.stiffness - 3.0 * self.hardening * x[0] ** 2
+        G = np.zeros((len(t), 2, 1))
+        G[:, 1, 0] = 1.0
+        return F, G, np.broadcast_to(np.eye(2), F.shape), np.zeros(G.shape)
+
+    def trim_guess(self):
+        """Smallest first harmonic that balances the force: A cos(ψ − δ)."""
+        detuning, cubic = self.stiffness - self.omega**2, 0.75 * self.hardening
+        loss = self.damping * self.omega
+        squares = np.roots(
+            [cubic**2, 2.0 * cubic * detuning, detuning**2 + loss**2, -(self.amplitude**2)]
+        )
+        real = squares[(np.abs(squares.imag) < 1e-9) & (squares.real >= 0.0)].real
+        square = np.min(real) if len(real) else 0.0  # none: undamped, at resonance
+        size, stiffness = np.sqrt(square), detuning + cubic * square
+        phase = np.arctan2(loss, stiffness)
+        cosine, sine = size * np.cos(phase), size * np.sin(phase)
+        coefficients = np.zeros((3, 2))
+        coefficients[1] = [cosine, self.omega * sine]
+        coefficients[2] = [sine, -self.omega * cosine]
+        return coefficients, np.zeros(1)

@@ -1,0 +1,382 @@
+"""Harmonic transfer functions of models and of records, in one labelled form."""
+
+import warnings
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from sklearn.exceptions import ConvergenceWarning
+
+from sklearn_hd._validation import (
+    check_count,
+    check_finite,
+    check_period,
+    check_positive,
+    check_same_rows,
+    read_time,
+    signal_names,
+)
+from sklearn_hd.algorithms.floquet import transition_matrices
+from sklearn_hd.algorithms.harmonic_transfer import (
+    effective_averages,
+    estimate_harmonic_transfer,
+    harmonic_transfer_blocks,
+    held_harmonic_transfer,
+    segment_plan,
+)
+from sklearn_hd.systems.periodic_matrix import matrix_coefficients, precision
+
+__all__ = ["HarmonicTransferFunction", "estimate_harmonic_transfer_function"]
+
+AVERAGES = 10  # independent segments for each unknown, where the length is left open
+FEWEST_PERIODS = 4  # in a segment, for a window to tell harmonics apart
+UNEVEN = 1e-3  # of the sample time, by which a row may be off
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicTransferFunction:
+    """Frequency response H_n(jΩ) of a linear time-periodic system.
+
+        u(t) = u e^{jΩt}   →   y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
+
+    Made by :meth:`LTPSystem.harmonic_transfer_function` and
+    :func:`estimate_harmonic_transfer_function`.
+
+    Attributes
+    ----------
+    omega : float
+        Fundamental frequency, rad/s.
+    frequencies : ndarray, shape (n_frequencies,)
+        Ω of the input, in rad/s.
+    response : complex ndarray, shape (n_frequencies, 2 N + 1, n_outputs, n_inputs)
+        H_n(jΩ), n from −N to N. H_n(−jΩ) is the conjugate of H_−n(jΩ).
+    input_names, output_names : tuple of str
+    blocks : complex ndarray, shape (n_frequencies, 2 N + 1, 2 N + 1, n_outputs, n_inputs)
+        Of models: H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)) from input harmonic q to output
+        harmonic p, both from −N to N. None for estimates.
+    std : ndarray, shape of ``response``
+        Of estimates: standard deviation √E|Ĥ − H|². None for models.
+    coherence : ndarray, shape (n_frequencies, 2 N + 1, n_outputs)
+        Of estimates: share of the output's power at Ω + nω that the inputs account
+        for, by all their harmonics together. None for models.
+    n_averages : float
+        Of estimates: independent segments averaged. None for models.
+    """
+
+    omega: float
+    frequencies: np.ndarray = field(repr=False)
+    response: np.ndarray = field(repr=False)
+    input_names: tuple
+    output_names: tuple
+    blocks: np.ndarray | None = field(default=None, repr=False)
+    std: np.ndarray | None = field(default=None, repr=False)
+    coherence: np.ndarray | None = field(default=None, repr=False)
+    n_averages: float | None = None
+
+    @property
+    def n_harmonics(self):
+        """N, the highest harmonic."""
+        return self.response.shape[1] // 2
+
+    def harmonic(self, n):
+        """H_n(jΩ), shape (n_frequencies, n_outputs, n_inputs), for one n from −N to N."""
+        if abs(n) > self.n_harmonics:
+            raise ValueError(
+                f"harmonic {n} is not among −{self.n_harmonics} … {self.n_harmonics}; ask for "
+                f"n_harmonics={abs(n)} or more"
+            )
+        return self.response[:, self.n_harmonics + n]
+
+    def to_frame(self, what="response"):
+        """The response, or its ``"std"``, as a table.
+
+        Returns
+        -------
+        table : DataFrame
+            Index: frequency in rad/s; columns: (output, input, harmonic).
+        """
+        if what not in ("response", "std") or getattr(self, what) is None:
+            raise ValueError(f"what={what!r} is not here; use 'response', or 'std' of an estimate")
+        columns = pd.MultiIndex.from_product(
+            [self.output_names, self.input_names, self._harmonics()],
+            names=["output", "input", "harmonic"],
+        )
+        flat = getattr(self, what).transpose(0, 2, 3, 1).reshape(len(self.frequencies), -1)
+        return pd.DataFrame(flat, pd.Index(self.frequencies, name="frequency"), columns)
+
+    def misfit(self, model):
+        """Distance of a model from this estimate, in standard deviations.
+
+            √ mean_Ω |Ĥ_n − H_n|² / std²
+
+        Near 1, the two agree within the noise; a model's error shows as more.
+
+        Parameters
+        ----------
+        model : HarmonicTransferFunction
+            At the same frequencies, of the same signals, with as many harmonics or more.
+
+        Returns
+        -------
+        misfit : DataFrame, n_outputs · n_inputs rows by 2 N + 1 harmonics
+        """
+        if self.std is None:
+            raise ValueError("a misfit needs standard deviations: call misfit of the estimate")
+        same = (self.input_names, self.output_names) == (model.input_names, model.output_names)
+        extra = model.n_harmonics - self.n_harmonics
+        if not same or extra < 0 or not np.array_equal(self.frequencies, model.frequencies):
+            raise ValueError(
+                "estimate and model differ in signals, harmonics or frequencies; compute the "
+                "model's at estimate.frequencies, with estimate.n_harmonics"
+            )
+        others = model.response[:, extra : extra + 2 * self.n_harmonics + 1]
+        deviation = np.abs(self.response - others) / self.std
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # nowhere excited: NaN
+            rms = np.sqrt(np.nanmean(deviation**2, axis=0))
+        index = pd.MultiIndex.from_product(
+            [self.output_names, self.input_names], names=["output", "input"]
+        )
+        columns = pd.Index(self._harmonics(), name="harmonic")
+        return pd.DataFrame(rms.transpose(1, 2, 0).reshape(len(index), -1), index, columns)
+
+    def _harmonics(self):
+        return range(-self.n_harmonics, self.n_harmonics + 1)
+
+
+def model_response(system, frequencies, N, sample_time, tolerance, max_internal_harmonics):
+    """Harmonic transfer function of an LTPSystem."""
+    frequencies = check_frequencies(frequencies)
+    if sample_time is None:
+        blocks = _continuous_blocks(system, frequencies, N, tolerance, max_internal_harmonics)
+    else:
+        blocks = _held_blocks(system, frequencies, N, sample_time)
+    return HarmonicTransferFunction(
+        system.omega,
+        frequencies,
+        blocks[:, :, N],
+        system.input_names,
+        system.output_names,
+        blocks=blocks,
+    )
+
+
+def check_frequencies(frequencies):
+    """Frequencies as a finite array of one dimension."""
+    frequencies = np.atleast_1d(np.asarray(frequencies, dtype=float))
+    if frequencies.ndim != 1 or not np.all(np.isfinite(frequencies)):
+        raise ValueError(
+            f"frequencies of shape {frequencies.shape} must be finite numbers in rad/s, in one "
+            f"dimension"
+        )
+    return frequencies
+
+
+def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
+    def coefficients(k):
+        matrices = (system.F, system.G, system.P, system.Q)
+        return tuple(matrix_coefficients(M, k) for M in matrices)
+
+    blocks, change = harmonic_transfer_blocks(
+        coefficients,
+        system.omega,
+        frequencies,
+        N,
+        tolerance=tolerance,
+        max_harmonics=max_internal_harmonics(N, max_harmonics),
+    )
+    if change > tolerance:
+        warnings.warn(
+            f"the harmonic transfer function still changes by {change:.2g} of its largest value "
+            f"at the {max_harmonics} internal harmonics allowed (tolerance {tolerance:g}); F, G, "
+            f"P or Q has kinks or jumps: raise max_internal_harmonics, or give sample_time, which "
+            f"needs no truncation",
+            ConvergenceWarning,
+            stacklevel=4,
+        )
+    return blocks
+
+
+def max_internal_harmonics(N, bound):
+    """Bound on the internal harmonics, checked."""
+    hint = f"it must exceed n_harmonics={N} by enough to converge"
+    return check_count("max_internal_harmonics", bound, N + 1, hint)
+
+
+def _held_blocks(system, frequencies, N, sample_time):
+    hint = "it is the time for which inputs are held"
+    dt = check_positive("sample_time", sample_time, "seconds", hint)
+    S = check_period(system.omega, dt, N)
+    psi = 2.0 * np.pi * np.arange(S + 1) / S
+    Phi, Gamma = transition_matrices(
+        system.F,
+        system.G,
+        psi,
+        system.omega,
+        tolerance=max(1e-14, precision(system.F, system.G)),
+    )
+    P, Q = system.P(psi[:-1]), system.Q(psi[:-1])
+    blocks = np.empty(
+        (len(frequencies), 2 * N + 1, 2 * N + 1, system.n_outputs, system.n_inputs), dtype=complex
+    )
+    for q in range(-N, N + 1):  # H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)), p − q modulo S
+        shifted = frequencies + q * system.omega
+        wide = held_harmonic_transfer(Phi, Gamma, P, Q, shifted, dt, 2 * N)
+        blocks[:, :, N + q] = wide[:, N - q : 3 * N - q + 1]
+    return blocks
+
+
+def estimate_harmonic_transfer_function(
+    u,
+    y,
+    omega,
+    n_harmonics,
+    *,
+    periods_per_segment=None,
+    window="hann",
+    overlap=0.5,
+    sample_time=None,
+    time_origin=None,
+):
+    """Harmonic transfer function of a record, no model between.
+
+    The record is cut into overlapping, windowed segments. At each frequency, least
+    squares over the segments tells apart the shares of the output that come from
+    different input harmonics, Y(Ω) = Σ_n H_n(j(Ω − nω)) U(Ω − nω): all inputs must move
+    at all these frequencies in ways that vary from segment to segment, as noise, random
+    steps and multisines with changing phases do. Subtract the trim first: a periodic
+    waveform in y spoils the frequencies near multiples of ω.
+
+    Parameters
+    ----------
+    u, y : DataFrame, Series or ndarray
+        Inputs and outputs with the same rows. The index is the time, ψ = ωt, in
+        seconds; a (record, time) MultiIndex holds several records. Gaps start a new
+        segment.
+    omega : float
+        Fundamental frequency, rad/s.
+    n_harmonics : int
+        N: harmonics −N … N of the response are told apart; those beyond count as
+        noise.
+    periods_per_segment : int, optional
+        Length of a segment in periods of ω. It should last ten time constants of the
+        slowest mode or more: what leaks where resonances are narrower than ω / periods
+        is a bias that ``std`` does not know. By default the longest that leave ten
+        independent segments for each of the (2N + 1) m unknowns.
+    window : str or tuple, default="hann"
+        As for :func:`scipy.signal.get_window`.
+    overlap : float, default=0.5
+        Share of a segment that the next one repeats, from 0 to below 1.
+    sample_time : float, optional
+        Seconds from row to row of arrays, which start at ψ = 0.
+    time_origin : str, optional
+        The instant of ψ = 0 where the index holds dates.
+
+    Returns
+    -------
+    estimate : HarmonicTransferFunction
+        With ``std``, ``coherence`` and ``n_averages``; at frequencies from 0 to half
+        the sampling frequency less Nω.
+
+    Raises
+    ------
+    ValueError
+        If the records are too short for the harmonics asked, or unevenly sampled.
+
+    References
+    ----------
+    A. Siddiqi, *Identification of the Harmonic Transfer Functions of a Helicopter
+    Rotor*, M.S. thesis, MIT, 2001 (who smooths over frequency what is averaged over
+    segments here); S. Hwang, *Frequency domain system identification of helicopter
+    rotor dynamics incorporating models with time periodic coefficients*, Ph.D. thesis,
+    University of Maryland, 1997.
+
+    Examples
+    --------
+    Modulation, y = cos(ψ) u, has H_1 = H_−1 = 1/2:
+
+    >>> t = np.arange(6000) * 0.1
+    >>> u = pd.Series(np.random.default_rng(0).standard_normal(6000), t, name="u")
+    >>> y = (np.cos(2.0 * t) * u).rename("y")
+    >>> estimate = estimate_harmonic_transfer_function(u, y, 2.0, 1)
+    >>> bool(np.allclose(estimate.harmonic(1), 0.5))
+    True
+    >>> bool(np.allclose(estimate.harmonic(0), 0.0, atol=1e-12))
+    True
+    """
+    omega = check_positive("omega", omega, "rad/s", "the fundamental frequency")
+    N = check_count("n_harmonics", n_harmonics, 0, "harmonics of the response")
+    if not 0.0 <= overlap < 1.0:
+        raise ValueError(f"overlap={overlap} must be from 0 to below 1, a share of the segment")
+    check_same_rows(u, y)
+    base = read_time(u, sample_time, time_origin)
+    dt = base.sample_time
+    if base.jitter[1] > UNEVEN * dt:
+        raise ValueError(
+            f"rows are unevenly spaced, off a grid of {dt:.6g} s by up to {base.jitter[1]:.2g} s; "
+            f"resample them first"
+        )
+    inputs, input_names = _signals(u, "u", base)
+    outputs, output_names = _signals(y, "y", base)
+    if np.pi / dt <= N * omega:
+        raise ValueError(
+            f"harmonic {N} of omega={omega:.6g} rad/s lies beyond half the sampling frequency, "
+            f"{np.pi / dt:.6g} rad/s; sample faster or lower n_harmonics"
+        )
+    lengths = [segment.stop - segment.start for segment in base.segments]
+    n_unknowns = (2 * N + 1) * len(input_names)
+    n_segment = _segment_length(
+        lengths, 2.0 * np.pi / (omega * dt), n_unknowns, periods_per_segment, window, overlap
+    )
+    frequencies, response, std, coherence, n_averages = estimate_harmonic_transfer(
+        [inputs[segment] for segment in base.segments],
+        [outputs[segment] for segment in base.segments],
+        [base.time[segment] for segment in base.segments],
+        omega,
+        N,
+        n_segment,
+        window=window,
+        overlap=overlap,
+    )
+    return HarmonicTransferFunction(
+        omega,
+        frequencies,
+        response,
+        input_names,
+        output_names,
+        std=std,
+        coherence=coherence,
+        n_averages=float(n_averages),
+    )
+
+
+def _signals(data, what, base):
+    """Values of shape (n_rows, n_signals) and their names."""
+    names = signal_names(data, what)
+    values = np.asarray(data, dtype=float).reshape(len(data), -1)
+    check_finite(values, names, base.time, what)
+    return values, names
+
+
+def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, overlap):
+    """Samples of a segment that leaves enough averages, chosen or checked."""
+
+    def averages(n_periods):
+        n_segment = round(n_periods * samples_per_period)
+        weights, step = segment_plan(n_segment, window, overlap)
+        counts = [max(0, (length - n_segment) // step + 1) for length in lengths]
+        return sum(effective_averages(weights, step, count) for count in counts)
+
+    if periods is None:
+        longest = int(max(lengths) / samples_per_period)
+        candidates = range(max(longest, FEWEST_PERIODS), FEWEST_PERIODS, -1)
+        enough = (p for p in candidates if averages(p) >= AVERAGES * n_unknowns)
+        periods = next(enough, FEWEST_PERIODS)
+    periods = check_count("periods_per_segment", periods, 1, "periods of omega in a segment")
+    if averages(periods) <= n_unknowns:
+        raise ValueError(
+            f"the records hold {averages(periods):.3g} independent segments of {periods} periods, "
+            f"but the harmonics of all inputs are {n_unknowns} unknowns at each frequency; lower "
+            f"periods_per_segment or n_harmonics, or give longer records"
+        )
+    return round(periods * samples_per_period)
