@@ -270,7 +270,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         check_outputs_given(y)
         truth, simulated, rows = self._fitted_simulation(X, y)
-        weight = None if sample_weight is None else _weights(sample_weight, len(y))[rows]
+        weight = weights_of(rows, sample_weight, len(y))
         unit = _power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
@@ -417,8 +417,10 @@ def _float_types(y, n_outputs):
     return types if len(types) == n_outputs else types[:1] * n_outputs
 
 
-def _weights(sample_weight, n_samples):
-    """Sample weights as floats, after checking that they fit the rows."""
+def weights_of(rows, sample_weight, n_samples):
+    """Weights of the rows that count, after checking that there is one for each row."""
+    if sample_weight is None:
+        return None
     try:
         weight = np.asarray(sample_weight, dtype=float)
     except (TypeError, ValueError):
@@ -428,4 +430,9 @@ def _weights(sample_weight, n_samples):
             f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
             f"each of the {n_samples} rows"
         )
-    return weight
+    if not weight[rows].any():
+        raise ValueError(
+            f"sample_weight is zero on all {len(rows)} rows that are scored (warm-up and "
+            f"incomplete periods are not); give some of them a weight"
+        )
+    return weight[rows]

@@ -74,8 +74,13 @@ def read_time(data, sample_time=None, time_origin=None):
     index = getattr(data, "index", None)
     if not isinstance(index, pd.Index):
         index = pd.RangeIndex(len(data))
+    if isinstance(index, pd.MultiIndex) and index.nlevels == 1:
+        index = index.get_level_values(0)
     bounds = _record_bounds(index)
-    times = index.get_level_values(-1) if isinstance(index, pd.MultiIndex) else index
+    times = index
+    if isinstance(index, pd.MultiIndex):
+        times = index.get_level_values(-1)
+        _check_last_level(index)
     seconds, counted = _seconds(times, sample_time, time_origin)
     for a, b in itertools.pairwise(bounds):
         _check_increasing(seconds, a, b)
@@ -144,6 +149,25 @@ def _record_bounds(index):
     return [0, *starts.tolist(), len(index)]
 
 
+def _check_last_level(index):
+    """Raise ValueError if the times stand above the records."""
+    *above, last = [_may_be_time(level) for level in index.levels]
+    if last or not any(above):
+        return
+    counted = pd.api.types.is_integer_dtype(index.levels[-1].dtype)
+    if not counted or len(index.droplevel(-1).unique()) * SHORT > len(index):
+        raise ValueError(
+            f"the last level of the index, {index.names[-1]!r}, has dtype "
+            f"{index.levels[-1].dtype}, and a level above it looks like the times; the order is "
+            f"(record, time): data.swaplevel().sort_index()"
+        )
+
+
+def _may_be_time(level):
+    dates = isinstance(level, pd.DatetimeIndex | pd.TimedeltaIndex)
+    return dates or pd.api.types.is_float_dtype(level.dtype)
+
+
 def _label(index, row):
     """Label of the record of a row: a tuple where there are several levels above the time."""
     if not isinstance(index, pd.MultiIndex):
@@ -183,6 +207,8 @@ def _conversion(times):
         way = "data.index.astype(float)"
     elif kind in ("datetime", "date") or (kind == "string" and _reads(_to_dates, times)):
         way = "pd.to_datetime(data.index)"
+    elif kind == "period":
+        way = "data.index.to_timestamp()"
     return "" if way is None else f" (though its labels read as one: data.set_axis({way}))"
 
 

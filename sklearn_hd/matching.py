@@ -23,7 +23,7 @@ from sklearn_hd._refinement import (
     uncertainty,
 )
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import check_choice, check_count, check_positive
+from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
@@ -206,7 +206,7 @@ class StructuredMatcher(ModelStep):
         -------
         self : StructuredMatcher
         """
-        self._check_settings()
+from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
         experiment, model = upstream(self, X, y)
         structure = self.structure
         if structure is not None and not isinstance(structure, MatrixStructure | HarmonicStructure):

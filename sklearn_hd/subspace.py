@@ -160,7 +160,6 @@ class MOESPRegressor(ModelStep):
         lengths = [len(u) for u in inputs]
         self._check_order()
         self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
-        self._check_rank_bound(n_outputs)
         moving = _moving_inputs(inputs, experiment)
         _check_outputs_move(experiment)
         _warn_idle(moving, experiment)
@@ -302,6 +301,7 @@ class MOESPRegressor(ModelStep):
                 f"the window's own memory is mistaken for dynamics; use block_rows={window + 2} or "
                 f"more, or a larger hop"
             )
+        self._check_rank_bound(i, n_outputs)
         # the future inputs, i m rows, are projected out of j = n_rows − 2 i + 1 columns
         if sliding:
             self._check_rows_per_period(basis)
@@ -336,12 +336,12 @@ class MOESPRegressor(ModelStep):
                 )
             check_count("order", self.order, 1, "'auto' chooses it")
 
-    def _check_rank_bound(self, n_outputs):
-        bound = (self.block_rows_ - 1) * n_outputs
+    def _check_rank_bound(self, block_rows, n_outputs):
+        bound = (block_rows - 1) * n_outputs
         if self.order != "auto" and self.order > bound:
             raise ValueError(
                 f"order={self.order} exceeds the rank bound {bound} of block_rows="
-                f"{self.block_rows_} with {n_outputs} outputs; lower order or raise block_rows"
+                f"{block_rows} with {n_outputs} outputs; lower order or raise block_rows"
             )
 
     def _warn_excitation(self, R, n_inputs, n_moving, experiment):

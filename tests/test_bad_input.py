@@ -14,6 +14,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd.exceptions import ExcitationWarning, UnstableModelError
+from sklearn_hd.model_selection import fit_percent_scorer
 
 OMEGA = 2 * np.pi
 SPP = 16
@@ -284,6 +285,10 @@ MOESP = {
         {"order": 24, "block_rows": 8},
         r"order=24 exceeds the rank bound 21 of block_rows=8 with 3 outputs; lower order or raise",
     ),
+    "order far above": (
+        {"order": 10**6, "block_rows": 8},
+        r"order=1000000 exceeds the rank bound 21 of block_rows=8 with 3 outputs",
+    ),
     "block rows": (
         {"block_rows": 1.5},
         r"block_rows must be a whole number of at least 2, got 1.5",
@@ -355,6 +360,8 @@ STRUCTURES = {
         r"names its outputs \['a', 'b', 'c'\], the identified model \['w_0', 'v_1c', 'v_1s'\]",
     ),
     "tolerance": ({"tol": 0}, r"tol must be a positive number in units of the norm, got 0"),
+    "switch": ({"scale": "no"}, r"scale must be True or False, got 'no'"),
+    "seed": ({"random_state": "x"}, r"random_state must be a whole number of at least 0, got 'x'"),
     "iterations": ({"max_iter": 0}, r"max_iter must be a whole number of at least 1, got 0"),
 }
 
@@ -494,6 +501,10 @@ def test_weights_targets_and_initial_states(u, y):
             model.score(u, y[["w"]], sample_weight=weight)
     with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
         model.score(u, y[["w"]], sample_weight=["a"] * len(u))
+    with pytest.raises(ValueError, match=r"sample_weight is zero on all \d+ rows that are scored"):
+        model.score(u, y[["w"]], sample_weight=np.arange(len(u)) < 5)
+    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+        fit_percent_scorer()(model, u, y[["w"]], sample_weight=["a"] * len(u))
     for x0 in ("abc", [[1.0], [1.0, 2.0]]):
         with pytest.raises(ValueError, match=r"holds no numbers, or states of different lengths"):
             model.predict(u, x0=x0)

@@ -91,9 +91,27 @@ NO_TIMES = {
         pd.Index([pd.Timestamp("2026-05-01").date()] * 20, dtype=object),
         r"pd.to_datetime\(data.index\)",
     ),
+    "periods": (pd.period_range("2026", periods=20, freq="s"), r"data.index.to_timestamp\(\)"),
     "text": (pd.Index(list("abcdefghijklmnopqrst")), r"which is no time; use seconds"),
     "truth": (pd.Index([True, False] * 10), r"dtype bool, which is no time; use seconds"),
 }
+
+
+@pytest.mark.parametrize("labels", [["a", "b"], [1, 2]])
+def test_levels_in_the_wrong_order(labels):
+    data = pd.concat({label: frame(TIMES) for label in labels}, names=["record", "time"])
+    with pytest.raises(ValueError, match=r"the last level of the index, 'record', .*swaplevel\(\)"):
+        read_time(data.swaplevel().sort_index())
+    back = read_time(data.swaplevel().sort_index().swaplevel().sort_index())
+    assert back.records == tuple(labels)
+    by_speed = pd.concat({speed: frame(np.arange(20)) for speed in (9.5, 12.0)})
+    assert read_time(by_speed).records == (9.5, 12.0)  # counted rows of records named by numbers
+
+
+def test_one_level_is_a_plain_index():
+    base = read_time(frame(pd.MultiIndex.from_arrays([TIMES])))
+    assert base.records == (0,)
+    assert base.sample_time == 1 / 16
 
 
 @pytest.mark.parametrize("case", NO_TIMES)

@@ -7,7 +7,7 @@ import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd._base import ModelStep, scored_simulation
+from sklearn_hd._base import ModelStep, scored_simulation, weights_of
 from sklearn_hd._data import as_container, to_float
 
 
@@ -113,8 +113,7 @@ def _simulate(estimator, X, y, sample_weight):
                 f"in one, or use scikit-learn's own scorers"
             )
     truth, simulated, rows = scored_simulation(step, X, y)
-    weight = None if sample_weight is None else np.asarray(sample_weight, dtype=float)[rows]
-    return step, truth, simulated, weight
+    return step, truth, simulated, weights_of(rows, sample_weight, len(y))
 
 
 def fit_percent(y_true, y_pred, *, sample_weight=None):
