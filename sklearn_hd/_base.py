@@ -8,8 +8,8 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
+from sklearn_hd._containers import as_container
 from sklearn_hd._data import (
-    as_container,
     as_frame,
     check_features,
     hop_means,

@@ -206,7 +206,7 @@ class StructuredMatcher(ModelStep):
         -------
         self : StructuredMatcher
         """
-from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
+        self._check_settings()
         experiment, model = upstream(self, X, y)
         structure = self.structure
         if structure is not None and not isinstance(structure, MatrixStructure | HarmonicStructure):
@@ -230,6 +230,9 @@ from sklearn_hd._validation import check_choice, check_count, check_flag, check_
         check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
         check_count("max_iter", self.max_iter, 1, "100 is usual")
         check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
+        check_flag("scale", self.scale)
+        if self.random_state is not None:
+            check_count("random_state", self.random_state, 0, "it is the seed of the starts")
 
     def _store(self, match):
         self.periodic_ = match.periodic

@@ -7,8 +7,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
+from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import as_container, lifted_periods, read_experiment, rows_read
+from sklearn_hd._data import lifted_periods, read_experiment, rows_read
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short

@@ -25,6 +25,14 @@ def nltp():
     return make_flapping_wing("nltp", amplitude=0.005)
 
 
+@pytest.fixture(scope="session")
+def lti():
+    """Noisy coefficients of a third-order system, excited throughout."""
+    return make_flapping_wing(
+        "lti", input="multisine", n_periods=80, samples_per_period=16, snr=20, random_state=0
+    )
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(20241018)

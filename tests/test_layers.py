@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_arithmetic", "_validation", "_threads", "_time", "_states"},
+    {"exceptions", "_arithmetic", "_validation", "_threads", "_time", "_states", "_containers"},
     {"algorithms"},
     {"systems", "structures"},
     {"_frame"},

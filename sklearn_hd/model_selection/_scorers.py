@@ -8,7 +8,7 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd._base import ModelStep, scored_simulation, weights_of
-from sklearn_hd._data import as_container, to_float
+from sklearn_hd._containers import as_container, to_float
 
 
 def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
