@@ -232,7 +232,7 @@ def test_skops_keeps_a_structure(tmp_path, short):
         "sklearn_hd._frame.Reading",
         "sklearn_hd.algorithms.structured_model.AffineStructure",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
-        "sklearn_hd.matching.MatrixStructure",
+        "sklearn_hd.structures._matrix.MatrixStructure",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.reduction.SpuriousModeReducer",
         "sklearn_hd.subspace.MOESPRegressor",
