@@ -300,6 +300,8 @@ def test_exponent_std_is_that_of_central_differences(oscillator, stiffness):
 def test_std_of_what_depends_on_unidentified_parameters_is_infinite():
     covariance = np.array([[4.0, np.nan], [np.nan, np.inf]])
     assert propagate_std([[3.0, 0.0], [1.0, 1.0]], covariance).tolist() == [6.0, np.inf]
+    std = propagate_std([[3.0 + 1.0j, 0.0], [1.0, 1.0j]], covariance)
+    assert std.tolist() == [complex(6.0, 2.0), complex(2.0, np.inf)]
 
 
 # ---- bad input ----------------------------------------------------------------------------

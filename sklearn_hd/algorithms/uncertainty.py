@@ -134,9 +134,10 @@ def propagate_std(jacobian, covariance):
     """
     jacobian = np.asarray(jacobian)
     if np.iscomplexobj(jacobian):
-        return propagate_std(jacobian.real, covariance) + 1j * propagate_std(
-            jacobian.imag, covariance
-        )
+        std = np.empty(jacobian.shape[:-1], dtype=complex)  # 1j times infinity would be NaN
+        std.real = propagate_std(jacobian.real, covariance)
+        std.imag = propagate_std(jacobian.imag, covariance)
+        return std
     unknown = ~np.isfinite(np.diag(covariance))
     known = np.where(unknown[:, None] | unknown, 0.0, covariance)
     variance = np.einsum("...i,ij,...j->...", jacobian, known, jacobian)
