@@ -11,6 +11,7 @@ from sklearn_hd.algorithms.simulation import (
     discrete_to_continuous,
     frequency_response,
     propagate,
+    real_logarithm,
 )
 
 
@@ -85,3 +86,16 @@ def test_units_of_the_inputs_scale_b_alone(rng, unit):
     A_again, B_again = discrete_to_continuous(A_d, B_d, 0.1)
     np.testing.assert_allclose(A_again, A, atol=1e-10)
     np.testing.assert_allclose(B_again / units, B, atol=1e-10)
+
+
+def test_logarithms_are_judged_by_their_residual():
+    """SciPy warns of the first, which is good to 1e-10, as of the second, which is wrong."""
+
+    def nearly_defective(gap):
+        return np.array([[1e-6, 1e3, 0.0], [0.0, 1.0, 1e3], [0.0, 0.0, 1.0 + gap]])
+
+    matrix = nearly_defective(1e-3)
+    found = linalg.expm(real_logarithm(matrix))
+    assert linalg.norm(found - matrix) < 1e-8 * linalg.norm(matrix)
+    with pytest.raises(ValueError, match=r"matrix logarithm of this model is good to .* only"):
+        real_logarithm(nearly_defective(1e-12))

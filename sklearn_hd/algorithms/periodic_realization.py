@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares
 
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.simulation import propagate, real_logarithm
 
 __all__ = [
     "FloquetShapes",
@@ -299,7 +299,7 @@ def floquet_logarithm(Phi, period):
     to_original = Z.copy()
     to_original[:, n_flips:] += Z[:, :n_flips] @ X
     parts = [-upper[:n_flips, :n_flips], upper[n_flips:, n_flips:]]
-    logarithms = [np.real(linalg.logm(part)) / period if len(part) else part for part in parts]
+    logarithms = [real_logarithm(part) / period if len(part) else part for part in parts]
     flips = np.arange(len(Phi)) < n_flips
     return linalg.block_diag(*logarithms)[-len(Phi) :, -len(Phi) :], to_original, flips
 

@@ -9,7 +9,13 @@ import warnings
 import numpy as np
 from scipy import linalg
 
-__all__ = ["continuous_to_discrete", "discrete_to_continuous", "frequency_response", "propagate"]
+__all__ = [
+    "continuous_to_discrete",
+    "discrete_to_continuous",
+    "frequency_response",
+    "propagate",
+    "real_logarithm",
+]
 
 LOGARITHM_TOLERANCE = 1e-6
 
@@ -106,16 +112,28 @@ def discrete_to_continuous(A, B, dt):
         return A.copy(), B.copy()
     block, columns = np.zeros((n + m, n + m)), _column_sizes(B)
     block[:n, :n], block[:n, n:], block[n:, n:] = A, B / columns, np.eye(m)
+    logarithm = real_logarithm(block)
+    return logarithm[:n, :n] / dt, logarithm[:n, n:] * columns / dt
+
+
+def real_logarithm(matrix):
+    """Principal logarithm of a matrix that has a real one.
+
+    Raises
+    ------
+    ValueError
+        If its exponential misses the matrix by 1e-6 or more.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # judged below, by the residual
-        logarithm = np.real(linalg.logm(block))
-    rest = linalg.norm(linalg.expm(logarithm) - block) / linalg.norm(block)
+        logarithm = np.real(linalg.logm(matrix))
+    rest = linalg.norm(linalg.expm(logarithm) - matrix) / linalg.norm(matrix)
     if not rest <= LOGARITHM_TOLERANCE:
         raise ValueError(
             f"the matrix logarithm of this model is good to {rest:.1g} only (nearly defective or "
             f"very fast poles); drop such modes (SpuriousModeReducer does) or lower the order"
         )
-    return logarithm[:n, :n] / dt, logarithm[:n, n:] * columns / dt
+    return logarithm
 
 
 def _column_sizes(B):
