@@ -165,16 +165,19 @@ class Problem:
             cost = self.cost(rss) if np.all(np.isfinite(rss)) else np.inf
         return Point(theta, x0, rss, cost, response.spectral_radius)
 
-    def linearise(self, point, noise=None, *, parameters=True):
-        """Least-squares system for a step from a point."""
-        noise = self.noise(point.rss) if noise is None else noise
+    def factors(self, point, *, parameters=True):
+        """Triangular factors of [∂ŷ/∂x0, ∂ŷ/∂θ, ŷ − y], one array (l, c, c) a segment."""
         response = self.response(point.theta, sensitivities=parameters)
-        factors = [
+        return [
             jacobian_factors(response, record, start, free_x0=self.free_x0)
             for record, start in zip(self.records, point.x0, strict=True)
         ]
+
+    def linearise(self, point, noise=None, *, parameters=True):
+        """Least-squares system for a step from a point."""
+        noise = self.noise(point.rss) if noise is None else noise
         n0 = self.structure.n_states if self.free_x0 else 0
-        return eliminate_states(factors, noise, n0)
+        return eliminate_states(self.factors(point, parameters=parameters), noise, n0)
 
     def predicted_cost(self, system, step, x0_step):
         """Cost at a step if the outputs were linear in it."""

@@ -13,16 +13,19 @@ filter representation", AIAA J. 9 (1971); R. V. Jategaonkar, *Flight Vehicle Sys
 Identification*, 2006, chapter 4.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood import likelihood_problem
+from sklearn_hd.algorithms.likelihood import Point, likelihood_problem
+from sklearn_hd.algorithms.noisy_inputs import noisy_input_problem
 
 __all__ = ["OutputErrorResult", "output_error"]
 
 STALLED = 1e-2  # fall of the cost per residual; at rounding nothing better can be had
 FIRST_DAMPING = 1e-6
+SETTLED = 1e-3  # relative change of noise levels; far below their own error
+SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
 DAMPING_LIMIT = 1e8  # times the squared singular values: steps have become rounding
 
 
@@ -98,6 +101,7 @@ def output_error(
     free_initial_state=True,
     x0=None,
     sigma=None,
+    input_sigma=None,
     max_iter=50,
     tol=1e-8,
     keep_stable=True,
@@ -127,6 +131,9 @@ def output_error(
         Initial states, or where to start them; zero, or fitted at theta0, by default.
     sigma : array_like, shape (l,), optional
         Standard deviations of the noise; estimated by default.
+    input_sigma : array_like, shape (m,), optional
+        Standard deviations of white noise in the inputs as measured, which the system
+        does not feel: total least squares. By default inputs are exact.
     max_iter : int, default=50
         Largest number of Jacobians.
     tol : float, default=1e-8
@@ -161,6 +168,24 @@ def output_error(
         structure, segments, omega, n_phases, observe, free_initial_state, sigma
     )
     point = _start(problem, theta0, x0)
+    options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable}
+    search = _search(problem, point, **options)
+    if input_sigma is None:
+        return _result(problem, search)
+    return _with_noisy_inputs(problem, search, input_sigma, options)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Where a search ended."""
+
+    point: Point
+    n_iter: int
+    converged: bool
+
+
+def _search(problem, point, *, max_iter, tol, keep_stable):
+    """Damped Gauss-Newton steps until the next one is not worth taking."""
     damping, converged = FIRST_DAMPING, False
     for n_iter in range(1, max_iter + 1):  # noqa: B007 -- read after the loop
         system = problem.linearise(point)
@@ -174,7 +199,40 @@ def output_error(
         converged = converged or (stalled and problem.at_rounding(point))
         if converged:
             break
-    return _result(problem, point, n_iter, converged)
+    return _Search(point, n_iter, converged)
+
+
+def _with_noisy_inputs(problem, search, input_sigma, options):
+    """Total least squares from where least squares ended, the outputs' noise in turn with it."""
+    input_sigma = np.asarray(input_sigma, dtype=float)
+    if input_sigma.shape != (problem.structure.n_inputs,) or not np.all(input_sigma >= 0):
+        raise ValueError(
+            f"input_sigma={input_sigma.tolist()} must hold a standard deviation, zero or more, "
+            f"for each of {problem.structure.n_inputs} inputs"
+        )
+    sigma, n_iter, settled = problem.noise(search.point.rss), search.n_iter, False
+    smallest = SMALLEST_SHARE * sigma
+    for _ in range(options["max_iter"]):
+        noisy = noisy_input_problem(problem, sigma, input_sigma)
+        search = _search(noisy, noisy.point(search.point.theta, search.point.x0), **options)
+        n_iter += search.n_iter
+        if problem.sigma is not None:
+            settled = True
+            break
+        old, sigma = sigma, np.maximum(noisy.updated_output_sigma(search.point), smallest)
+        settled = bool(np.all(np.abs(sigma - old) <= SETTLED * old))
+        if settled:
+            break
+    search = _Search(search.point, n_iter, search.converged and settled)
+    plain = problem.point(search.point.theta, search.point.x0)
+    result = _result(noisy, search)
+    return replace(
+        result,
+        sigma=sigma,
+        cost=noisy.likelihood(search.point),
+        n_parameters=result.n_parameters + (len(sigma) if problem.sigma is None else 0),
+        fit_percent=_fit_percent(problem, plain.rss),
+    )
 
 
 def _start(problem, theta0, x0):
@@ -228,27 +286,27 @@ def _damped_step(problem, point, system, damping, keep_stable):
     return None, damping
 
 
-def _result(problem, point, n_iter, converged):
-    """Estimates with their covariance at the point reached."""
-    structure, n_residuals = problem.structure, problem.n_residuals
+def _result(problem, search):
+    """Estimates with their covariance where a search ended."""
+    structure, point, n_residuals = problem.structure, search.point, problem.n_residuals
     n_fitted = structure.n_parameters + (point.x0.size if problem.free_x0 else 0)
-    noise = problem.noise(point.rss)
-    system = problem.linearise(point, noise)
+    system = problem.linearise(point)
     covariance, unknown = system.covariance()
+    sigma, n_noises = problem.noise(point.rss), 0
     if problem.sigma is None:
-        spent = n_fitted / n_residuals
+        spent, n_noises = n_fitted / n_residuals, len(sigma)
         correction = 1.0 / np.sqrt(1.0 - spent) if spent < 1.0 else np.inf
-        noise, covariance = noise * correction, covariance * correction**2
+        sigma, covariance = sigma * correction, covariance * correction**2
     return OutputErrorResult(
         theta=point.theta,
         x0=list(point.x0),
-        sigma=noise,
+        sigma=sigma,
         covariance=covariance,
         cost=point.cost,
         n_residuals=n_residuals,
-        n_parameters=n_fitted + (len(noise) if problem.sigma is None else 0),
-        n_iter=n_iter,
-        converged=converged,
+        n_parameters=n_fitted + n_noises,
+        n_iter=search.n_iter,
+        converged=search.converged,
         relative_decrease=system.promised / n_residuals,
         unidentified=tuple(np.array(structure.parameter_names, dtype=object)[unknown]),
         fit_percent=_fit_percent(problem, point.rss),

@@ -110,32 +110,53 @@ def jacobian_factors(response, record, x0, *, free_x0=True):
     factors : ndarray, shape (l, c, c)
         Upper triangular; c = n + k + 1, or k + 1 with x0 known.
     """
+    difference = residuals(response, record, x0)
+    columns = n_columns(response, free_x0=free_x0) + 1
+    factors = np.zeros((difference.shape[1], columns, columns))
+    for start, stop, dy in output_sensitivities(response, record, x0, free_x0=free_x0):
+        block = np.concatenate([dy, difference[None, start:stop]])
+        for i, factor in enumerate(factors):
+            factors[i] = updated_factor(factor, block[:, :, i])
+    return factors
+
+
+def updated_factor(factor, columns):
+    """Triangular factor (c, c) with further rows: columns (c, n_rows) of the matrix."""
+    block = np.concatenate([factor.T, columns], axis=1).T  # in the order that LAPACK reads
+    return linalg.qr(block, mode="r", overwrite_a=True, check_finite=False)[0][: len(factor)]
+
+
+def n_columns(response, *, free_x0):
+    """Number of derivatives: by x0 if it is free, and by θ."""
+    n_parameters = 0 if response.dPsi is None else len(response.dPsi)
+    return n_parameters + (response.n_states if free_x0 else 0)
+
+
+def output_sensitivities(response, record, x0, *, free_x0=True):
+    """∂ŷ/∂x0 and ∂ŷ/∂θ of one record, piece by piece.
+
+    Yields
+    ------
+    start, stop : int
+        Samples of the piece.
+    dy : ndarray, shape (n_columns, stop − start, l)
+        Zero where an output is missing.
+    """
     Out = _rolled(response.Out, record.first_phase)
-    n, k = response.n_states, 0 if response.dPsi is None else len(response.dPsi)
+    n, columns = response.n_states, n_columns(response, free_x0=free_x0)
     n0 = n if free_x0 else 0
-    x, y = simulate(response, record, x0)
-    z = np.concatenate([x, record.inputs], axis=1)
-    difference = np.where(record.present, y - record.outputs, 0.0)
-    columns = n0 + k + 1
-    factors = np.zeros((y.shape[1], columns, columns))
-    carried = np.zeros((n0 + k, n))
+    moves = response.dOut is not None and response.dOut.any()
+    z = np.concatenate([simulate(response, record, x0)[0], record.inputs], axis=1)
+    carried = np.zeros((columns, n))
     carried[:n0] = np.eye(n)[:n0]
-    for start, stop in _pieces(len(z), max(len(response.Psi), len(Out)), columns, n, y.shape[1]):
+    n_phases = max(len(response.Psi), len(Out))
+    for start, stop in _pieces(len(z), n_phases, columns + 1, n, Out.shape[1]):
         dx = _state_sensitivities(response, record.first_phase, z[start : stop + 1], carried)
         carried, dx = dx[:, -1], dx[:, : stop - start]
         dy = _by_phase(Out[:, :, :n], dx)
-        if k and response.dOut.any():
-            dOut = _rolled(response.dOut, record.first_phase)
-            dy[n0:] += _by_phase(dOut, z[start:stop])
-        for i, factor in enumerate(factors):
-            block = np.empty((columns + stop - start, columns), order="F")
-            block[:columns] = factor
-            block[columns:, :-1] = np.where(record.present[start:stop, i], dy[:, :, i], 0.0).T
-            block[columns:, -1] = difference[start:stop, i]
-            factors[i] = linalg.qr(block, mode="r", overwrite_a=True, check_finite=False)[0][
-                :columns
-            ]
-    return factors
+        if moves:
+            dy[n0:] += _by_phase(_rolled(response.dOut, record.first_phase), z[start:stop])
+        yield start, stop, np.where(record.present[start:stop], dy, 0.0)
 
 
 def _state_sensitivities(response, first_phase, z, start):
