@@ -66,6 +66,8 @@ class HarmonicBasis:
         Periodic waveforms subtracted from the signals.
     reading : Reading
         How the user's rows are read.
+    small_signal : "odd", "extrapolate" or None
+        How records at several amplitudes are combined where a model is fitted.
     """
 
     omega: float
@@ -78,6 +80,7 @@ class HarmonicBasis:
     input_trim: np.ndarray | None = None
     output_trim: np.ndarray | None = None
     reading: Reading = field(default_factory=Reading)
+    small_signal: str | None = None
 
     @property
     def synchronous(self):

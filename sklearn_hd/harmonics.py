@@ -48,6 +48,7 @@ __all__ = ["HarmonicAnalyzer"]
 
 ROWS_PER_PERIOD = 8
 
+SMALL_SIGNAL = ("odd", "extrapolate")
 WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 
 
@@ -104,6 +105,15 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         between them shorter than the window, are neither fitted nor scored,
         bridged outputs are fitted but not scored. ``predict`` answers wherever
         the inputs are known, and with NaN where they are not.
+
+    small_signal : {"odd", "extrapolate"} or None, default=None
+        What model steps are fitted to where the records of a (record, time)
+        index hold one input waveform at several amplitudes, on the same times
+        and phases. ``"odd"``: pairs +u, −u become the record (u₊ − u₋)/2,
+        (y₊ − y₋)/2. ``"extrapolate"``: records at q amplitudes a become their
+        linear term y_1, scaled to the largest a, of y(a) = Σ_{p=1…q} a^p y_p.
+        Either way a response that is not linear in u biases the model less;
+        ``predict`` and ``score`` read every record as it is.
 
     Attributes
     ----------
@@ -188,6 +198,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         azimuth=None,
         time_origin=None,
         missing=RAISE,
+        small_signal=None,
     ):
         self.omega = omega
         self.input_harmonics = input_harmonics
@@ -199,6 +210,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         self.azimuth = azimuth
         self.time_origin = time_origin
         self.missing = missing
+        self.small_signal = small_signal
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
@@ -265,6 +277,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             inputs=kept_in,
             outputs=kept_out,
             reading=reading,
+            small_signal=self._checked_small_signal(),
         )
         self.basis_ = self._with_trim(basis, inputs, outputs)
         return self
@@ -328,6 +341,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             sampling, _, values = sample(inputs, basis, outputs)
             waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
+
+    def _checked_small_signal(self):
+        if self.small_signal is None:
+            return None
+        return check_choice("small_signal", self.small_signal, SMALL_SIGNAL)
 
     @within_range
     def transform(self, X):

@@ -8,8 +8,9 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import as_container, lifted_periods, read_experiment, rows_read
+from sklearn_hd._data import as_container, lifted_periods, rows_read
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short
 from sklearn_hd._validation import (
@@ -153,7 +154,7 @@ class MOESPRegressor(ModelStep):
             check_flag("scale", self.scale),
             check_flag("feedthrough", self.feedthrough),
         )
-        experiment = read_experiment(X, y)
+        experiment = read_for_fit(X, y)
         inputs, outputs = rows_read(experiment)
         excitation = self._excitation(experiment, inputs)
         n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
