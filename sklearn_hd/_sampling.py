@@ -9,9 +9,10 @@ mechanism serves every record that is not so:
 2. rows with missing samples are taken out; what is left of each segment is a
    *piece*;
 3. a piece whose places are one grid step apart is its own grid, and its values
-   pass unchanged, bit by bit. Any other (an azimuth, or jitter) gets the
-   multiples of the grid step that lie within it, and its signals are resampled
-   onto them: held inputs by their means, all else by splines;
+   pass unchanged, bit by bit. Any other (an azimuth, jitter, or no whole number
+   of samples in a period) gets the multiples of the grid step that lie within
+   it, and its signals are resampled onto them: held inputs by their means, all
+   else by splines;
 4. all that comes out, coefficients and predictions, is brought back to the
    user's own rows by the same splines; rows in no piece get NaN.
 """
@@ -140,7 +141,7 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     for segment, record in zip(base.segments, base.records, strict=True):
         for rows in _runs_of(present, segment):
             own = places[rows]
-            uniform = reading.azimuth is None and even(own, step)
+            uniform = not (reading.azimuth or reading.resampled) and even(own, step)
             grid = own if uniform else uniform_grid(own[0], own[-1], step)
             if len(grid) >= shortest or reading.missing == RAISE:
                 pieces.append(Piece(rows, own, grid, step))

@@ -23,3 +23,7 @@ class TimeBaseWarning(UserWarning):
 
 class JitterWarning(UserWarning):
     """Rows were not evenly spaced, and signals were resampled onto a uniform grid."""
+
+
+class ResamplingWarning(UserWarning):
+    """A period held no whole number of samples, and signals were resampled to one."""

@@ -36,18 +36,20 @@ from sklearn_hd._validation import (
     check_choice,
     check_harmonics,
     check_missing,
-    check_period,
     check_phase,
     check_rate,
     check_span,
+    whole_period,
 )
 from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
-from sklearn_hd.exceptions import TimeBaseWarning
+from sklearn_hd.algorithms.resampling import interpolation_error
+from sklearn_hd.exceptions import ResamplingWarning, TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]
 
 ROWS_PER_PERIOD = 8
 
+NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 SMALL_SIGNAL = ("odd", "extrapolate")
 WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 
@@ -127,8 +129,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     ------
     ValueError
         At ``fit``, if ω is not positive, the samples in a period are too few
-        for the harmonics kept or not a whole number, a signal is unknown, data
-        are not finite, steps are too uneven, or dates have no origin.
+        for the harmonics kept, a signal is unknown, data are not finite, steps
+        are too uneven, or dates have no origin.
 
     Warns
     -----
@@ -136,6 +138,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         If samples are counted, because no times are given.
     JitterWarning
         If rows are not evenly spaced in time.
+    ResamplingWarning
+        If a period holds no whole number of samples.
 
     Notes
     -----
@@ -144,6 +148,13 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     onto the multiples of the sample time, with a ``JitterWarning`` that says how
     much, and results are brought back to the rows given. A longer step that is
     a whole number of samples, within twice the jitter, starts a new segment.
+
+    *A period that is no whole number of samples* (64.02, where ω was rounded or
+    the clock is not tied to the machine; 50.3) is resampled onto one: the nearest
+    within 0.1 of a sample, else the next above, and a multiple of ``hop``. A
+    ``ResamplingWarning`` bounds the error of interpolation by leaving out every
+    second sample. Up to 0.001 samples a period, and 0.25 over a segment, count
+    as a whole number: the rows are then used as they are, each with its own ψ.
 
     *Azimuth.* The grid holds a whole number of samples a turn: the mean over the
     rows at fit, rounded up, and to a multiple of ``hop``. Its time is ψ/ω with ω
@@ -264,8 +275,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             kept_out = check_harmonics("output_harmonics", self.output_harmonics, output_names)
         highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
         if self.azimuth is None:
-            omega, spp, step = self._constant_speed(inputs.base, highest)
-            reading = replace(reading, sample_time=step)
+            omega, spp, step, resampled = self._constant_speed(inputs.base, highest)
+            own = inputs.base.sample_time if resampled else step
+            reading = replace(reading, sample_time=own, resampled=resampled)
         else:
             omega, spp, step = self._varying_speed(inputs, highest)
         basis = HarmonicBasis(
@@ -280,6 +292,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             small_signal=self._checked_small_signal(),
         )
         self.basis_ = self._with_trim(basis, inputs, outputs)
+        if reading.resampled:
+            self._warn_of_resampling(inputs, outputs)
         return self
 
     def _reading(self):
@@ -288,17 +302,26 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         return Reading(self.sample_time, origin, self.azimuth, check_missing(self.missing))
 
     def _constant_speed(self, base, highest):
-        """ω, samples in a period, and their distance in seconds."""
+        """ω, samples in a period of the grid, their distance, and whether all is resampled."""
         omega = float(self.omega)
-        spp = check_period(
-            omega,
-            base.sample_time,
-            highest,
-            base.uncertainty,
-            base.counted and self.sample_time is None,
-        )
+        counted = base.counted and self.sample_time is None
+        samples, whole = whole_period(omega, base, highest, counted)
+        if not whole:
+            near = abs(samples - round(samples)) <= NEAR_WHOLE
+            spp = round(samples) if near else self._samples_on_grid(samples, highest)
+            return omega, spp, 2.0 * np.pi / omega / spp, True
+        spp = round(samples)
         uneven = base.jitter[1] > 0.0  # then resampled, to fit the period exactly
-        return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time
+        return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time, False
+
+    def _samples_on_grid(self, samples, highest):
+        """Samples in a period of the grid: those given, rounded up to whole hops."""
+        least = samples - PERIOD_TOLERANCE
+        whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
+        unit = int(self.hop) if whole else 1
+        if self.hop is None:
+            unit = max(ROWS_PER_PERIOD, 2 * highest + 3)  # rows read a turn, of whole hops
+        return unit * int(np.ceil(least / unit))
 
     def _varying_speed(self, inputs, highest):
         """Mean ω, samples on the grid in a turn, and their distance in seconds."""
@@ -321,14 +344,45 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             highest,
             f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
         )
-        least = samples - PERIOD_TOLERANCE
-        whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
-        unit = int(self.hop) if whole else 1
-        if self.hop is None:
-            unit = max(ROWS_PER_PERIOD, 2 * highest + 3)  # rows read a turn, of whole hops
-        spp = unit * int(np.ceil(least / unit))
+        spp = self._samples_on_grid(samples, highest)
         omega = float(turned / passed)
         return omega, spp, 2.0 * np.pi / omega / spp
+
+    def _warn_of_resampling(self, inputs, outputs):
+        """Say which grid a period is resampled onto, and what that costs."""
+        basis, base = self.basis_, inputs.base
+        samples = 2.0 * np.pi / basis.omega / base.sample_time
+        warnings.warn(
+            f"omega={basis.omega:.9g} rad/s and a sample time of {base.sample_time:.9g} s give "
+            f"{samples:.6g} samples a period, not a whole number: signals are resampled onto "
+            f"{basis.samples_per_period} a period, and results brought back to the rows given. "
+            f"{self._resampling_error(inputs, outputs)}"
+            f"{round(samples)} samples a period would mean omega="
+            f"{2.0 * np.pi / base.sample_time / round(samples):.9g} rad/s",
+            ResamplingWarning,
+            stacklevel=3,
+        )
+
+    def _resampling_error(self, inputs, outputs):
+        """Bound of the error of the splines, in words; held inputs keep their areas."""
+        basis = self.basis_
+        smooth = ~basis.held
+        names = [basis.inputs[i][0] for i in np.flatnonzero(smooth)]
+        blocks = [inputs.data[:, smooth]]
+        if outputs is not None:
+            names += [signal for signal, _ in basis.outputs]
+            blocks.append(outputs)
+        if not names:
+            return ""
+        values, segments = np.hstack(blocks), inputs.base.segments
+        values = values - np.nanmean(values, axis=0)
+        values = np.where(np.isnan(values), 0.0, values)
+        longest = max(segments, key=lambda rows: rows.stop - rows.start)
+        error = interpolation_error(values[longest], inputs.base.time[longest])
+        size = np.sqrt(np.mean(values[longest] ** 2, axis=0))
+        shares = error / np.where(size > 0.0, size, 1.0)
+        listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
+        return f"Interpolation errs by at most (rms, in parts of each signal's) {listed}. "
 
     def _with_trim(self, basis, inputs, outputs):
         """The basis with the waveforms of inputs and outputs in trim, where asked for."""
