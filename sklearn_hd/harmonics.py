@@ -28,7 +28,7 @@ from sklearn_hd._frame import (
     Reading,
     coefficient_names,
 )
-from sklearn_hd._sampling import lay_grid
+from sklearn_hd._sampling import lay_grid, warn_of_resampling
 from sklearn_hd._time import why_short
 from sklearn_hd._validation import (
     PERIOD_TOLERANCE,
@@ -42,8 +42,7 @@ from sklearn_hd._validation import (
     whole_period,
 )
 from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
-from sklearn_hd.algorithms.resampling import interpolation_error
-from sklearn_hd.exceptions import ResamplingWarning, TimeBaseWarning
+from sklearn_hd.exceptions import TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]
 
@@ -293,7 +292,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         )
         self.basis_ = self._with_trim(basis, inputs, outputs)
         if reading.resampled:
-            self._warn_of_resampling(inputs, outputs)
+            warn_of_resampling(self.basis_, inputs, outputs)
         return self
 
     def _reading(self):
@@ -347,42 +346,6 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         spp = self._samples_on_grid(samples, highest)
         omega = float(turned / passed)
         return omega, spp, 2.0 * np.pi / omega / spp
-
-    def _warn_of_resampling(self, inputs, outputs):
-        """Say which grid a period is resampled onto, and what that costs."""
-        basis, base = self.basis_, inputs.base
-        samples = 2.0 * np.pi / basis.omega / base.sample_time
-        warnings.warn(
-            f"omega={basis.omega:.9g} rad/s and a sample time of {base.sample_time:.9g} s give "
-            f"{samples:.6g} samples a period, not a whole number: signals are resampled onto "
-            f"{basis.samples_per_period} a period, and results brought back to the rows given. "
-            f"{self._resampling_error(inputs, outputs)}"
-            f"{round(samples)} samples a period would mean omega="
-            f"{2.0 * np.pi / base.sample_time / round(samples):.9g} rad/s",
-            ResamplingWarning,
-            stacklevel=3,
-        )
-
-    def _resampling_error(self, inputs, outputs):
-        """Bound of the error of the splines, in words; held inputs keep their areas."""
-        basis = self.basis_
-        smooth = ~basis.held
-        names = [basis.inputs[i][0] for i in np.flatnonzero(smooth)]
-        blocks = [inputs.data[:, smooth]]
-        if outputs is not None:
-            names += [signal for signal, _ in basis.outputs]
-            blocks.append(outputs)
-        if not names:
-            return ""
-        values, segments = np.hstack(blocks), inputs.base.segments
-        values = values - np.nanmean(values, axis=0)
-        values = np.where(np.isnan(values), 0.0, values)
-        longest = max(segments, key=lambda rows: rows.stop - rows.start)
-        error = interpolation_error(values[longest], inputs.base.time[longest])
-        size = np.sqrt(np.mean(values[longest] ** 2, axis=0))
-        shares = error / np.where(size > 0.0, size, 1.0)
-        listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
-        return f"Interpolation errs by at most (rms, in parts of each signal's) {listed}. "
 
     def _with_trim(self, basis, inputs, outputs):
         """The basis with the waveforms of inputs and outputs in trim, where asked for."""
