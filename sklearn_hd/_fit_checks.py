@@ -10,6 +10,7 @@ from sklearn_hd.exceptions import FrequencyMismatchWarning, InstabilityWarning
 __all__ = ["warn_of_growing_data", "warn_of_growth", "warn_of_mismatch"]
 
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
+MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
 
 
@@ -52,13 +53,8 @@ def warn_of_growing_data(experiment, stacklevel=4):
         return
     spp, period = basis.samples_per_period, basis.samples_per_period * basis.sample_time
     for y in experiment.outputs:
-        n = len(y) // spp
-        size = np.sqrt(np.mean(y[len(y) - n * spp :].reshape(n, spp, -1) ** 2, axis=1))
-        size = size[:, np.argmax(size[-1])] if n > 2 else np.zeros(0)
-        if n < 3 or size[-1] < np.max(size):
-            continue
-        rate = np.log(size[-1] / max(size[n // 2], np.finfo(float).tiny)) / (n - 1 - n // 2)
-        if rate * n < np.log(LOST):
+        rate = _growth_rate(y, spp)
+        if rate * (len(y) // spp) < np.log(LOST):
             continue
         warnings.warn(
             f"outputs grow {np.exp(rate):.3g} times a period up to the last of the "
@@ -69,6 +65,23 @@ def warn_of_growing_data(experiment, stacklevel=4):
             stacklevel=stacklevel,
         )
         return
+
+
+def _growth_rate(y, spp):
+    """By how many e-folds a period outputs grow to the end of a segment; 0 where they do not."""
+    n = len(y) // spp
+    largest = np.max(np.abs(y), initial=0.0)
+    if n < MIN_PERIODS or largest == 0.0:
+        return 0.0
+    size = (y / largest)[len(y) - n * spp :].reshape(n, spp, -1)
+    size = np.sqrt(np.mean(size**2, axis=1))
+    size = size[:, np.argmax(size[-1])]
+    marks = [n // 2, (3 * n) // 4, n - 1]
+    if size[-1] < np.max(size) or np.min(size[marks]) == 0.0:
+        return 0.0  # it does not grow to the end, or was at rest for half of the segment
+    first, second = np.diff(np.log(size[marks])) / np.diff(marks)
+    steady = 0.5 * first < second < 2.0 * first  # growth by its own, not by an input that begins
+    return float(np.log(size[-1] / size[marks[0]]) / (n - 1 - marks[0])) if steady else 0.0
 
 
 def warn_of_growth(model, experiment, stacklevel=4):

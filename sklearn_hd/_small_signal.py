@@ -43,7 +43,7 @@ def _small_signal(experiment, how):
     labels = list(records)
     combinations = []
     for same_times in _on_the_same_grid(records, experiment):
-        inputs = [_joined(experiment.drive, records[label], same_times) for label in same_times]
+        inputs = [_joined(experiment.inputs, records[label], same_times) for label in same_times]
         for members, amplitudes in same_waveform(inputs):
             group = [list(same_times)[r] for r in members]
             _check_moves(how, group, amplitudes, labels)

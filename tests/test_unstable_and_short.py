@@ -98,6 +98,14 @@ def test_growth_that_hides_the_rest_is_the_reason_named(pipe):
     assert not any("outputs grow" in message for message in messages(pipe, X, y))
 
 
+def test_an_input_that_begins_late_is_no_growth():
+    X, y = record(orbit(-0.05), 60)
+    late = X.to_numpy()[::-1].copy()  # ends in the middle of its last step
+    late[-5 * SPP :] = 1.0
+    y[:] = orbit(-0.05).simulate(late, y.index.to_numpy())
+    assert messages(synchronous(), X.assign(u=late), y) == []
+
+
 def test_a_stable_orbit_is_not_called_unstable():
     X, y = record(orbit(-0.05), 60)
     noisy = y + 0.05 * y.std().to_numpy() * np.random.default_rng(0).standard_normal(y.shape)
