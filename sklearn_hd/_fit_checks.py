@@ -94,11 +94,11 @@ def warn_of_growth(model, experiment, stacklevel=4):
     rate = float(values.real.max())
     longest = max(len(u) for u in experiment.drive) * experiment.base.sample_time
     period = 2.0 * np.pi / experiment.basis.omega
-    folds = rate * longest
+    folds, multiplier = rate * longest, np.exp(min(rate * period, 700.0))
     if folds > 1.0:
         warnings.warn(
             f"the periodic orbit is unstable: a Floquet exponent of the model has the real part "
-            f"{rate:.4g} 1/s (a multiplier of size {np.exp(rate * period):.4g}), by which it grows "
+            f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), by which it grows "
             f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment of the "
             f"{experiment.span()}; simulate short spans from known states, or lower the order if "
             f"the orbit is known to be stable",

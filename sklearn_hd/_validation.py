@@ -299,37 +299,52 @@ def check_output_names(names, expected, where):
         )
 
 
-def whole_period(omega, base, highest_harmonic, counted=False):
+def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0, counted=False):
+    """Samples in a period, a whole number and enough for the harmonics kept.
+
+    ``uncertainty`` of the sample time, in seconds, widens what counts as whole;
+    ``counted`` says that there were no times.
+    """
+    lost = NO_TIMES if counted else ""
+    samples, whole = _samples(omega, sample_time, highest_harmonic, uncertainty, lost)
+    if not whole:
+        step = 2.0 * np.pi / omega / round(samples)
+        raise ValueError(
+            f"omega={omega:.9g} rad/s and a sample time of {sample_time:.9g} s give {samples:.6g} "
+            f"samples a period{lost}, not a whole number; resample to {round(samples)} samples a "
+            f"period (a sample time of {step:.9g} s) or correct omega"
+        )
+    return round(samples)
+
+
+def whole_period(omega, base, highest_harmonic):
     """Samples in a period, and whether they may be taken for the nearest whole number.
 
     They may if they miss it by less than the uncertainty of the sample time
     and a thousandth of a sample, and by less than a quarter over a segment.
-    ``counted`` says that there were no times, and then they must.
     """
-    period, sample_time = 2.0 * np.pi / omega, base.sample_time
-    samples = period / sample_time
-    check_rate(
-        samples,
-        highest_harmonic,
-        f"omega={omega:.6g} rad/s and a sample time of {sample_time:.6g} s give {samples:.4g} "
-        f"samples a period" + (NO_TIMES if counted else ""),
-    )
-    tolerance = PERIOD_TOLERANCE + 4.0 * samples * base.uncertainty / sample_time
-    whole = abs(samples - round(samples)) <= min(tolerance, 0.1)
+    samples, whole = _samples(omega, base.sample_time, highest_harmonic, base.uncertainty)
     if base.jitter[1] == 0.0:  # else rows are placed by their own times
-        step = period / round(samples)
+        step = 2.0 * np.pi / omega / round(samples)
         drift = [
             (base.time[s.stop - 1] - base.time[s.start]) / step - (s.stop - 1 - s.start)
             for s in base.segments
         ]
         whole = whole and np.max(np.abs(drift)) <= DRIFT_LIMIT
-    if counted and not whole:
-        raise ValueError(
-            f"omega={omega:.9g} rad/s and a sample time of {sample_time:.9g} s give {samples:.6g} "
-            f"samples a period{NO_TIMES}, not a whole number; resample to {round(samples)} samples "
-            f"a period (a sample time of {period / round(samples):.9g} s) or correct omega"
-        )
     return samples, bool(whole)
+
+
+def _samples(omega, sample_time, highest_harmonic, uncertainty, hint=""):
+    """Samples in a period, checked to be enough, and whether they are a whole number."""
+    samples = 2.0 * np.pi / omega / sample_time
+    check_rate(
+        samples,
+        highest_harmonic,
+        f"omega={omega:.6g} rad/s and a sample time of {sample_time:.6g} s give {samples:.4g} "
+        f"samples a period{hint}",
+    )
+    tolerance = PERIOD_TOLERANCE + 4.0 * samples * uncertainty / sample_time
+    return samples, abs(samples - round(samples)) <= min(tolerance, 0.1)
 
 
 def check_rate(samples, highest_harmonic, given):

@@ -36,6 +36,7 @@ from sklearn_hd._validation import (
     check_choice,
     check_harmonics,
     check_missing,
+    check_period,
     check_phase,
     check_rate,
     check_span,
@@ -303,8 +304,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     def _constant_speed(self, base, highest):
         """ω, samples in a period of the grid, their distance, and whether all is resampled."""
         omega = float(self.omega)
-        counted = base.counted and self.sample_time is None
-        samples, whole = whole_period(omega, base, highest, counted)
+        if base.counted and self.sample_time is None:  # times that were lost are no times
+            check_period(omega, base.sample_time, highest, counted=True)
+        samples, whole = whole_period(omega, base, highest)
         if not whole:
             near = abs(samples - round(samples)) <= NEAR_WHOLE
             spp = round(samples) if near else self._samples_on_grid(samples, highest)
