@@ -35,7 +35,7 @@ MAX_ROWS = 4000  # of a record are enough
 ROWS_PER_UNKNOWN = 5
 SPAN = 0.035  # relative, searched to either side
 PROBE = 3e-3  # relative step of the first look
-MISMATCH = 5e-4  # relative; the estimate from 60 periods at SNR 20 scatters by 1e-4
+MISMATCH = 5e-4  # relative; the estimate from 60 periods at SNR 20 scatters by 1.5e-4
 DRIFT = 0.02  # of a period, over the longest segment
 LESS = 1.1  # times less must be unexplained at the estimate; 0.3 % at SNR 20 gives 1.4
 SIGNIFICANCE = 150.0  # N log(J₀/J), N not all independent; 0.3 % at SNR 20 gives 1800
@@ -161,7 +161,10 @@ class _Repetition:
         self.inputs = [u[r] for u, r in zip(inputs, rows, strict=True)]
         self.times = [r * sample_time for r in rows]
         outputs = [_smooth(y, half) for y in outputs]
-        scale = np.std(np.vstack(outputs), axis=0)
+        stacked = np.vstack(outputs)
+        largest = np.max(np.abs(stacked), axis=0)
+        largest[largest == 0.0] = 1.0  # squares of very large or small units leave the range
+        scale = np.std(stacked / largest, axis=0) * largest
         scale = np.where(scale > 0.0, scale, 1.0)
         self.outputs = np.vstack([y[r] for y, r in zip(outputs, rows, strict=True)]) / scale
         self.splines = [
