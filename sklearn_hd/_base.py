@@ -18,6 +18,7 @@ from sklearn_hd._data import (
     read_signals,
 )
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._states import initial_states
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import STEP_TOLERANCE
@@ -51,7 +52,7 @@ def upstream(step, X, y):
                 f"in a Pipeline (with no step between them that makes a frame anew), or give it "
                 f"one: {type(step).__name__}(estimator=...)"
             )
-        return read_experiment(frame, y), frame.model
+        return read_for_fit(frame, y), frame.model
     if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
         isinstance(step.estimator, type)
     ):
@@ -66,7 +67,7 @@ def upstream(step, X, y):
             f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
             f"SpuriousModeReducer, or a Pipeline that ends in one"
         )
-    return read_experiment(frame, y), frame.model
+    return read_for_fit(frame, y), frame.model
 
 
 class SegmentSimulator:

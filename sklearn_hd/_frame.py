@@ -20,6 +20,7 @@ __all__ = ["HarmonicBasis", "HarmonicFrame", "LTIModel", "Reading"]
 
 PERIOD = "period"
 DUST = 1e-12
+HALF = 1e-6  # of a sample, so that rows halfway between two phases all go to the same side
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,16 @@ class Reading:
         Name of the column that holds ψ.
     missing : "raise", "gap" or float
         What becomes of NaN; a number is the longest run to bridge, in seconds.
+    resampled : bool
+        Whether rows are resampled even if evenly spaced, as no whole number of
+        them makes a period.
     """
 
     sample_time: float | None = None
     time_origin: str | None = FIRST
     azimuth: str | None = None
     missing: float | str = RAISE
+    resampled: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +71,8 @@ class HarmonicBasis:
         Periodic waveforms subtracted from the signals.
     reading : Reading
         How the user's rows are read.
+    small_signal : "odd", "extrapolate" or None
+        How records at several amplitudes are combined where a model is fitted.
     """
 
     omega: float
@@ -78,6 +85,7 @@ class HarmonicBasis:
     input_trim: np.ndarray | None = None
     output_trim: np.ndarray | None = None
     reading: Reading = field(default_factory=Reading)
+    small_signal: str | None = None
 
     @property
     def synchronous(self):
@@ -151,8 +159,17 @@ class HarmonicBasis:
         return self.omega * np.asarray(time)
 
     def phase_index(self, time):
-        """Sample within the period, 0 … samples_per_period − 1."""
-        return phase_index(time, self.omega, self.samples_per_period)
+        """Sample within the period of the rows of one segment, 0 … samples_per_period − 1.
+
+        Counted from the first row, so that a sample time that is off by a part
+        in a million moves no row into the neighbouring phase.
+        """
+        time = np.asarray(time)
+        if len(time) == 0:
+            return np.zeros(0, dtype=int)
+        first = time[0] * self.omega / (2.0 * np.pi) * self.samples_per_period
+        steps = np.rint((time - time[0]) / self.sample_time).astype(int)
+        return (int(np.floor(first + 0.5 + HALF)) + steps) % self.samples_per_period
 
     def coefficients(self, values, time, signals, rows):
         """Windowed coefficients of some signals at some rows of one segment.
@@ -258,12 +275,6 @@ def _without_dust(coefficients):
     """Coefficients of one signal, those that are but rounding beside the others set to zero."""
     size = np.abs(coefficients).max(axis=0, initial=0.0)
     return np.where(size > DUST * size.max(initial=0.0), coefficients, 0.0)
-
-
-def phase_index(time, omega, samples_per_period):
-    """Sample within the period nearest to each time, 0 … samples_per_period − 1."""
-    turns = np.asarray(time) * omega / (2.0 * np.pi)
-    return np.rint(turns * samples_per_period).astype(int) % samples_per_period
 
 
 def coefficient_names(signals):

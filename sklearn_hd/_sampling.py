@@ -9,23 +9,31 @@ mechanism serves every record that is not so:
 2. rows with missing samples are taken out; what is left of each segment is a
    *piece*;
 3. a piece whose places are one grid step apart is its own grid, and its values
-   pass unchanged, bit by bit. Any other (an azimuth, or jitter) gets the
-   multiples of the grid step that lie within it, and its signals are resampled
-   onto them: held inputs by their means, all else by splines;
+   pass unchanged, bit by bit. Any other (an azimuth, jitter, or no whole number
+   of samples in a period) gets the multiples of the grid step that lie within
+   it, and its signals are resampled onto them: held inputs by their means, all
+   else by splines;
 4. all that comes out, coefficients and predictions, is brought back to the
    user's own rows by the same splines; rows in no piece get NaN.
 """
 
 import itertools
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sklearn_hd._time import TimeBase, even
 from sklearn_hd._validation import RAISE
-from sklearn_hd.algorithms.resampling import held_means, interpolate, uniform_grid
+from sklearn_hd.algorithms.resampling import (
+    held_means,
+    interpolate,
+    interpolation_error,
+    uniform_grid,
+)
+from sklearn_hd.exceptions import ResamplingWarning
 
-__all__ = ["Sampling", "lay_grid"]
+__all__ = ["Sampling", "lay_grid", "warn_of_resampling"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +148,7 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     for segment, record in zip(base.segments, base.records, strict=True):
         for rows in _runs_of(present, segment):
             own = places[rows]
-            uniform = reading.azimuth is None and even(own, step)
+            uniform = not (reading.azimuth or reading.resampled) and even(own, step)
             grid = own if uniform else uniform_grid(own[0], own[-1], step)
             if len(grid) >= shortest or reading.missing == RAISE:
                 pieces.append(Piece(rows, own, grid, step))
@@ -173,3 +181,46 @@ def _runs_of(present, segment):
     inside = np.concatenate([[False], present[segment], [False]]).astype(int)
     edges = np.flatnonzero(np.diff(inside)) + segment.start
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def warn_of_resampling(basis, inputs, outputs, stacklevel=3):
+    """Say onto how many samples a period is resampled, and what that costs.
+
+    Parameters
+    ----------
+    basis : HarmonicBasis
+    inputs : Signals
+    outputs : ndarray, shape (n_rows, n_outputs), or None
+    stacklevel : int
+    """
+    step = inputs.base.sample_time
+    samples = 2.0 * np.pi / basis.omega / step
+    warnings.warn(
+        f"omega={basis.omega:.9g} rad/s and a sample time of {step:.9g} s give {samples:.6g} "
+        f"samples a period, not a whole number: signals are resampled onto "
+        f"{basis.samples_per_period} a period, and results brought back to the rows given. "
+        f"{_resampling_error(basis, inputs, outputs)}{round(samples)} samples a period would mean "
+        f"omega={2.0 * np.pi / step / round(samples):.9g} rad/s",
+        ResamplingWarning,
+        stacklevel=stacklevel,
+    )
+
+
+def _resampling_error(basis, inputs, outputs):
+    """Bound of the error of the splines, in words; held inputs keep their areas."""
+    smooth = ~basis.held
+    names = [basis.inputs[i][0] for i in np.flatnonzero(smooth)]
+    blocks = [inputs.data[:, smooth]]
+    if outputs is not None:
+        names += [signal for signal, _ in basis.outputs]
+        blocks.append(outputs)
+    if not names:
+        return ""
+    rows = max(inputs.base.segments, key=lambda segment: segment.stop - segment.start)
+    values = np.hstack(blocks)[rows]
+    values = values - np.nanmean(values, axis=0)
+    values[np.isnan(values)] = 0.0
+    size = np.sqrt(np.mean(values**2, axis=0))
+    shares = interpolation_error(values, inputs.base.time[rows]) / np.where(size > 0.0, size, 1.0)
+    listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
+    return f"Interpolation errs by at most (rms, in parts of each signal's) {listed}. "

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
+DRIFT_LIMIT = 0.25  # samples by which the periods of a segment may miss one
 FIRST = "first sample"  # the time origin of dates that fix no azimuth
 SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
 NO_TIMES = (
@@ -304,23 +305,46 @@ def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0, counted=
     ``uncertainty`` of the sample time, in seconds, widens what counts as whole;
     ``counted`` says that there were no times.
     """
-    period = 2.0 * np.pi / omega
-    samples = period / sample_time
-    tolerance = PERIOD_TOLERANCE + 4.0 * samples * uncertainty / sample_time
+    lost = NO_TIMES if counted else ""
+    samples, whole = _samples(omega, sample_time, highest_harmonic, uncertainty, lost)
+    if not whole:
+        step = 2.0 * np.pi / omega / round(samples)
+        raise ValueError(
+            f"omega={omega:.9g} rad/s and a sample time of {sample_time:.9g} s give {samples:.6g} "
+            f"samples a period{lost}, not a whole number; resample to {round(samples)} samples a "
+            f"period (a sample time of {step:.9g} s) or correct omega"
+        )
+    return round(samples)
+
+
+def whole_period(omega, base, highest_harmonic):
+    """Samples in a period, and whether they may be taken for the nearest whole number.
+
+    They may if they miss it by less than the uncertainty of the sample time
+    and a thousandth of a sample, and by less than a quarter over a segment.
+    """
+    samples, whole = _samples(omega, base.sample_time, highest_harmonic, base.uncertainty)
+    if base.jitter[1] == 0.0:  # else rows are placed by their own times
+        step = 2.0 * np.pi / omega / round(samples)
+        drift = [
+            (base.time[s.stop - 1] - base.time[s.start]) / step - (s.stop - 1 - s.start)
+            for s in base.segments
+        ]
+        whole = whole and np.max(np.abs(drift)) <= DRIFT_LIMIT
+    return samples, bool(whole)
+
+
+def _samples(omega, sample_time, highest_harmonic, uncertainty, hint=""):
+    """Samples in a period, checked to be enough, and whether they are a whole number."""
+    samples = 2.0 * np.pi / omega / sample_time
     check_rate(
         samples,
         highest_harmonic,
         f"omega={omega:.6g} rad/s and a sample time of {sample_time:.6g} s give {samples:.4g} "
-        f"samples a period" + (NO_TIMES if counted else ""),
+        f"samples a period{hint}",
     )
-    if abs(samples - round(samples)) > min(tolerance, 0.1):
-        raise ValueError(
-            f"omega={omega:.9g} rad/s and a sample time of {sample_time:.9g} s give {samples:.6g} "
-            f"samples a period{NO_TIMES if counted else ''}, not a whole number; resample to "
-            f"{round(samples)} samples a period "
-            f"(a sample time of {period / round(samples):.9g} s) or correct omega"
-        )
-    return round(samples)
+    tolerance = PERIOD_TOLERANCE + 4.0 * samples * uncertainty / sample_time
+    return samples, abs(samples - round(samples)) <= min(tolerance, 0.1)
 
 
 def check_rate(samples, highest_harmonic, given):

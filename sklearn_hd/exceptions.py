@@ -23,3 +23,15 @@ class TimeBaseWarning(UserWarning):
 
 class JitterWarning(UserWarning):
     """Rows were not evenly spaced, and signals were resampled onto a uniform grid."""
+
+
+class ResamplingWarning(UserWarning):
+    """A period held no whole number of samples, and signals were resampled to one."""
+
+
+class FrequencyMismatchWarning(UserWarning):
+    """The data repeat themselves at another frequency than the one given."""
+
+
+class InstabilityWarning(UserWarning):
+    """The periodic orbit that the data are taken about is unstable."""

@@ -28,7 +28,7 @@ from sklearn_hd._frame import (
     Reading,
     coefficient_names,
 )
-from sklearn_hd._sampling import lay_grid
+from sklearn_hd._sampling import lay_grid, warn_of_resampling
 from sklearn_hd._time import why_short
 from sklearn_hd._validation import (
     PERIOD_TOLERANCE,
@@ -40,6 +40,7 @@ from sklearn_hd._validation import (
     check_phase,
     check_rate,
     check_span,
+    whole_period,
 )
 from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -48,6 +49,8 @@ __all__ = ["HarmonicAnalyzer"]
 
 ROWS_PER_PERIOD = 8
 
+NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
+SMALL_SIGNAL = ("odd", "extrapolate")
 WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 
 
@@ -105,6 +108,15 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         bridged outputs are fitted but not scored. ``predict`` answers wherever
         the inputs are known, and with NaN where they are not.
 
+    small_signal : {"odd", "extrapolate"} or None, default=None
+        What model steps are fitted to where the records of a (record, time)
+        index hold one input waveform at several amplitudes, on the same times
+        and phases. ``"odd"``: pairs +u, −u become the record (u₊ − u₋)/2,
+        (y₊ − y₋)/2. ``"extrapolate"``: records at q amplitudes a become their
+        linear term y_1, scaled to the largest a, of y(a) = Σ_{p=1…q} a^p y_p.
+        Either way a response that is not linear in u biases the model less;
+        ``predict`` and ``score`` read every record as it is.
+
     Attributes
     ----------
     basis_ : HarmonicBasis
@@ -117,8 +129,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     ------
     ValueError
         At ``fit``, if ω is not positive, the samples in a period are too few
-        for the harmonics kept or not a whole number, a signal is unknown, data
-        are not finite, steps are too uneven, or dates have no origin.
+        for the harmonics kept, a signal is unknown, data are not finite, steps
+        are too uneven, or dates have no origin.
 
     Warns
     -----
@@ -126,6 +138,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         If samples are counted, because no times are given.
     JitterWarning
         If rows are not evenly spaced in time.
+    ResamplingWarning
+        If a period holds no whole number of samples.
 
     Notes
     -----
@@ -134,6 +148,13 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     onto the multiples of the sample time, with a ``JitterWarning`` that says how
     much, and results are brought back to the rows given. A longer step that is
     a whole number of samples, within twice the jitter, starts a new segment.
+
+    *A period that is no whole number of samples* (64.02, where ω was rounded or
+    the clock is not tied to the machine; 50.3) is resampled onto one: the nearest
+    within 0.1 of a sample, else the next above, and a multiple of ``hop``. A
+    ``ResamplingWarning`` bounds the error of interpolation by leaving out every
+    second sample. Up to 0.001 samples a period, and 0.25 over a segment, count
+    as a whole number: the rows are then used as they are, each with its own ψ.
 
     *Azimuth.* The grid holds a whole number of samples a turn: the mean over the
     rows at fit, rounded up, and to a multiple of ``hop``. Its time is ψ/ω with ω
@@ -188,6 +209,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         azimuth=None,
         time_origin=None,
         missing=RAISE,
+        small_signal=None,
     ):
         self.omega = omega
         self.input_harmonics = input_harmonics
@@ -199,6 +221,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         self.azimuth = azimuth
         self.time_origin = time_origin
         self.missing = missing
+        self.small_signal = small_signal
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
@@ -252,8 +275,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             kept_out = check_harmonics("output_harmonics", self.output_harmonics, output_names)
         highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
         if self.azimuth is None:
-            omega, spp, step = self._constant_speed(inputs.base, highest)
-            reading = replace(reading, sample_time=step)
+            omega, spp, step, resampled = self._constant_speed(inputs.base, highest)
+            own = inputs.base.sample_time if resampled else step
+            reading = replace(reading, sample_time=own, resampled=resampled)
         else:
             omega, spp, step = self._varying_speed(inputs, highest)
         basis = HarmonicBasis(
@@ -265,8 +289,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             inputs=kept_in,
             outputs=kept_out,
             reading=reading,
+            small_signal=self._checked_small_signal(),
         )
         self.basis_ = self._with_trim(basis, inputs, outputs)
+        if reading.resampled:
+            warn_of_resampling(self.basis_, inputs, outputs)
         return self
 
     def _reading(self):
@@ -275,17 +302,27 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         return Reading(self.sample_time, origin, self.azimuth, check_missing(self.missing))
 
     def _constant_speed(self, base, highest):
-        """ω, samples in a period, and their distance in seconds."""
+        """ω, samples in a period of the grid, their distance, and whether all is resampled."""
         omega = float(self.omega)
-        spp = check_period(
-            omega,
-            base.sample_time,
-            highest,
-            base.uncertainty,
-            base.counted and self.sample_time is None,
-        )
+        if base.counted and self.sample_time is None:  # times that were lost are no times
+            check_period(omega, base.sample_time, highest, counted=True)
+        samples, whole = whole_period(omega, base, highest)
+        if not whole:
+            near = abs(samples - round(samples)) <= NEAR_WHOLE
+            spp = round(samples) if near else self._samples_on_grid(samples, highest)
+            return omega, spp, 2.0 * np.pi / omega / spp, True
+        spp = round(samples)
         uneven = base.jitter[1] > 0.0  # then resampled, to fit the period exactly
-        return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time
+        return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time, False
+
+    def _samples_on_grid(self, samples, highest):
+        """Samples in a period of the grid: those given, rounded up to whole hops."""
+        least = samples - PERIOD_TOLERANCE
+        whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
+        unit = int(self.hop) if whole else 1
+        if self.hop is None:
+            unit = max(ROWS_PER_PERIOD, 2 * highest + 3)  # rows read a turn, of whole hops
+        return unit * int(np.ceil(least / unit))
 
     def _varying_speed(self, inputs, highest):
         """Mean ω, samples on the grid in a turn, and their distance in seconds."""
@@ -308,12 +345,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             highest,
             f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
         )
-        least = samples - PERIOD_TOLERANCE
-        whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
-        unit = int(self.hop) if whole else 1
-        if self.hop is None:
-            unit = max(ROWS_PER_PERIOD, 2 * highest + 3)  # rows read a turn, of whole hops
-        spp = unit * int(np.ceil(least / unit))
+        spp = self._samples_on_grid(samples, highest)
         omega = float(turned / passed)
         return omega, spp, 2.0 * np.pi / omega / spp
 
@@ -328,6 +360,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             sampling, _, values = sample(inputs, basis, outputs)
             waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
+
+    def _checked_small_signal(self):
+        if self.small_signal is None:
+            return None
+        return check_choice("small_signal", self.small_signal, SMALL_SIGNAL)
 
     @within_range
     def transform(self, X):

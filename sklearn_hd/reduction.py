@@ -15,6 +15,7 @@ from sklearn_hd._continuous import (
     refit_inputs,
     to_continuous,
 )
+from sklearn_hd._fit_checks import warn_of_growth
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd.algorithms.mode_shapes import (
@@ -123,6 +124,8 @@ class SpuriousModeReducer(ModelStep):
     -----
     IdentifiabilityWarning
         If another set of modes explains the data as well.
+    InstabilityWarning
+        If a mode kept grows: the periodic orbit is unstable.
 
     References
     ----------
@@ -175,6 +178,7 @@ class SpuriousModeReducer(ModelStep):
             model = self._keep_plain(model, experiment)
         else:
             model = self._reduce(model, experiment, method)
+            warn_of_growth(model, experiment)
         self.n_states_ = model.n_states
         return self._remember(model, experiment, X, y)
 

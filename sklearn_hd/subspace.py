@@ -9,8 +9,10 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import lifted_periods, read_experiment, rows_read
+from sklearn_hd._data import lifted_periods, rows_read
+from sklearn_hd._fit_checks import warn_of_growing_data, warn_of_growth, warn_of_mismatch
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short
 from sklearn_hd._validation import (
@@ -105,6 +107,13 @@ class MOESPRegressor(ModelStep):
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
         If an output rests at a value other than zero.
+    FrequencyMismatchWarning
+        If the data repeat themselves at another frequency than ``omega``; it
+        says at which.
+    InstabilityWarning
+        If the outputs grow beyond what rounding lets see beside them, or a
+        Floquet exponent is positive (``hop="period"``; else
+        :class:`SpuriousModeReducer` warns of it).
 
     References
     ----------
@@ -154,7 +163,9 @@ class MOESPRegressor(ModelStep):
             check_flag("scale", self.scale),
             check_flag("feedthrough", self.feedthrough),
         )
-        experiment = read_experiment(X, y)
+        experiment = read_for_fit(X, y)
+        warn_of_mismatch(experiment)
+        warn_of_growing_data(experiment)
         inputs, outputs = rows_read(experiment)
         excitation = self._excitation(experiment, inputs)
         n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
@@ -191,6 +202,8 @@ class MOESPRegressor(ModelStep):
             feedthrough=feedthrough,
             windowed=basis is not None,
         )
+        if basis is not None and basis.synchronous:  # else the window's own poles may grow
+            warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
 
     def _excitation(self, experiment, inputs):
@@ -309,6 +322,13 @@ class MOESPRegressor(ModelStep):
         need = i * n_inputs + 1 + (1 if self.order == "auto" else int(self.order))
         free = self.order == "auto" and self.block_rows is None and basis is None
         if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
+            if basis is not None and basis.synchronous:
+                raise ValueError(
+                    f"the {experiment.span()} hold {sum(lengths)} whole period(s), too few for "
+                    f"block_rows={i}: at least {need + 2 * i - 1} consecutive periods are needed "
+                    f"with {n_inputs} input(s) a period; use a longer record, fewer block rows or "
+                    f"fewer harmonics of the inputs"
+                )
             rows = f"{sum(lengths)} row(s) (n_samples = {len(experiment.base.time)})"
             raise ValueError(
                 f"the {experiment.span()} give {rows} to identify from, too few for "

@@ -65,10 +65,6 @@ ANALYZER = {
         {"input_harmonics": 9},
         r"give 16 samples a period, too few for harmonic 9: .*\(here 18\); sample faster",
     ),
-    "period": (
-        {"omega": OMEGA * 1.01},
-        r"15.8416 samples a period, not a whole number; resample to 16 samples a period",
-    ),
     "window": ({"window": "hamming"}, r"window='hamming' is not known; use one of 'boxcar'"),
     "hop": ({"hop": 5}, r"hop=5 does not divide the 16 samples of a period; use one of \[1, 2, 4"),
     "hop text": ({"hop": "beat"}, r"hop='beat' does not divide .* 'period', or None"),

@@ -15,6 +15,7 @@ LAYERS = [
     {"_frame"},
     {"_sampling"},
     {"_data"},
+    {"_small_signal", "_fit_checks"},
     {"_base"},
     {"_continuous"},
     {"_periodic"},

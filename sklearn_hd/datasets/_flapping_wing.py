@@ -84,8 +84,9 @@ def make_flapping_wing(
         Period in which a doublet begins (132 are the paper's 5 s).
     width : float, default=10
         Periods that a doublet is up, and then down; unit step of a 3211.
-    amplitude : float, default=0.02
-        Largest change of the input, in parts of U*.
+    amplitude : float or sequence of float, default=0.02
+        Largest change of the input, in parts of U*; negative turns the input
+        over. A sequence gives one record for each, of the same waveform.
     offset : float, default=0.0
         Shift of all edges in parts of a period. Edges are rounded to the nearest
         sample.
@@ -171,19 +172,21 @@ def make_flapping_wing(
     for name, value in (
         ("start", start),
         ("width", width),
-        ("amplitude", amplitude),
         ("offset", offset),
     ):
         if not isinstance(value, numbers.Real) or not np.isfinite(value):
             raise ValueError(f"{name}={value!r} must be a finite number")
+    amplitudes = _check_amplitudes(amplitude, n_records)
     ratio = _noise_ratio(snr, snr_db)
     rng = check_random_state(random_state)
     truth, part = _truth(), SUBSYSTEMS[subsystem]
-    size = amplitude * truth.torque
+    size = amplitudes[0] * truth.torque
     quiet = max(QUIET_PERIODS, n_periods // TRIM_SHARE) if kind == "nltp" else QUIET_PERIODS
     du = _excitation(
         input, n_periods, samples_per_period, start, width, size, offset, n_records, quiet, rng
     )
+    if len(amplitudes) > 1:
+        du = du * (amplitudes / amplitudes[0])[:, None]
     sample_time = truth.ltp.period / samples_per_period
     t = np.arange(du.shape[1]) * sample_time
     u, y, u_trim, y_trim = _RESPONSES[kind](truth, part, du, t)
@@ -455,6 +458,23 @@ def _noise_ratio(snr, snr_db):
         given = f"snr={snr}" if snr_db is None else f"snr_db={snr_db}"
         raise ValueError(f"{given} must be a positive ratio of standard deviations, or None")
     return ratio
+
+
+def _check_amplitudes(amplitude, n_records):
+    """One finite amplitude, or several, none of them zero, for records of one waveform."""
+    try:
+        amplitudes = np.atleast_1d(np.array(amplitude, dtype=float))
+    except (TypeError, ValueError):
+        amplitudes = np.array([np.nan])
+    several = np.ndim(amplitude) > 0
+    if amplitudes.ndim > 1 or not len(amplitudes) or not np.all(np.isfinite(amplitudes)):
+        raise ValueError(f"amplitude={amplitude!r} must be a finite number, or several")
+    if several and (n_records != 1 or not np.all(amplitudes)):
+        raise ValueError(
+            f"amplitude={amplitude!r} gives one record for each, with n_records={n_records}; give "
+            f"amplitudes other than zero and leave n_records at 1"
+        )
+    return amplitudes
 
 
 def _check_choice(name, value, allowed):

@@ -1,0 +1,107 @@
+"""What the data of a fit say against it: another fundamental frequency, growth."""
+
+import warnings
+
+import numpy as np
+
+from sklearn_hd.algorithms.fundamental import omega_mismatch
+from sklearn_hd.exceptions import FrequencyMismatchWarning, InstabilityWarning
+
+__all__ = ["warn_of_growing_data", "warn_of_growth", "warn_of_mismatch"]
+
+LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
+MIN_PERIODS = 6  # to see a rate in
+CALM = 1e6  # times growth that leaves most of them
+
+
+def warn_of_mismatch(experiment, stacklevel=4):
+    """Warn if the data repeat themselves at another frequency than omega.
+
+    Where inputs never rest for some periods nothing can be said, nor where the
+    azimuth was measured.
+    """
+    basis = experiment.basis
+    if basis is None or basis.reading.azimuth is not None:
+        return
+    outputs, trim = experiment.outputs, experiment.output_trim()
+    if trim is not None and basis.small_signal is None:
+        # a trim averaged at the wrong period is no trim: back to what was measured
+        outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
+    step = experiment.base.sample_time
+    estimate = omega_mismatch(experiment.drive, outputs, step, basis.omega)
+    if estimate is None:
+        return
+    off = estimate.omega / basis.omega - 1.0
+    periods = max(len(y) for y in outputs) / basis.samples_per_period
+    word = "less" if off > 0.0 else "more"
+    worse = np.sqrt(estimate.residual_given / max(estimate.residual, np.finfo(float).tiny))
+    warnings.warn(
+        f"the data repeat themselves at {estimate.omega:.7g} rad/s, not at omega="
+        f"{basis.omega:.7g} rad/s, which is {abs(off):.2%} {word}: there, "
+        f"{worse:.3g} times as much (rms) of them is left unexplained from period to period, and "
+        f"over the longest segment ({experiment.span()}) the phase drifts by "
+        f"{abs(off) * periods:.2g} periods; set omega={estimate.omega:.7g}, or check the clock",
+        FrequencyMismatchWarning,
+        stacklevel=stacklevel,
+    )
+
+
+def warn_of_growing_data(experiment, stacklevel=4):
+    """Warn if outputs grow so much that what decays beside them is lost in rounding."""
+    basis = experiment.basis
+    if basis is None:
+        return
+    spp, period = basis.samples_per_period, basis.samples_per_period * basis.sample_time
+    for y in experiment.outputs:
+        rate = _growth_rate(y, spp)
+        if rate * (len(y) // spp) < np.log(LOST):
+            continue
+        warnings.warn(
+            f"outputs grow {np.exp(rate):.3g} times a period up to the last of the "
+            f"{experiment.span()}: the periodic orbit is unstable, and rounding hides what decays "
+            f"beside it; use records of at most {np.log(CALM) / rate * period:.3g} s "
+            f"({int(np.log(CALM) / rate)} periods), or fly with a controller that holds the orbit",
+            InstabilityWarning,
+            stacklevel=stacklevel,
+        )
+        return
+
+
+def _growth_rate(y, spp):
+    """By how many e-folds a period outputs grow to the end of a segment; 0 where they do not."""
+    n = len(y) // spp
+    largest = np.max(np.abs(y), initial=0.0)
+    if n < MIN_PERIODS or largest == 0.0:
+        return 0.0
+    size = (y / largest)[len(y) - n * spp :].reshape(n, spp, -1)
+    size = np.sqrt(np.mean(size**2, axis=1))
+    size = size[:, np.argmax(size[-1])]
+    marks = [n // 2, (3 * n) // 4, n - 1]
+    if size[-1] < np.max(size) or np.min(size[marks]) == 0.0:
+        return 0.0  # it does not grow to the end, or was at rest for half of the segment
+    first, second = np.diff(np.log(size[marks])) / np.diff(marks)
+    steady = 0.5 * first < second < 2.0 * first  # growth by its own, not by an input that begins
+    return float(np.log(size[-1] / size[marks[0]]) / (n - 1 - marks[0])) if steady else 0.0
+
+
+def warn_of_growth(model, experiment, stacklevel=4):
+    """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
+    if experiment.basis is None or model.n_states == 0:
+        return
+    values = np.linalg.eigvals(model.A)
+    if model.dt > 0.0:
+        values = np.log(np.maximum(np.abs(values), 1e-300)) / model.dt
+    rate = float(values.real.max())
+    longest = max(len(u) for u in experiment.drive) * experiment.base.sample_time
+    period = 2.0 * np.pi / experiment.basis.omega
+    folds, multiplier = rate * longest, np.exp(min(rate * period, 700.0))
+    if folds > 1.0:
+        warnings.warn(
+            f"the periodic orbit is unstable: a Floquet exponent of the model has the real part "
+            f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), by which it grows "
+            f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment of the "
+            f"{experiment.span()}; simulate short spans from known states, or lower the order if "
+            f"the orbit is known to be stable",
+            InstabilityWarning,
+            stacklevel=stacklevel,
+        )
