@@ -17,6 +17,7 @@ LAYERS = [
     {"_data"},
     {"_base"},
     {"_continuous"},
+    {"_raw_modes"},
     {"_periodic"},
     {"_realization"},
     {"_refinement"},
