@@ -38,7 +38,7 @@ __all__ = ["MOESPRegressor"]
 
 DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
-CHANGE_SHARE = 1e-9  # of an input's largest value, below which it counts as held
+STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 DUST = 1e-13  # share of an output's size that is rounding
@@ -487,9 +487,10 @@ def _modulated_inputs(experiment, lengths, n_outputs):
 
 
 def _changes_at_one_phase(experiment):
+    changes = [np.abs(np.diff(u, axis=0)) for u in experiment.drive]
+    largest = np.max([np.max(change, axis=0, initial=0.0) for change in changes], axis=0)
     phases = set()
-    for u, time in zip(experiment.drive, experiment.times(), strict=True):
-        change = np.abs(np.diff(u, axis=0))
-        moved = np.any(change > CHANGE_SHARE * np.max(np.abs(u), axis=0, initial=0.0), axis=1)
-        phases.update(experiment.basis.phase_index(time)[1:][moved].tolist())
+    for change, time in zip(changes, experiment.times(), strict=True):
+        stepped = np.any((change > STEP_SHARE * largest) & (change > 0.0), axis=1)
+        phases.update(experiment.basis.phase_index(time)[1:][stepped].tolist())
     return len(phases) <= 1
