@@ -179,6 +179,9 @@ class MOESPRegressor(ModelStep):
         excitation = inputs if raw else excitation
         n_moving = int(moving.sum()) if raw else n_inputs
         U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
+        while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
+            self.block_rows_ += (self.block_rows_ + 1) // 2
+            U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = feedthrough or (basis is not None and basis.synchronous)
@@ -242,6 +245,20 @@ class MOESPRegressor(ModelStep):
         self.singular_values_, self.noise_floor_ = values * unit, floor * unit
         self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
         return U, values
+
+    def _wants_more_rows(self, experiment, lengths, n_inputs, n_outputs):
+        """Whether the order chosen fills the rank that default block rows allow, and more fit.
+
+        Few coefficients of many states: copies and memory need more rows than a window's.
+        """
+        i = self.block_rows_
+        if experiment.basis is None or _lifted(experiment):
+            return False
+        if self.block_rows is not None or self.order != "auto":
+            return False
+        more = i + (i + 1) // 2
+        room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
+        return self.order_ >= (i - 1) * n_outputs and room
 
     def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
         """The order asked for, or that of the singular values, or of the raw periods."""
