@@ -16,20 +16,14 @@ from sklearn_hd._continuous import (
     to_continuous,
 )
 from sklearn_hd._fit_checks import warn_of_growth
+from sklearn_hd._raw_modes import periodic_decomposition, refined_modes
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
-from sklearn_hd.algorithms.mode_shapes import (
-    harmonic_state_matrix,
-    mode_shapes,
-    real_block,
-    refine_exponents,
-    shape_condition,
-    state_matrix_samples,
-    strongest_free_decay,
-)
 from sklearn_hd.algorithms.modes import (
     best_modes,
+    complete_families,
     conjugate_units,
+    expected_members,
     family_exponents,
     floquet_families,
     invariant_pair,
@@ -45,11 +39,15 @@ __all__ = ["SpuriousModeReducer"]
 
 METHODS = ("truncate", "residualize", "both")
 FAMILY_TOLERANCE = 0.05
+COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a genuine one may differ
 WINDOW_DECAY = 1e-3
 MULTIPLIER_ANGLE = 0.3  # rad; a multiplier turned by less may be a real one
-SHAPE_CONDITION = 1e4
-REST_SHARE = 1e-9  # of an input's largest value, below which it counts as at rest
 MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
+WHOLE_SHARE = 0.1  # of the variance, at most unexplained by families taken for all
+ROUNDING = 1e-14  # of the variance
+NEARLY_ALL = 1e-4  # of the variance: what a set whose poles are a little off may leave
+REFINED_GAIN = 1 / 3  # by which refinement may be hoped to lower what is left
+MAX_REFINED = 4  # sets that are refined, for the time it takes
 DECISIVE_SHARE = 0.5  # the same for more modes than output coefficients
 MATERIAL_SHARE = 0.1  # of the unexplained variance that more modes must remove to be kept
 RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
@@ -230,7 +228,14 @@ class SpuriousModeReducer(ModelStep):
             )
         wild = self._beyond_bounds(exponents, experiment)
         units = [unit for unit in conjugate_units(z) if not (window | wild)[list(unit)].any()]
-        kept_units, rivals, best_of_size = self._choose(units, exponents, shapes, experiment)
+        whole = _whole_families(units, z, window, basis) if self.n_states is None else []
+        kept_units, rivals, tried = self._choose(units, exponents, shapes, experiment, dict(whole))
+        refined = None
+        if method == "truncate" and basis is not None:
+            kept_units, refined = self._refined(
+                kept_units, tried, exponents, shapes, experiment, exact=bool(whole)
+            )
+            rivals = rivals if refined is None else []
         kept = np.zeros(len(z), dtype=bool)
         kept[[i for unit in kept_units for i in unit]] = True
         doubtful = set(kept_units) - set.intersection(set(kept_units), *map(set, rivals))
@@ -251,8 +256,12 @@ class SpuriousModeReducer(ModelStep):
                 IdentifiabilityWarning,
                 stacklevel=5,
             )
+        if refined is not None:
+            A, C = refined
+            B, D, self.r2_ = refit_inputs(A, C, experiment, model.feedthrough)
+            return model.in_continuous_time(A, B, C, D)
         if self.n_states is None and method == "truncate" and basis is not None:
-            chosen = {frozenset(families[unit[0]].item() for unit in best) for best in best_of_size}
+            chosen = {frozenset(families[unit[0]].item() for unit in best) for _, best in tried}
             periodic = self._from_mode_shapes(model, experiment, z, families, kept, chosen)
             if periodic is not None:
                 return periodic
@@ -274,7 +283,7 @@ class SpuriousModeReducer(ModelStep):
         turns = np.abs(exponents.imag) > (highest + 0.5) * experiment.basis.omega
         return grows | turns
 
-    def _choose(self, units, exponents, shapes, experiment):
+    def _choose(self, units, exponents, shapes, experiment, whole):
         """Units to keep, rival sets that explain the data as well, and the best of each size."""
         sizes = [len(unit) for unit in units]
         scale = output_scale(experiment)
@@ -288,13 +297,21 @@ class SpuriousModeReducer(ModelStep):
             experiment.base.sample_time,
             [R_psi / scale[:, None] for R_psi in observe],
         )
+        total = float(R[:, -1] @ R[:, -1])
+        rounding = ROUNDING * total
         floor = residual(R, columns, tuple(range(len(units))))
-        rounding = 1e-14 * float(R[:, -1] @ R[:, -1])
+        open_units = [i for i, unit in enumerate(units) if unit in whole]
+        floor_whole = residual(R, columns, tuple(open_units))
+        # complete families that explain most are the system's own; what explains more beside
+        # them makes up for harmonics not kept, or for inputs that change between rows
+        if floor_whole <= WHOLE_SHARE * total + rounding:
+            units, sizes = [units[i] for i in open_units], [sizes[i] for i in open_units]
+            columns, floor = [columns[i] for i in open_units], floor_whole
         wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
-        ranking, best_of_size = [], []
+        ranking, tried = [], []
         for n_states in wanted:
             ranking = best_modes(R, columns, sizes, n_states) or ranking
-            best_of_size.append([units[i] for _, best in ranking[:1] for i in best])
+            tried += [(value, [units[i] for i in best]) for value, best in ranking[:1]]
             # in harmonic-decomposition form the output coefficients are the states: more are
             # kept only where so many leave out what matters (noise can pair a real pole)
             share = MATERIAL_SHARE if n_states < shapes.shape[1] else DECISIVE_SHARE
@@ -311,8 +328,9 @@ class SpuriousModeReducer(ModelStep):
         self.left_out_ = 1.0 - min(1.0, (floor + rounding) / max(ranking[0][0], rounding))
         limit = ranking[0][0] * (1.0 + RIVAL_SHARE) + rounding
         rivals = [rival for value, rival in ranking[1:] if value <= limit]
-        pick = [units[i] for i in ranking[0][1]]
-        return pick, [[units[i] for i in rival] for rival in rivals], best_of_size
+        picked = _every_family(R, columns, ranking[0][1], [whole.get(unit) for unit in units])
+        pick = [units[i] for i in picked]
+        return pick, [[units[i] for i in rival] for rival in rivals], tried
 
     def _from_mode_shapes(self, model, experiment, z, families, kept, chosen):
         """Harmonic decomposition of the F(ψ) behind the families, where the outputs show it.
@@ -320,35 +338,17 @@ class SpuriousModeReducer(ModelStep):
         None where the outputs do not determine the state, no input rests long
         enough, or the modes themselves explain the raw record better.
         """
-        basis = experiment.basis
-        spp = basis.samples_per_period
-        scale = output_scale(experiment)
-        phases = [basis.phase_index(time) for time in experiment.times()]
-        outputs = [y / scale for y in experiment.outputs]
-        decay = strongest_free_decay(experiment.drive, outputs, phases, spp, REST_SHARE)
-        rows, n_states = basis.rows_per_period, len(scale)
+        rows = experiment.basis.rows_per_period
         choices = [
             choice
             for some in chosen
             for choice in family_exponents(
-                z, families, sorted(some), rows, n_states, MULTIPLIER_ANGLE
+                z, families, sorted(some), rows, len(experiment.basis.outputs), MULTIPLIER_ANGLE
             )
         ]
-        if not choices or decay is None or len(decay) < 2 * len(scale) * spp:
+        A, C = periodic_decomposition(experiment, choices)
+        if A is None:
             return None
-        refined = [refine_exponents(decay, choice, spp) for choice in choices]
-        exponents = min(refined, key=lambda pair: pair[1])[0]
-        R = real_block(exponents * basis.omega / (2.0 * np.pi))
-        P = mode_shapes(decay, R, basis.sample_time, spp)
-        if shape_condition(P) > SHAPE_CONDITION:
-            return None
-        F = state_matrix_samples(P, R, basis.omega)
-        highest = max(k for _, orders in basis.outputs for k in orders)
-        A = harmonic_state_matrix(F, highest, basis.omega)
-        where = _kept_states(basis)
-        A, C = A[np.ix_(where, where)], np.diag(np.repeat(scale, _coefficient_counts(basis)))
-        if np.max(np.linalg.eigvals(A).real) > max(0.0, np.max(np.linalg.eigvals(R).real)):
-            return None  # noise, or too few harmonics: a decay that grows
         B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
         _, _, r2_modes = self._modal_refit(model, experiment, z, kept)
         if not (1.0 - r2) * (1.0 - MATERIAL_SHARE) <= 1.0 - r2_modes:
@@ -362,6 +362,29 @@ class SpuriousModeReducer(ModelStep):
         ]
         self._modes = (exponents, families, verdicts, reasons)
         return model.in_continuous_time(A, B, C, D)
+
+    @staticmethod
+    def _refined(kept_units, tried, exponents, shapes, experiment, exact):
+        """The smallest set of modes that explains all but white noise once refined, its A and C.
+
+        The set given, and None, where none does. Also enough is what the set given leaves:
+        poles a little off are made up for by further ones.
+        """
+        value = next((v for v, some in tried if set(some) == set(kept_units)), 0.0)
+        total = sum(float(np.sum(y**2)) for y in _scaled_outputs(experiment))
+        rounding = ROUNDING * total
+        if value <= rounding or (exact and value > NEARLY_ALL**2 * total):
+            return kept_units, None  # nothing to gain, or nothing white: copies agree to 0.1 %
+        limit = max(NEARLY_ALL * total, value / REFINED_GAIN)
+        for rest, some in [pair for pair in tried if pair[0] <= limit][:MAX_REFINED]:
+            first = [unit[0] for unit in some]
+            single = np.array([len(unit) == 1 for unit in some])
+            start = np.where(single, exponents[first].real, exponents[first])
+            enough = value if rest > value and value <= NEARLY_ALL**2 * total else 0.0
+            A, C = refined_modes(experiment, start, shapes[first], enough)
+            if A is not None:
+                return some, (A, C)
+        return kept_units, None
 
     def _refit(self, model, experiment, z, kept, fast):
         """Continuous-time model of the modes kept, its inputs fitted to the raw record."""
@@ -381,20 +404,30 @@ class SpuriousModeReducer(ModelStep):
         return (A, C), (B, D), r2
 
 
-def _kept_states(basis):
-    """Places of the output coefficients kept among the states x_0, x_1c, x_1s, …"""
-    n_signals = len(basis.outputs)
-    places = []
-    for i, (_, orders) in enumerate(basis.outputs):
-        for k in orders:
-            blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
-            places += [block * n_signals + i for block in blocks]
-    return places
+def _scaled_outputs(experiment):
+    scale = output_scale(experiment)
+    return [y / scale for y in experiment.outputs]
 
 
-def _coefficient_counts(basis):
-    """Coefficients kept of each output."""
-    return [sum(1 if k == 0 else 2 for k in orders) for _, orders in basis.outputs]
+def _whole_families(units, z, window, basis):
+    """Units of complete families and their families; none where no family is complete."""
+    if basis is None:
+        return []
+    rows = basis.rows_per_period
+    n_members = expected_members([orders for _, orders in basis.outputs], rows)
+    families = np.full(len(z), -1)
+    families[~window] = floquet_families(z[~window], rows, COPY_TOLERANCE)
+    members = complete_families(z, families, rows, n_members, COPY_TOLERANCE)
+    return [(unit, int(families[unit[0]])) for unit in units if members[list(unit)].all()]
+
+
+def _every_family(R, columns, picked, families):
+    """The units picked, and of each family without one that which explains most."""
+    for family in sorted(set(families) - {families[i] for i in picked} - {None}):
+        own = [i for i, f in enumerate(families) if f == family]
+        best = min(own, key=lambda i: residual(R, columns, (*picked, i)))
+        picked = (*picked, best)
+    return picked
 
 
 def _to_residualize(method, others, exponents, z, basis):

@@ -9,7 +9,7 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import lifted_periods, rows_read
+from sklearn_hd._data import hop_means, lifted_periods, rows_read
 from sklearn_hd._fit_checks import warn_of_growing_data, warn_of_growth, warn_of_mismatch
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._small_signal import read_for_fit
@@ -22,6 +22,7 @@ from sklearn_hd._validation import (
     check_outputs_given,
     signal_names,
 )
+from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.moesp import (
@@ -30,6 +31,7 @@ from sklearn_hd.algorithms.moesp import (
     observability_subspace,
     order_by_gap,
     order_by_wide_gap,
+    release_idle_directions,
     state_matrices,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
@@ -39,6 +41,7 @@ __all__ = ["MOESPRegressor"]
 
 DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
+STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 DUST = 1e-13  # share of an output's size that is rounding
@@ -167,7 +170,8 @@ class MOESPRegressor(ModelStep):
         warn_of_mismatch(experiment)
         warn_of_growing_data(experiment)
         inputs, outputs = rows_read(experiment)
-        excitation = self._excitation(experiment, inputs)
+        excitation = self._excitation(experiment, inputs, outputs[0].shape[1])
+        raw = excitation is inputs
         n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
         lengths = [len(u) for u in inputs]
         self._check_order()
@@ -183,10 +187,12 @@ class MOESPRegressor(ModelStep):
         )
         inputs = [u / u_scale for u in inputs]
         outputs = [y_s / y_scale for y_s in outputs]
-        if not _lifted(experiment):
-            excitation = inputs
-        n_moving = n_inputs if _lifted(experiment) else int(moving.sum())
+        excitation = inputs if raw else excitation
+        n_moving = int(moving.sum()) if raw else n_inputs
         U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
+        while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
+            self.block_rows_ += (self.block_rows_ + 1) // 2
+            U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = feedthrough or (basis is not None and basis.synchronous)
@@ -206,14 +212,16 @@ class MOESPRegressor(ModelStep):
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
 
-    def _excitation(self, experiment, inputs):
+    def _excitation(self, experiment, inputs, n_outputs):
         """What is projected out of the future: the inputs, as they move within each period.
 
         Period by period the outputs answer to every sample of the inputs, whatever
-        harmonics of them are kept.
+        harmonics of them are kept. Through a sliding window they answer at each phase in
+        another way, which matters where inputs change at more than one.
         """
         if not _lifted(experiment):
-            return inputs
+            modulated = _modulated_inputs(experiment, [len(u) for u in inputs], n_outputs)
+            return inputs if modulated is None else modulated
         lifted = lifted_periods(experiment, experiment.inputs)
         rows = 2 if self.block_rows is None else self.block_rows
         states = 1 if self.order == "auto" else self.order
@@ -242,12 +250,28 @@ class MOESPRegressor(ModelStep):
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
         R = hankel_factor(inputs, outputs, i)
         self._warn_excitation(R, n_inputs, n_moving, experiment)
+        if not _lifted(experiment):
+            R = release_idle_directions(R, i * n_inputs)
         U, values = observability_subspace(R, i, n_inputs)
         floor = noise_floor(R, i, n_inputs, n_hankel_columns([len(u) for u in inputs], i))
         unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
         self.singular_values_, self.noise_floor_ = values * unit, floor * unit
         self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
         return U, values
+
+    def _wants_more_rows(self, experiment, lengths, n_inputs, n_outputs):
+        """Whether the order chosen fills the rank that default block rows allow, and more fit.
+
+        Few coefficients of many states: copies and memory need more rows than a window's.
+        """
+        i = self.block_rows_
+        if experiment.basis is None or _lifted(experiment):
+            return False
+        if self.block_rows is not None or self.order != "auto":
+            return False
+        more = i + (i + 1) // 2
+        room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
+        return self.order_ >= (i - 1) * n_outputs and room
 
     def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
         """The order asked for, or that of the singular values, or of the raw periods."""
@@ -369,9 +393,10 @@ class MOESPRegressor(ModelStep):
         """Warn of Hankel matrices of deficient rank.
 
         Not period by period, where a step in mid-period moves in a direction that
-        occurs but once, and what cannot be told apart is projected out as a whole.
+        occurs but once, and what cannot be told apart is projected out as a whole; nor
+        where inputs are multiplied by harmonics, whose idle directions are released.
         """
-        if _lifted(experiment):
+        if _lifted(experiment) or n_inputs != len(experiment.drive_names):
             return
         need, size = (2 * self.block_rows_ * count for count in (n_moving, n_inputs))
         values = np.linalg.svd(R[:size, :size], compute_uv=False)
@@ -459,3 +484,51 @@ def _moving_inputs(inputs, experiment):
                 f"drop that input"
             )
     return moving
+
+
+def _modulated_inputs(experiment, lengths, n_outputs):
+    """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices.
+
+    What a window shows of a periodic system is time-invariant to u only if u changes at one
+    phase of the period alone. To u, u cos pψ, u sin pψ, … together it always is (Wereley,
+    1990); half as many harmonics as rows in a period resolve all phases. Fewer are taken
+    where the record is too short for all.
+    """
+    basis = experiment.basis
+    if basis is None or basis.synchronous or _changes_at_one_phase(experiment):
+        return None
+    n_inputs, kept = (
+        experiment.drive[0].shape[1],
+        max(k for _, orders in basis.outputs for k in orders),
+    )
+    resolved = basis.rows_per_period // 2
+    needed = min(2 * kept, resolved)  # what a harmonic decomposition asks for
+    tries = [(2 * basis.window_rows + 2, h) for h in range(resolved, needed - 1, -1)]
+    tries += [(basis.window_rows + 2, h) for h in range(needed, 0, -1)]
+    choices = [
+        (block_rows, highest)
+        for block_rows, highest in tries
+        if n_hankel_columns(lengths, block_rows)
+        >= 2 * block_rows * ((2 * highest + 1) * n_inputs + n_outputs)
+    ]
+    if not choices:
+        return None
+    highest = choices[0][1]
+    modulated = []
+    for u, time in zip(experiment.drive, experiment.times(), strict=True):
+        psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
+        waves = harmonic_functions(psi, range(highest + 1))
+        products = (u[:, :, None] * waves[:, None, :]).reshape(len(u), -1)
+        modulated.append(hop_means(products, basis, basis.rows_read(time)))
+    scale = _scales(modulated)
+    return [u / scale for u in modulated]
+
+
+def _changes_at_one_phase(experiment):
+    changes = [np.abs(np.diff(u, axis=0)) for u in experiment.drive]
+    largest = np.max([np.max(change, axis=0, initial=0.0) for change in changes], axis=0)
+    phases = set()
+    for change, time in zip(changes, experiment.times(), strict=True):
+        stepped = np.any((change > STEP_SHARE * largest) & (change > 0.0), axis=1)
+        phases.update(experiment.basis.phase_index(time)[1:][stepped].tolist())
+    return len(phases) <= 1

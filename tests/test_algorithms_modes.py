@@ -9,7 +9,9 @@ from conftest import same_poles
 from sklearn_hd.algorithms import modes as kernel
 from sklearn_hd.algorithms.modes import (
     best_modes,
+    complete_families,
     conjugate_units,
+    expected_members,
     floquet_families,
     invariant_pair,
     is_window_pole,
@@ -152,3 +154,29 @@ def test_one_eigenvalue_in_both_groups_is_refused():
     A = np.array([[-1.0, 1.0], [0.0, -1.0]])
     with pytest.raises(ValueError, match="share an eigenvalue"):
         block_diagonal(A, np.ones((2, 1)), np.ones((1, 2)), np.array([-1.0]), np.array([-1.0]))
+
+
+def test_members_of_a_decomposition_are_the_differences_of_its_harmonics():
+    assert expected_members([(0, 1, 2)], 16) == 9
+    assert expected_members([(0, 1, 2)], 8) == 8  # they fold
+    assert expected_members([(3,), (0,)], 12) == 2  # 6 and -6 are one
+    assert expected_members([(0,)], 8) == 1
+
+
+@pytest.mark.parametrize("exponent", [-0.5 + 0j, -0.5 + 1.3j, -0.5 + 1j * np.pi])
+def test_families_are_complete_with_all_copies(exponent):
+    """Real multipliers, negative ones, and pairs; the omission of one copy shows."""
+    rows = 8
+    members = exponent + 2j * np.pi * np.arange(rows)
+    z = np.exp(members / rows)
+    if 0 < exponent.imag < 3:
+        z = np.concatenate([z, z.conj()])
+    alone = np.array([np.exp(-0.9 / rows)])
+    every = np.concatenate([z, alone])
+    families = floquet_families(every, rows, 0.05)
+    found = complete_families(every, families, rows, rows, 1e-3)
+    assert found.tolist() == [True] * len(z) + [False]
+    fewer = every[1:]
+    assert not complete_families(fewer, families[1:], rows, rows, 1e-3).any()
+    spread = every * np.exp(0.01 * np.arange(len(every)) / rows)
+    assert not complete_families(spread, families, rows, rows, 1e-3).any()

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from conftest import random_stable, same_poles
 
+from sklearn_hd.algorithms import moesp as kernel
 from sklearn_hd.algorithms.hankel import _columns, hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.moesp import (
     input_matrices,
     noise_floor,
     observability_subspace,
     order_by_gap,
+    release_idle_directions,
+    response_regressors,
     state_matrices,
 )
 from sklearn_hd.algorithms.simulation import frequency_response, propagate
@@ -90,3 +93,37 @@ def test_without_a_gap_all_values_above_the_floor_count():
     ramp = np.array([100.0, 50.0, 25.0, 13.0, 7.0, 4.0, 2.1, 1.5, 1.2, 0.9])
     assert order_by_gap(ramp, 1.0, 9) == 9
     assert order_by_gap(ramp, 1.0, 5) == 5
+
+
+def test_idle_directions_of_the_input_take_no_response_with_them(rng):
+    """A doublet and its products with harmonics: far fewer directions than rows."""
+    A, B, C = random_stable(rng, 3, 1, 2)
+    pulse = np.zeros(240)
+    pulse[20:37], pulse[37:61] = 1.0, -1.0
+    psi = 2 * np.pi * np.arange(240) / 8
+    y = propagate(A, pulse[:, None] @ B.T, np.zeros(3)) @ C.T
+    u = pulse[:, None] * np.stack([np.ones(240), np.cos(psi), np.sin(psi)], axis=1)
+    R = hankel_factor([u], [y], 8)
+    released = release_idle_directions(R, 24)
+    size = np.linalg.norm(R)
+    np.testing.assert_allclose(released.T @ released, R.T @ R, atol=1e-9 * size**2)
+    U, values = observability_subspace(released, 8, 3)
+    assert values[3] < 1e-10 * values[0]
+    A_f, _ = state_matrices(U, values, 3, 2)
+    assert same_poles(np.linalg.eigvals(A_f), np.linalg.eigvals(A), 1e-7)
+    assert observability_subspace(R, 8, 3)[1][2] <= values[2] * (1 + 1e-9)
+
+
+def test_a_full_input_is_left_alone(rng):
+    R = hankel_factor([rng.standard_normal((90, 1))], [rng.standard_normal((90, 1))], 4)
+    assert release_idle_directions(R, 4) is R
+
+
+@pytest.mark.parametrize("feedthrough", [False, True])
+def test_responses_by_convolution_are_those_of_the_recursion(rng, feedthrough, monkeypatch):
+    A, _, C = random_stable(rng, 5, 2, 3)
+    u = rng.standard_normal((60, 2))
+    by_recursion = response_regressors(A, C, u, feedthrough)
+    monkeypatch.setattr(kernel, "CONVOLVED_ORDER", 0)
+    for one, other in zip(response_regressors(A, C, u, feedthrough), by_recursion, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12 * np.abs(other).max())

@@ -18,6 +18,7 @@ LAYERS = [
     {"_small_signal", "_fit_checks"},
     {"_base"},
     {"_continuous"},
+    {"_raw_modes"},
     {"_periodic"},
     {"_realization"},
     {"_refinement"},

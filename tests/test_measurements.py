@@ -168,12 +168,13 @@ def test_coefficients_locked_to_azimuth_are_exact(wrapped):
 
 
 def test_identification_on_a_spin_up(spun, steady):
-    """As good as at constant speed, where analysis at the mean speed misses by a third."""
+    """As good as at constant speed (4e-5), where analysis at the mean speed misses by a third."""
     X, y = spun
     pipe = pipeline(azimuth="psi").fit(X, y)
     reference = pipeline(omega=OMEGA).fit(*steady)
     constant = pipeline(omega=OMEGA).fit(X[["u"]], y)
-    assert pole_error(pipe) < 1.5 * pole_error(reference)
+    assert pole_error(reference) < 1e-4
+    assert pole_error(pipe) < 2e-4
     assert pole_error(constant) > 0.1
     assert pipe.score(X, y) > 1 - 1e-5
     assert constant.score(X[["u"]], y) < 0.7
@@ -268,7 +269,8 @@ def test_jitter_is_resampled_and_said(steady, size):
         predicted = pipe.predict(X)
     assert predicted.index.equals(y.index)
     assert np.isfinite(predicted.to_numpy()).all()
-    assert pole_error(pipe) < 1.5 * pole_error(reference)
+    assert pole_error(reference) < 1e-4
+    assert pole_error(pipe) < 2e-4
     with pytest.warns(JitterWarning):
         assert pipe.score(X, y) > 1 - 2e-5
     even = reference.predict(steady[0])  # a model from even rows answers for uneven ones

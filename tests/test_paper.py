@@ -122,19 +122,25 @@ def test_warnings_of_other_packages_pass_through_the_fit():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_on", ["outputs", "both"])
 @pytest.mark.parametrize(
-    ("case", "largest_median"),
-    [(paper.LTI_NOISE, 1.5), (paper.LTI_SIGNAL_NOISE, 25.0), (paper.LTP_NOISE, 25.0)],
-    ids=["lti", "lti-signal", "ltp"],
+    ("case", "noise_on", "largest_median"),
+    [
+        (paper.LTI_NOISE, "outputs", 1.5),
+        (paper.LTI_NOISE, "both", 1.5),
+        (paper.LTI_SIGNAL_NOISE, "outputs", 3.0),
+        (paper.LTI_SIGNAL_NOISE, "both", 25.0),
+        (paper.LTP_NOISE, "outputs", 3.0),
+        (paper.LTP_NOISE, "both", 25.0),
+    ],
 )
 def test_noise_rows_over_twenty_seeds(case, noise_on, largest_median):
-    # no target but what was measured: medians of 0.6 to 1.3 % from coefficients, 15 to 18 %
-    # through the window; one record may be several times worse
+    # no target but what was measured: medians of 0.6 to 1.3 % from coefficients, 1.0 and 1.5 %
+    # refined on the raw record, 15 to 18 % through the window where inputs are noisy too
     runs = paper.run_noisy(case, 20, noise_on)
     row = paper.noise_row(runs, noise_on)
     assert row["median_e_percent"] <= largest_median
-    assert row["rms_over_bound"] >= 0.8
+    # twenty seeds spread by a sixth about the bound, which is the three-state model's for LTP too
+    assert row["rms_over_bound"] >= 0.6
     # more are kept where no three explain half of what all modes do: a rare record
     assert np.mean([r.model["reduce"].n_states_ == 3 for r in runs]) >= 0.9
 

@@ -23,7 +23,9 @@ from scipy.signal import lfilter
 
 __all__ = [
     "best_modes",
+    "complete_families",
     "conjugate_units",
+    "expected_members",
     "family_exponents",
     "floquet_families",
     "invariant_pair",
@@ -32,7 +34,7 @@ __all__ = [
     "unit_regressors",
 ]
 
-MAX_SUBSETS = 20_000
+MAX_SUBSETS = 2_000
 REAL_TOLERANCE = 1e-8
 
 
@@ -90,6 +92,62 @@ def floquet_families(z, rows_per_period, tolerance):
     first = np.array([np.flatnonzero(row)[0] for row in near], dtype=int)
     heads = sorted(set(first.tolist()), key=lambda i: -folded[i].real)
     return np.array([heads.index(i) for i in first], dtype=int)
+
+
+def expected_members(output_harmonics, rows_per_period):
+    """Members λ + jpω of one family that a window shows of a harmonic decomposition.
+
+    Coefficient k of an output holds its harmonics m as copies shifted by p = m − k;
+    shifts that differ by the rows in a period are one. A periodic system, whose
+    harmonics do not end, shows all of them.
+
+    Examples
+    --------
+    >>> expected_members([(0, 1)], 8), expected_members([(0,), (1,)], 8)
+    (5, 3)
+    """
+    shifts = set()
+    for orders in output_harmonics:
+        signed = {sign * k for k in orders for sign in (1, -1)}
+        shifts |= {(m - k) % rows_per_period for m in signed for k in signed}
+    return len(shifts)
+
+
+def complete_families(z, families, rows_per_period, n_members, tolerance):
+    """Families with as many members as a mode of the system must have.
+
+    The members of a genuine family, that is a mode and its copies, share their Floquet
+    multiplier to the precision of the data; what noise, the window's memory or inputs
+    between the rows add to a model does not come in such sets.
+
+    Parameters
+    ----------
+    z : complex ndarray, shape (n,)
+    families : ndarray of int, shape (n,)
+        Negative for poles of no family.
+    rows_per_period, n_members : int
+    tolerance : float
+        Largest distance of ln z^r from the family's median, relative to its decay.
+
+    Returns
+    -------
+    members : ndarray of bool, shape (n,)
+        Poles that agree with a complete family.
+    """
+    members = np.zeros(len(z), dtype=bool)
+    for family in range(max(families, default=-1) + 1):
+        own = np.flatnonzero(families == family)
+        logarithms = rows_per_period * np.log(z[own])
+        angles = (logarithms.imag + np.pi) % (2.0 * np.pi) - np.pi
+        folded = logarithms.real + 1j * np.abs(angles)
+        centre = np.median(folded.real) + 1j * np.median(folded.imag)
+        agree = np.abs(folded - centre) <= tolerance * abs(centre.real)
+        # a real multiplier, of either sign, has one member a shift, a pair two
+        from_real = min(abs(centre.imag), np.pi - abs(centre.imag))
+        pair = from_real > tolerance * abs(centre.real)
+        if agree.sum() >= (2 if pair else 1) * n_members:
+            members[own[agree]] = True
+    return members
 
 
 def family_exponents(z, families, chosen, rows_per_period, n_states, tolerance):
@@ -249,7 +307,7 @@ def best_modes(R, columns, sizes, n_states):
     -------
     ranking : list of (float, tuple of int)
         Residual sum of squares and units, best first; empty where no set of
-        units has that many states. All sets where they are fewer than 20 000,
+        units has that many states. All sets where they are fewer than 2000,
         else the one found by forward selection and exchange.
     """
     n_subsets = sum(

@@ -1,0 +1,83 @@
+"""Genuine modes of random systems are found without the truth (docs/spurious_modes)."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
+import spurious_modes_study as study
+
+FIRST = {  # the first seed of each kind and excitation
+    (kind, excitation): j * len(study.KINDS) + i
+    for i, kind in enumerate(study.KINDS)
+    for j, excitation in enumerate(study.INPUTS)
+}
+
+
+@pytest.mark.parametrize("excitation", study.INPUTS)
+def test_modes_of_a_harmonic_decomposition_are_found_whatever_the_input(excitation):
+    row = study.run(FIRST["hd", excitation], 0.0)
+    assert (row["precision"], row["recall"]) == (1.0, 1.0)
+    assert row["kept"] == row["true"]
+    assert not row["ambiguous"]
+
+
+@pytest.mark.parametrize("excitation", ["doublet, any phase", "multisine"])
+def test_families_of_a_periodic_system_are_found_whatever_the_phase(excitation):
+    """Before inputs were multiplied by harmonics of ψ the first of these gave none."""
+    row = study.run(FIRST["ltp, l < n", excitation], 0.0)
+    assert (row["precision"], row["recall"]) == (1.0, 1.0)
+
+
+def test_judgement_counts_what_is_right():
+    trial = study.draw(FIRST["hd", "doublet"])
+    true = trial.exponents
+    assert study.judge(trial, true, 0.01) == (1.0, 1.0)
+    more = np.append(true, -100.0 * np.abs(true).max())
+    assert study.judge(trial, more, 0.01) == (len(true) / len(more), 1.0)
+    off = true + 0.1 * true.real
+    assert study.judge(trial, off, 0.01) == (0.0, 0.0)
+    assert study.judge(trial, off, 0.25) == (1.0, 1.0)
+
+
+def test_judgement_by_families_takes_any_member_once():
+    trial = study.draw(FIRST["ltp, l < n", "doublet"])
+    moved = trial.exponents + 1j * trial.omega
+    assert study.judge(trial, moved, 0.01) == (1.0, 1.0)
+    beyond = trial.exponents + 1j * (trial.highest + 2) * trial.omega
+    assert study.judge(trial, beyond, 0.01)[0] < 1.0
+    twice = np.concatenate([trial.exponents, trial.exponents])
+    assert study.judge(trial, twice, 0.01) == (0.5, 1.0)
+
+
+def test_the_summary_counts_refusals_apart():
+    rows = [
+        {"seed": 0, "kind": "hd", "noise": 0.0, "precision": 1.0, "recall": 1.0,
+         "ambiguous": False, "refused": ""},
+        {"seed": 1, "kind": "hd", "noise": 0.0, "precision": np.nan, "recall": 0.0,
+         "ambiguous": None, "refused": "too few rows"},
+    ]  # fmt: skip
+    table = study.summary(pd.DataFrame(rows), ["kind"])
+    assert table.iloc[0].to_dict() == {
+        "systems": 2, "precision": 1.0, "recall": 0.5, "all right": 0.5, "ambiguous": 0.0,
+        "refused": 0.5,
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_random_systems_noise_free():
+    rows = pd.DataFrame([study.run(seed, 0.0) for seed in range(2000, 2060)])
+    assert rows["precision"].mean() >= 0.95  # 60 systems; the table has 240
+    assert rows["recall"].mean() >= 0.92
+    definite = rows[(rows["kind"] == "hd") & rows["excitation"].isin(["doublet", "prbs"])]
+    assert (definite[["precision", "recall"]] == 1.0).all(axis=None)
+
+
+@pytest.mark.slow
+def test_random_decompositions_under_noise():
+    rows = pd.DataFrame([study.run(seed, 0.01) for seed in range(2001, 2121, 3)])
+    assert set(rows["kind"]) == {"hd"}
+    assert rows["precision"].mean() >= 0.7
