@@ -27,13 +27,18 @@ from sklearn_hd.algorithms.periodic_realization import (
     state_response,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.structured_model import column_sizes
 
 MODE_SEPARATION = 1e-3
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 MAX_GROWTH = 100.0  # e-folds over a record
 ROUNDING = 1e-28
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
+RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
+NULL_SHARE = 1e-6  # of a parameter's direction in the null space
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
+TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
+LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,8 @@ class Realization:
         Whether the states are outputs, rather than Floquet coordinates.
     r2 : float
         Share of the raw record's variance that the model explains.
+    unidentified : tuple of str
+        Parameters of G and Q that the record does not determine.
     """
 
     model: PeriodicModel
@@ -57,6 +64,7 @@ class Realization:
     theta: np.ndarray
     physical: bool
     r2: float
+    unidentified: tuple = ()
 
 
 def realize(model, experiment, structure):
@@ -90,11 +98,11 @@ def realize(model, experiment, structure):
     else:
         F, directions = shapes.state_matrix(psi, basis.omega, rows), None
         P = P @ np.linalg.inv(P[:, rows])
-        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
         states = tuple(names[i] for i in rows)
-        n_harmonics = {"F": min(2 * count, highest), "P": min(2 * count, highest)}
+        n_harmonics = {"F": tail_begins(F, shapes.noise), "P": tail_begins(P, shapes.noise)}
         if set(names) == set(states):
             n_harmonics["P"] = None
+        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
     P = P * scale[:, None]
     for name in n_harmonics:
         n_harmonics[name] = given(structure, name, n_harmonics[name])
@@ -104,6 +112,26 @@ def realize(model, experiment, structure):
     }
     problem = _InputProblem(structure, states, experiment, free, directions, scale)
     return problem.solve(n_harmonics, physical=rows is not None)
+
+
+def tail_begins(values, noise):
+    """Highest harmonic of a sampled periodic matrix that counts.
+
+    The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
+    geometrically where P P₀⁻¹ stays near the identity.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, rows, columns)
+    noise : float
+        Of what the values were made from, in parts of its size.
+    """
+    highest = (len(values) - 1) // 2
+    coefficients = sampled_harmonics(values, highest)
+    sizes = np.sum(coefficients**2, axis=(1, 2))
+    beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
+    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
+    return int(counts[-1]) + 1 if len(counts) else 0
 
 
 def given(structure, name, default):
@@ -273,13 +301,19 @@ class _InputProblem:
         self.phases = [basis.phase_index(time) for time in experiment.times()]
 
     def solve(self, n_harmonics, physical):
-        """The realization with as many harmonics of G as the data show (Schwarz's criterion)."""
+        """The realization with as many harmonics of G as the data show (Schwarz's criterion).
+
+        And as they determine: inputs that change at a few phases of the period tell more
+        harmonics apart only where the outputs are the states.
+        """
         spp, best, worse = self.experiment.basis.samples_per_period, None, 0
         asked = self.structure.n_harmonics("G")
         for count in N_INPUT_HARMONICS if asked is None else [asked]:
             if best is not None and (count > (spp - 1) // 2 or self._numbers(count) > LARGEST_FIT):
                 break
             found = self._fit({**n_harmonics, "G": count}, physical)
+            if best is not None and len(found[1].unidentified) > len(best[1].unidentified):
+                break
             worse = 0 if best is None or found[0] < best[0] else worse + 1
             best = found if worse == 0 else best
             if worse == 2:
@@ -304,7 +338,7 @@ class _InputProblem:
         linear = PeriodicStructure(
             constant, full.basis[drives], n, tuple(np.array(full.parameter_names)[drives])
         )
-        gains, rss, n_rows = self._least_squares(linear)
+        gains, rss, n_rows, unknown = self._least_squares(linear)
         found = linear.coefficients(gains)
         theta = project(full, found)
         basis = self.experiment.basis
@@ -314,10 +348,13 @@ class _InputProblem:
         fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
         bic = fit + np.log(n_rows * len(rss)) * len(gains)
         total = sum(float(np.sum((y / self.scale) ** 2)) for y in self.experiment.outputs)
-        return bic, Realization(model, full, theta, physical, 1.0 - float(np.sum(rss)) / total)
+        r2 = 1.0 - float(np.sum(rss)) / total
+        names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
+        return bic, Realization(model, full, theta, physical, r2, names)
 
     def _least_squares(self, linear):
-        """Parameters that enter linearly, sums of squares left by output, and rows of each."""
+        """Parameters that enter linearly, sums of squares left by output, rows of each, and
+        which parameters the record does not determine."""
         blocks = []
         spp = self.experiment.basis.samples_per_period
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
@@ -336,12 +373,16 @@ class _InputProblem:
         rows = np.concatenate(blocks)
         n_rows = len(rows)
         rows = rows.reshape(-1, rows.shape[-1])
-        size = np.linalg.norm(rows[:, :-1], axis=0)
-        size[size == 0.0] = 1.0
-        solution = linalg.lstsq(rows[:, :-1] / size, rows[:, -1])[0]
-        left = rows[:, -1] - rows[:, :-1] @ (solution / size)
+        size = column_sizes(rows[:, :-1])
+        R = linalg.qr(rows / np.append(size, 1.0), mode="r")[0][: len(size)]
+        U, values, Vt = linalg.svd(R[:, :-1])
+        kept = values > RANK * np.max(values, initial=0.0)
+        solution = Vt[kept].T @ (U[:, kept].T @ R[:, -1] / values[kept]) / size
+        left = rows[:, -1] - rows[:, :-1] @ solution
         rss = np.sum(left.reshape(n_rows, -1) ** 2, axis=0)
-        return (solution / size)[: linear.n_parameters], rss, n_rows
+        unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
+        k = linear.n_parameters
+        return solution[:k], rss, n_rows, unknown[:k]
 
     @property
     def omega(self):

@@ -311,6 +311,14 @@ class StructuredMatcher(ModelStep):
                 IdentifiabilityWarning,
                 stacklevel=5,
             )
+        if found.unidentified:
+            warnings.warn(
+                f"the record does not determine {', '.join(found.unidentified)} (only some "
+                f"combinations of them): of all values that fit, the smallest are taken; let "
+                f"inputs change at more phases of the period, or give G and Q fewer harmonics",
+                IdentifiabilityWarning,
+                stacklevel=5,
+            )
         return _periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
     def _match_decomposition(self, model, experiment, structure):

@@ -17,6 +17,7 @@ from scipy import linalg
 from scipy.optimize import least_squares
 
 from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = [
     "FloquetShapes",
@@ -82,7 +83,7 @@ def refine_multipliers(Phi, directions, lifted):
         if not np.max(np.abs(values), initial=0.0) < LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5:
             return target.ravel()
         regressors = np.vstack(_mode_responses(values, directions))
-        Q = linalg.qr(regressors / _lengths(regressors), mode="economic")[0]
+        Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
         return (target - Q @ (Q.T @ target)).ravel()
 
     start = np.concatenate([lead.real, lead.imag[paired]])
@@ -137,7 +138,7 @@ def _left_by(Phi, directions, target):
     regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], directions))
     if regressors.shape[1] == 0:
         return target
-    Q = linalg.qr(regressors / _lengths(regressors), mode="economic")[0]
+    Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
     return target - Q @ (Q.T @ target)
 
 
@@ -159,11 +160,6 @@ def _compact(stacked):
     if stacked.shape[1] <= len(stacked):
         return stacked
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
-
-
-def _lengths(columns):
-    sizes = np.linalg.norm(columns, axis=0)
-    return np.where(sizes > 0.0, sizes, 1.0)
 
 
 def _mode_responses(multipliers, directions):
@@ -222,7 +218,7 @@ def state_response(Phi, C, directions, lifted, seen):
     compact = _compact(outputs)
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
-        size = _lengths(regressors)
+        size = column_sizes(regressors)
         unknown = linalg.lstsq(regressors / size, target.ravel(), cond=1e-13)[0] / size
         states = np.einsum("kun,u->kn", units, unknown)
         sees = linalg.lstsq(states, compact)[0].T
@@ -333,12 +329,15 @@ class FloquetShapes:
     flips : ndarray of bool, shape (n,)
     coefficients : tuple of ndarray, shapes (n_functions_a, l), one for each state a
     n_harmonics : int
+    noise : float
+        Standard deviation of what the shapes were fitted to, in parts of its size.
     """
 
     R: np.ndarray
     flips: np.ndarray
     coefficients: tuple
     n_harmonics: int
+    noise: float = 0.0
 
     def __call__(self, psi):
         """P(ψ) and dP/dψ, shapes (n_points, l, n)."""
@@ -409,7 +408,8 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
         value = float(np.sum(left / variance)) + 2.0 * solution.size
         if best is None or value < best[0]:
             edges = np.cumsum([f.shape[1] for f in functions])[:-1]
-            best = value, FloquetShapes(R, flips, tuple(np.split(solution, edges)), count)
+            noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
+            best = value, FloquetShapes(R, flips, tuple(np.split(solution, edges)), count, noise)
     return best[1]
 
 
