@@ -83,6 +83,12 @@ def realize(model, experiment, structure):
     """
     basis = experiment.basis
     spp = basis.samples_per_period
+    if structure.n_states not in (None, model.n_states):
+        raise ValueError(
+            f"the structure has {structure.n_states} states, the identified model "
+            f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
+            f"change the structure"
+        )
     scale = output_scale(experiment)
     shapes = _shapes(model, experiment, scale)
     names = [name for name, _ in basis.outputs]
@@ -150,7 +156,8 @@ def _shapes(model, experiment, scale):
     inputs = lifted_periods(experiment, experiment.inputs)
     outputs = lifted_periods(experiment, experiment.outputs, scale)
     n_periods, n = sum(map(len, outputs)), model.n_states
-    growth = max(map(len, outputs)) * np.log(np.max(np.abs(linalg.eigvals(model.A))))
+    largest = np.max(np.abs(linalg.eigvals(model.A)))
+    growth = max(map(len, outputs)) * np.log(max(largest, 1e-300))
     if growth > MAX_GROWTH:
         raise ValueError(
             f"a mode of the identified model grows e^{growth:.0f} times over the record, which "
@@ -195,22 +202,35 @@ def _state_outputs(shapes, structure, names, n_phases):
     P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
     if structure.states is not None:
         unknown = [name for name in structure.states if name not in names]
-        if unknown or len(structure.states) != n:
+        if unknown:
             raise ValueError(
-                f"states={list(structure.states)} must be {n} of the outputs {names}, for the "
-                f"identified model has {n} states; change them, or the order of the model"
+                f"states={list(structure.states)} must be {n} of the outputs {names}, and "
+                f"{unknown} are not among them"
             )
         rows = [names.index(name) for name in structure.states]
-        if not shape_condition(P[:, rows]) < SHAPE_CONDITION:
+        if not _invertible(P[:, rows], shapes.flips):
             raise ValueError(
                 f"the outputs {list(structure.states)} do not determine the {n} states; leave "
                 f"states=None, or name others of {names}"
             )
         return rows
     for rows in combinations(range(len(names)), n):
-        if shape_condition(P[:, list(rows)]) < SHAPE_CONDITION:
+        if _invertible(P[:, list(rows)], shapes.flips):
             return list(rows)
+    if entries := structure.given_entries():
+        raise ValueError(
+            f"the outputs {names} do not determine the {n} states that the structure gives entries "
+            f"of {', '.join(entries)} for; measure more outputs, or give numbers of harmonics (or "
+            f"nothing), which leads to Floquet coordinates"
+        )
     return None
+
+
+def _invertible(P, flips):
+    """Whether P(ψ) is, also between the samples: its determinant does not pass through zero."""
+    if np.sum(flips) % 2 or not shape_condition(P) < SHAPE_CONDITION:
+        return False
+    return len(np.unique(np.sign(np.linalg.det(P)))) == 1
 
 
 def floquet_coordinates(shapes, psi, omega):
@@ -232,7 +252,8 @@ def floquet_coordinates(shapes, psi, omega):
         raise ValueError(
             f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
             f"which no real system has (their product is positive): the order is wrong, or noise "
-            f"hides the fast modes; try order={n - 1} or {n + 1}, or a longer record"
+            f"hides the fast modes; try order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a "
+            f"longer record"
         )
     if n_flips:
         turn = _half_turns(psi, n, n_flips)
@@ -358,6 +379,7 @@ class _InputProblem:
         blocks = []
         spp = self.experiment.basis.samples_per_period
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
+        self._check_growth(response)
         for s, (u, y, phase) in enumerate(
             zip(self.experiment.inputs, self.experiment.outputs, self.phases, strict=True)
         ):
@@ -383,6 +405,16 @@ class _InputProblem:
         unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
         k = linear.n_parameters
         return solution[:k], rss, n_rows, unknown[:k]
+
+    def _check_growth(self, response):
+        periods = max(map(len, self.phases)) / max(len(response.Phi), 1)
+        growth = periods * np.log(max(response.spectral_radius, 1e-300))
+        if growth > MAX_GROWTH:
+            raise ValueError(
+                f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
+                f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
+                f"F, sample more often, or change the order of the model"
+            )
 
     @property
     def omega(self):

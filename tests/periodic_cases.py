@@ -1,5 +1,7 @@
 """Linear time-periodic systems with known truth, and the period-synchronous route to them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
@@ -31,18 +33,18 @@ def shape(psi):
     return P.transpose(2, 0, 1), slope.transpose(2, 0, 1)
 
 
-def of_exponents(R, G=((1.0,), (0.5,)), omega=1.0):
+def of_exponents(R, G=((1.0,), (0.5,)), omega=1.0, **measured):
     """The system of mode shapes P(ψ) and Floquet exponents eig(R): F = (ω P′ + P R) P⁻¹."""
 
     def F(psi):
         P, slope = shape(np.asarray(psi))
         return (omega * slope + P @ np.asarray(R, dtype=float)) @ np.linalg.inv(P)
 
-    return LTPSystem(F, np.array(G), omega=omega)
+    return LTPSystem(F, np.array(G), omega=omega, **measured)
 
 
 def coupled(**measured):
-    """Two degrees of freedom, two inputs."""
+    """Two degrees of freedom, two inputs; two of its multipliers are negative."""
     rng = np.random.default_rng(5)
     F = np.zeros((5, 4, 4))
     F[0] = [[0, 1, 0, 0], [-2, -0.3, 0.3, 0], [0, 0, 0, 1], [0.4, 0, -5, -0.4]]
@@ -56,7 +58,7 @@ def steps(rng, n_samples, n_inputs, first, n_changes=6):
     for column in u.T:
         span = np.arange(first, 2 * n_samples // 3)
         edges = np.sort(rng.choice(span, size=n_changes, replace=False))
-        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        for start, stop in pairwise(edges):
             column[start:stop] = rng.uniform(-1.0, 1.0)
     return u
 

@@ -34,6 +34,7 @@ BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3
 LARGEST_MULTIPLIER = 1e3
+ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
 SWEEPS = 20
 SWEEP_TOLERANCE = 1e-13
@@ -114,14 +115,15 @@ def order_by_residual(candidates, directions, lifted):
     Phi : ndarray, shape (n, n)
         The candidate chosen.
     """
-    n_columns = lifted[0].shape[1]
+    n_columns, r = lifted[0].shape[1], directions[0].shape[1]
     target = _compact(np.vstack(lifted))
-    n_free = (len(target) - directions[0].shape[1]) * n_columns
+    n_free = (len(target) - r) * n_columns
+    per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
         left.append(_left_by(refine_multipliers(Phi, directions, lifted), directions, target))
-        rss = max(float(np.sum(left[-1] ** 2)), np.finfo(float).eps ** 2 * np.sum(target**2))
-        bic.append(n_free * np.log(rss / n_free) + len(Phi) * n_columns * np.log(n_free))
+        rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
+        bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
@@ -133,13 +135,26 @@ def order_by_residual(candidates, directions, lifted):
 
 
 def _left_by(Phi, directions, target):
-    """Lifted outputs less what modes of some multipliers can explain."""
+    """Lifted outputs less what inputs and as many states as Φ has can explain.
+
+    The states move in n of the directions in which n modes could answer to every input and
+    initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
+    them together would fit the noise, the more the more directions the inputs have.
+    """
     multipliers = linalg.eigvals(Phi) if len(Phi) else np.zeros(0, dtype=complex)
     regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], directions))
     if regressors.shape[1] == 0:
         return target
-    Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
-    return target - Q @ (Q.T @ target)
+    Q, r = (
+        linalg.qr(regressors / column_sizes(regressors), mode="economic")[0],
+        len(directions[0].T),
+    )
+    left = target - Q[:, :r] @ (Q[:, :r].T @ target)
+    if len(Phi) == 0:
+        return left
+    within = Q[:, r:].T @ left
+    U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
+    return left - Q[:, r:] @ (U @ (U.T @ within))
 
 
 def _is_white(rest, n_columns):

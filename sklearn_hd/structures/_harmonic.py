@@ -87,6 +87,10 @@ class HarmonicStructure:
             return matrix_shape(next(iter(self._specs["F"].values())), "F")[0]
         return None if self.states is None else len(self.states)
 
+    def given_entries(self):
+        """Those of F, G, P and Q whose entries are given, rather than a number of harmonics."""
+        return [name for name, spec in self._specs.items() if isinstance(spec, dict)]
+
     def n_harmonics(self, name):
         """Highest harmonic of F, G, P or Q; None if the data decide."""
         spec = self._specs[name]
