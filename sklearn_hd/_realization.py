@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
@@ -55,6 +55,9 @@ class Realization:
         Whether the states are outputs, rather than Floquet coordinates.
     r2 : float
         Share of the raw record's variance that the model explains.
+    systematic : float
+        Share of it that stands unexplained and is no white noise: covariance of what is
+        left of neighbouring samples.
     unidentified : tuple of str
         Parameters of G and Q that the record does not determine.
     """
@@ -64,7 +67,8 @@ class Realization:
     theta: np.ndarray
     physical: bool
     r2: float
-    unidentified: tuple = ()
+    systematic: float
+    unidentified: tuple
 
 
 def realize(model, experiment, structure):
@@ -349,17 +353,9 @@ class _InputProblem:
     def _fit(self, n_harmonics, physical):
         """Schwarz's criterion, and the realization, with some number of harmonics of G."""
         full = self.structure.resolve(*self.names, n_harmonics, constant_F=self.directions)
-        n = full.n_states
-        constant = full.constant.copy()
-        for name, part in (("F", constant[:, :n, :n]), ("P", constant[:, n:, :n])):
-            part[:] = 0.0
-            part[: len(self.free[name])] = self.free[name][: len(part)]
-        columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
-        drives = np.asarray(abs(full.basis) @ (columns >= n)) > 0
-        linear = PeriodicStructure(
-            constant, full.basis[drives], n, tuple(np.array(full.parameter_names)[drives])
-        )
-        gains, rss, n_rows, unknown = self._least_squares(linear)
+        linear = self._known_states(full)
+        gains, left, unknown = self._least_squares(linear)
+        n_rows, rss = len(left), np.sum(left**2, axis=0)
         found = linear.coefficients(gains)
         theta = project(full, found)
         basis = self.experiment.basis
@@ -369,13 +365,28 @@ class _InputProblem:
         fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
         bic = fit + np.log(n_rows * len(rss)) * len(gains)
         total = sum(float(np.sum((y / self.scale) ** 2)) for y in self.experiment.outputs)
-        r2 = 1.0 - float(np.sum(rss)) / total
-        names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
-        return bic, Realization(model, full, theta, physical, r2, names)
+        shares = 1.0 - float(np.sum(rss)) / total, float(np.sum(left[1:] * left[:-1])) / total
+        unknown = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
+        return bic, Realization(model, full, theta, physical, *shares, unknown)
+
+    def _known_states(self, full):
+        """The structure with F and P as found (as near as it allows), G and Q left free."""
+        n = full.n_states
+        guess = np.zeros(full.constant.shape)
+        for name, part in (("F", guess[:, :n, :n]), ("P", guess[:, n:, :n])):
+            part[: len(self.free[name])] = self.free[name][: len(part)]
+        constant = full.constant.copy()
+        constant[:, :, :n] = full.coefficients(project(full, guess))[:, :, :n]
+        columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
+        entries = sparse.csr_array(full.basis * (columns >= n))  # not F's that share a name
+        entries.eliminate_zeros()
+        drives = np.diff(entries.indptr) > 0
+        names = tuple(np.array(full.parameter_names, dtype=object)[drives])
+        return PeriodicStructure(constant, entries[drives], n, names)
 
     def _least_squares(self, linear):
-        """Parameters that enter linearly, sums of squares left by output, rows of each, and
-        which parameters the record does not determine."""
+        """Parameters that enter linearly, what they leave of the outputs (in parts of their
+        scale), and which of them the record does not determine."""
         blocks = []
         spp = self.experiment.basis.samples_per_period
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
@@ -401,10 +412,9 @@ class _InputProblem:
         kept = values > RANK * np.max(values, initial=0.0)
         solution = Vt[kept].T @ (U[:, kept].T @ R[:, -1] / values[kept]) / size
         left = rows[:, -1] - rows[:, :-1] @ solution
-        rss = np.sum(left.reshape(n_rows, -1) ** 2, axis=0)
         unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
         k = linear.n_parameters
-        return solution[:k], rss, n_rows, unknown[:k]
+        return solution[:k], left.reshape(n_rows, -1), unknown[:k]
 
     def _check_growth(self, response):
         periods = max(map(len, self.phases)) / max(len(response.Phi), 1)

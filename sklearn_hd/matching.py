@@ -35,6 +35,7 @@ __all__ = ["StructuredMatcher"]
 
 CRITERIA = ("hinf", "output_error")
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
+MOST_SYSTEMATIC = 0.01  # share of that variance left in a rest that is not white
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 
 
@@ -308,6 +309,14 @@ class StructuredMatcher(ModelStep):
                 f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's "
                 f"variance; check order, omega and that the record is long enough, or refine it "
                 f"with criterion='output_error'",
+                IdentifiabilityWarning,
+                stacklevel=5,
+            )
+        elif found.systematic > MOST_SYSTEMATIC:
+            warnings.warn(
+                f"the periodic model leaves {found.systematic:.2g} of the record's variance in a "
+                f"rest that is no noise (neighbouring samples are alike); check order, omega, the "
+                f"harmonics that the structure allows, and whether the response is linear",
                 IdentifiabilityWarning,
                 stacklevel=5,
             )

@@ -15,8 +15,8 @@ def mathieu(stiffness=2.0, excitation=0.5, damping=0.1, **measured):
     F = np.zeros((3, 2, 2))
     F[0] = [[0.0, 1.0], [-stiffness, -2.0 * damping]]
     F[1, 1, 0] = 2.0 * excitation
-    names = {"state_names": ["y", "v"]} | measured
-    return LTPSystem(F, [[0.0], [1.0]], omega=2.0, **names)
+    options = {"omega": 2.0, "state_names": ["y", "v"]} | measured
+    return LTPSystem(F, [[0.0], [1.0]], **options)
 
 
 def deflection_only(**parameters):
