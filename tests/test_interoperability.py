@@ -237,7 +237,7 @@ def test_skops_keeps_a_structure(tmp_path, short):
         "sklearn_hd._frame.Reading",
         "sklearn_hd.algorithms.structured_model.AffineStructure",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
-        "sklearn_hd.matching.MatrixStructure",
+        "sklearn_hd.structures._matrix.MatrixStructure",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.reduction.SpuriousModeReducer",
         "sklearn_hd.subspace.MOESPRegressor",
@@ -310,6 +310,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     assert loaded["match"].structure == pipe["match"].structure
 
 
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
 def test_grid_search_over_structures_and_harmonics(periodic):
     _, u, y = periodic
     halves = np.arange(len(u)) < len(u) // 2

@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._time import read_time
 from sklearn_hd._validation import (
     check_count,
     check_finite,
     check_period,
     check_positive,
     check_same_rows,
-    read_time,
     signal_names,
 )
 from sklearn_hd.algorithms.floquet import transition_matrices
