@@ -164,8 +164,8 @@ def _shapes(model, experiment, scale):
     growth = max(map(len, outputs)) * np.log(max(largest, 1e-300))
     if growth > MAX_GROWTH:
         raise ValueError(
-            f"a mode of the identified model grows e^{growth:.0f} times over the record, which "
-            f"the record cannot have shown: lower the order, check omega, or use a longer record"
+            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
+            f"a record can show: lower the order, check omega, or cut the record shorter"
         )
     directions, _, _ = input_directions(inputs, most_directions(n_periods, n))
     lifted = [y.reshape(len(y), -1) for y in outputs]

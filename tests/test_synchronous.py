@@ -16,7 +16,7 @@ from periodic_cases import (
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MatrixStructure
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
-from sklearn_hd.systems import LTPSystem
+from sklearn_hd.systems import LTPSystem, flapping_blade
 
 KEPT = {"w": [0], "phi_dot": [1]}
 
@@ -103,6 +103,7 @@ SYSTEMS = {
     "near": of_exponents([[-0.3, 0.0], [0.0, -0.3001]]),
     "complex": of_exponents([[-0.1, 0.3], [-0.3, -0.1]]),
     "two inputs, four states": coupled(),
+    "rotor blade": flapping_blade(mu=0.5),
     "more outputs than states": mathieu(P=[[1, 0], [0, 1], [1, 1]], output_names=["y", "v", "s"]),
 }
 SLACK = {"defective": 1e-5}  # the square root of rounding splits a double exponent
