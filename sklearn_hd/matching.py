@@ -428,6 +428,9 @@ class StructuredMatcher(ModelStep):
             match,
             model=model,
             theta=result.theta,
+            hinf_error=np.nan,  # those of the start
+            relative_error=np.nan,
+            peak_frequency=np.nan,
             n_iter=result.n_iter,
             uncertainty=uncertainty(structure, result, experiment, affine, everything),
         )
