@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
@@ -27,13 +27,18 @@ from sklearn_hd.algorithms.periodic_realization import (
     state_response,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.structured_model import column_sizes
 
 MODE_SEPARATION = 1e-3
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 MAX_GROWTH = 100.0  # e-folds over a record
 ROUNDING = 1e-28
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
+RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
+NULL_SHARE = 1e-6  # of a parameter's direction in the null space
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
+TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
+LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,11 @@ class Realization:
         Whether the states are outputs, rather than Floquet coordinates.
     r2 : float
         Share of the raw record's variance that the model explains.
+    systematic : float
+        Share of it that stands unexplained and is no white noise: covariance of what is
+        left of neighbouring samples.
+    unidentified : tuple of str
+        Parameters of G and Q that the record does not determine.
     """
 
     model: PeriodicModel
@@ -57,6 +67,8 @@ class Realization:
     theta: np.ndarray
     physical: bool
     r2: float
+    systematic: float
+    unidentified: tuple
 
 
 def realize(model, experiment, structure):
@@ -75,6 +87,12 @@ def realize(model, experiment, structure):
     """
     basis = experiment.basis
     spp = basis.samples_per_period
+    if structure.n_states not in (None, model.n_states):
+        raise ValueError(
+            f"the structure has {structure.n_states} states, the identified model "
+            f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
+            f"change the structure"
+        )
     scale = output_scale(experiment)
     shapes = _shapes(model, experiment, scale)
     names = [name for name, _ in basis.outputs]
@@ -90,11 +108,11 @@ def realize(model, experiment, structure):
     else:
         F, directions = shapes.state_matrix(psi, basis.omega, rows), None
         P = P @ np.linalg.inv(P[:, rows])
-        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
         states = tuple(names[i] for i in rows)
-        n_harmonics = {"F": min(2 * count, highest), "P": min(2 * count, highest)}
+        n_harmonics = {"F": tail_begins(F, shapes.noise), "P": tail_begins(P, shapes.noise)}
         if set(names) == set(states):
             n_harmonics["P"] = None
+        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
     P = P * scale[:, None]
     for name in n_harmonics:
         n_harmonics[name] = given(structure, name, n_harmonics[name])
@@ -104,6 +122,26 @@ def realize(model, experiment, structure):
     }
     problem = _InputProblem(structure, states, experiment, free, directions, scale)
     return problem.solve(n_harmonics, physical=rows is not None)
+
+
+def tail_begins(values, noise):
+    """Highest harmonic of a sampled periodic matrix that counts.
+
+    The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
+    geometrically where P P₀⁻¹ stays near the identity.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, rows, columns)
+    noise : float
+        Of what the values were made from, in parts of its size.
+    """
+    highest = (len(values) - 1) // 2
+    coefficients = sampled_harmonics(values, highest)
+    sizes = np.sum(coefficients**2, axis=(1, 2))
+    beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
+    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
+    return int(counts[-1]) + 1 if len(counts) else 0
 
 
 def given(structure, name, default):
@@ -122,11 +160,12 @@ def _shapes(model, experiment, scale):
     inputs = lifted_periods(experiment, experiment.inputs)
     outputs = lifted_periods(experiment, experiment.outputs, scale)
     n_periods, n = sum(map(len, outputs)), model.n_states
-    growth = max(map(len, outputs)) * np.log(np.max(np.abs(linalg.eigvals(model.A))))
+    largest = np.max(np.abs(linalg.eigvals(model.A)))
+    growth = max(map(len, outputs)) * np.log(max(largest, 1e-300))
     if growth > MAX_GROWTH:
         raise ValueError(
-            f"a mode of the identified model grows e^{growth:.0f} times over the record, which "
-            f"the record cannot have shown: lower the order, check omega, or use a longer record"
+            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
+            f"a record can show: lower the order, check omega, or cut the record shorter"
         )
     directions, _, _ = input_directions(inputs, most_directions(n_periods, n))
     lifted = [y.reshape(len(y), -1) for y in outputs]
@@ -167,22 +206,35 @@ def _state_outputs(shapes, structure, names, n_phases):
     P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
     if structure.states is not None:
         unknown = [name for name in structure.states if name not in names]
-        if unknown or len(structure.states) != n:
+        if unknown:
             raise ValueError(
-                f"states={list(structure.states)} must be {n} of the outputs {names}, for the "
-                f"identified model has {n} states; change them, or the order of the model"
+                f"states={list(structure.states)} must be {n} of the outputs {names}, and "
+                f"{unknown} are not among them"
             )
         rows = [names.index(name) for name in structure.states]
-        if not shape_condition(P[:, rows]) < SHAPE_CONDITION:
+        if not _invertible(P[:, rows], shapes.flips):
             raise ValueError(
                 f"the outputs {list(structure.states)} do not determine the {n} states; leave "
                 f"states=None, or name others of {names}"
             )
         return rows
     for rows in combinations(range(len(names)), n):
-        if shape_condition(P[:, list(rows)]) < SHAPE_CONDITION:
+        if _invertible(P[:, list(rows)], shapes.flips):
             return list(rows)
+    if entries := structure.given_entries():
+        raise ValueError(
+            f"the outputs {names} do not determine the {n} states that the structure gives entries "
+            f"of {', '.join(entries)} for; measure more outputs, or give numbers of harmonics (or "
+            f"nothing), which leads to Floquet coordinates"
+        )
     return None
+
+
+def _invertible(P, flips):
+    """Whether P(ψ) is, also between the samples: its determinant does not pass through zero."""
+    if np.sum(flips) % 2 or not shape_condition(P) < SHAPE_CONDITION:
+        return False
+    return len(np.unique(np.sign(np.linalg.det(P)))) == 1
 
 
 def floquet_coordinates(shapes, psi, omega):
@@ -204,7 +256,8 @@ def floquet_coordinates(shapes, psi, omega):
         raise ValueError(
             f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
             f"which no real system has (their product is positive): the order is wrong, or noise "
-            f"hides the fast modes; try order={n - 1} or {n + 1}, or a longer record"
+            f"hides the fast modes; try order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a "
+            f"longer record"
         )
     if n_flips:
         turn = _half_turns(psi, n, n_flips)
@@ -273,13 +326,19 @@ class _InputProblem:
         self.phases = [basis.phase_index(time) for time in experiment.times()]
 
     def solve(self, n_harmonics, physical):
-        """The realization with as many harmonics of G as the data show (Schwarz's criterion)."""
+        """The realization with as many harmonics of G as the data show (Schwarz's criterion).
+
+        And as they determine: inputs that change at a few phases of the period tell more
+        harmonics apart only where the outputs are the states.
+        """
         spp, best, worse = self.experiment.basis.samples_per_period, None, 0
         asked = self.structure.n_harmonics("G")
         for count in N_INPUT_HARMONICS if asked is None else [asked]:
             if best is not None and (count > (spp - 1) // 2 or self._numbers(count) > LARGEST_FIT):
                 break
             found = self._fit({**n_harmonics, "G": count}, physical)
+            if best is not None and len(found[1].unidentified) > len(best[1].unidentified):
+                break
             worse = 0 if best is None or found[0] < best[0] else worse + 1
             best = found if worse == 0 else best
             if worse == 2:
@@ -294,17 +353,9 @@ class _InputProblem:
     def _fit(self, n_harmonics, physical):
         """Schwarz's criterion, and the realization, with some number of harmonics of G."""
         full = self.structure.resolve(*self.names, n_harmonics, constant_F=self.directions)
-        n = full.n_states
-        constant = full.constant.copy()
-        for name, part in (("F", constant[:, :n, :n]), ("P", constant[:, n:, :n])):
-            part[:] = 0.0
-            part[: len(self.free[name])] = self.free[name][: len(part)]
-        columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
-        drives = np.asarray(abs(full.basis) @ (columns >= n)) > 0
-        linear = PeriodicStructure(
-            constant, full.basis[drives], n, tuple(np.array(full.parameter_names)[drives])
-        )
-        gains, rss, n_rows = self._least_squares(linear)
+        linear = self._known_states(full)
+        gains, left, unknown = self._least_squares(linear)
+        n_rows, rss = len(left), np.sum(left**2, axis=0)
         found = linear.coefficients(gains)
         theta = project(full, found)
         basis = self.experiment.basis
@@ -314,13 +365,32 @@ class _InputProblem:
         fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
         bic = fit + np.log(n_rows * len(rss)) * len(gains)
         total = sum(float(np.sum((y / self.scale) ** 2)) for y in self.experiment.outputs)
-        return bic, Realization(model, full, theta, physical, 1.0 - float(np.sum(rss)) / total)
+        shares = 1.0 - float(np.sum(rss)) / total, float(np.sum(left[1:] * left[:-1])) / total
+        unknown = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
+        return bic, Realization(model, full, theta, physical, *shares, unknown)
+
+    def _known_states(self, full):
+        """The structure with F and P as found (as near as it allows), G and Q left free."""
+        n = full.n_states
+        guess = np.zeros(full.constant.shape)
+        for name, part in (("F", guess[:, :n, :n]), ("P", guess[:, n:, :n])):
+            part[: len(self.free[name])] = self.free[name][: len(part)]
+        constant = full.constant.copy()
+        constant[:, :, :n] = full.coefficients(project(full, guess))[:, :, :n]
+        columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
+        entries = sparse.csr_array(full.basis * (columns >= n))  # not F's that share a name
+        entries.eliminate_zeros()
+        drives = np.diff(entries.indptr) > 0
+        names = tuple(np.array(full.parameter_names, dtype=object)[drives])
+        return PeriodicStructure(constant, entries[drives], n, names)
 
     def _least_squares(self, linear):
-        """Parameters that enter linearly, sums of squares left by output, and rows of each."""
+        """Parameters that enter linearly, what they leave of the outputs (in parts of their
+        scale), and which of them the record does not determine."""
         blocks = []
         spp = self.experiment.basis.samples_per_period
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
+        self._check_growth(response)
         for s, (u, y, phase) in enumerate(
             zip(self.experiment.inputs, self.experiment.outputs, self.phases, strict=True)
         ):
@@ -336,12 +406,25 @@ class _InputProblem:
         rows = np.concatenate(blocks)
         n_rows = len(rows)
         rows = rows.reshape(-1, rows.shape[-1])
-        size = np.linalg.norm(rows[:, :-1], axis=0)
-        size[size == 0.0] = 1.0
-        solution = linalg.lstsq(rows[:, :-1] / size, rows[:, -1])[0]
-        left = rows[:, -1] - rows[:, :-1] @ (solution / size)
-        rss = np.sum(left.reshape(n_rows, -1) ** 2, axis=0)
-        return (solution / size)[: linear.n_parameters], rss, n_rows
+        size = column_sizes(rows[:, :-1])
+        R = linalg.qr(rows / np.append(size, 1.0), mode="r")[0][: len(size)]
+        U, values, Vt = linalg.svd(R[:, :-1])
+        kept = values > RANK * np.max(values, initial=0.0)
+        solution = Vt[kept].T @ (U[:, kept].T @ R[:, -1] / values[kept]) / size
+        left = rows[:, -1] - rows[:, :-1] @ solution
+        unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
+        k = linear.n_parameters
+        return solution[:k], left.reshape(n_rows, -1), unknown[:k]
+
+    def _check_growth(self, response):
+        periods = max(map(len, self.phases)) / max(len(response.Phi), 1)
+        growth = periods * np.log(max(response.spectral_radius, 1e-300))
+        if growth > MAX_GROWTH:
+            raise ValueError(
+                f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
+                f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
+                f"F, sample more often, or change the order of the model"
+            )
 
     @property
     def omega(self):

@@ -35,6 +35,7 @@ __all__ = ["StructuredMatcher"]
 
 CRITERIA = ("hinf", "output_error")
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
+MOST_SYSTEMATIC = 0.01  # share of that variance left in a rest that is not white
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 
 
@@ -314,6 +315,22 @@ class StructuredMatcher(ModelStep):
                 IdentifiabilityWarning,
                 stacklevel=5,
             )
+        elif found.systematic > MOST_SYSTEMATIC:
+            warnings.warn(
+                f"the periodic model leaves {found.systematic:.2g} of the record's variance in a "
+                f"rest that is no noise (neighbouring samples are alike); check order, omega, the "
+                f"harmonics that the structure allows, and whether the response is linear",
+                IdentifiabilityWarning,
+                stacklevel=5,
+            )
+        if found.unidentified:
+            warnings.warn(
+                f"the record does not determine {', '.join(found.unidentified)} (only some "
+                f"combinations of them): of all values that fit, the smallest are taken; let "
+                f"inputs change at more phases of the period, or give G and Q fewer harmonics",
+                IdentifiabilityWarning,
+                stacklevel=5,
+            )
         return _periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
     def _match_decomposition(self, model, experiment, structure):
@@ -414,6 +431,9 @@ class StructuredMatcher(ModelStep):
             match,
             model=model,
             theta=result.theta,
+            hinf_error=np.nan,  # those of the start
+            relative_error=np.nan,
+            peak_frequency=np.nan,
             n_iter=result.n_iter,
             uncertainty=uncertainty(structure, result, experiment, affine, everything),
         )

@@ -166,6 +166,9 @@ class MOESPRegressor(ModelStep):
             check_flag("scale", self.scale),
             check_flag("feedthrough", self.feedthrough),
         )
+        self._check_order()
+        if self.block_rows is not None:
+            check_count("block_rows", self.block_rows, 2, "None chooses them")
         experiment = read_for_fit(X, y)
         warn_of_mismatch(experiment)
         warn_of_growing_data(experiment)
@@ -174,7 +177,6 @@ class MOESPRegressor(ModelStep):
         raw = excitation is inputs
         n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
         lengths = [len(u) for u in inputs]
-        self._check_order()
         self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
         moving = _moving_inputs(inputs, experiment)
         _check_outputs_move(experiment)
@@ -283,10 +285,10 @@ class MOESPRegressor(ModelStep):
             return by_gap
         lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
         lifted = [y.reshape(len(y), -1) for y in lifted]
-        # as many as the raw periods tell apart once the inputs' directions are projected out
-        n_periods, r = sum(map(len, lifted)), directions[0].shape[1]
-        most = min(bound, MOST_STATES, (n_periods // 2 - r) // (r + len(lifted)))
-        if most < by_gap:
+        # half as many as the periods left once the inputs' directions are projected out
+        left = sum(map(len, lifted)) - directions[0].shape[1]
+        most = min(bound, MOST_STATES, left // 2)
+        if most < 1:
             return by_gap
         candidates = [state_matrices(U, values, n + 1, n_outputs)[0] for n in range(most)]
         return len(order_by_residual(candidates, directions, lifted))
@@ -332,7 +334,7 @@ class MOESPRegressor(ModelStep):
             while i > max(2, window + 2) and n_hankel_columns(lengths, i) < i * comfortable:
                 i -= 1
         else:
-            i = check_count("block_rows", self.block_rows, 2, "None chooses them")
+            i = int(self.block_rows)
         if i <= window + 1 and sliding:
             raise ValueError(
                 f"block_rows={i} must exceed the {window} rows in the analysis window plus one, or "
@@ -346,19 +348,16 @@ class MOESPRegressor(ModelStep):
         need = i * n_inputs + 1 + (1 if self.order == "auto" else int(self.order))
         free = self.order == "auto" and self.block_rows is None and basis is None
         if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
-            if basis is not None and basis.synchronous:
-                raise ValueError(
-                    f"the {experiment.span()} hold {sum(lengths)} whole period(s), too few for "
-                    f"block_rows={i}: at least {need + 2 * i - 1} consecutive periods are needed "
-                    f"with {n_inputs} input(s) a period; use a longer record, fewer block rows or "
-                    f"fewer harmonics of the inputs"
-                )
-            rows = f"{sum(lengths)} row(s) (n_samples = {len(experiment.base.time)})"
+            unit, moving = "row", "input(s)"
+            way_out = "use a longer record, fewer block rows or a smaller hop"
+            if _lifted(experiment):
+                unit, moving = "whole period", "direction(s) of inputs"
+                way_out = "use a longer record, or fewer block rows"
+            rows = f"{sum(lengths)} {unit}(s) (n_samples = {len(experiment.base.time)})"
             raise ValueError(
                 f"the {experiment.span()} give {rows} to identify from, too few for "
-                f"block_rows={i}: at least {need + 2 * i - 1} consecutive rows are needed with "
-                f"{n_inputs} input(s){why_short(experiment.base)}; use a longer record, fewer "
-                f"block rows or a smaller hop"
+                f"block_rows={i}: at least {need + 2 * i - 1} consecutive {unit}s are needed with "
+                f"{n_inputs} {moving}{why_short(experiment.base)}; {way_out}"
             )
         return i
 
@@ -436,9 +435,14 @@ def _warn_idle(moving, experiment):
     """Warn of inputs at rest."""
     idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
     if idle:
+        effect = "their effect is not identified, and their columns of B are zero"
+        if _lifted(experiment):
+            effect = (
+                "their columns of B are zero; StructuredMatcher fits what inputs do within the "
+                "period"
+            )
         warnings.warn(
-            f"the inputs {idle} are at rest in the {experiment.span()}: their effect is not "
-            f"identified, and their columns of B are zero",
+            f"the inputs {idle} are at rest in the {experiment.span()}: {effect}",
             ExcitationWarning,
             stacklevel=5,
         )
@@ -475,9 +479,12 @@ def _moving_inputs(inputs, experiment):
     for u in inputs:
         if len(u):
             moving |= u.max(axis=0) > u.min(axis=0)
-    signals = experiment.drive_signals()
+    signals, seen = experiment.drive_signals(), moving
+    if _lifted(experiment):  # what has no mean over any period may move within it all the same
+        signals = tuple(signal for signal, _ in experiment.basis.inputs)
+        seen = np.any([u.max(axis=0) > u.min(axis=0) for u in experiment.inputs], axis=0)
     for name in dict.fromkeys(signals):
-        if not any(m for m, signal in zip(moving, signals, strict=True) if signal == name):
+        if not any(m for m, signal in zip(seen, signals, strict=True) if signal == name):
             raise ValueError(
                 f"input {name!r} is constant in the {experiment.span()} (less than {SMALLEST:g} "
                 f"being zero): nothing excites the system; choose a span in which it moves, or "

@@ -1,16 +1,20 @@
 """Habits of scikit-learn and its neighbours that users bring along."""
 
+import pickle
 import warnings
 
 import control
+import joblib
 import numpy as np
 import pandas as pd
 import pytest
 from conftest import KEPT, heave_pipeline
+from periodic_cases import mathieu, record, synchronous
 from sklearn.base import clone
 from sklearn.frozen import FrozenEstimator
 from sklearn.inspection import permutation_importance
 from sklearn.model_selection import (
+    GridSearchCV,
     GroupKFold,
     RandomizedSearchCV,
     TimeSeriesSplit,
@@ -24,6 +28,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn_hd import (
     HarmonicAnalyzer,
     HarmonicFrame,
+    HarmonicStructure,
     MatrixStructure,
     MOESPRegressor,
     SpuriousModeReducer,
@@ -268,6 +273,55 @@ def test_parquet_files_keep_index_and_types(tmp_path, short, fitted):
     backed = clone(fitted).fit(arrow[["U"]], arrow[["w", "phi_dot"]]).predict(arrow[["U"]])
     assert backed.dtypes.astype(str).tolist() == ["float[pyarrow]", "float[pyarrow]"]
     np.testing.assert_array_equal(backed.to_numpy(dtype="float32"), predicted.to_numpy())
+
+
+@pytest.fixture(scope="module", params=["hinf", "output_error"])
+def periodic(request):
+    """A periodic model in either criterion, and the record that it comes from."""
+    u, y = record(mathieu(), n_periods=30, noise=0.01)
+    structure = HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]], "1c": [[0, 0], ["q", 0]]}, G=0)
+    pipe = synchronous(2.0, structure, order=2, criterion=request.param)
+    return pipe.fit(u, y), u, y
+
+
+def test_periodic_models_clone_pickle_and_hash(periodic):
+    pipe, u, y = periodic
+    twin, again = pickle.loads(pickle.dumps(pipe)), clone(pipe).fit(u, y)
+    assert again["match"].structure == pipe["match"].structure
+    for other in (twin, again):
+        pd.testing.assert_frame_equal(other.predict(u), pipe.predict(u))
+        pd.testing.assert_series_equal(other["match"].theta_std_, pipe["match"].theta_std_)
+        np.testing.assert_array_equal(
+            other["match"].ltp_.F.coefficients, pipe["match"].ltp_.F.coefficients
+        )
+    assert joblib.hash(clone(pipe)) == joblib.hash(clone(twin))
+
+
+def test_skops_saves_periodic_models(tmp_path, periodic):
+    skops = pytest.importorskip("skops.io")
+    pipe, u, _ = periodic
+    path = tmp_path / "pipe.skops"
+    skops.dump(pipe, path)
+    trusted = skops.get_untrusted_types(file=path)
+    assert all(name.startswith("sklearn_hd.") for name in trusted)
+    loaded = skops.load(path, trusted=trusted)
+    pd.testing.assert_frame_equal(loaded.predict(u), pipe.predict(u))
+    pd.testing.assert_series_equal(loaded["match"].theta_std_, pipe["match"].theta_std_)
+    assert loaded["match"].structure == pipe["match"].structure
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+def test_grid_search_over_structures_and_harmonics(periodic):
+    _, u, y = periodic
+    halves = np.arange(len(u)) < len(u) // 2
+    search = GridSearchCV(
+        synchronous(2.0, order=2),
+        {"match__structure": [HarmonicStructure(F=1, G=0), HarmonicStructure(F=0, G=0)]},
+        cv=[(np.flatnonzero(halves), np.flatnonzero(~halves))],
+        error_score="raise",
+    ).fit(u, y)
+    assert search.best_params_["match__structure"] == HarmonicStructure(F=1, G=0)
+    assert search.best_score_ > 0.9
 
 
 def test_records_from_a_csv_file(tmp_path, short, fitted):

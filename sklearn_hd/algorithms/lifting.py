@@ -48,8 +48,9 @@ def lift(values, phase, samples_per_period):
 def input_directions(lifted, most=None):
     """Inputs of each period in the fewest directions, the strongest first.
 
-    Directions no stronger than white noise on the inputs would give are left out, where the
-    weaker half of all looks like such noise and it holds but little energy.
+    Each input counts in parts of its root mean square. Directions no stronger than white
+    noise on the inputs would give are left out, where the weaker half of all looks like
+    such noise and it holds but little energy.
 
     Parameters
     ----------
@@ -74,11 +75,14 @@ def input_directions(lifted, most=None):
     >>> input_directions([lift(u, np.arange(12) % 4, 4)])[1]
     2
     """
-    stacked = np.vstack([block.reshape(len(block), -1) for block in lifted])
-    largest = np.max(np.abs(stacked), initial=0.0)
-    if largest == 0.0:
+    stacked = np.concatenate(lifted)
+    largest = np.max(np.abs(stacked), axis=(0, 1), initial=0.0)
+    if not largest.any():
         return [np.zeros((len(block), 0)) for block in lifted], 0, 0.0
-    U, s, _ = linalg.svd(stacked / largest, full_matrices=False)
+    stacked = stacked / np.where(largest > 0.0, largest, 1.0)
+    size = np.sqrt(np.mean(stacked**2, axis=(0, 1)))
+    stacked = (stacked / np.where(size > 0.0, size, 1.0)).reshape(len(stacked), -1)
+    U, s, _ = linalg.svd(stacked, full_matrices=False)
     n_all = int(np.sum(s > max(DIRECTION_TOLERANCE * s[0], _noise_level(s, stacked.shape))))
     kept = n_all if most is None else min(n_all, most)
     W = U[:, :kept] * np.sqrt(len(stacked))

@@ -17,6 +17,7 @@ from scipy import linalg
 from scipy.optimize import least_squares
 
 from sklearn_hd.algorithms.simulation import propagate, real_logarithm
+from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = [
     "FloquetShapes",
@@ -33,6 +34,7 @@ BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3
 LARGEST_MULTIPLIER = 1e3
+ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
 SWEEPS = 20
 SWEEP_TOLERANCE = 1e-13
@@ -82,7 +84,7 @@ def refine_multipliers(Phi, directions, lifted):
         if not np.max(np.abs(values), initial=0.0) < LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5:
             return target.ravel()
         regressors = np.vstack(_mode_responses(values, directions))
-        Q = linalg.qr(regressors / _lengths(regressors), mode="economic")[0]
+        Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
         return (target - Q @ (Q.T @ target)).ravel()
 
     start = np.concatenate([lead.real, lead.imag[paired]])
@@ -113,14 +115,15 @@ def order_by_residual(candidates, directions, lifted):
     Phi : ndarray, shape (n, n)
         The candidate chosen.
     """
-    n_columns = lifted[0].shape[1]
+    n_columns, r = lifted[0].shape[1], directions[0].shape[1]
     target = _compact(np.vstack(lifted))
-    n_free = (len(target) - directions[0].shape[1]) * n_columns
+    n_free = (len(target) - r) * n_columns
+    per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
         left.append(_left_by(refine_multipliers(Phi, directions, lifted), directions, target))
-        rss = max(float(np.sum(left[-1] ** 2)), np.finfo(float).eps ** 2 * np.sum(target**2))
-        bic.append(n_free * np.log(rss / n_free) + len(Phi) * n_columns * np.log(n_free))
+        rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
+        bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
@@ -132,13 +135,26 @@ def order_by_residual(candidates, directions, lifted):
 
 
 def _left_by(Phi, directions, target):
-    """Lifted outputs less what modes of some multipliers can explain."""
+    """Lifted outputs less what inputs and as many states as Φ has can explain.
+
+    The states move in n of the directions in which n modes could answer to every input and
+    initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
+    them together would fit the noise, the more the more directions the inputs have.
+    """
     multipliers = linalg.eigvals(Phi) if len(Phi) else np.zeros(0, dtype=complex)
     regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], directions))
     if regressors.shape[1] == 0:
         return target
-    Q = linalg.qr(regressors / _lengths(regressors), mode="economic")[0]
-    return target - Q @ (Q.T @ target)
+    Q, r = (
+        linalg.qr(regressors / column_sizes(regressors), mode="economic")[0],
+        len(directions[0].T),
+    )
+    left = target - Q[:, :r] @ (Q[:, :r].T @ target)
+    if len(Phi) == 0:
+        return left
+    within = Q[:, r:].T @ left
+    U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
+    return left - Q[:, r:] @ (U @ (U.T @ within))
 
 
 def _is_white(rest, n_columns):
@@ -159,11 +175,6 @@ def _compact(stacked):
     if stacked.shape[1] <= len(stacked):
         return stacked
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
-
-
-def _lengths(columns):
-    sizes = np.linalg.norm(columns, axis=0)
-    return np.where(sizes > 0.0, sizes, 1.0)
 
 
 def _mode_responses(multipliers, directions):
@@ -222,7 +233,7 @@ def state_response(Phi, C, directions, lifted, seen):
     compact = _compact(outputs)
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
-        size = _lengths(regressors)
+        size = column_sizes(regressors)
         unknown = linalg.lstsq(regressors / size, target.ravel(), cond=1e-13)[0] / size
         states = np.einsum("kun,u->kn", units, unknown)
         sees = linalg.lstsq(states, compact)[0].T
@@ -333,12 +344,15 @@ class FloquetShapes:
     flips : ndarray of bool, shape (n,)
     coefficients : tuple of ndarray, shapes (n_functions_a, l), one for each state a
     n_harmonics : int
+    noise : float
+        Standard deviation of what the shapes were fitted to, in parts of its size.
     """
 
     R: np.ndarray
     flips: np.ndarray
     coefficients: tuple
     n_harmonics: int
+    noise: float = 0.0
 
     def __call__(self, psi):
         """P(ψ) and dP/dψ, shapes (n_points, l, n)."""
@@ -409,7 +423,8 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
         value = float(np.sum(left / variance)) + 2.0 * solution.size
         if best is None or value < best[0]:
             edges = np.cumsum([f.shape[1] for f in functions])[:-1]
-            best = value, FloquetShapes(R, flips, tuple(np.split(solution, edges)), count)
+            noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
+            best = value, FloquetShapes(R, flips, tuple(np.split(solution, edges)), count, noise)
     return best[1]
 
 

@@ -1,9 +1,11 @@
 """Linear time-periodic systems of which some Fourier coefficients are parameters."""
 
+import copy
 import numbers
 from collections.abc import Mapping
 
 import numpy as np
+import pandas as pd
 from scipy import sparse
 
 from sklearn_hd.algorithms.fourier import harmonic_labels
@@ -28,7 +30,8 @@ class HarmonicStructure:
         A number of harmonics, every entry of every coefficient free. A dict by label,
         ``{"0": M_0, "1c": M_1c, …}``, of the coefficients that are not zero, each a matrix
         (or DataFrame) of entries as in :class:`MatrixStructure`: a number is fixed, NaN
-        a parameter of its own, a text such as ``"-k"`` a parameter shared by name.
+        a parameter of its own, a text such as ``"-k"`` a parameter shared by name. Labels
+        of a DataFrame must be the names of states, inputs and outputs, in their order.
         None lets the data decide: the number of harmonics of F and G; of P only those
         rows whose outputs are not states; Q is zero.
     states : sequence of str, optional
@@ -65,6 +68,11 @@ class HarmonicStructure:
 
     def _check_shapes(self):
         n = self.n_states
+        if self.states is not None and len(self.states) != n:
+            raise ValueError(
+                f"F is of {n} states, but states={list(self.states)} names {len(self.states)}; "
+                f"give one name for each row of F"
+            )
         for name, sides in {"F": (n, n), "G": (n, None), "P": (None, n), "Q": (None, None)}.items():
             spec = self._specs[name]
             if not isinstance(spec, dict):
@@ -86,6 +94,10 @@ class HarmonicStructure:
         if isinstance(self._specs["F"], dict):
             return matrix_shape(next(iter(self._specs["F"].values())), "F")[0]
         return None if self.states is None else len(self.states)
+
+    def given_entries(self):
+        """Those of F, G, P and Q whose entries are given, rather than a number of harmonics."""
+        return [name for name, spec in self._specs.items() if isinstance(spec, dict)]
 
     def n_harmonics(self, name):
         """Highest harmonic of F, G, P or Q; None if the data decide."""
@@ -161,6 +173,8 @@ class HarmonicStructure:
                     f"the coefficients of {name} have shape {found}, but {len(rows)} x "
                     f"{len(columns)} are needed for {list(rows)} by {list(columns)}"
                 )
+            for label, matrix in spec.items():
+                _check_labels(f"{name}_{label}", matrix, rows, columns)
             return {
                 label: _cells(name, label, matrix, rows, columns) for label, matrix in spec.items()
             }
@@ -218,7 +232,7 @@ def _specification(name, value):
     if isinstance(value, Mapping) and value:
         for label in value:
             _order(label, name)
-        return dict(value)
+        return {label: copy.copy(matrix) for label, matrix in value.items()}
     if isinstance(value, numbers.Integral) and not isinstance(value, bool) and value >= 0:
         return int(value)
     raise ValueError(
@@ -227,12 +241,24 @@ def _specification(name, value):
     )
 
 
+def _check_labels(what, matrix, rows, columns):
+    """Raise ValueError if a DataFrame is labelled otherwise than the signals are named."""
+    if not isinstance(matrix, pd.DataFrame):
+        return
+    for axis, names in ((matrix.index, rows), (matrix.columns, columns)):
+        if not isinstance(axis, pd.RangeIndex) and [str(x) for x in axis] != list(names):
+            raise ValueError(
+                f"{what} is labelled {[str(x) for x in axis]} where the signals are {list(names)}; "
+                f"give the same names in the same order, or an array"
+            )
+
+
 def _order(label, name="a coefficient"):
     """Harmonic k of a label 0, kc or ks."""
     text = label if isinstance(label, str) else ""
     if text == "0":
         return 0
-    if text[:-1].isdigit() and int(text[:-1]) > 0 and text[-1] in "cs":
+    if text[:-1].isdecimal() and int(text[:-1]) > 0 and text[-1] in "cs":
         return int(text[:-1])
     raise ValueError(
         f"{label!r} is no label of {name}; labels are '0', '1c', '1s', '2c', … (mean, cosine, sine)"

@@ -1,0 +1,145 @@
+"""StructuredMatcher(criterion="output_error") with time-invariant structures."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import heave_pipeline
+from periodic_cases import mathieu, record, synchronous
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import HarmonicStructure, MatrixStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+LAG = MatrixStructure([["-a"]], [["b"]])
+TRUE_LAG = {"a": -np.log(0.8), "b": -np.log(0.8) / 0.2}  # of y[k+1] = 0.8 y + u
+
+
+def lag_record(seed, noise=0.1, n_samples=400):
+    rng = np.random.default_rng(seed)
+    u, y = rng.standard_normal((n_samples, 1)), np.zeros((n_samples, 1))
+    for k in range(n_samples - 1):
+        y[k + 1] = 0.8 * y[k] + u[k]
+    return u, y + noise * rng.standard_normal(y.shape)
+
+
+def matched_lag(u, y, **options):
+    options = {"structure": LAG, "criterion": "output_error"} | options
+    return StructuredMatcher(MOESPRegressor(order=1, block_rows=5), **options).fit(u, y)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_plain_data(seed):
+    match = matched_lag(*lag_record(seed))
+    z = (match.theta_ - pd.Series(TRUE_LAG)) / match.theta_std_
+    assert z.abs().max() < 3.5
+    assert match.noise_std_.iloc[0] == pytest.approx(0.1, rel=0.15)
+    found = match.eigenvalues_.iloc[0]
+    assert found["eigenvalue"] == pytest.approx(-match.theta_["a"])
+    assert found["std_real"] == pytest.approx(match.theta_std_["a"], rel=1e-6)
+    assert found["std_imag"] == 0.0
+    assert match.system_.A[0, 0] == -match.theta_["a"]
+
+
+def test_the_static_gain_and_its_deviation():
+    """b / a, its slope known."""
+    match = matched_lag(*lag_record(0))
+    (response,), (std,) = match.frequency_response([0.0])
+    a, b = match.theta_
+    slope = np.array([-b / a**2, 1 / a])
+    assert response[0, 0] == pytest.approx(b / a)
+    assert std[0, 0].real == pytest.approx(np.sqrt(slope @ match.covariance_ @ slope), rel=1e-9)
+
+
+def test_without_noise_the_truth_comes_back():
+    match = matched_lag(*lag_record(0, noise=0.0))
+    np.testing.assert_allclose(match.theta_, pd.Series(TRUE_LAG), rtol=1e-10)
+
+
+def test_units_of_the_output_scale_gain_and_deviation():
+    u, y = lag_record(0)
+    one, other = matched_lag(u, y), matched_lag(u, 1e6 * y)
+    units = np.array([1.0, 1e6])
+    np.testing.assert_allclose(other.theta_, one.theta_ * units, rtol=1e-6)
+    np.testing.assert_allclose(other.theta_std_, one.theta_std_ * units, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_intervals_of_plain_data_hold_the_truth_as_often_as_they_say():
+    inside = []
+    for seed in range(200):
+        interval, true = matched_lag(*lag_record(seed)).confidence_interval(), pd.Series(TRUE_LAG)
+        inside.append((interval["lower"] < true) & (true < interval["upper"]))
+    assert 0.92 < np.mean(inside) < 0.98
+
+
+def free_heave(names):
+    return MatrixStructure(pd.DataFrame(np.nan, names, names), pd.DataFrame(np.nan, names, ["U_0"]))
+
+
+def test_harmonics_of_a_sliding_analyzer():
+    """Refined on the signals themselves: no analyzer bias, a small part of the error before."""
+    data = make_flapping_wing("lti-signal", n_periods=120, start=10, snr=100, random_state=0)
+    names, errors = list(data.A_exact.columns), []
+    exact = data.A_exact.to_numpy()
+    for criterion in ("hinf", "output_error"):
+        matcher = StructuredMatcher(structure=free_heave(names), criterion=criterion)
+        steps = heave_pipeline(data.omega, n_states=3).steps
+        pipe = Pipeline([*steps, ("match", matcher)])
+        pipe["identify"].set_params(order=12)
+        match = pipe.fit(data.inputs, data.outputs)["match"]
+        errors.append(np.linalg.norm(match.system_.A - exact) / np.linalg.norm(exact))
+    assert errors[1] < 0.01
+    assert errors[1] < errors[0]
+    A = match.theta_.to_numpy()[:9] - exact.ravel()
+    assert np.abs(A / match.theta_std_.to_numpy()[:9]).max() < 4.5
+    assert match.system_.state_labels == names
+
+
+def test_a_matrix_structure_period_by_period():
+    """Three harmonics fit the signals of the periodic system best 9 % away from its own."""
+    data = make_flapping_wing("ltp", n_periods=60, start=5, snr=100, random_state=1)
+    pipe = synchronous(
+        data.omega,
+        free_heave(list(data.A_exact.columns)),
+        order=2,
+        harmonics={"w": [0], "phi_dot": [1]},
+        criterion="output_error",
+    )
+    match = pipe.fit(data.inputs, data.outputs)["match"]
+    assert np.isfinite(match.theta_std_).all()
+    assert np.isnan(match.hinf_error_)
+    assert pipe.score(data.inputs, data.outputs) > 0.995
+
+
+def test_parameters_that_the_record_leaves_open_are_infinite():
+    """A factor of the input matrix beside a factor of the output matrix."""
+    structure = MatrixStructure([["-a"]], [["b"]], [["c"]])
+    with pytest.warns(IdentifiabilityWarning) as caught:
+        match = matched_lag(*lag_record(0), structure=structure)
+    assert "does not determine b, c" in str(caught[-1].message)
+    assert "standard deviation is infinite" in str(caught[-1].message)
+    assert np.isinf(match.theta_std_[["b", "c"]]).all()
+    assert np.isfinite(match.theta_std_["a"])
+    assert match.confidence_interval().loc["b"].tolist() == [-np.inf, np.inf]
+
+
+def test_a_search_cut_short_is_said():
+    u, y = record(mathieu(), noise=0.3, n_periods=30)
+    pipe = synchronous(
+        2.0, HarmonicStructure(F=1, G=0), order=2, criterion="output_error", max_iter=1
+    )
+    with pytest.warns(ConvergenceWarning, match=r"stopped after 1 iterations; .* raise max_iter"):
+        pipe.fit(u, y)
+
+
+def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():
+    """From the decomposition with eight numbers in A to all coefficients of F that show."""
+    data = make_flapping_wing("lti-signal", n_periods=120, start=10)
+    steps = heave_pipeline(data.omega, n_states=3).steps
+    structure = HarmonicStructure(F=1, G={"1c": [[0.0], ["gain"]]})
+    matcher = StructuredMatcher(structure=structure, criterion="output_error")
+    match = Pipeline([*steps, ("match", matcher)]).fit(data.inputs, data.outputs)["match"]
+    assert match.ltp_.state_names == ("w", "phi_dot")
+    assert np.isfinite(match.noise_std_).all()
