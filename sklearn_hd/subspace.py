@@ -351,7 +351,7 @@ class MOESPRegressor(ModelStep):
             unit, moving = "row", "input(s)"
             way_out = "use a longer record, fewer block rows or a smaller hop"
             if _lifted(experiment):
-                unit, moving = "whole period", "direction(s) of inputs"
+                unit, moving = "period", "direction(s) of inputs"
                 way_out = "use a longer record, or fewer block rows"
             rows = f"{sum(lengths)} {unit}(s) (n_samples = {len(experiment.base.time)})"
             raise ValueError(

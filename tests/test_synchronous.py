@@ -15,7 +15,7 @@ from periodic_cases import (
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MatrixStructure
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
 from sklearn_hd.systems import LTPSystem, flapping_blade
 
 KEPT = {"w": [0], "phi_dot": [1]}
@@ -283,7 +283,8 @@ def test_a_growing_record():
     """An unstable orbit: multipliers of 1.065, 40 times the size at the end."""
     system = mathieu(damping=-0.02)
     u, y = record(system)
-    pipe = synchronous(2.0).fit(u, y)
+    with pytest.warns(InstabilityWarning, match=r"unstable: a Floquet exponent .* 0\.02 1/s"):
+        pipe = synchronous(2.0).fit(u, y)
     comes_back(pipe, system, atol=1e-8)
     assert pipe.score(u, y) > 1 - 1e-10
 

@@ -117,8 +117,8 @@ def test_a_stable_orbit_is_not_called_unstable():
 def test_too_few_periods_are_counted():
     X, y = record(orbit(-0.05), 12)
     message = (
-        r"hold 12 whole period\(s\), too few for block_rows=8: at least 26 consecutive periods are "
-        r"needed with 1 input\(s\) a period; use a longer record, fewer block rows or fewer harm"
+        r"give 12 period\(s\) .* too few for block_rows=8: at least 26 consecutive periods are "
+        r"needed with 1 direction\(s\) of inputs; use a longer record, or fewer block rows"
     )
     pipe = synchronous()[:2].set_params(identify__block_rows=8)
     with pytest.raises(ValueError, match=message):
