@@ -23,6 +23,7 @@ from sklearn_hd.algorithms.mode_shapes import shape_condition
 from sklearn_hd.algorithms.periodic_realization import (
     fit_shapes,
     floquet_logarithm,
+    leaves_white_noise,
     refine_multipliers,
     state_response,
 )
@@ -33,6 +34,8 @@ MODE_SEPARATION = 1e-3
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 MAX_GROWTH = 100.0  # e-folds over a record
 ROUNDING = 1e-28
+LEAST_DECAY = 4  # periods for each state in a free decay that can stand alone
+REST_SHARE = 1e-9  # of an input's largest value, below which it is at rest
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
 NULL_SHARE = 1e-6  # of a parameter's direction in the null space
@@ -172,6 +175,14 @@ def _shapes(model, experiment, scale):
     _, seen = rows_read(experiment)
     unit = _sizes(np.vstack(seen))
     Phi = refine_multipliers(model.A, directions, lifted)
+    if not leaves_white_noise(Phi, directions, lifted):
+        # systematic errors, a nonlinear system's: smallest where the motion dies away
+        free = free_decays(inputs)
+        if sum(len(lifted[s][rows]) for s, rows in free) > LEAST_DECAY * n:
+            lifted, seen = ([blocks[s][rows] for s, rows in free] for blocks in (lifted, seen))
+            directions = [np.zeros((len(block), 0)) for block in lifted]
+            Phi = refine_multipliers(Phi, directions, lifted)
+            n_periods = sum(map(len, lifted))
     sights, information, residual = state_response(
         Phi, model.C / unit[:, None], directions, lifted, [Y / unit for Y in seen]
     )
@@ -188,6 +199,16 @@ def _shapes(model, experiment, scale):
         2.0 * np.pi / basis.omega,
         n_rows,
     )
+
+
+def free_decays(inputs):
+    """Periods of each segment after the last in which an input moves: (segment, rows)."""
+    largest = np.max(np.abs(np.concatenate(inputs)), axis=(0, 1), initial=0.0)
+    tails = []
+    for s, u in enumerate(inputs):
+        moving = np.flatnonzero(np.any(np.abs(u) > REST_SHARE * largest, axis=(1, 2)))
+        tails.append((s, slice(moving[-1] + 1 if len(moving) else 0, len(u))))
+    return [(s, rows) for s, rows in tails if len(inputs[s][rows])]
 
 
 def most_directions(n_periods, n_states):

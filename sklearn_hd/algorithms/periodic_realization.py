@@ -23,6 +23,7 @@ __all__ = [
     "FloquetShapes",
     "fit_shapes",
     "floquet_logarithm",
+    "leaves_white_noise",
     "order_by_residual",
     "refine_multipliers",
     "shape_functions",
@@ -155,6 +156,16 @@ def _left_by(Phi, directions, target):
     within = Q[:, r:].T @ left
     U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
     return left - Q[:, r:] @ (U @ (U.T @ within))
+
+
+def leaves_white_noise(Phi, directions, lifted):
+    """Whether what the multipliers of Φ leave of the lifted outputs looks like white noise.
+
+    If so, :func:`refine_multipliers` is the estimate of largest likelihood; if not, the
+    squares it minimises are systematic errors, and it has no claim to be the better one.
+    """
+    target = _compact(np.vstack(lifted))
+    return _is_white(_left_by(Phi, directions, target), lifted[0].shape[1])
 
 
 def _is_white(rest, n_columns):
