@@ -17,6 +17,7 @@ from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._periodic import PeriodicModel
 from sklearn_hd.algorithms.floquet import propagate_periodic
+from sklearn_hd.algorithms.floquet_coordinates import fixed_scale, floquet_coordinates
 from sklearn_hd.algorithms.fourier import sampled_harmonics
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.mode_shapes import shape_condition
@@ -30,7 +31,6 @@ from sklearn_hd.algorithms.periodic_realization import (
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.structured_model import column_sizes
 
-MODE_SEPARATION = 1e-3
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 MAX_GROWTH = 100.0  # e-folds over a record
 ROUNDING = 1e-28
@@ -105,11 +105,12 @@ def realize(model, experiment, structure):
     highest = (spp - 1) // 2
     count = min(shapes.n_harmonics, highest)
     if rows is None:
-        F, P, directions = floquet_coordinates(shapes, psi, basis.omega)
+        F, P, form = floquet_coordinates(shapes, psi, basis.omega)
+        turned = bool(shapes.flips.any())
         states = tuple(f"z{i + 1}" for i in range(len(F[0])))
-        n_harmonics = {"F": 0 if directions else 1, "P": min(count + (not directions), highest)}
+        n_harmonics = {"F": int(turned), "P": min(count + turned, highest)}
     else:
-        F, directions = shapes.state_matrix(psi, basis.omega, rows), None
+        F, form = shapes.state_matrix(psi, basis.omega, rows), None
         P = P @ np.linalg.inv(P[:, rows])
         states = tuple(names[i] for i in rows)
         n_harmonics = {"F": tail_begins(F, shapes.noise), "P": tail_begins(P, shapes.noise)}
@@ -123,7 +124,7 @@ def realize(model, experiment, structure):
         name: sampled_harmonics(values, n_harmonics[name] or 0)
         for name, values in (("F", F), ("P", P))
     }
-    problem = _InputProblem(structure, states, experiment, free, directions, scale)
+    problem = _InputProblem(structure, states, experiment, free, form, scale)
     return problem.solve(n_harmonics, physical=rows is not None)
 
 
@@ -258,90 +259,15 @@ def _invertible(P, flips):
     return len(np.unique(np.sign(np.linalg.det(P)))) == 1
 
 
-def floquet_coordinates(shapes, psi, omega):
-    """F and P at some phases in coordinates in which F is (as near as can be) constant.
-
-    Shapes that change sign from one period to the next come in pairs; coordinates that
-    turn by half a revolution a period make them periodic, and F a first harmonic.
-
-    Returns
-    -------
-    F, P : ndarray, shapes (n_points, n, n), (n_points, l, n)
-    directions : dict of str to ndarray, or None
-        How a constant F may move, by parameter name; None if it is not constant, or its
-        modes are too close to be told apart.
-    """
-    P, _ = shapes(psi)
-    n, n_flips = len(shapes.R), int(np.sum(shapes.flips))
-    if n_flips % 2:
-        raise ValueError(
-            f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
-            f"which no real system has (their product is positive): the order is wrong, or noise "
-            f"hides the fast modes; try order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a "
-            f"longer record"
-        )
-    if n_flips:
-        turn = _half_turns(psi, n, n_flips)
-        spin = (
-            0.5
-            * omega
-            * linalg.block_diag(
-                *[np.array([[0.0, -1.0], [1.0, 0.0]])] * (n_flips // 2),
-                np.zeros((n - n_flips,) * 2),
-            )
-        )
-        back = np.swapaxes(turn, -1, -2)
-        return spin + turn @ shapes.R @ back, P @ back, None
-    modal, to_modal, directions = _modal_form(shapes.R)
-    if directions is None:
-        return np.broadcast_to(shapes.R, (len(psi), n, n)), P, None
-    return np.broadcast_to(modal, (len(psi), n, n)), P @ to_modal, directions
-
-
-def _half_turns(psi, n, n_flips):
-    """Rotations by ψ/2 in the first planes, shape (n_points, n, n)."""
-    turn = np.zeros((len(psi), n, n)) + np.eye(n)
-    c, s = np.cos(0.5 * psi), np.sin(0.5 * psi)
-    for i in range(0, n_flips, 2):
-        turn[:, i, i], turn[:, i, i + 1] = c, -s
-        turn[:, i + 1, i], turn[:, i + 1, i + 1] = s, c
-    return turn
-
-
-def _modal_form(R):
-    """Real block-diagonal form of R, the way there, and how its entries may move."""
-    exponents, V = linalg.eig(R)
-    n, size = len(R), np.max(np.abs(exponents), initial=0.0)
-    gaps = np.abs(exponents[:, None] - exponents) + np.eye(n) * size
-    if np.any(gaps <= MODE_SEPARATION * size):
-        return R, np.eye(n), None
-    lead = [i for i in np.lexsort((exponents.imag, -exponents.real)) if exponents[i].imag >= 0.0]
-    columns, blocks, directions, at = [], [], {}, 0
-    for i in lead:
-        e, width = exponents[i], 1 if exponents[i].imag == 0.0 else 2
-        columns += [V[:, i].real] if width == 1 else [V[:, i].real, V[:, i].imag]
-        blocks.append(np.array([[e.real, e.imag], [-e.imag, e.real]])[:width, :width])
-        name = f"exponent_{len(blocks)}"
-        place = np.zeros((n, n))
-        place[at : at + width, at : at + width] = np.eye(width)
-        directions[name if width == 1 else f"{name}_real"] = place
-        if width == 2:
-            turned = np.zeros((n, n))
-            turned[at, at + 1], turned[at + 1, at] = 1.0, -1.0
-            directions[f"{name}_imag"] = turned
-        at += width
-    return linalg.block_diag(*blocks), np.stack(columns, axis=1), directions
-
-
 # ---- the inputs' way in ----------------------------------------------------------------------
 
 
 class _InputProblem:
     """G(ψ) and Q(ψ) of a system of known F and P, by linear least squares on the raw record."""
 
-    def __init__(self, structure, states, experiment, free, directions, scale):
+    def __init__(self, structure, states, experiment, free, form, scale):
         basis = experiment.basis
-        self.structure, self.free, self.directions = structure, free, directions
+        self.structure, self.free, self.form = structure, free, form
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
         self.experiment, self.scale = experiment, scale
         self.phases = [basis.phase_index(time) for time in experiment.times()]
@@ -373,7 +299,7 @@ class _InputProblem:
 
     def _fit(self, n_harmonics, physical):
         """Schwarz's criterion, and the realization, with some number of harmonics of G."""
-        full = self.structure.resolve(*self.names, n_harmonics, constant_F=self.directions)
+        full = self.structure.resolve(*self.names, n_harmonics, form=self.form)
         linear = self._known_states(full)
         gains, left, unknown = self._least_squares(linear)
         n_rows, rss = len(left), np.sum(left**2, axis=0)
@@ -381,8 +307,8 @@ class _InputProblem:
         theta = project(full, found)
         basis = self.experiment.basis
         model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
-        if self.directions is not None:
-            full, theta = fixed_scale(full, theta)
+        if self.form is not None:
+            full, theta = fixed_scale(full, theta, self.form)
         fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
         bic = fit + np.log(n_rows * len(rss)) * len(gains)
         total = sum(float(np.sum((y / self.scale) ** 2)) for y in self.experiment.outputs)
@@ -450,41 +376,6 @@ class _InputProblem:
     @property
     def omega(self):
         return self.experiment.basis.omega
-
-
-def fixed_scale(structure, theta):
-    """A structure in Floquet coordinates whose states' scale is fixed, and its parameters.
-
-    Scaling a mode's coordinate (turning it, for a pair) changes P and G against each other,
-    and no output: the largest coefficient of each column of P is held at its value.
-
-    Returns
-    -------
-    structure : PeriodicStructure
-    theta : ndarray
-    """
-    n, basis = structure.n_states, structure.basis.tocsr()
-    single = np.flatnonzero(np.diff(basis.indptr) == 1)
-    where = np.unravel_index(basis.indices[basis.indptr[single]], structure.constant.shape)
-    held = np.zeros(len(theta), dtype=bool)
-    paired = np.zeros(n, dtype=int)
-    for row in basis.toarray().reshape(-1, *structure.constant.shape)[:, 0, :n, :n]:
-        for i, j in np.argwhere(np.triu(row, 1)):
-            paired[i], paired[j] = 1, -1
-    for column in np.flatnonzero(paired >= 0):
-        mine = single[(where[1] >= n) & (where[2] == column)]
-        if len(mine) == 0:
-            continue  # P is given
-        largest = mine[np.argmax(np.abs(theta[mine]))]
-        held[largest] = True
-        if paired[column]:
-            place = np.unravel_index(basis.indices[basis.indptr[largest]], structure.constant.shape)
-            other = (place[0], place[1], column + 1)
-            flat = np.ravel_multi_index(other, structure.constant.shape)
-            held[[k for k in single if basis.indices[basis.indptr[k]] == flat]] = True
-    constant = structure.constant + (theta * held @ basis).reshape(structure.constant.shape)
-    names = tuple(np.array(structure.parameter_names, dtype=object)[~held])
-    return PeriodicStructure(constant, basis[~held], n, names), theta[~held]
 
 
 def linear_response(response, u, phase):

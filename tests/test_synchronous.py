@@ -453,7 +453,11 @@ def test_what_maximum_likelihood_says_of_itself():
 
 @pytest.mark.parametrize(
     "system",
-    [deflection_only(), of_exponents(np.diag([-0.03, -0.2]), P=[[1.0, -1.0]], output_names=["y"])],
+    [
+        deflection_only(),
+        deflection_only(stiffness=1.0, excitation=0.3, damping=0.2),  # negative multipliers
+        of_exponents(np.diag([-0.03, -0.2]), P=[[1.0, -1.0]], output_names=["y"]),
+    ],
 )
 def test_floquet_coordinates_have_finite_deviations(system):
     """Once the scale of each mode is held, which no output tells."""

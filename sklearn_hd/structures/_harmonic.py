@@ -114,7 +114,7 @@ class HarmonicStructure:
         outputs = states if outputs is None else outputs
         return self.resolve(states, inputs, outputs, n_harmonics).parameter_names
 
-    def resolve(self, states, inputs, outputs, n_harmonics, *, constant_F=None):
+    def resolve(self, states, inputs, outputs, n_harmonics, *, form=None):
         """The form that the algorithms work on, for signals of some names.
 
         Parameters
@@ -123,9 +123,8 @@ class HarmonicStructure:
             Outputs among the states measure them.
         n_harmonics : dict
             Number of harmonics of F, G, P where the structure leaves it to the data.
-        constant_F : dict of str to ndarray, optional
-            Directions (by parameter name) in which a constant F may move, in Floquet
-            coordinates; takes the place of F.
+        form : FloquetForm, optional
+            What F may be in Floquet coordinates; takes the place of F.
 
         Returns
         -------
@@ -136,9 +135,10 @@ class HarmonicStructure:
         terms = {
             name: self._terms(name, sides[name], n_harmonics.get(name))
             for name in "FGPQ"
-            if name != "F" or constant_F is None
+            if name != "F" or form is None
         }
-        size = 1 + max([2 * _order(label) for part in terms.values() for label in part], default=0)
+        highest = max([_order(label) for part in terms.values() for label in part], default=0)
+        size = 1 + 2 * max(highest, 0 if form is None else form.n_harmonics)
         n = len(states)
         constant = np.zeros((size, n + len(outputs), n + len(inputs)))
         corners = {"F": (0, 0), "G": (0, n), "P": (n, 0), "Q": (n, n)}
@@ -154,9 +154,15 @@ class HarmonicStructure:
                         else:
                             column = names.setdefault(parameter, len(names))
                             entries.append((column, (place, top + i, left + j), number))
-        for parameter, direction in (constant_F or {}).items():
-            column = names.setdefault(parameter, len(names))
-            entries += [(column, (0, i, j), direction[i, j]) for i, j in np.argwhere(direction)]
+        if form is not None:
+            places = range(min(size, len(form.constant)))
+            constant[places, :n, :n] = form.constant[places]
+            for parameter, direction in form.directions.items():
+                column = names.setdefault(parameter, len(names))
+                entries += [
+                    (column, tuple(place), direction[tuple(place)])
+                    for place in np.argwhere(direction)
+                ]
         rows = [column for column, _, _ in entries]
         where = [np.ravel_multi_index(place, constant.shape) for _, place, _ in entries]
         values = [value for _, _, value in entries]
