@@ -39,6 +39,11 @@ class PeriodicModel:
         """Number of states."""
         return len(self.state_names)
 
+    @property
+    def physical(self):
+        """Whether the states are outputs, rather than Floquet coordinates."""
+        return set(self.state_names) <= set(self.output_names)
+
     def matrices(self):
         """Fourier coefficients of F, G, P and Q."""
         M, n = self.coefficients, self.n_states

@@ -27,6 +27,7 @@ from sklearn_hd.algorithms.periodic_realization import (
     leaves_white_noise,
     refine_multipliers,
     state_response,
+    told_apart,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.structured_model import column_sizes
@@ -179,7 +180,8 @@ def _shapes(model, experiment, scale):
     if not leaves_white_noise(Phi, directions, lifted):
         # systematic errors, a nonlinear system's: smallest where the motion dies away
         free = free_decays(inputs)
-        if sum(len(lifted[s][rows]) for s, rows in free) > LEAST_DECAY * n:
+        decays = [lifted[s][rows] for s, rows in free]
+        if sum(map(len, decays)) > LEAST_DECAY * n and told_apart(Phi, decays):
             lifted, seen = ([blocks[s][rows] for s, rows in free] for blocks in (lifted, seen))
             directions = [np.zeros((len(block), 0)) for block in lifted]
             Phi = refine_multipliers(Phi, directions, lifted)

@@ -1,54 +1,80 @@
 """Maximum likelihood on the raw record: what a structured model is refined to."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_hd._match import Uncertainty, periodic_match
 from sklearn_hd._realization import project
 from sklearn_hd.algorithms.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.structured_model import AffineStructure
-from sklearn_hd.algorithms.uncertainty import floquet_exponent_std, propagate_std
+from sklearn_hd.algorithms.uncertainty import floquet_exponent_std
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 FIRST_INPUT_HARMONICS = 2  # more of G are tried afterwards
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """How well the record determines a model: the Cramér-Rao bound at the estimate.
+def refine(match, structure, experiment, max_iter, input_noise):
+    """The same structure, its parameters those of the largest likelihood of the record.
 
-    Attributes
+    Parameters
     ----------
-    covariance : ndarray, shape (k, k)
-        Of the parameters; infinite and NaN where the record does not determine them.
-    noise_std : ndarray, shape (l,)
-        Of the outputs' noise, in their units.
-    aic, bic : float
-    exponents, exponents_std : complex ndarray, shape (n,)
-        Eigenvalues or Floquet exponents, 1/s; standard deviation of the real part + j
-        times that of the imaginary part.
-    affine : AffineStructure
-        The time-invariant model, affine in some of the parameters.
-    seen : ndarray of int
-        Which parameters.
+    match : Match
+        To start from.
+    structure : MatrixStructure or HarmonicStructure
+        As asked for; numbers of harmonics that it leaves open are chosen here.
+    experiment : Experiment
+    max_iter : int
+    input_noise : ndarray, shape (m,), or None
+
+    Returns
+    -------
+    match : Match
+    result : OutputErrorResult
     """
+    if match.periodic is None:
+        return _refine_invariant(match, structure, experiment, max_iter, input_noise)
+    resolved, theta = match.structure, match.theta
+    if match.periodic.physical and None in map(structure.n_harmonics, "FG"):
+        fixed = {name: structure.n_harmonics(name) for name in "FG"}
+        fixed = {name: count for name, count in fixed.items() if count is not None}
+        fixed["P"] = _n_harmonics_of_outputs(match, structure)
+        resolved, result = refine_harmonics(structure, match.periodic, fixed, experiment, max_iter)
+        theta = result.theta
+    if input_noise is not None or resolved is match.structure:
+        result = refine_periodic(resolved, theta, experiment, max_iter, input_noise)
+    periodic = replace(match.periodic, coefficients=resolved.coefficients(result.theta))
+    affine, seen = periodic.decomposed_structure(resolved, experiment.basis)
+    refined = periodic_match(resolved, result.theta, periodic, match.model, experiment.basis)
+    found = uncertainty(resolved, result, experiment, affine, seen)
+    return replace(refined, n_iter=result.n_iter, uncertainty=found), result
 
-    covariance: np.ndarray
-    noise_std: np.ndarray
-    aic: float
-    bic: float
-    exponents: np.ndarray
-    exponents_std: np.ndarray
-    affine: AffineStructure
-    seen: np.ndarray
 
-    def frequency_response(self, theta, frequencies):
-        """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""
-        points = 1j * np.asarray(frequencies, dtype=float)
-        response, slopes = self.affine.response_and_sensitivity(theta[self.seen], points)
-        return response, propagate_std(slopes, self.covariance[np.ix_(self.seen, self.seen)])
+def _refine_invariant(match, structure, experiment, max_iter, input_noise):
+    result = refine_invariant(match.structure, match.theta, experiment, max_iter, input_noise)
+    matrices = [M[0] for M in match.structure.matrices(result.theta)]
+    names = match.model.state_names
+    everything = np.arange(match.structure.n_parameters)
+    refined = replace(
+        match,
+        model=match.model.in_continuous_time(*matrices, state_names=names),
+        theta=result.theta,
+        hinf_error=np.nan,  # those of the start
+        relative_error=np.nan,
+        peak_frequency=np.nan,
+        n_iter=result.n_iter,
+        uncertainty=uncertainty(match.structure, result, experiment, structure.affine, everything),
+    )
+    return refined, result
+
+
+def _n_harmonics_of_outputs(match, structure):
+    """Highest harmonic of P in a match; None where P is the identity."""
+    asked, periodic = structure.n_harmonics("P"), match.periodic
+    if asked is not None or set(periodic.state_names) == set(periodic.output_names):
+        return asked
+    return periodic.highest("P")
 
 
 def uncertainty(structure, result, experiment, affine, seen):
@@ -86,7 +112,7 @@ def observation(experiment):
     )
 
 
-def refine_invariant(structure, theta, experiment, max_iter):
+def refine_invariant(structure, theta, experiment, max_iter, input_noise=None):
     """A time-invariant structure between the drive and the (harmonics of the) outputs."""
     return output_error(
         structure,
@@ -94,17 +120,19 @@ def refine_invariant(structure, theta, experiment, max_iter):
         *sampling(experiment),
         theta,
         observe=observation(experiment),
+        input_sigma=input_noise,
         max_iter=max_iter,
     )
 
 
-def refine_periodic(structure, theta, experiment, max_iter):
+def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
     """A periodic structure between the raw inputs and outputs."""
     return output_error(
         structure,
         records(experiment, experiment.inputs),
         *sampling(experiment),
         theta,
+        input_sigma=input_noise,
         max_iter=max_iter,
     )
 

@@ -1,27 +1,20 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
 import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
-import pandas as pd
-from scipy.stats import norm
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
-from sklearn_hd._frame import LTIModel
+from sklearn_hd._match import Match, ParameterReport, periodic_match
 from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator
 from sklearn_hd._realization import realize
-from sklearn_hd._refinement import (
-    Uncertainty,
-    refine_harmonics,
-    refine_invariant,
-    refine_periodic,
-    uncertainty,
-)
+from sklearn_hd._refinement import refine
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
 from sklearn_hd.algorithms.matching import match_structure
@@ -39,28 +32,7 @@ MOST_SYSTEMATIC = 0.01  # share of that variance left in a rest that is not whit
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 
 
-@dataclass(frozen=True, eq=False)
-class _Match:
-    """A structured model: its parameters, and how it came about.
-
-    ``structure`` and ``observed`` say how the parameters make the outputs, for the
-    maximum-likelihood refinement; ``periodic`` is there for periodic structures only.
-    """
-
-    model: LTIModel
-    names: tuple
-    theta: np.ndarray
-    structure: PeriodicStructure | None
-    periodic: PeriodicModel | None = None
-    theta_least_squares: np.ndarray | None = None
-    hinf_error: float = np.nan
-    relative_error: float = np.nan
-    peak_frequency: float = np.nan
-    n_iter: int = 1
-    uncertainty: Uncertainty | None = None
-
-
-class StructuredMatcher(ModelStep):
+class StructuredMatcher(ParameterReport, ModelStep):
     """Bring the identified model to the structure of the physics.
 
         θ* = arg min_θ ‖G_c(s) − G_s(s; θ)‖_∞                            (Eq. 22)
@@ -85,6 +57,10 @@ class StructuredMatcher(ModelStep):
         of largest likelihood for the raw record, if the noise on the outputs is white:
         no bias by windows, and standard deviations beside the parameters. It chooses the
         numbers of harmonics that a HarmonicStructure leaves open (Akaike's criterion).
+    input_noise : float, dict or None, default=None
+        Standard deviation of white noise on the measured inputs (a dict: by input, in
+        their units), which the system does not feel. Maximum likelihood then is a total
+        least squares, without the bias that noisy inputs give. None: they are exact.
     scale : bool, default=True
         Whether to scale the channels for the H∞ norm, each output by the size of its
         row of G_c, each input by that of its column; without, the units of the model
@@ -174,6 +150,7 @@ class StructuredMatcher(ModelStep):
         *,
         structure=None,
         criterion="hinf",
+        input_noise=None,
         scale=True,
         n_starts=6,
         random_state=0,
@@ -184,6 +161,7 @@ class StructuredMatcher(ModelStep):
         self.estimator = estimator
         self.structure = structure
         self.criterion = criterion
+        self.input_noise = input_noise
         self.scale = scale
         self.n_starts = n_starts
         self.random_state = random_state
@@ -254,7 +232,7 @@ class StructuredMatcher(ModelStep):
         structure = self._checked_structure(model)
         result = self._match_affine(model, structure.affine, structure.initial)
         matrices = (result.A, result.B, result.C, result.D)
-        return _Match(
+        return Match(
             model.in_continuous_time(*matrices, state_names=_state_names(structure, model)),
             structure.parameter_names,
             result.theta,
@@ -331,7 +309,7 @@ class StructuredMatcher(ModelStep):
                 IdentifiabilityWarning,
                 stacklevel=5,
             )
-        return _periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
+        return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
     def _match_decomposition(self, model, experiment, structure):
         """In the H∞ norm, from a model in harmonic-decomposition form."""
@@ -354,7 +332,7 @@ class StructuredMatcher(ModelStep):
         result = self._match_affine(model, affine)
         theta[seen] = result.theta
         periodic = replace(periodic, coefficients=full.coefficients(theta))
-        return _periodic_match(full, theta, periodic, model, basis, _figures(result, seen, theta))
+        return periodic_match(full, theta, periodic, model, basis, _figures(result, seen, theta))
 
     @property
     def ltp_(self):
@@ -386,56 +364,35 @@ class StructuredMatcher(ModelStep):
                 "criterion='output_error' needs a structure whose parameters the record "
                 "determines; give a MatrixStructure or a HarmonicStructure"
             )
-        if match.periodic is None:
-            return self._refine_invariant(match, experiment)
-        asked = self.structure if self.structure is not None else HarmonicStructure()
-        physical = set(match.periodic.state_names) <= set(match.periodic.output_names)
-        structure = match.structure
-        if physical and None in (asked.n_harmonics("F"), asked.n_harmonics("G")):
-            fixed = {name: asked.n_harmonics(name) for name in "FG"}
-            fixed = {name: count for name, count in fixed.items() if count is not None}
-            fixed["P"] = self._n_harmonics_of_outputs(match, asked)
-            structure, result = refine_harmonics(
-                asked, match.periodic, fixed, experiment, self.max_iter
+        structure = HarmonicStructure() if self.structure is None else self.structure
+        noise = self._input_noise(experiment, periodic=match.periodic is not None)
+        refined, result = refine(match, structure, experiment, self.max_iter, noise)
+        self._warn_refined(result)
+        return refined
+
+    def _input_noise(self, experiment, periodic):
+        """Standard deviation of the noise of each input, or None."""
+        given, basis = self.input_noise, experiment.basis
+        if given is None:
+            return None
+        names = experiment.drive_names if basis is None else tuple(s for s, _ in basis.inputs)
+        if not periodic and basis is not None and not basis.held.all():
+            raise ValueError(
+                "input_noise is that of the measured inputs, but this model is driven by their "
+                "harmonics; keep harmonic 0 of the inputs alone, or use a HarmonicStructure"
             )
-        else:
-            result = refine_periodic(structure, match.theta, experiment, self.max_iter)
-        self._warn_refined(result)
-        coefficients = structure.coefficients(result.theta)
-        periodic = replace(match.periodic, coefficients=coefficients)
-        basis = experiment.basis
-        found = uncertainty(
-            structure, result, experiment, *periodic.decomposed_structure(structure, basis)
-        )
-        refined = _periodic_match(structure, result.theta, periodic, match.model, basis)
-        return replace(refined, n_iter=result.n_iter, uncertainty=found)
-
-    @staticmethod
-    def _n_harmonics_of_outputs(match, structure):
-        """Highest harmonic of P in a match; None where P is the identity."""
-        asked, periodic = structure.n_harmonics("P"), match.periodic
-        if asked is not None or set(periodic.state_names) == set(periodic.output_names):
-            return asked
-        return periodic.highest("P")
-
-    def _refine_invariant(self, match, experiment):
-        structure = match.structure
-        result = refine_invariant(structure, match.theta, experiment, self.max_iter)
-        self._warn_refined(result)
-        matrices = [M[0] for M in structure.matrices(result.theta)]
-        names = match.model.state_names
-        model = match.model.in_continuous_time(*matrices, state_names=names)
-        everything = np.arange(structure.n_parameters)
-        affine = self.structure.affine
-        return replace(
-            match,
-            model=model,
-            theta=result.theta,
-            hinf_error=np.nan,  # those of the start
-            relative_error=np.nan,
-            peak_frequency=np.nan,
-            n_iter=result.n_iter,
-            uncertainty=uncertainty(structure, result, experiment, affine, everything),
+        values = given if isinstance(given, Mapping) else dict.fromkeys(names, given)
+        unknown = [name for name in values if name not in names]
+        if unknown or len(values) != len(names):
+            raise ValueError(
+                f"input_noise={given!r} must give a standard deviation for each of the inputs "
+                f"{list(names)}"
+            )
+        return np.array(
+            [
+                check_positive("input_noise", values[name], "units of the input", "None is none")
+                for name in names
+            ]
         )
 
     @staticmethod
@@ -457,98 +414,7 @@ class StructuredMatcher(ModelStep):
                 stacklevel=4,
             )
 
-    # ---- parameters --------------------------------------------------------------------------
-
-    @property
-    def theta_(self):
-        """Parameters by name, as a Series."""
-        check_is_fitted(self)
-        return pd.Series(self._theta, index=list(self._parameter_names), name="theta")
-
-    @property
-    def theta_least_squares_(self):
-        """Parameters of the match in the mean square, as a Series."""
-        check_is_fitted(self)
-        names = list(self._parameter_names)
-        return pd.Series(self._theta_least_squares, index=names, name="theta_least_squares")
-
-    @property
-    def theta_std_(self):
-        """Standard deviation of each parameter, as a Series; NaN without maximum likelihood."""
-        check_is_fitted(self)
-        std = np.full(len(self._theta), np.nan)
-        if self._uncertainty is not None:
-            std = np.sqrt(np.diag(self._uncertainty.covariance))
-        return pd.Series(std, index=list(self._parameter_names), name="theta_std")
-
-    @property
-    def covariance_(self):
-        """Covariance of the parameters, as a DataFrame."""
-        names = list(self._parameter_names)
-        return pd.DataFrame(self._bounds("covariance_").covariance, index=names, columns=names)
-
-    @property
-    def noise_std_(self):
-        """Standard deviation of each output's noise, as a Series, in the units of y."""
-        names = list(self.target_names_)
-        if self.predicts_harmonics_:
-            names = [signal for signal, _ in self.basis_.outputs]
-        return pd.Series(self._bounds("noise_std_").noise_std, index=names, name="noise_std")
-
-    @property
-    def eigenvalues_(self):
-        """Eigenvalues (Floquet exponents of a periodic model), 1/s, and their deviations."""
-        found = self._bounds("eigenvalues_")
-        return pd.DataFrame(
-            {
-                "eigenvalue": found.exponents,
-                "std_real": found.exponents_std.real,
-                "std_imag": found.exponents_std.imag,
-            }
-        )
-
-    def confidence_interval(self, level=0.95):
-        """Bounds θ ± z σ between which each parameter lies with some probability.
-
-        Parameters
-        ----------
-        level : float, default=0.95
-
-        Returns
-        -------
-        interval : DataFrame, shape (n_parameters, 2)
-            Columns ``lower`` and ``upper``.
-        """
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level={level!r} must be a probability between 0 and 1, such as 0.95")
-        self._bounds("confidence_interval")
-        reach = norm.ppf(0.5 + 0.5 * level) * self.theta_std_
-        return pd.DataFrame({"lower": self.theta_ - reach, "upper": self.theta_ + reach})
-
-    def frequency_response(self, frequencies):
-        """Frequency response of ``system_`` with its standard deviation.
-
-        Parameters
-        ----------
-        frequencies : array_like, shape (n_frequencies,)
-            rad/s.
-
-        Returns
-        -------
-        response : complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
-        std : complex ndarray, of the same shape
-            Standard deviation of the real part + j times that of the imaginary part.
-        """
-        found = self._bounds("frequency_response")
-        return found.frequency_response(self._theta, frequencies)
-
-    def _bounds(self, what):
-        check_is_fitted(self)
-        if self._uncertainty is None:
-            raise AttributeError(
-                f"{what} is there after maximum likelihood only; fit with criterion='output_error'"
-            )
-        return self._uncertainty
+    # ---- details -----------------------------------------------------------------------------
 
     def _checked_structure(self, model):
         """The structure, after checking that it fits the model."""
@@ -642,11 +508,4 @@ def _unchanged(model):
         for i, j in np.ndindex(M.shape)
     )
     theta = np.concatenate([M.ravel() for M in matrices])
-    return _Match(model, names, theta, None, None, None, 0.0, 0.0, 0.0)
-
-
-def _periodic_match(structure, theta, periodic, model, basis, figures=()):
-    """The match of a periodic structure; its time-invariant model is the decomposition."""
-    matrices, state_names = periodic.time_invariant(basis)
-    matched = model.in_continuous_time(*matrices, state_names=state_names)
-    return _Match(matched, structure.parameter_names, theta, structure, periodic, *figures)
+    return Match(model, names, theta, None, None, None, 0.0, 0.0, 0.0)

@@ -20,6 +20,7 @@ LAYERS = [
     {"_continuous"},
     {"_raw_modes"},
     {"_periodic"},
+    {"_match"},
     {"_realization"},
     {"_refinement"},
     {"harmonics", "subspace", "reduction", "matching"},

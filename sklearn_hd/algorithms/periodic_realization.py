@@ -28,6 +28,7 @@ __all__ = [
     "refine_multipliers",
     "shape_functions",
     "state_response",
+    "told_apart",
 ]
 
 SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
@@ -37,6 +38,8 @@ WHITE_MARGIN = 1.3
 LARGEST_MULTIPLIER = 1e3
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
+EXACT = 1e-10  # share of the lifted outputs (rms) that is rounding
+DISTINCT = 1e-6  # of the strongest direction of some decays, the weakest that still counts
 SWEEPS = 20
 SWEEP_TOLERANCE = 1e-13
 
@@ -159,13 +162,27 @@ def _left_by(Phi, directions, target):
 
 
 def leaves_white_noise(Phi, directions, lifted):
-    """Whether what the multipliers of Φ leave of the lifted outputs looks like white noise.
+    """Whether what the multipliers of Φ leave of the lifted outputs is white noise or rounding.
 
     If so, :func:`refine_multipliers` is the estimate of largest likelihood; if not, the
     squares it minimises are systematic errors, and it has no claim to be the better one.
     """
     target = _compact(np.vstack(lifted))
-    return _is_white(_left_by(Phi, directions, target), lifted[0].shape[1])
+    rest = _left_by(Phi, directions, target)
+    exact = np.linalg.norm(rest) <= EXACT * np.linalg.norm(target)
+    return exact or _is_white(rest, lifted[0].shape[1])
+
+
+def told_apart(Phi, lifted):
+    """Whether free decays move in as many directions as Φ has multipliers.
+
+    One decay cannot show both modes of a double multiplier.
+    """
+    none = [np.zeros((len(block), 0)) for block in lifted]
+    multipliers = linalg.eigvals(Phi)
+    regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], none))
+    seen = linalg.svdvals(regressors / column_sizes(regressors))
+    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > DISTINCT * seen[0]
 
 
 def _is_white(rest, n_columns):

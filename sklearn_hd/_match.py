@@ -1,0 +1,173 @@
+"""A structured model with its parameters: what matching leaves, and how it is reported."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.stats import norm
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.structured_model import AffineStructure
+from sklearn_hd.algorithms.uncertainty import propagate_std
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How well the record determines a model: the Cramér-Rao bound at the estimate.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (k, k)
+        Of the parameters; infinite and NaN where the record does not determine them.
+    noise_std : ndarray, shape (l,)
+        Of the outputs' noise, in their units.
+    aic, bic : float
+    exponents, exponents_std : complex ndarray, shape (n,)
+        Eigenvalues or Floquet exponents, 1/s; standard deviation of the real part + j
+        times that of the imaginary part.
+    affine : AffineStructure
+        The time-invariant model, affine in some of the parameters.
+    seen : ndarray of int
+        Which parameters.
+    """
+
+    covariance: np.ndarray
+    noise_std: np.ndarray
+    aic: float
+    bic: float
+    exponents: np.ndarray
+    exponents_std: np.ndarray
+    affine: AffineStructure
+    seen: np.ndarray
+
+    def frequency_response(self, theta, frequencies):
+        """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""
+        points = 1j * np.asarray(frequencies, dtype=float)
+        response, slopes = self.affine.response_and_sensitivity(theta[self.seen], points)
+        return response, propagate_std(slopes, self.covariance[np.ix_(self.seen, self.seen)])
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A structured model: its parameters, and how it came about.
+
+    ``structure`` and ``observed`` say how the parameters make the outputs, for the
+    maximum-likelihood refinement; ``periodic`` is there for periodic structures only.
+    """
+
+    model: LTIModel
+    names: tuple
+    theta: np.ndarray
+    structure: PeriodicStructure | None
+    periodic: PeriodicModel | None = None
+    theta_least_squares: np.ndarray | None = None
+    hinf_error: float = np.nan
+    relative_error: float = np.nan
+    peak_frequency: float = np.nan
+    n_iter: int = 1
+    uncertainty: Uncertainty | None = None
+
+
+def periodic_match(structure, theta, periodic, model, basis, figures=()):
+    """The match of a periodic structure; its time-invariant model is the decomposition."""
+    matrices, state_names = periodic.time_invariant(basis)
+    matched = model.in_continuous_time(*matrices, state_names=state_names)
+    return Match(matched, structure.parameter_names, theta, structure, periodic, *figures)
+
+
+class ParameterReport:
+    """Parameters of a fitted step by name, and how well the record determines them."""
+
+    @property
+    def theta_(self):
+        """Parameters by name, as a Series."""
+        check_is_fitted(self)
+        return pd.Series(self._theta, index=list(self._parameter_names), name="theta")
+
+    @property
+    def theta_least_squares_(self):
+        """Parameters of the match in the mean square, as a Series."""
+        check_is_fitted(self)
+        names = list(self._parameter_names)
+        return pd.Series(self._theta_least_squares, index=names, name="theta_least_squares")
+
+    @property
+    def theta_std_(self):
+        """Standard deviation of each parameter, as a Series; NaN without maximum likelihood."""
+        check_is_fitted(self)
+        std = np.full(len(self._theta), np.nan)
+        if self._uncertainty is not None:
+            std = np.sqrt(np.diag(self._uncertainty.covariance))
+        return pd.Series(std, index=list(self._parameter_names), name="theta_std")
+
+    @property
+    def covariance_(self):
+        """Covariance of the parameters, as a DataFrame."""
+        names = list(self._parameter_names)
+        return pd.DataFrame(self._bounds("covariance_").covariance, index=names, columns=names)
+
+    @property
+    def noise_std_(self):
+        """Standard deviation of each output's noise, as a Series, in the units of y."""
+        names = list(self.target_names_)
+        if self.predicts_harmonics_:
+            names = [signal for signal, _ in self.basis_.outputs]
+        return pd.Series(self._bounds("noise_std_").noise_std, index=names, name="noise_std")
+
+    @property
+    def eigenvalues_(self):
+        """Eigenvalues (Floquet exponents of a periodic model), 1/s, and their deviations."""
+        found = self._bounds("eigenvalues_")
+        return pd.DataFrame(
+            {
+                "eigenvalue": found.exponents,
+                "std_real": found.exponents_std.real,
+                "std_imag": found.exponents_std.imag,
+            }
+        )
+
+    def confidence_interval(self, level=0.95):
+        """Bounds θ ± z σ between which each parameter lies with some probability.
+
+        Parameters
+        ----------
+        level : float, default=0.95
+
+        Returns
+        -------
+        interval : DataFrame, shape (n_parameters, 2)
+            Columns ``lower`` and ``upper``.
+        """
+        if not 0.0 < level < 1.0:
+            raise ValueError(f"level={level!r} must be a probability between 0 and 1, such as 0.95")
+        self._bounds("confidence_interval")
+        reach = norm.ppf(0.5 + 0.5 * level) * self.theta_std_
+        return pd.DataFrame({"lower": self.theta_ - reach, "upper": self.theta_ + reach})
+
+    def frequency_response(self, frequencies):
+        """Frequency response of ``system_`` with its standard deviation.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n_frequencies,)
+            rad/s.
+
+        Returns
+        -------
+        response : complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
+        std : complex ndarray, of the same shape
+            Standard deviation of the real part + j times that of the imaginary part.
+        """
+        found = self._bounds("frequency_response")
+        return found.frequency_response(self._theta, frequencies)
+
+    def _bounds(self, what):
+        check_is_fitted(self)
+        if self._uncertainty is None:
+            raise AttributeError(
+                f"{what} is there after maximum likelihood only; fit with criterion='output_error'"
+            )
+        return self._uncertainty
