@@ -35,6 +35,7 @@ BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3
 LARGEST_MULTIPLIER = 1e3
+NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
 SWEEPS = 20
@@ -159,13 +160,15 @@ def _left_by(Phi, directions, target):
 
 
 def leaves_white_noise(Phi, directions, lifted):
-    """Whether what the multipliers of Φ leave of the lifted outputs looks like white noise.
+    """Whether what the multipliers of Φ leave of the lifted outputs is white noise, or rounding.
 
     If so, :func:`refine_multipliers` is the estimate of largest likelihood; if not, the
     squares it minimises are systematic errors, and it has no claim to be the better one.
     """
     target = _compact(np.vstack(lifted))
-    return _is_white(_left_by(Phi, directions, target), lifted[0].shape[1])
+    rest = _left_by(Phi, directions, target)
+    rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
+    return bool(rounding) or _is_white(rest, lifted[0].shape[1])
 
 
 def _is_white(rest, n_columns):
