@@ -36,9 +36,9 @@ BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3
 LARGEST_MULTIPLIER = 1e3
+NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
-EXACT = 1e-10  # share of the lifted outputs (rms) that is rounding
 DISTINCT = 1e-6  # of the strongest direction of some decays, the weakest that still counts
 SWEEPS = 20
 SWEEP_TOLERANCE = 1e-13
@@ -162,15 +162,15 @@ def _left_by(Phi, directions, target):
 
 
 def leaves_white_noise(Phi, directions, lifted):
-    """Whether what the multipliers of Φ leave of the lifted outputs is white noise or rounding.
+    """Whether what the multipliers of Φ leave of the lifted outputs is white noise, or rounding.
 
     If so, :func:`refine_multipliers` is the estimate of largest likelihood; if not, the
     squares it minimises are systematic errors, and it has no claim to be the better one.
     """
     target = _compact(np.vstack(lifted))
     rest = _left_by(Phi, directions, target)
-    exact = np.linalg.norm(rest) <= EXACT * np.linalg.norm(target)
-    return exact or _is_white(rest, lifted[0].shape[1])
+    rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
+    return bool(rounding) or _is_white(rest, lifted[0].shape[1])
 
 
 def told_apart(Phi, lifted):
