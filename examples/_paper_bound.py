@@ -2,8 +2,11 @@
 
 import numpy as np
 
+from sklearn_hd import HarmonicStructure
 from sklearn_hd.algorithms.fourier import recompose
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.uncertainty import fisher_information, propagate_std
+from sklearn_hd.systems import LTPSystem
 
 STEP = 1e-20  # of the complex-step derivatives, exact to rounding
 
@@ -50,3 +53,36 @@ def bound_percent(data, snr, free_inputs=3):
     R = np.linalg.qr(J / size, mode="r")
     deviation = np.linalg.norm(np.linalg.inv(R), axis=1) / size
     return 100.0 * np.linalg.norm(deviation[: A.size]) / np.linalg.norm(A)
+
+
+def periodic_bound_percent(data, snr, n_harmonics=(4, 1)):
+    """The same for a periodic model with some harmonics of F and G, all entries free, x0 too.
+
+    Parameters
+    ----------
+    data : Bunch
+    snr : float
+    n_harmonics : (int, int), default=(4, 1)
+        Of F(ψ) and G(ψ): those that the noisy records of the example mostly ask for.
+    """
+    names, samples = ["w", "phi_dot"], round(2 * np.pi / data.omega / data.sample_time)
+    counts = dict(zip("FG", n_harmonics, strict=True))
+    structure = HarmonicStructure().resolve(names, ["U"], names, counts)
+    F, G, _, _ = data.ltp.fourier_coefficients(n_harmonics[0])
+    exact = np.zeros(structure.constant.shape)
+    exact[:, :2, :2], exact[0, 2:, :2] = F, np.eye(2)
+    exact[: 2 * n_harmonics[1] + 1, :2, 2:] = G[: 2 * n_harmonics[1] + 1]
+    basis = structure.basis.toarray()
+    theta = np.linalg.lstsq(basis.T, (exact - structure.constant).ravel())[0]
+    sigma = data.outputs_clean.to_numpy().std(axis=0) / snr
+    record = [(data.inputs_clean.to_numpy(), data.outputs_clean.to_numpy(), 0)]
+    found = fisher_information(structure, theta, record, data.omega, samples, sigma)
+
+    def heave(coefficients):
+        hd = LTPSystem(coefficients[:, :2, :2], np.zeros((2, 1)), omega=data.omega)
+        return hd.harmonic_decomposition(1).A[np.ix_([0, 3, 5], [0, 3, 5])].ravel()
+
+    at = heave(structure.constant)
+    slopes = [heave(structure.constant + row.reshape(exact.shape)) - at for row in basis]
+    deviation = propagate_std(np.transpose(slopes), found.covariance)
+    return 100.0 * np.linalg.norm(deviation) / np.linalg.norm(data.A_exact)
