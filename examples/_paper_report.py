@@ -9,7 +9,8 @@ e is Eq. 27; noise rows are medians. Noise: white, on the outputs, 1/20 of each 
 standard deviation over the record ("SNR 20" taken as a ratio). The paper prints neither
 sampling nor width nor amplitude of its doublet; here 64 samples a period, 10 + 10 periods,
 from period 132 (5 s) of 220, and from period 5 of 60 on the synchronous route. "pair": a
-second record begins downwards, and the odd part of both is identified. The paper's one figure for NLTP stands beside both amplitudes.
+second record begins downwards, and the odd part of both is identified. The paper's one
+figure for NLTP stands beside all of these.
 A_exact is that of the trim which the data share (512 harmonics); the paper's is that of a
 trim of two harmonics (-54.747 where this one has {entry:.3f}).
 """

@@ -45,12 +45,12 @@ def one_thread():
 @pytest.mark.parametrize(
     ("case", "limit"),
     [
-        (paper.LTI, 1e-9),
-        (paper.LTI_SIGNAL, 1e-6),
-        (replace(paper.LTI_SIGNAL, rows_per_period=8), 1e-6),
-        (paper.LTP, 0.7),
-        (paper.NLTP_SMALL, 1.5),
-        (paper.FLAP, 1e-6),
+        (cases.LTI, 1e-9),
+        (cases.LTI_SIGNAL, 1e-6),
+        (replace(cases.LTI_SIGNAL, rows_per_period=8), 1e-6),
+        (cases.LTP, 0.7),
+        (cases.NLTP_SMALL, 1.5),
+        (cases.FLAP, 1e-6),
     ],
     ids=["lti", "lti-signal", "lti-signal, 8 rows", "ltp", "nltp 0.5 %", "flap"],
 )
@@ -86,17 +86,17 @@ def test_noise_on_the_synchronous_route_costs_little_more_than_it_must():
 
 
 def test_nonlinear_data_at_two_percent_beat_the_paper():
-    assert run(paper.NLTP).e_percent < run(paper.NLTP).case.paper_percent
+    assert run(cases.NLTP).e_percent < run(cases.NLTP).case.paper_percent
 
 
 def test_both_subsystems_give_the_six_by_six_matrix():
-    row = paper.full_row(run(paper.LTI_SIGNAL), run(paper.FLAP), seconds=0.0)
+    row = paper.full_row(run(cases.LTI_SIGNAL), run(cases.FLAP), seconds=0.0)
     assert row["e_percent"] <= 1e-6
     assert row["states_kept"] == 6
 
 
 def test_input_matrices_come_from_the_raw_record():
-    for case, states in ((paper.LTI_SIGNAL, 1), (paper.FLAP, 0)):
+    for case, states in ((cases.LTI_SIGNAL, 1), (cases.FLAP, 0)):
         found = run(case)
         expected = np.zeros(3)
         expected[states] = found.data.B_exact.to_numpy()[states, 0]
@@ -105,7 +105,7 @@ def test_input_matrices_come_from_the_raw_record():
 
 @pytest.mark.parametrize(
     ("case", "floor"),
-    [(paper.LTP, 0.99), (paper.NLTP, 0.98), (paper.NLTP_SMALL, 0.98)],
+    [(cases.LTP, 0.99), (cases.NLTP, 0.98), (cases.NLTP_SMALL, 0.98)],
     ids=["ltp", "nltp 2 %", "nltp 0.5 %"],
 )
 def test_prediction_of_a_doublet_not_used_for_identification(case, floor):
@@ -115,7 +115,7 @@ def test_prediction_of_a_doublet_not_used_for_identification(case, floor):
 
 
 @pytest.mark.parametrize(
-    ("case", "order"), [(paper.LTI, 3), (paper.LTI_SIGNAL, 10), (paper.LTP, 16)]
+    ("case", "order"), [(cases.LTI, 3), (cases.LTI_SIGNAL, 10), (cases.LTP, 16)]
 )
 def test_order_is_the_rank_that_the_window_gives(case, order):
     # LTI coefficients have the subsystem's own order; 10 and 16 are the exact ranks of the
@@ -134,7 +134,7 @@ def test_cramer_rao_bound_agrees_with_an_independent_programme(kind, free_inputs
 
 
 def test_noise_on_coefficients_costs_what_it_must():
-    runs = [run(paper.LTI_NOISE, seed) for seed in range(8)]
+    runs = [run(cases.LTI_NOISE, seed) for seed in range(8)]
     row = paper.noise_row(runs, "outputs")
     assert 0.7 <= row["rms_over_bound"] <= 1.5
 
@@ -152,12 +152,12 @@ def test_warnings_of_other_packages_pass_through_the_fit():
 @pytest.mark.parametrize(
     ("case", "noise_on", "largest_median"),
     [
-        (paper.LTI_NOISE, "outputs", 1.5),
-        (paper.LTI_NOISE, "both", 1.5),
-        (paper.LTI_SIGNAL_NOISE, "outputs", 3.0),
-        (paper.LTI_SIGNAL_NOISE, "both", 25.0),
-        (paper.LTP_NOISE, "outputs", 3.0),
-        (paper.LTP_NOISE, "both", 25.0),
+        (cases.LTI_NOISE, "outputs", 1.5),
+        (cases.LTI_NOISE, "both", 1.5),
+        (cases.LTI_SIGNAL_NOISE, "outputs", 3.0),
+        (cases.LTI_SIGNAL_NOISE, "both", 25.0),
+        (cases.LTP_NOISE, "outputs", 3.0),
+        (cases.LTP_NOISE, "both", 25.0),
     ],
 )
 def test_noise_rows_over_twenty_seeds(case, noise_on, largest_median):
