@@ -35,3 +35,15 @@ def test_the_frequency_domain_page_runs(capsys):
     assert 0.8 < namespace["table"]["periodic"].min() < namespace["table"]["periodic"].max() < 1.2
     assert round(namespace["measured"].n_averages) == 189
     mpl.pyplot.close(namespace["figure"])
+
+
+def test_the_page_on_periodic_models_runs(capsys):
+    text, namespace = run("docs/periodic_models.md")
+    shown = capsys.readouterr().out.split()
+    stated = re.search(r"```text\n(.*?)```", text, re.DOTALL).group(1).split()
+    numbers = re.compile(r"[\[\]]*(-?\d+\.?\d*(?:e[+-]\d+)?)")
+    for here, there in zip(shown, stated, strict=True):
+        if numbers.match(here) and "j" not in here:  # the last digit may differ by machine
+            here, there = (float(numbers.match(word).group(1)) for word in (here, there))
+            assert abs(here - there) <= 0.02 * abs(there) + 0.1
+    assert namespace["hd3"].nstates == 14
