@@ -11,6 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
+from sklearn_hd._frame import highest_harmonic
 from sklearn_hd._match import Match, ParameterReport, periodic_match
 from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator
 from sklearn_hd._realization import realize
@@ -194,14 +195,16 @@ class StructuredMatcher(ParameterReport, ModelStep):
                 f"HarmonicStructure, or None to leave every entry free"
             )
         lifted = experiment.basis is not None and experiment.basis.synchronous and model.dt > 0.0
-        if isinstance(structure, HarmonicStructure) or (lifted and structure is None):
+        periodic = isinstance(structure, HarmonicStructure) or (lifted and structure is None)
+        noise = self._input_noise(experiment, periodic)
+        if periodic:
             match = self._match_periodic(model, experiment, lifted)
         else:
             if lifted:
                 model = self._realize(model, experiment, HarmonicStructure()).model
             match = self._match(to_continuous(model, experiment))
         if self.criterion == "output_error":
-            match = self._refine(match, experiment)
+            match = self._refine(match, experiment, noise)
         return self._store(match)._remember(match.model, experiment, X, y)
 
     def _check_settings(self):
@@ -321,18 +324,20 @@ class StructuredMatcher(ParameterReport, ModelStep):
                 f"coefficients are the states of a harmonic decomposition; name these, or use "
                 f"HarmonicAnalyzer(hop='period')"
             )
-        highest = [
-            max(k for _, orders in kept for k in orders) for kept in (basis.inputs, basis.outputs)
-        ]
-        n_harmonics = {"F": 2 * highest[1], "G": sum(highest), "P": None}
+        driven, measured = map(highest_harmonic, (basis.inputs, basis.outputs))
+        n_harmonics = {"F": 2 * measured, "G": driven + measured, "P": None}
         full = structure.resolve(outputs, inputs, outputs, n_harmonics)
-        theta = np.zeros(full.n_parameters)
-        periodic = PeriodicModel(full.coefficients(theta), basis.omega, outputs, inputs, outputs)
+        zero = np.zeros(full.n_parameters)
+        periodic = PeriodicModel(full.coefficients(zero), basis.omega, outputs, inputs, outputs)
         affine, seen = periodic.decomposed_structure(full, basis)
         result = self._match_affine(model, affine)
-        theta[seen] = result.theta
-        periodic = replace(periodic, coefficients=full.coefficients(theta))
-        return periodic_match(full, theta, periodic, model, basis, _figures(result, seen, theta))
+        if self.criterion == "output_error":  # the raw record sees them all
+            resolved, theta = full, zero
+            theta[seen] = result.theta
+        else:
+            resolved, theta = full.restricted(seen), result.theta
+        periodic = replace(periodic, coefficients=resolved.coefficients(theta))
+        return periodic_match(resolved, theta, periodic, model, basis, _figures(result))
 
     @property
     def ltp_(self):
@@ -357,7 +362,7 @@ class StructuredMatcher(ParameterReport, ModelStep):
 
     # ---- maximum likelihood ------------------------------------------------------------------
 
-    def _refine(self, match, experiment):
+    def _refine(self, match, experiment, input_noise):
         """The same structure, its parameters those of the largest likelihood of the record."""
         if match.structure is None:
             raise ValueError(
@@ -365,8 +370,7 @@ class StructuredMatcher(ParameterReport, ModelStep):
                 "determines; give a MatrixStructure or a HarmonicStructure"
             )
         structure = HarmonicStructure() if self.structure is None else self.structure
-        noise = self._input_noise(experiment, periodic=match.periodic is not None)
-        refined, result = refine(match, structure, experiment, self.max_iter, noise)
+        refined, result = refine(match, structure, experiment, self.max_iter, input_noise)
         self._warn_refined(result)
         return refined
 
@@ -375,6 +379,11 @@ class StructuredMatcher(ParameterReport, ModelStep):
         given, basis = self.input_noise, experiment.basis
         if given is None:
             return None
+        if self.criterion != "output_error":
+            raise ValueError(
+                f"input_noise={given!r} is allowed for by maximum likelihood only; fit with "
+                f"criterion='output_error', or leave input_noise=None"
+            )
         names = experiment.drive_names if basis is None else tuple(s for s, _ in basis.inputs)
         if not periodic and basis is not None and not basis.held.all():
             raise ValueError(
@@ -484,14 +493,10 @@ def _state_names(structure, model):
     return model.output_names if fixed and np.array_equal(C, np.eye(n)) else None
 
 
-def _figures(result, seen=None, theta=None):
+def _figures(result):
     """Least-squares parameters, H∞ errors, peak and iterations of a match."""
-    least_squares = result.theta_least_squares
-    if seen is not None:
-        least_squares = np.array(theta)
-        least_squares[seen] = result.theta_least_squares
     return (
-        least_squares,
+        result.theta_least_squares,
         result.hinf_error,
         result.relative_error,
         result.peak_frequency,

@@ -143,3 +143,62 @@ def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():
     match = Pipeline([*steps, ("match", matcher)]).fit(data.inputs, data.outputs)["match"]
     assert match.ltp_.state_names == ("w", "phi_dot")
     assert np.isfinite(match.noise_std_).all()
+
+
+# ---- noise on the inputs -------------------------------------------------------------------------
+
+
+def noisy_inputs(seed):
+    """The wing, noise of 1/20 on everything, and that of the input."""
+    data = make_flapping_wing(
+        "ltp", n_periods=60, start=5, snr=20, noise_on="both", random_state=seed
+    )
+    return data, float(data.inputs_clean.std().iloc[0]) / 20
+
+
+def test_allowing_for_noise_on_the_inputs_widens_the_intervals():
+    """Ignored, it leaves parameters that look better known than they are."""
+    data, sigma = noisy_inputs(0)
+    std = {}
+    for allowed in (False, True):
+        structure = HarmonicStructure(F=4, G=1)
+        pipe = synchronous(
+            data.omega,
+            structure,
+            harmonics={"w": [0], "phi_dot": [1]},
+            criterion="output_error",
+            input_noise={"U": sigma} if allowed else None,
+        ).fit(data.inputs, data.outputs)
+        std[allowed] = pipe["match"].theta_std_
+        true = data.outputs_clean.std() / 20
+        assert (abs(pipe["match"].noise_std_ / true - 1) < 0.05).all()
+    assert (std[True] > std[False]).all()
+    assert (std[True] < 3 * std[False]).all()
+
+
+WRONG_NOISE = [
+    ({"V": 1.0}, r"input_noise={'V': 1.0} must give a standard deviation for each .* \['x0'\]"),
+    ({"x0": 1.0, "V": 1.0}, r"must give a standard deviation for each of the inputs \['x0'\]"),
+    (-1.0, r"input_noise must be a positive number in units of the input, got -1.0"),
+    ("much", "input_noise must be a positive number in units of the input, got 'much'"),
+]
+
+
+@pytest.mark.parametrize(("noise", "message"), WRONG_NOISE)
+def test_wrong_noise_on_the_inputs(noise, message):
+    with pytest.raises(ValueError, match=message):
+        matched_lag(*lag_record(0), input_noise=noise)
+
+
+def test_noise_on_the_inputs_is_for_maximum_likelihood():
+    with pytest.raises(ValueError, match=r"input_noise=0.1 is allowed for by maximum likelihood"):
+        matched_lag(*lag_record(0), criterion="hinf", input_noise=0.1)
+
+
+def test_noise_on_harmonics_of_the_inputs_is_not_that_of_the_inputs():
+    data, sigma = noisy_inputs(0)
+    structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 3), np.nan))
+    matcher = StructuredMatcher(structure=structure, criterion="output_error", input_noise=sigma)
+    pipe = Pipeline([*heave_pipeline(data.omega).steps, ("match", matcher)])
+    with pytest.raises(ValueError, match="this model is driven by their harmonics"):
+        pipe.set_params(harmonics__input_harmonics=1).fit(data.inputs, data.outputs)

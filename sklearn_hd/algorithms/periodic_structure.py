@@ -110,6 +110,11 @@ class PeriodicStructure:
         """K, the highest harmonic of [F G; P Q]."""
         return len(self.constant) // 2
 
+    def restricted(self, kept):
+        """The structure with some of its parameters, those left out being zero."""
+        names = tuple(self.parameter_names[k] for k in kept)
+        return PeriodicStructure(self.constant, self.basis[kept], self.n_states, names)
+
     def coefficients(self, theta):
         """Fourier coefficients of [F G; P Q], shape (2 K + 1, n + l, n + m)."""
         moved = np.asarray(theta, dtype=float) @ self.basis
