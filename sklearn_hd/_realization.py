@@ -30,6 +30,7 @@ from sklearn_hd.algorithms.periodic_realization import (
     leaves_white_noise,
     state_response,
     told_apart,
+    without_noise,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.shape_exponents import refine_within_period
@@ -130,14 +131,19 @@ def _from_equation_error(model, experiment, structure, scale):
         return None
     rows = [names.index(name) for name in states]
     spp = basis.samples_per_period
+    inputs = lifted_periods(experiment, experiment.inputs)
+    outputs = lifted_periods(experiment, experiment.outputs, scale)
+    directions, _, _ = input_directions(
+        inputs, most_directions(sum(map(len, outputs)), model.n_states)
+    )
+    clean = without_noise(model.A, directions, [y.reshape(len(y), -1) for y in outputs])
+    instruments = [each.reshape(-1, len(names))[:, rows] for each in clean]
     segments = [
-        ((y / scale)[:, rows], u, int(basis.phase_index(time)[0]))
-        for y, u, time in zip(
-            experiment.outputs, experiment.inputs, experiment.times(), strict=True
-        )
+        (y.reshape(-1, len(names))[:, rows], u.reshape(len(y) * spp, -1), 0)
+        for y, u in zip(outputs, inputs, strict=True)
     ]
     count = min(EQUATION_HARMONICS, (spp - 1) // 2)
-    F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count)
+    F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
     free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
     n_harmonics = {"F": given(structure, "F", count), "P": given(structure, "P", None)}

@@ -158,7 +158,9 @@ def small_signal(how, amplitude, seed=0, n_periods=80, spp=32):
         y = system.simulate(u, t, x0=trim.initial_state)
         index = pd.Index(t, name="time")
         frames.append((pd.DataFrame(u, index, ["u"]), pd.DataFrame(y, index, ["x", "x_dot"])))
-    u, y = (pd.concat(dict(enumerate(part)), names=["record"]) for part in zip(*frames, strict=True))
+    u, y = (
+        pd.concat(dict(enumerate(part)), names=["record"]) for part in zip(*frames, strict=True)
+    )
     analyzer = {"small_signal": option, "trim_span": (0.0, 2 * system.period * (1 - 1e-9))}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -3,9 +3,10 @@
     x[k+m] − x[k] = ∫ F(ψ) x + G(ψ) u dt,   F, G of a few harmonics
 
 (the equation-error method; V. Klein, E. A. Morelli, *Aircraft System Identification*, 2006,
-chapter 5). Noise of x enters the regressors, too: by the trapezoidal rule the noise of an
-interval's two ends drops out of the first order of the bias, which leaves noise² / signal².
-A start for maximum likelihood, where a period forgets the state and noise hides what is left.
+chapter 5). Noise of x enters the regressors, too, and biases least squares; states almost
+free of noise as instruments take the bias away (T. Söderström, P. Stoica, *System
+Identification*, 1989, chapter 8). A start for maximum likelihood where a period forgets the
+state and noise hides what is left.
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ __all__ = ["equation_error"]
 INTERVALS = 8  # a period: longer ones have more signal, shorter ones a finer rule
 
 
-def equation_error(segments, period, n_phases, n_harmonics):
+def equation_error(segments, period, n_phases, n_harmonics, instruments=None):
     """Fourier coefficients of F(ψ) and G(ψ) from measured states.
 
     Parameters
@@ -32,6 +33,8 @@ def equation_error(segments, period, n_phases, n_harmonics):
         Samples a period.
     n_harmonics : int
         Highest harmonic of F and G.
+    instruments : list of ndarray, shapes (n_samples, n), optional
+        States of less noise, of every segment; the measured ones by default.
 
     Returns
     -------
@@ -40,27 +43,38 @@ def equation_error(segments, period, n_phases, n_harmonics):
 
     Examples
     --------
-    >>> x, t = np.exp(-0.5 * np.arange(0, 8, 0.01))[:, None], None
+    >>> x = np.exp(-0.5 * np.arange(0, 8, 0.01))[:, None]
     >>> F, _ = equation_error([(x, np.zeros((800, 0)), 0)], 1.0, 100, 0)
     >>> F.round(3).tolist()
     [[[-0.5]]]
     """
     m, step = max(1, n_phases // INTERVALS), period / n_phases
-    left, right = [], []
-    for x, u, first in segments:
-        psi = 2.0 * np.pi / n_phases * (first + np.arange(len(x)))
-        functions = harmonic_functions(psi, range(n_harmonics + 1))[:, :, None]
-        states = (functions * x[:, None, :]).reshape(len(x), -1)
-        inputs = (functions * u[:, None, :]).reshape(len(x), -1)
-        ahead = (np.roll(functions, -1, axis=0) * u[:, None, :]).reshape(len(x), -1)
-        rates = [0.5 * (states[1:] + states[:-1]), 0.5 * (inputs[:-1] + ahead[:-1])]
-        integral = step * np.cumsum(np.hstack(rates), axis=0)
-        integral = np.vstack([np.zeros(integral.shape[1]), integral])
-        left.append(integral[m:] - integral[:-m])
-        right.append(x[m:] - x[:-m])
-    regressors, target = np.vstack(left), np.vstack(right)
-    size = column_sizes(regressors)
-    solution = linalg.lstsq(regressors / size, target, cond=1e-9)[0] / size[:, None]
+    shown = [x for x, _, _ in segments] if instruments is None else instruments
+    X, Z, target = [], [], []
+    for (x, u, first), z in zip(segments, shown, strict=True):
+        functions = harmonic_functions(
+            2.0 * np.pi / n_phases * (first + np.arange(len(x))), range(n_harmonics + 1)
+        )
+        X.append(step * _integrals(functions, x, u, m))
+        Z.append(step * _integrals(functions, z, u, m))
+        target.append(x[m:] - x[:-m])
+    X, Z, target = map(np.vstack, (X, Z, target))
+    size = column_sizes(Z)
+    Q = linalg.qr(Z / size, mode="economic")[0]
+    solution = linalg.lstsq(Q.T @ X / size, Q.T @ target, cond=1e-9)[0] / size[:, None]
     n, count = target.shape[1], 2 * n_harmonics + 1
     F = solution[: count * n].reshape(count, n, n).transpose(0, 2, 1)
     return F, solution[count * n :].reshape(count, -1, n).transpose(0, 2, 1)
+
+
+def _integrals(functions, x, u, m):
+    """Of harmonics times states and held inputs, over m samples, in samples."""
+
+    def products(values, functions):
+        return (functions[:, :, None] * values[:, None, :]).reshape(len(values), -1)
+
+    ends = products(x, functions)
+    held = products(u[:-1], functions[:-1]) + products(u[:-1], functions[1:])
+    rates = 0.5 * np.hstack([ends[1:] + ends[:-1], held])
+    sums = np.vstack([np.zeros(rates.shape[1]), np.cumsum(rates, axis=0)])
+    return sums[m:] - sums[:-m]

@@ -34,6 +34,7 @@ __all__ = [
     "shape_functions",
     "state_response",
     "told_apart",
+    "without_noise",
 ]
 
 BIC_PATIENCE = 2
@@ -119,6 +120,22 @@ def leaves_white_noise(Phi, directions, lifted):
     rest = _left_by(Phi, directions, target)
     rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
     return bool(rounding) or _is_white(rest, lifted[0].shape[1])
+
+
+def without_noise(Phi, directions, lifted):
+    """Lifted outputs as far as inputs and the modes of Φ explain them, whatever O is.
+
+    With Φ but roughly right still close to the truth where a period forgets most.
+
+    Returns
+    -------
+    explained : list of ndarray, shapes (n_periods_s, q)
+    """
+    steps = mode_steps(Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi)))))
+    regressors = np.vstack(mode_responses(steps, directions))
+    Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+    edges = np.cumsum([len(block) for block in lifted])[:-1]
+    return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
 
 
 def told_apart(Phi, lifted):

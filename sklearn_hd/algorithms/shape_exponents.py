@@ -135,7 +135,13 @@ class _ShapeProblem:
                 for f in self.flips
             ]
             search = least_squares(
-                self._left, start, args=(functions,), x_scale="jac", xtol=1e-12, ftol=1e-10, max_nfev=60
+                self._left,
+                start,
+                args=(functions,),
+                x_scale="jac",
+                xtol=1e-12,
+                ftol=1e-10,
+                max_nfev=60,
             )
             n_parameters = self.n_outputs * sum(f.shape[1] for f in functions)
             value = 2.0 * search.cost + 2.0 * n_parameters
