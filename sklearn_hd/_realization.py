@@ -100,8 +100,6 @@ def realize(model, experiment, structure):
     -------
     realization : Realization
     """
-    basis = experiment.basis
-    spp = basis.samples_per_period
     if structure.n_states not in (None, model.n_states):
         raise ValueError(
             f"the structure has {structure.n_states} states, the identified model "

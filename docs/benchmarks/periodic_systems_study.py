@@ -206,6 +206,7 @@ def with_noise(name, seeds, kind="3-2-1-1", n_periods=160):
             inside.extend(np.abs(z) < 1.959964)
         counts.append(tuple(match.periodic_.highest(part) for part in "FG"))
     usual = max(set(counts), key=counts.count) if counts else (0, 0)
+    share = counts.count(usual) / max(1, len(counts))
     for text in failures:
         print(text)
     return {
@@ -216,7 +217,7 @@ def with_noise(name, seeds, kind="3-2-1-1", n_periods=160):
         "rms_z": np.sqrt(np.mean(np.square(scores))),
         "median_abs_z": np.median(np.abs(scores)),
         "coverage": np.mean(inside),
-        "harmonics": f"F {usual[0]}, G {usual[1]} ({counts.count(usual) / max(1, len(counts)):.0%})",
+        "harmonics": f"F {usual[0]}, G {usual[1]} ({share:.0%})",
         "wrong_order": wrong_order,
         "failures": len(failures),
     }

@@ -113,8 +113,9 @@ def _left_by(Phi, directions, target):
 def leaves_white_noise(Phi, directions, lifted):
     """Whether what the multipliers of Φ leave of the lifted outputs is white noise, or rounding.
 
-    If so, :func:`~sklearn_hd.algorithms.multipliers.refine_multipliers` is the estimate of largest likelihood; if not, the
-    squares it minimises are systematic errors, and it has no claim to be the better one.
+    If so, :func:`~sklearn_hd.algorithms.multipliers.refine_multipliers` is the estimate of
+    largest likelihood; if not, the squares it minimises are systematic errors, and it has no
+    claim to be the better one.
     """
     target = compact(np.vstack(lifted))
     rest = _left_by(Phi, directions, target)
