@@ -48,6 +48,7 @@ LARGEST_FIT = 4e7  # numbers in one regressor matrix
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 
@@ -109,13 +110,14 @@ def realize(model, experiment, structure):
     scale = output_scale(experiment)
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
-    except FloquetError:
+    except (FloquetError, GrowthError):
         if (other := _from_equation_error(model, experiment, structure, scale)) is None:
             raise
         return other
     if noise > NOISY and found.r2 < 1.0:
         other = _from_equation_error(model, experiment, structure, scale)
-        if other is not None and 1.0 - other.r2 < CLEARLY_LESS * (1.0 - found.r2):
+        enough = CLEARLY_LESS if found.physical else HARDLY_MORE
+        if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
             return other
     return found
 
