@@ -16,20 +16,24 @@ from scipy import linalg, sparse
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd.algorithms.equation_error import equation_error
 from sklearn_hd.algorithms.floquet import propagate_periodic
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale, floquet_coordinates
 from sklearn_hd.algorithms.fourier import sampled_harmonics
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.mode_shapes import shape_condition
+from sklearn_hd.algorithms.multipliers import refine_multipliers
 from sklearn_hd.algorithms.periodic_realization import (
+    FloquetError,
     fit_shapes,
     floquet_logarithm,
     leaves_white_noise,
-    refine_multipliers,
     state_response,
     told_apart,
+    without_noise,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.shape_exponents import refine_within_period
 from sklearn_hd.algorithms.structured_model import column_sizes
 
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
@@ -42,7 +46,15 @@ RANK = 1e-11  # singular values relative to the largest; deficient regressors ha
 NULL_SHARE = 1e-6  # of a parameter's direction in the null space
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
+NOISY = 1e-6  # of the shapes: then a second way to F is tried
+CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
+EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
+
+
+class GrowthError(ValueError):
+    """A model that grows more over a record than numbers can hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +101,6 @@ def realize(model, experiment, structure):
     -------
     realization : Realization
     """
-    basis = experiment.basis
-    spp = basis.samples_per_period
     if structure.n_states not in (None, model.n_states):
         raise ValueError(
             f"the structure has {structure.n_states} states, the identified model "
@@ -98,6 +108,56 @@ def realize(model, experiment, structure):
             f"change the structure"
         )
     scale = output_scale(experiment)
+    try:
+        found, noise = _in_closed_form(model, experiment, structure, scale)
+    except (FloquetError, GrowthError):
+        if (other := _from_equation_error(model, experiment, structure, scale)) is None:
+            raise
+        return other
+    if noise > NOISY and found.r2 < 1.0:
+        other = _from_equation_error(model, experiment, structure, scale)
+        enough = CLEARLY_LESS if found.physical else HARDLY_MORE
+        if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
+            return other
+    return found
+
+
+def _from_equation_error(model, experiment, structure, scale):
+    """The realization of measured states' F(ψ) by linear least squares; None if there is none."""
+    basis = experiment.basis
+    names = [name for name, _ in basis.outputs]
+    states = list(structure.states or names)
+    if len(states) != model.n_states or set(states) != set(names):
+        return None
+    rows = [names.index(name) for name in states]
+    spp = basis.samples_per_period
+    inputs = lifted_periods(experiment, experiment.inputs)
+    outputs = lifted_periods(experiment, experiment.outputs, scale)
+    directions, _, _ = input_directions(
+        inputs, most_directions(sum(map(len, outputs)), model.n_states)
+    )
+    clean = without_noise(model.A, directions, [y.reshape(len(y), -1) for y in outputs])
+    instruments = [each.reshape(-1, len(names))[:, rows] for each in clean]
+    segments = [
+        (y.reshape(-1, len(names))[:, rows], u.reshape(len(y) * spp, -1), 0)
+        for y, u in zip(outputs, inputs, strict=True)
+    ]
+    count = min(EQUATION_HARMONICS, (spp - 1) // 2)
+    F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
+    P = np.eye(len(names))[:, rows]
+    free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
+    n_harmonics = {"F": given(structure, "F", count), "P": given(structure, "P", None)}
+    problem = _InputProblem(structure, tuple(states), experiment, free, None, scale)
+    try:
+        return problem.solve(n_harmonics, physical=True)
+    except GrowthError:
+        return None
+
+
+def _in_closed_form(model, experiment, structure, scale):
+    """The realization by P(ψ) and R, and the noise of what P was fitted to."""
+    basis = experiment.basis
+    spp = basis.samples_per_period
     shapes = _shapes(model, experiment, scale)
     names = [name for name, _ in basis.outputs]
     rows = _state_outputs(shapes, structure, names, spp)
@@ -126,7 +186,7 @@ def realize(model, experiment, structure):
         for name, values in (("F", F), ("P", P))
     }
     problem = _InputProblem(structure, states, experiment, free, form, scale)
-    return problem.solve(n_harmonics, physical=rows is not None)
+    return problem.solve(n_harmonics, physical=rows is not None), shapes.noise
 
 
 def tail_begins(values, noise):
@@ -176,18 +236,22 @@ def _shapes(model, experiment, scale):
     lifted = [y.reshape(len(y), -1) for y in outputs]
     _, seen = rows_read(experiment)
     unit = _sizes(np.vstack(seen))
-    Phi = refine_multipliers(model.A, directions, lifted)
-    if not leaves_white_noise(Phi, directions, lifted):
+    refined = refine_multipliers(model.A, directions, lifted)
+    Phi, C = refined.Phi, model.C / unit[:, None]
+    if leaves_white_noise(Phi, directions, lifted):
+        over = [Y / unit for Y in seen]
+        Phi = refine_within_period(refined, C, directions, lifted, over, spp)
+    else:
         # systematic errors, a nonlinear system's: smallest where the motion dies away
         free = free_decays(inputs)
         decays = [lifted[s][rows] for s, rows in free]
         if sum(map(len, decays)) > LEAST_DECAY * n and told_apart(Phi, decays):
             lifted, seen = ([blocks[s][rows] for s, rows in free] for blocks in (lifted, seen))
             directions = [np.zeros((len(block), 0)) for block in lifted]
-            Phi = refine_multipliers(Phi, directions, lifted)
+            Phi = refine_multipliers(Phi, directions, lifted).Phi
             n_periods = sum(map(len, lifted))
     sights, information, residual = state_response(
-        Phi, model.C / unit[:, None], directions, lifted, [Y / unit for Y in seen]
+        Phi, C, directions, lifted, [Y / unit for Y in seen]
     )
     R, to_original, flips = floquet_logarithm(Phi, 2.0 * np.pi / basis.omega)
     back = linalg.inv(to_original)
@@ -368,8 +432,8 @@ class _InputProblem:
     def _check_growth(self, response):
         periods = max(map(len, self.phases)) / max(len(response.Phi), 1)
         growth = periods * np.log(max(response.spectral_radius, 1e-300))
-        if growth > MAX_GROWTH:
-            raise ValueError(
+        if not growth <= MAX_GROWTH:
+            raise GrowthError(
                 f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
                 f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
                 f"F, sample more often, or change the order of the model"

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.fourier import harmonic_functions
+from sklearn_hd.algorithms.periodic_realization import FloquetError
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 
 __all__ = ["FloquetForm", "fixed_scale", "floquet_coordinates"]
@@ -78,13 +79,13 @@ def floquet_coordinates(shapes, psi, omega):
 
     Raises
     ------
-    ValueError
+    FloquetError
         If an odd number of multipliers is negative.
     """
     P, _ = shapes(psi)
     n, n_flips = len(shapes.R), int(np.sum(shapes.flips))
     if n_flips % 2:
-        raise ValueError(
+        raise FloquetError(
             f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
             f"which no real system has (their product is positive): the order is wrong, or noise "
             f"hides the fast modes; try order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a "

@@ -14,28 +14,32 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
-from scipy.optimize import least_squares
 
+from sklearn_hd.algorithms.multipliers import (
+    compact,
+    mode_responses,
+    mode_steps,
+    refine_multipliers,
+)
 from sklearn_hd.algorithms.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = [
+    "FloquetError",
     "FloquetShapes",
     "fit_shapes",
     "floquet_logarithm",
     "leaves_white_noise",
     "order_by_residual",
-    "refine_multipliers",
     "shape_functions",
     "state_response",
     "told_apart",
+    "without_noise",
 ]
 
-SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
 BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3
-LARGEST_MULTIPLIER = 1e3
 NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
@@ -45,60 +49,6 @@ SWEEP_TOLERANCE = 1e-13
 
 
 # ---- the Poincaré map ------------------------------------------------------------------------
-
-
-def refine_multipliers(Phi, directions, lifted):
-    """Φ whose multipliers explain the lifted outputs best, whatever else is.
-
-    Every sample of the period answers to one Φ: with all else (how inputs and initial
-    states enter, how outputs see the state) eliminated by projection (Golub and Pereyra,
-    1973), the multipliers are left as the only unknowns.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-        To start from; keeps its eigenvectors.
-    directions : list of ndarray, shapes (n_periods_s, r)
-        Inputs, from :func:`~sklearn_hd.algorithms.lifting.input_directions`.
-    lifted : list of ndarray, shapes (n_periods_s, q)
-        Outputs of whole periods, in like units.
-
-    Returns
-    -------
-    Phi : ndarray, shape (n, n)
-        As given where multipliers are too close to be told apart, or the periods too few.
-    """
-    multipliers, V = linalg.eig(Phi)
-    n, r = len(Phi), directions[0].shape[1]
-    n_periods = sum(len(block) for block in lifted)
-    gaps = np.abs(multipliers[:, None] - multipliers) + np.eye(n) * np.max(np.abs(multipliers))
-    if 2 * (r + n * (r + len(lifted))) > n_periods or not np.all(
-        gaps > SEPARATION * np.max(np.abs(multipliers))
-    ):
-        return Phi
-    lead = multipliers[multipliers.imag >= 0.0]
-    paired = lead.imag > 0.0
-    target = _compact(np.vstack(lifted))
-
-    def unpack(parameters):
-        return parameters[: len(lead)] + 1j * _scatter(parameters[len(lead) :], paired)
-
-    def left(parameters):
-        values = unpack(parameters)
-        if not np.max(np.abs(values), initial=0.0) < LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5:
-            return target.ravel()
-        regressors = np.vstack(_mode_responses(values, directions))
-        Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
-        return (target - Q @ (Q.T @ target)).ravel()
-
-    start = np.concatenate([lead.real, lead.imag[paired]])
-    found = least_squares(left, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    values = unpack(found.x)
-    every = np.empty(n, dtype=complex)
-    every[multipliers.imag >= 0.0] = values
-    for i in np.flatnonzero(multipliers.imag < 0.0):
-        every[i] = every[np.argmin(np.abs(multipliers - multipliers[i].conj()))].conj()
-    return np.real(V * every @ linalg.inv(V))
 
 
 def order_by_residual(candidates, directions, lifted):
@@ -112,7 +62,7 @@ def order_by_residual(candidates, directions, lifted):
     ----------
     candidates : list of ndarray, shapes (n, n), n = 1, 2, …
     directions, lifted : list of ndarray
-        As in :func:`refine_multipliers`.
+        As in :func:`~sklearn_hd.algorithms.multipliers.refine_multipliers`.
 
     Returns
     -------
@@ -120,12 +70,12 @@ def order_by_residual(candidates, directions, lifted):
         The candidate chosen.
     """
     n_columns, r = lifted[0].shape[1], directions[0].shape[1]
-    target = _compact(np.vstack(lifted))
+    target = compact(np.vstack(lifted))
     n_free = (len(target) - r) * n_columns
     per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
-        left.append(_left_by(refine_multipliers(Phi, directions, lifted), directions, target))
+        left.append(_left_by(refine_multipliers(Phi, directions, lifted).Phi, directions, target))
         rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
         bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
@@ -145,8 +95,7 @@ def _left_by(Phi, directions, target):
     initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
     them together would fit the noise, the more the more directions the inputs have.
     """
-    multipliers = linalg.eigvals(Phi) if len(Phi) else np.zeros(0, dtype=complex)
-    regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], directions))
+    regressors = np.vstack(mode_responses(mode_steps(Phi), directions))
     if regressors.shape[1] == 0:
         return target
     Q, r = (
@@ -164,13 +113,30 @@ def _left_by(Phi, directions, target):
 def leaves_white_noise(Phi, directions, lifted):
     """Whether what the multipliers of Φ leave of the lifted outputs is white noise, or rounding.
 
-    If so, :func:`refine_multipliers` is the estimate of largest likelihood; if not, the
-    squares it minimises are systematic errors, and it has no claim to be the better one.
+    If so, :func:`~sklearn_hd.algorithms.multipliers.refine_multipliers` is the estimate of
+    largest likelihood; if not, the squares it minimises are systematic errors, and it has no
+    claim to be the better one.
     """
-    target = _compact(np.vstack(lifted))
+    target = compact(np.vstack(lifted))
     rest = _left_by(Phi, directions, target)
     rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
     return bool(rounding) or _is_white(rest, lifted[0].shape[1])
+
+
+def without_noise(Phi, directions, lifted):
+    """Lifted outputs as far as inputs and the modes of Φ explain them, whatever O is.
+
+    With Φ but roughly right still close to the truth where a period forgets most.
+
+    Returns
+    -------
+    explained : list of ndarray, shapes (n_periods_s, q)
+    """
+    steps = mode_steps(Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi)))))
+    regressors = np.vstack(mode_responses(steps, directions))
+    Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+    edges = np.cumsum([len(block) for block in lifted])[:-1]
+    return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
 
 
 def told_apart(Phi, lifted):
@@ -179,8 +145,7 @@ def told_apart(Phi, lifted):
     One decay cannot show both modes of a double multiplier.
     """
     none = [np.zeros((len(block), 0)) for block in lifted]
-    multipliers = linalg.eigvals(Phi)
-    regressors = np.vstack(_mode_responses(multipliers[multipliers.imag >= 0.0], none))
+    regressors = np.vstack(mode_responses(mode_steps(Phi), none))
     seen = linalg.svdvals(regressors / column_sizes(regressors))
     return len(seen) >= len(Phi) and seen[len(Phi) - 1] > DISTINCT * seen[0]
 
@@ -190,38 +155,6 @@ def _is_white(rest, n_columns):
     sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
     largest = np.linalg.norm(rest, 2)
     return largest <= WHITE_MARGIN * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
-
-
-def _scatter(values, where):
-    full = np.zeros(len(where))
-    full[where] = values
-    return full
-
-
-def _compact(stacked):
-    """Rows with the same scalar products, as few columns as there are rows."""
-    if stacked.shape[1] <= len(stacked):
-        return stacked
-    return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
-
-
-def _mode_responses(multipliers, directions):
-    """Inputs, and the responses of each mode to each of them and to each initial state."""
-    blocks = [
-        np.array([[z.real, z.imag], [-z.imag, z.real]]) if z.imag else np.array([[z.real]])
-        for z in multipliers
-    ]
-    step = linalg.block_diag(*blocks) if blocks else np.zeros((0, 0))
-    n = len(step)
-    responses = []
-    for s, w in enumerate(directions):
-        forcing = np.repeat(w.T[:, :, None], n, axis=2)
-        forced = propagate(step, forcing, np.zeros((w.shape[1], n)))
-        free = np.zeros((len(directions), len(w), n))
-        free[s] = propagate(step, np.zeros((len(w), n)), np.ones(n))
-        both = np.concatenate([forced, free])
-        responses.append(np.hstack([w, both.transpose(1, 0, 2).reshape(len(w), -1)]))
-    return responses
 
 
 def state_response(Phi, C, directions, lifted, seen):
@@ -258,17 +191,17 @@ def state_response(Phi, C, directions, lifted, seen):
     units, outputs = _unit_responses(Phi, directions), project(np.vstack(lifted))
     units = np.stack([project(unit) for unit in units], axis=1)  # (n_periods, n_unknown, n)
     target, sees, before = project(np.vstack(seen)), C, np.inf
-    compact = _compact(outputs)
+    few = compact(outputs)
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
         size = column_sizes(regressors)
         unknown = linalg.lstsq(regressors / size, target.ravel(), cond=1e-13)[0] / size
         states = np.einsum("kun,u->kn", units, unknown)
-        sees = linalg.lstsq(states, compact)[0].T
-        left = float(np.sum((compact - states @ sees.T) ** 2))
-        if left >= (1.0 - 1e-6) * before or left <= SWEEP_TOLERANCE**2 * np.sum(compact**2):
+        sees = linalg.lstsq(states, few)[0].T
+        left = float(np.sum((few - states @ sees.T) ** 2))
+        if left >= (1.0 - 1e-6) * before or left <= SWEEP_TOLERANCE**2 * np.sum(few**2):
             break
-        target, before = compact, left
+        target, before = few, left
     sights = linalg.lstsq(states, outputs)[0].T
     return sights, states.T @ states, np.sum((outputs - states @ sights.T) ** 2, axis=0)
 
@@ -310,7 +243,7 @@ def floquet_logarithm(Phi, period):
 
     Raises
     ------
-    ValueError
+    FloquetError
         If a multiplier is zero, which no periodic system has.
 
     Examples
@@ -322,7 +255,7 @@ def floquet_logarithm(Phi, period):
     multipliers = linalg.eigvals(Phi)
     size = np.max(np.abs(multipliers), initial=0.0)
     if np.min(np.abs(multipliers), initial=np.inf) <= 1e-14 * size or size == 0.0:
-        raise ValueError(
+        raise FloquetError(
             f"a Floquet multiplier is zero (they are {np.array2string(multipliers, precision=3)}): "
             f"no periodic system forgets a state within one period; lower the order"
         )
@@ -359,6 +292,10 @@ def shape_functions(psi, n_harmonics, flips):
     slopes = orders[:, None] * np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     nothing = [] if flips else [1]  # sin 0ψ
     return tuple(np.delete(f.reshape(len(psi), -1), nothing, axis=1) for f in (values, slopes))
+
+
+class FloquetError(ValueError):
+    """Multipliers that no periodic system has: zero, or an odd number of negative ones."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,253 @@
+"""Multipliers of a Poincaré map, from what is seen once a period and from what is seen within.
+
+    z[k+1] = Φ z[k] + B w[k],   y_j[k] = O_j z[k] + D_j w[k],   O_j = P(ψ_j) e^{R t_j}
+
+The outputs of many periods tell multipliers near one; what a period forgets is told by the
+samples within it: P(ψ) has few harmonics for the right R only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import least_squares
+
+from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.structured_model import column_sizes
+
+__all__ = [
+    "RefinedMap",
+    "characteristic",
+    "compact",
+    "invariant_blocks",
+    "mode_responses",
+    "mode_steps",
+    "refine_multipliers",
+    "with_characteristic",
+]
+
+SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
+LARGEST_MULTIPLIER = 1e3
+SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
+ROUNDING = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedMap:
+    """A Poincaré map, and how well what is seen once a period determines it.
+
+    Attributes
+    ----------
+    Phi : ndarray, shape (n, n)
+    basis : ndarray, shape (n, n), or None
+        Φ basis = basis diag(blocks); None where Φ was not refined.
+    blocks : tuple of ndarray, shapes (2, 2) and (1, 1)
+    coefficients : ndarray, shape (n,)
+        Of the characteristic polynomials: eigenvalue, or trace and determinant.
+    information : ndarray, shape (n, n)
+        Their inverse covariance.
+    """
+
+    Phi: np.ndarray
+    basis: np.ndarray | None = None
+    blocks: tuple = ()
+    coefficients: np.ndarray | None = None
+    information: np.ndarray | None = None
+
+
+def refine_multipliers(Phi, directions, lifted):
+    """Φ whose multipliers explain the lifted outputs best, whatever else is.
+
+    Every sample of the period answers to one Φ: with all else (how inputs and initial
+    states enter, how outputs see the state) eliminated by projection (Golub and Pereyra,
+    1973), the multipliers are left as the only unknowns. Two of them enter by the
+    coefficients of z² − s z + p, so that a complex pair which noise has split into two real
+    multipliers finds back, and the other way round.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        To start from; keeps its eigenvectors, or the planes of pairs whose kind changes.
+    directions : list of ndarray, shapes (n_periods_s, r)
+        Inputs, from :func:`~sklearn_hd.algorithms.lifting.input_directions`.
+    lifted : list of ndarray, shapes (n_periods_s, q)
+        Outputs of whole periods, in like units.
+
+    Returns
+    -------
+    refined : RefinedMap
+        Φ as given where multipliers are too close to be told apart, or the periods too few.
+    """
+    multipliers = linalg.eigvals(Phi)
+    n, r = len(Phi), directions[0].shape[1]
+    n_periods = sum(len(block) for block in lifted)
+    gaps = np.abs(multipliers[:, None] - multipliers) + np.eye(n) * np.max(np.abs(multipliers))
+    if 2 * (r + n * (r + len(lifted))) > n_periods or not np.all(
+        gaps > SEPARATION * np.max(np.abs(multipliers))
+    ):
+        return RefinedMap(Phi)
+    basis, blocks = invariant_blocks(Phi)
+    target = compact(np.vstack(lifted))
+    largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
+
+    def left(coefficients):
+        steps = _companions(coefficients, blocks)
+        if not max(np.max(np.abs(linalg.eigvals(step))) for step in steps) < largest:
+            return target.ravel()
+        regressors = np.vstack(mode_responses(steps, directions))
+        Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+        return (target - Q @ (Q.T @ target)).ravel()
+
+    found = _best_of(left, blocks, largest)
+    moved = [
+        with_characteristic(block, values)
+        for block, values in zip(blocks, _by_block(found.x, blocks), strict=True)
+    ]
+    Phi = basis @ linalg.block_diag(*moved) @ linalg.inv(basis)
+    spread = max(2.0 * found.cost, ROUNDING**2 * float(np.sum(target**2)))
+    n_free = max(1, n_periods - r) * lifted[0].shape[1]
+    information = found.jac.T @ found.jac * (n_free / spread)
+    return RefinedMap(Phi, basis, tuple(moved), found.x, information)
+
+
+def _best_of(left, blocks, largest):
+    """Least squares from the multipliers given, and from smaller ones where they are too large.
+
+    A start beyond 1 (noise alone makes one of multipliers of 0.04) has no way down.
+    """
+    size = max(np.max(np.abs(linalg.eigvals(block))) for block in blocks)
+    wanted = [size] + [value for value in SMALLER if size > 1.0]
+    searches = []
+    for value in wanted:
+        start = np.concatenate([characteristic(block * (value / size)) for block in blocks])
+        searches.append(
+            least_squares(
+                left, start, x_scale="jac", xtol=1e-15, ftol=1e-12, gtol=1e-15, max_nfev=60
+            )
+        )
+    return min(searches, key=lambda search: search.cost)
+
+
+def _by_block(values, blocks):
+    return np.split(values, np.cumsum([len(block) for block in blocks])[:-1])
+
+
+def invariant_blocks(M):
+    """Real coordinates in which M is block diagonal: complex pairs, real pairs, one single.
+
+    Real eigenvalues pair up with their neighbours; of an odd number the largest stays alone.
+
+    Returns
+    -------
+    basis : ndarray, shape (n, n)
+        M basis = basis diag(blocks); columns of a pair are orthonormal.
+    blocks : list of ndarray, shapes (2, 2) and (1, 1)
+    """
+    values, V = linalg.eig(M)
+    real = np.flatnonzero(values.imag == 0.0)
+    real = real[np.argsort(values[real].real)]
+    if len(real) % 2:
+        single = np.argmax(np.abs(values[real]))
+        real = np.append(np.delete(real, single), real[single])
+    spans = [V[:, [i]] for i in np.flatnonzero(values.imag > 0.0)]
+    spans = [np.hstack([v.real, v.imag]) for v in spans]
+    spans += [V[:, real[i : i + 2]].real for i in range(0, len(real), 2)]
+    basis = np.hstack([linalg.qr(span, mode="economic")[0] for span in spans])
+    inside, at, blocks = linalg.solve(basis, M @ basis), 0, []
+    for span in spans:
+        rows = slice(at, at + span.shape[1])
+        blocks.append(inside[rows, rows])
+        at = rows.stop
+    return basis, blocks
+
+
+def characteristic(block):
+    """Of the characteristic polynomial: the eigenvalue, or trace and determinant of a pair.
+
+    The determinant by its eigenvalues: ad − bc cancels where one of them is tiny.
+    """
+    values = linalg.eigvals(block)
+    return np.array([np.sum(values).real, np.prod(values).real][: len(block)])
+
+
+def _companions(coefficients, blocks):
+    """Companion matrices of some characteristic polynomials."""
+    steps, at = [], 0
+    for block in blocks:
+        if len(block) == 1:
+            steps.append(np.array([[coefficients[at]]]))
+        else:
+            trace, determinant = coefficients[at : at + 2]
+            steps.append(np.array([[0.0, 1.0], [-determinant, trace]]))
+        at += len(block)
+    return steps
+
+
+def with_characteristic(block, coefficients):
+    """The block with another characteristic polynomial, and its eigenvectors if they can stay.
+
+    M = s/2 I + N, N² = (s²/4 − p) I: a pair that stays real, or complex, has N scaled. For
+    one that changes, N = [0 b; c 0] in coordinates of equal diagonal keeps the larger of
+    b and c: near the double eigenvalue in between, the other one is all that matters.
+
+    Parameters
+    ----------
+    block : ndarray, shape (1, 1) or (2, 2)
+    coefficients : ndarray, shape (1,) or (2,)
+        Eigenvalue; or trace s and determinant p.
+
+    Returns
+    -------
+    block : ndarray, of the same shape
+    """
+    if len(block) == 1:
+        return np.reshape(coefficients, (1, 1))
+    trace, determinant = coefficients
+    N = block - 0.5 * np.trace(block) * np.eye(2)
+    square, wanted = N[0, 0] ** 2 + N[0, 1] * N[1, 0], 0.25 * trace**2 - determinant
+    if square * wanted > 0.0:
+        return 0.5 * trace * np.eye(2) + N * np.sqrt(wanted / square)
+    angle = 0.5 * np.arctan2(-2.0 * N[0, 0], N[0, 1] + N[1, 0])
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    b, c = (turn.T @ N @ turn)[[0, 1], [1, 0]]
+    upper = abs(b) >= abs(c)
+    kept = b if upper else c
+    kept = np.copysign(max(abs(kept), np.sqrt(abs(wanted))), kept)
+    other = wanted / kept if kept else 0.0
+    N = np.array([[0.0, kept], [other, 0.0]] if upper else [[0.0, other], [kept, 0.0]])
+    return 0.5 * trace * np.eye(2) + turn @ N @ turn.T
+
+
+def compact(stacked):
+    """Rows with the same scalar products, as few columns as there are rows."""
+    if stacked.shape[1] <= len(stacked):
+        return stacked
+    return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
+
+
+def mode_steps(Phi):
+    """Step of each real mode and each complex pair of Φ."""
+    values = linalg.eigvals(Phi) if len(Phi) else np.zeros(0, dtype=complex)
+    return [
+        np.array([[z.real, z.imag], [-z.imag, z.real]]) if z.imag else np.array([[z.real]])
+        for z in values[values.imag >= 0.0]
+    ]
+
+
+def mode_responses(steps, directions):
+    """Inputs, and the responses of each mode to each of them and to each initial state.
+
+    Pushed in the last coordinate of its step, the coordinates of a pair span what it can do.
+    """
+    step = linalg.block_diag(*steps) if steps else np.zeros((0, 0))
+    push = np.concatenate([[0.0] * (len(each) - 1) + [1.0] for each in steps] or [np.zeros(0)])
+    n = len(step)
+    responses = []
+    for s, w in enumerate(directions):
+        forced = propagate(step, w.T[:, :, None] * push, np.zeros((w.shape[1], n)))
+        free = np.zeros((len(directions), len(w), n))
+        free[s] = propagate(step, np.zeros((len(w), n)), push)
+        both = np.concatenate([forced, free])
+        responses.append(np.hstack([w, both.transpose(1, 0, 2).reshape(len(w), -1)]))
+    return responses

@@ -1,0 +1,191 @@
+"""Systems other than the flapping wing: multipliers that a period forgets, and noise."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from periodic_cases import record, same_exponents, synchronous
+from scipy import linalg
+
+from sklearn_hd import HarmonicStructure
+from sklearn_hd.algorithms.equation_error import equation_error
+from sklearn_hd.algorithms.multipliers import (
+    characteristic,
+    invariant_blocks,
+    refine_multipliers,
+    with_characteristic,
+)
+from sklearn_hd.systems import bittanti_colaneri, flapping_blade, mathieu
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
+import periodic_systems_study as study
+
+# ---- laws of the parametrisation -----------------------------------------------------------------
+
+COEFFICIENTS = {
+    "complex": (0.6, 0.5),
+    "real": (0.6, 0.05),
+    "double": (0.6, 0.09),
+    "one negative": (0.2, -0.3),
+    "two negative": (-0.6, 0.05),
+}
+BLOCKS = {
+    "complex": np.array([[0.3, 0.8], [-0.2, 0.1]]),
+    "real": np.array([[0.5, 2.0], [0.0, -0.1]]),
+    "defective": np.array([[0.5, 1.0], [0.0, 0.5]]),
+    "multiple of the identity": 0.4 * np.eye(2),
+}
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize("wanted", COEFFICIENTS)
+def test_a_block_takes_any_characteristic_polynomial(block, wanted):
+    moved = with_characteristic(BLOCKS[block], COEFFICIENTS[wanted])
+    np.testing.assert_allclose(
+        [np.trace(moved), np.linalg.det(moved)], COEFFICIENTS[wanted], atol=1e-14
+    )
+    own = characteristic(BLOCKS[block])
+    np.testing.assert_allclose(with_characteristic(BLOCKS[block], own), BLOCKS[block], atol=1e-7)
+
+
+def test_eigenvectors_stay_where_the_kind_does():
+    for name, wanted in (("real", (0.9, 0.1)), ("complex", (0.9, 0.5))):
+        vectors = linalg.eig(BLOCKS[name])[1]
+        moved = linalg.solve(vectors, with_characteristic(BLOCKS[name], wanted) @ vectors)
+        assert abs(moved[0, 1]) + abs(moved[1, 0]) < 1e-14
+
+
+@pytest.mark.parametrize("values", [[0.5, -0.2, 0.1], [0.5], [0.4, 0.2], [-0.5, -0.1, 0.7, 1e-6]])
+def test_invariant_blocks_put_the_map_together(values, rng):
+    n = len(values)
+    T = rng.standard_normal((n, n)) + 2 * np.eye(n)
+    M = T @ np.diag(values) @ np.linalg.inv(T)
+    basis, blocks = invariant_blocks(M)
+    assert [len(block) for block in blocks] == [2] * (n // 2) + [1] * (n % 2)
+    back = basis @ linalg.block_diag(*blocks) @ np.linalg.inv(basis)
+    np.testing.assert_allclose(back, M, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("start", "true"),
+    [
+        (np.diag([0.14, -0.12]), [[0.024, 0.036], [-0.036, 0.024]]),
+        (np.array([[0.3, 0.2], [-0.2, 0.3]]), np.diag([0.5, 0.1])),
+        (np.diag([0.1, -1.24]), [[0.3, 0.5], [-0.5, 0.3]]),
+    ],
+)
+def test_a_pair_finds_back_from_the_other_kind(start, true, rng):
+    """And from beyond the unit circle."""
+    true, sight = np.array(true), rng.standard_normal((6, 2))
+    w, z, rows = rng.choice([-1.0, 1.0], size=(200, 1)), np.zeros(2), []
+    for w_k in w:
+        rows.append(sight @ z + w_k)
+        z = true @ z + [w_k[0], 0.5 * w_k[0]]
+    found = refine_multipliers(start, [w], [np.array(rows)]).Phi
+    a, b = (np.sort_complex(linalg.eigvals(M)) for M in (found, true))
+    np.testing.assert_allclose(a, b, atol=1e-8)
+
+
+# ---- equation error ------------------------------------------------------------------------------
+
+
+def equation_errors(noise, instruments):
+    """Error of F of the Mathieu oscillator, in parts of its size."""
+    system = mathieu()
+    u, y = record(system, n_periods=200, samples=64)
+    measured = y.to_numpy() + noise * y.std().to_numpy() * np.random.default_rng(3).standard_normal(
+        y.shape
+    )
+    shown = [y.to_numpy()] if instruments else None
+    F, _ = equation_error([(measured, u.to_numpy(), 0)], system.period, 64, 1, shown)
+    return np.linalg.norm(F - system.F.coefficients) / np.linalg.norm(system.F.coefficients)
+
+
+def test_equation_error_is_as_good_as_its_quadrature():
+    assert equation_errors(0.0, False) < 2e-3
+
+
+def test_instruments_take_the_bias_away():
+    plain, instrumental = equation_errors(0.3, False), equation_errors(0.3, True)
+    assert instrumental < 0.02 < plain
+
+
+# ---- what a period forgets -----------------------------------------------------------------------
+
+
+def test_a_multiplier_of_1e_9_is_seen_within_the_period():
+    """e^{-6π} = 6.5e-9: once a period it leaves seven digits below the other mode."""
+    system, spp = bittanti_colaneri(), 64
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], 18)
+    u = np.repeat(np.r_[0.0, 0.0, signs, [0.0] * 40], spp)
+    u, y = record(system, samples=spp, n_periods=60, u=u[:, None])
+    found = synchronous(1.0, order=2).fit(u, y)["match"].ltp_
+    same_exponents(found.floquet_exponents(), system, rtol=1e-6)
+
+
+def noisy_blade(seed, noise, n_periods=400, samples=16):
+    """A new input every period, which forgets 96 % of the state: the record never rests."""
+    blade, rng = flapping_blade(mu=0.35), np.random.default_rng(seed)
+    t = pd.Index(np.arange(samples * n_periods) * blade.period / samples, name="time")
+    u = np.repeat(rng.choice([-0.02, 0.02], n_periods), samples)
+    u = pd.DataFrame({"theta_0": u}, t)
+    y = pd.DataFrame(blade.simulate(u, t), t, list(blade.output_names))
+    return blade, u, y + noise * y.std().to_numpy() * rng.standard_normal(y.shape)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")  # MOESP's start
+@pytest.mark.parametrize(("seed", "noise"), [(0, 0.02), (0, 0.05), (2, 0.05)])
+def test_likelihood_finds_the_noisy_blade(seed, noise):
+    """Whose multipliers, seen once a period, were of both signs, or beyond one."""
+    blade, u, y = noisy_blade(seed, noise)
+    structure = HarmonicStructure(F=2, G=2)
+    match = synchronous(1.0, structure, order=2, criterion="output_error").fit(u, y)["match"]
+    table = match.eigenvalues_
+    gap = table["eigenvalue"].to_numpy() - blade.floquet_exponents()
+    assert np.all(np.abs(gap.real) < 4 * table["std_real"])
+    assert np.all(np.abs(gap.imag) < 4 * table["std_imag"])
+    assert table["std_real"].max() < 0.06
+
+
+# ---- the study -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", study.SYSTEMS)
+@pytest.mark.parametrize("kind", ["doublet", "3-2-1-1"])
+def test_systems_come_back_without_noise(name, kind):
+    row = study.without_noise(name, kind, seed=5)
+    assert row["A"] < 1e-10
+    assert row["exponents"] < 1e-10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", study.SYSTEMS)
+def test_systems_come_back_from_a_binary_input(name):
+    row = study.without_noise(name, "binary", seed=5)
+    assert row["A"] < 1e-10
+    assert row["exponents"] < 1e-10
+
+
+def test_the_pair_of_small_signals_of_duffing():
+    row = study.small_signal("± pair", 0.005, seed=5)
+    assert row["order"] == 2
+    assert row["A"] < 5e-6
+
+
+@pytest.mark.slow
+def test_fewer_even_errors_the_more_amplitudes():
+    one, pair, extrapolated = (
+        study.small_signal(how, 0.02, seed=5)["A"] for how in study.AMPLITUDES
+    )
+    assert extrapolated < 1e-2 * pair < 1e-3 * one
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", study.SYSTEMS)
+def test_intervals_of_exponents_hold_under_noise(name):
+    row = study.with_noise(name, range(12))
+    assert row["failures"] == row["wrong_order"] == 0
+    assert row["coverage"] > 0.8
+    assert 0.6 < row["rms_z"] < 1.5
