@@ -1,6 +1,7 @@
 """Maximum likelihood on the raw record: what a structured model is refined to."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -35,15 +36,16 @@ def refine(match, structure, experiment, max_iter, input_noise):
     """
     if match.periodic is None:
         return _refine_invariant(match, structure, experiment, max_iter, input_noise)
-    resolved, theta = match.structure, match.theta
+    resolved = match.structure
     if match.periodic.physical and None in map(structure.n_harmonics, "FG"):
         fixed = {name: structure.n_harmonics(name) for name in "FG"}
         fixed = {name: count for name, count in fixed.items() if count is not None}
         fixed["P"] = _n_harmonics_of_outputs(match, structure)
-        resolved, result = refine_harmonics(structure, match.periodic, fixed, experiment, max_iter)
-        theta = result.theta
-    if input_noise is not None or resolved is match.structure:
-        result = refine_periodic(resolved, theta, experiment, max_iter, input_noise)
+        resolved, result = refine_harmonics(
+            structure, match.periodic, fixed, experiment, max_iter, input_noise
+        )
+    else:
+        result = refine_periodic(resolved, match.theta, experiment, max_iter, input_noise)
     periodic = replace(match.periodic, coefficients=resolved.coefficients(result.theta))
     affine, seen = periodic.decomposed_structure(resolved, experiment.basis)
     refined = periodic_match(resolved, result.theta, periodic, match.model, experiment.basis)
@@ -137,13 +139,14 @@ def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
     )
 
 
-def refine_harmonics(structure, start, fixed, experiment, max_iter):
+def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None):
     """A periodic structure with as many harmonics of F and G as the data show.
 
     From the number of the start up and down: first of F, as long as Akaike's criterion
     falls, then of G, by Schwarz's. F(ψ) has a tail of harmonics, and the truth lies in no
     class of few; G mostly has few, and Akaike's criterion takes more of them than there are,
-    however long the record.
+    however long the record. Noise on the inputs, where it is allowed for, looks like
+    harmonics of G if it is not: it comes in before G is judged.
 
     Parameters
     ----------
@@ -153,6 +156,7 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter):
         Number of harmonics of those among F, G and P that are not to be chosen.
     experiment : Experiment
     max_iter : int
+    input_noise : ndarray, shape (m,), optional
 
     Returns
     -------
@@ -163,14 +167,18 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter):
     highest = (experiment.basis.samples_per_period - 1) // 2
     counts = {"F": start.highest("F") // 2, "G": min(start.highest("G"), FIRST_INPUT_HARMONICS)}
 
-    def fit(counts, near):
+    def fit(counts, near, noise=None):
         resolved = structure.resolve(*names, counts)
         theta = project(resolved, near)
-        return _Candidate(counts, resolved, refine_periodic(resolved, theta, experiment, max_iter))
+        result = refine_periodic(resolved, theta, experiment, max_iter, noise)
+        return _Candidate(counts, resolved, result)
 
     best = fit({**counts, **fixed}, start.coefficients)
-    for name in [name for name in "FG" if name not in fixed]:
-        for step in (1, -1):
+    for name in "FG":
+        if name == "G" and input_noise is not None:
+            fit = partial(fit, noise=input_noise)
+            best = fit(best.counts, best.resolved.coefficients(best.result.theta))
+        for step in () if name in fixed else (1, -1):
             now = best.counts[name]
             ahead = [k for k in N_HARMONICS if k <= highest and (k - now) * step > 0][::step]
             best = _climb(best, name, ahead, fit)

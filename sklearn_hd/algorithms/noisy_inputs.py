@@ -160,8 +160,10 @@ class NoisyInputProblem(Problem):
     def point(self, theta, x0):
         response = self.response(theta, sensitivities=False)
         rss, cost = np.zeros(1), np.inf
-        r = [residuals(response, record, x) for record, x in zip(self.records, x0, strict=True)]
-        if all(np.all(np.isfinite(each)) for each in r):
+        with np.errstate(over="ignore", invalid="ignore"):
+            r = [residuals(response, record, x) for record, x in zip(self.records, x0, strict=True)]
+            rough = sum(float(np.sum(each**2)) for each in r)
+        if np.isfinite(rough):
             for whitening, each in zip(self.filters(theta, response), r, strict=True):
                 rss += np.sum(whitening.whiten(each)[0] ** 2)
             cost = self.cost(rss)
