@@ -49,6 +49,7 @@ TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
+MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 
@@ -100,6 +101,12 @@ def realize(model, experiment, structure):
     Returns
     -------
     realization : Realization
+
+    Raises
+    ------
+    FloquetError, GrowthError
+        If the multipliers or F(ψ) are those of no periodic system, or of one that outgrows
+        numbers, and measured states lead to no better ones.
     """
     if structure.n_states not in (None, model.n_states):
         raise ValueError(
@@ -111,10 +118,11 @@ def realize(model, experiment, structure):
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
     except (FloquetError, GrowthError):
-        if (other := _from_equation_error(model, experiment, structure, scale)) is None:
-            raise
+        other = _from_equation_error(model, experiment, structure, scale)
+        if other is None or other.systematic > MOST_SYSTEMATIC:
+            raise  # not noise, but the order is at fault
         return other
-    if noise > NOISY and found.r2 < 1.0:
+    if noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
         enough = CLEARLY_LESS if found.physical else HARDLY_MORE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):

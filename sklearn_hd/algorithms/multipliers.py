@@ -86,9 +86,11 @@ def refine_multipliers(Phi, directions, lifted):
         gaps > SEPARATION * np.max(np.abs(multipliers))
     ):
         return RefinedMap(Phi)
+    largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
+    if np.max(np.abs(multipliers)) >= largest:
+        return RefinedMap(Phi)
     basis, blocks = invariant_blocks(Phi)
     target = compact(np.vstack(lifted))
-    largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
 
     def left(coefficients):
         steps = _companions(coefficients, blocks)
@@ -98,7 +100,7 @@ def refine_multipliers(Phi, directions, lifted):
         Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
         return (target - Q @ (Q.T @ target)).ravel()
 
-    found = _best_of(left, blocks, largest)
+    found = _best_of(left, blocks)
     moved = [
         with_characteristic(block, values)
         for block, values in zip(blocks, _by_block(found.x, blocks), strict=True)
@@ -110,7 +112,7 @@ def refine_multipliers(Phi, directions, lifted):
     return RefinedMap(Phi, basis, tuple(moved), found.x, information)
 
 
-def _best_of(left, blocks, largest):
+def _best_of(left, blocks):
     """Least squares from the multipliers given, and from smaller ones where they are too large.
 
     A start beyond 1 (noise alone makes one of multipliers of 0.04) has no way down.
