@@ -72,6 +72,10 @@ ANALYZER = {
     "nan omega": ({"omega": np.nan}, r"omega must be a positive number in rad/s, got nan"),
     "text omega": ({"omega": "fast"}, r"omega must be a positive number in rad/s, got 'fast'"),
     "true omega": ({"omega": True}, r"omega must be a positive number in rad/s, got True"),
+    "tiny omega": (
+        {"omega": 1e-9},
+        r"omega=1e-09 rad/s .* samples a period, more than 1e\+07, .*; correct omega \(rad/s\)",
+    ),
     "sampling": (
         {"input_harmonics": 9},
         r"give 16 samples a period, too few for harmonic 9: .*\(here 18\); sample faster",
