@@ -114,7 +114,7 @@ def realize(model, experiment, structure):
             f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
             f"change the structure"
         )
-    _check_harmonics(structure, spp)
+    _check_harmonics(structure, experiment.basis.samples_per_period)
     scale = output_scale(experiment)
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)

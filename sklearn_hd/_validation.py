@@ -359,6 +359,6 @@ def check_rate(samples, highest_harmonic, given):
         )
     if samples > MOST_SAMPLES:
         raise ValueError(
-            f"{given}, more than {MOST_SAMPLES:g}, which no record holds; correct omega (rad/s), or "
-            f"the times (seconds)"
+            f"{given}, more than {MOST_SAMPLES:g}, which no record holds; correct omega (rad/s) "
+            f"or the times (seconds)"
         )
