@@ -114,6 +114,7 @@ def realize(model, experiment, structure):
             f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
             f"change the structure"
         )
+    _check_harmonics(structure, experiment.basis.samples_per_period)
     scale = output_scale(experiment)
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
@@ -221,6 +222,18 @@ def given(structure, name, default):
     """Number of harmonics that the structure asks for, or a default."""
     asked = structure.n_harmonics(name)
     return default if asked is None else asked
+
+
+def _check_harmonics(structure, samples_per_period):
+    """Raise ValueError if the structure has harmonics that the samples cannot tell apart."""
+    most = (samples_per_period - 1) // 2
+    for name in "FGPQ":
+        asked = structure.n_harmonics(name)
+        if asked is not None and asked > most:
+            raise ValueError(
+                f"the structure has harmonic {asked} of {name}, and {samples_per_period} samples a "
+                f"period tell at most {most} apart; give {name} fewer harmonics, or sample faster"
+            )
 
 
 # ---- the free response -----------------------------------------------------------------------

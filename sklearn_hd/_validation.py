@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
+MOST_SAMPLES = 1e7  # in a period
 DRIFT_LIMIT = 0.25  # samples by which the periods of a segment may miss one
 FIRST = "first sample"  # the time origin of dates that fix no azimuth
 SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
@@ -355,4 +356,9 @@ def check_rate(samples, highest_harmonic, given):
             f"{given}, too few for harmonic {highest_harmonic}: at least two samples in a "
             f"period of the highest harmonic kept are needed (here {need}); sample faster or keep "
             f"fewer harmonics"
+        )
+    if samples > MOST_SAMPLES:
+        raise ValueError(
+            f"{given}, more than {MOST_SAMPLES:g}, which no record holds; correct omega (rad/s) "
+            f"or the times (seconds)"
         )

@@ -1,5 +1,6 @@
 """Step 2: the harmonic analyzer, from signals in time to Fourier coefficients."""
 
+import math
 import numbers
 import warnings
 from dataclasses import replace
@@ -476,7 +477,8 @@ def _check_hop(hop, spp, highest):
     """The hop, None standing for about eight rows a period, more for high harmonics."""
     if isinstance(hop, str) and hop == PERIOD:
         return PERIOD
-    divisors = [d for d in range(1, spp + 1) if spp % d == 0]
+    small = [d for d in range(1, math.isqrt(spp) + 1) if spp % d == 0]
+    divisors = sorted({*small, *(spp // d for d in small)})
     if hop is None:
         rows = max(ROWS_PER_PERIOD, 2 * highest + 3)
         return max((d for d in divisors if spp // d >= rows), default=1)

@@ -213,6 +213,11 @@ class StructuredMatcher(ParameterReport, ModelStep):
         check_count("max_iter", self.max_iter, 1, "100 is usual")
         check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
         check_flag("scale", self.scale)
+        if self.input_noise is not None:
+            noise = self.input_noise
+            hint = "None is none, and a dict gives each input its own, {'u': 0.1}"
+            for value in noise.values() if isinstance(noise, Mapping) else [noise]:
+                check_positive("input_noise", value, "units of the input", hint)
         if self.random_state is not None:
             check_count("random_state", self.random_state, 0, "it is the seed of the starts")
 
@@ -397,12 +402,7 @@ class StructuredMatcher(ParameterReport, ModelStep):
                 f"input_noise={given!r} must give a standard deviation for each of the inputs "
                 f"{list(names)}"
             )
-        return np.array(
-            [
-                check_positive("input_noise", values[name], "units of the input", "None is none")
-                for name in names
-            ]
-        )
+        return np.array([float(values[name]) for name in names])
 
     @staticmethod
     def _warn_refined(result):

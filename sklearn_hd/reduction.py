@@ -171,7 +171,9 @@ class SpuriousModeReducer(ModelStep):
         basis = experiment.basis
         self.r2_, self.left_out_ = np.nan, 0.0
         if model.dt == 0.0 or (basis is not None and basis.synchronous):
-            self._keep_all(model, "period-synchronous" if model.dt else "already continuous")
+            reason = "period-synchronous" if model.dt else "already continuous"
+            self._check_passes(model, reason)
+            self._keep_all(model, reason)
         elif basis is None and self.n_states is None:
             model = self._keep_plain(model, experiment)
         else:
@@ -185,6 +187,16 @@ class SpuriousModeReducer(ModelStep):
         """Every mode identified, with its family, verdict and reason, as a DataFrame."""
         check_is_fitted(self)
         return _table(*self._modes)
+
+    def _check_passes(self, model, reason):
+        """Raise ValueError if other states are asked for than a model that passes has."""
+        if self.n_states not in (None, model.n_states):
+            way = f"MOESPRegressor(order={self.n_states})" if model.dt else "one reducer only"
+            raise ValueError(
+                f"n_states={self.n_states} cannot be kept: the model is {reason}, has nothing "
+                f"spurious, and passes with its {model.n_states} states; use {way}, or leave "
+                f"n_states=None"
+            )
 
     def _keep_all(self, model, reason):
         z = np.linalg.eigvals(model.A)

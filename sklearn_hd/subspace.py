@@ -373,12 +373,13 @@ class MOESPRegressor(ModelStep):
             )
 
     def _check_order(self):
-        if self.order != "auto":
-            if isinstance(self.order, str):
+        if isinstance(self.order, str):
+            if self.order != "auto":
                 raise ValueError(
                     f"order={self.order!r} is not known; give a whole number or 'auto'"
                 )
-            check_count("order", self.order, 1, "'auto' chooses it")
+            return
+        check_count("order", self.order, 1, "'auto' chooses it")
 
     def _check_rank_bound(self, block_rows, n_outputs):
         bound = (block_rows - 1) * n_outputs

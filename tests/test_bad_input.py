@@ -72,6 +72,10 @@ ANALYZER = {
     "nan omega": ({"omega": np.nan}, r"omega must be a positive number in rad/s, got nan"),
     "text omega": ({"omega": "fast"}, r"omega must be a positive number in rad/s, got 'fast'"),
     "true omega": ({"omega": True}, r"omega must be a positive number in rad/s, got True"),
+    "tiny omega": (
+        {"omega": 1e-9},
+        r"omega=1e-09 rad/s .* samples a period, more than 1e\+07, .*; correct omega \(rad/s\)",
+    ),
     "sampling": (
         {"input_harmonics": 9},
         r"give 16 samples a period, too few for harmonic 9: .*\(here 18\); sample faster",
@@ -295,6 +299,10 @@ MOESP = {
     "order far above": (
         {"order": 10**6, "block_rows": 8},
         r"order=1000000 exceeds the rank bound 21 of block_rows=8 with 3 outputs",
+    ),
+    "several orders": (
+        {"order": np.array([1, 2])},
+        r"order must be a whole number of at least 1, got array\(\[1, 2\]\); 'auto' chooses it",
     ),
     "block rows": (
         {"block_rows": 1.5},
@@ -543,6 +551,48 @@ def test_identification_parameters_period_by_period(oscillation, case):
     pipe["identify"].set_params(**options)
     with pytest.raises(ValueError, match=message):
         pipe.fit(*oscillation)
+
+
+PERIODIC = {
+    "harmonics of F": (
+        {"structure": HarmonicStructure(F=16)},
+        r"harmonic 16 of F, and 32 samples a period tell at most 15 apart; give F fewer harmonics",
+    ),
+    "harmonics of G": (
+        {"structure": HarmonicStructure(G={"20c": [[0.0], [np.nan]]})},
+        r"harmonic 20 of G, and 32 samples",
+    ),
+    "noise beside a norm": (
+        {"input_noise": "some"},
+        r"input_noise must be a positive number in units of the input, got 'some'; .* a dict gives",
+    ),
+    "noise in a list": ({"input_noise": [0.1]}, r"input_noise must .* got \[0.1\]; None is none"),
+    "noise in a dict": ({"input_noise": {"u1": -1}}, r"input_noise must be a positive .* got -1"),
+    "noise of others": (
+        {"input_noise": {"v": 0.1}, "criterion": "output_error"},
+        r"input_noise={'v': 0.1} must give a standard deviation for each of the inputs \['u1'\]",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", PERIODIC)
+def test_matching_parameters_period_by_period(oscillation, case):
+    options, message = PERIODIC[case]
+    with pytest.raises(ValueError, match=message):
+        synchronous(2.0, **{"order": 2} | options).fit(*oscillation)
+
+
+def test_states_to_keep_of_a_model_that_passes(oscillation):
+    u, y = oscillation
+    frame = synchronous(2.0, order=2)[:2].fit(u, y).transform(u)
+    message = r"n_states=1 cannot be kept: the model is period-synchronous, .* its 2 states; use "
+    with pytest.raises(ValueError, match=message + r"MOESPRegressor\(order=1\), or leave"):
+        SpuriousModeReducer(n_states=1).fit(frame, y)
+    reducer = SpuriousModeReducer(n_states=2).fit(frame, y)
+    assert reducer.n_states_ == 2
+    matcher = StructuredMatcher(structure=HarmonicStructure()).fit(reducer.transform(frame), y)
+    with pytest.raises(ValueError, match=r"n_states=\d+ .* already continuous.* one reducer only"):
+        SpuriousModeReducer(n_states=3).fit(matcher.transform(frame), y)
 
 
 SHORT = {

@@ -17,6 +17,7 @@ ESTIMATORS = [
     HarmonicAnalyzer(np.pi / 2, input_harmonics=1, hop="period"),
     HarmonicAnalyzer(np.pi, missing="gap"),
     HarmonicAnalyzer(np.pi, window="hann"),
+    HarmonicAnalyzer(np.pi, small_signal="odd", hop=1),
     MOESPRegressor(),
     MOESPRegressor(feedthrough=True, scale=False),
     MOESPRegressor(warmup=2.0),
@@ -25,6 +26,7 @@ ESTIMATORS = [
     SpuriousModeReducer(MOESPRegressor(), method="residualize"),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor())),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor(feedthrough=True)), scale=False),
+    StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=0, random_state=None),
 ]
 
 

@@ -152,6 +152,9 @@ WRONG = {
     "no matrix": ({"F": {"0": [1, 2]}}, r"F must be a matrix, rows of equal"),
     "ragged": ({"F": {"0": [[1, 2], [3]]}}, r"F must be a matrix, rows of equal"),
     "shapes": ({"F": {"0": [[1]], "1c": [[1, 2], [3, 4]]}}, r"coefficients of F differ in shape"),
+    "states a number": ({"states": 5}, r"states=5 is no sequence of names; give a list such as"),
+    "states a text": ({"states": "w"}, r"states='w' is no sequence of names"),
+    "columns of F": ({"F": {"0": [[1, 2]]}}, r"\(1, 2\); with 1 states F must have 1 columns"),
     "rows of G": ({"F": {"0": [[1]]}, "G": {"0": [[1], [2]]}}, r"with 1 states G must have 1 rows"),
     "columns of P": (
         {"F": {"0": [[1]]}, "P": {"0": [[1, 2]]}},

@@ -303,7 +303,22 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     path = tmp_path / "pipe.skops"
     skops.dump(pipe, path)
     trusted = skops.get_untrusted_types(file=path)
-    assert all(name.startswith("sklearn_hd.") for name in trusted)
+    expected = {
+        "sklearn_hd._frame.HarmonicBasis",
+        "sklearn_hd._frame.LTIModel",
+        "sklearn_hd._frame.Reading",
+        "sklearn_hd._periodic.PeriodicModel",
+        "sklearn_hd.harmonics.HarmonicAnalyzer",
+        "sklearn_hd.matching.StructuredMatcher",
+        "sklearn_hd.structures._harmonic.HarmonicStructure",
+        "sklearn_hd.subspace.MOESPRegressor",
+    }
+    if pipe["match"].criterion == "output_error":
+        expected |= {
+            "sklearn_hd._match.Uncertainty",
+            "sklearn_hd.algorithms.structured_model.AffineStructure",
+        }
+    assert set(trusted) == expected
     loaded = skops.load(path, trusted=trusted)
     pd.testing.assert_frame_equal(loaded.predict(u), pipe.predict(u))
     pd.testing.assert_series_equal(loaded["match"].theta_std_, pipe["match"].theta_std_)
@@ -322,6 +337,39 @@ def test_grid_search_over_structures_and_harmonics(periodic):
     ).fit(u, y)
     assert search.best_params_["match__structure"] == HarmonicStructure(F=1, G=0)
     assert search.best_score_ > 0.9
+
+
+def test_periodic_models_in_two_processes(periodic):
+    """Structure, criterion and noise of the inputs are values of a grid like any other."""
+    pipe, u, y = periodic
+    rows = np.arange(len(u))
+    search = GridSearchCV(
+        pipe,
+        [
+            {"match__criterion": ["hinf"], "match__input_noise": [None]},
+            {"match__criterion": ["output_error"], "match__input_noise": [None, {"u1": 0.01}]},
+        ],
+        cv=[(rows, rows)],
+        n_jobs=2,
+        error_score="raise",
+    ).fit(u, y)
+    one = clone(search).set_params(n_jobs=1).fit(u, y)
+    scores = search.cv_results_["mean_test_score"]
+    np.testing.assert_allclose(scores, one.cv_results_["mean_test_score"], rtol=1e-9)
+    assert scores.min() > 0.99
+
+
+def test_memory_tells_the_options_of_a_synchronous_analysis_apart(tmp_path):
+    """A cache that took one for the other would hand on the wrong records."""
+    u, y = record(mathieu(), n_periods=30, noise=0.01)
+    pair = pd.concat({0: u, 1: -u}, names=["record"])
+    outputs = pd.concat({0: y + 0.1 * y**2, 1: -y + 0.1 * y**2}, names=["record"])
+    for how in (None, "odd", None, "odd"):
+        pipe = synchronous(2.0, order=2, analyzer={"small_signal": how})
+        plain = clone(pipe).fit(pair, outputs)
+        pipe.set_params(memory=str(tmp_path)).fit(pair, outputs)
+        pd.testing.assert_series_equal(pipe["match"].theta_, plain["match"].theta_)
+        assert pipe["harmonics"].basis_.small_signal == how
 
 
 def test_records_from_a_csv_file(tmp_path, short, fitted):

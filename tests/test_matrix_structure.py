@@ -162,6 +162,10 @@ def test_no_free_entry_is_allowed_here():
         ({"A": [["a"]], "B": [[1]], "initial": {"b": 1.0}}, r"missing \['a'\], unknown \['b'\]"),
         ({"A": [["a"]], "B": [[1]], "initial": [1.0, 2.0]}, "initial must hold 1 finite numbers"),
         ({"A": [["a"]], "B": [[1]], "initial": [NAN]}, "initial must hold 1 finite numbers"),
+        ({"A": [["a"]], "B": [[1]], "initial": ["x"]}, r"each of \['a'\]; got \['x'\]"),
+        ({"A": [["a"]], "B": [[1]], "initial": [[1], [1, 2]]}, "initial must hold 1 finite"),
+        ({"A": [["a"]], "B": [[1]], "state_names": 3}, "state_names=3 is no sequence of names"),
+        ({"A": [["a"]], "B": [[1]], "input_names": "u"}, "input_names='u' is no sequence of"),
         ({"A": [["a"]], "B": [[1]], "state_names": ["x", "y"]}, "must be 1 different names"),
     ],
 )
@@ -177,5 +181,7 @@ def test_labels_that_disagree_are_refused():
 
 
 def test_theta_of_wrong_length_is_refused():
-    with pytest.raises(ValueError, match=r"must hold 10 numbers, one for each of \['A\[0,0\]'"):
+    with pytest.raises(
+        ValueError, match=r"must hold 10 finite numbers, one for each of \['A\[0,0\]'"
+    ):
         heave().matrices([1.0, 2.0])

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, InstabilityWarning
 from sklearn_hd.model_selection import PeriodBlockSplit, smallest_within_one_standard_error
 
 SNR = 20.0
@@ -94,6 +94,7 @@ def search_order(row, seed):
     search = GridSearchCV(model, grid, cv=cv, refit=smallest_within_one_standard_error)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExcitationWarning)
+        warnings.simplefilter("ignore", InstabilityWarning)  # of states too many, fitted to noise
         return search.fit(data.inputs, y, groups=groups)
 
 

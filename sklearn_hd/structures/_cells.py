@@ -60,6 +60,30 @@ def _term(text, place):
     return scale, term["name"]
 
 
+def read_names(name, given):
+    """Names as texts, from any sequence of them; a single text is no sequence of letters."""
+    if isinstance(given, str) or not np.iterable(given):
+        raise ValueError(
+            f"{name}={given!r} is no sequence of names; give a list such as ['w', 'phi_dot'], or "
+            f"None"
+        )
+    return tuple(map(str, given))
+
+
+def read_numbers(what, values, names):
+    """One finite float for each name, in their order."""
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        numbers = None
+    if numbers is None or numbers.shape != (len(names),) or not np.all(np.isfinite(numbers)):
+        raise ValueError(
+            f"{what} must hold {len(names)} finite numbers, one for each of {list(names)}; got "
+            f"{values!r}"
+        )
+    return numbers
+
+
 def write_cells(part):
     """Cells as texts: 1.5, k, -k, 2*k."""
     texts = {1.0: "", -1.0: "-"}

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
-from sklearn_hd.structures._cells import matrix_shape, read_cells
+from sklearn_hd.structures._cells import matrix_shape, read_cells, read_names
 
 __all__ = ["HarmonicStructure"]
 
@@ -61,7 +61,7 @@ class HarmonicStructure:
     def __init__(self, F=None, G=None, P=None, Q=None, *, states=None):
         given = {"F": F, "G": G, "P": P, "Q": Q}
         self._specs = {name: _specification(name, value) for name, value in given.items()}
-        self.states = None if states is None else tuple(map(str, states))
+        self.states = None if states is None else read_names("states", states)
         if self.states is not None and len(set(self.states)) != len(self.states):
             raise ValueError(f"states={list(self.states)} must be different outputs")
         self._check_shapes()
@@ -80,12 +80,12 @@ class HarmonicStructure:
             shapes = {label: matrix_shape(M, f"{name}_{label}") for label, M in spec.items()}
             if len(set(shapes.values())) > 1:
                 raise ValueError(f"the coefficients of {name} differ in shape: {shapes}")
-            for found, wanted in zip(next(iter(shapes.values())), sides, strict=True):
+            shape = next(iter(shapes.values()))
+            for found, wanted, side in zip(shape, sides, ("rows", "columns"), strict=True):
                 if wanted is not None and found != wanted:
                     raise ValueError(
-                        f"the coefficients of {name} have shape {next(iter(shapes.values()))}; "
-                        f"with {n} states {name} must have {wanted} "
-                        f"{'columns' if name == 'P' else 'rows'}"
+                        f"the coefficients of {name} have shape {shape}; with {n} states {name} "
+                        f"must have {wanted} {side}"
                     )
 
     @property

@@ -6,7 +6,14 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd.algorithms.structured_model import AffineStructure
-from sklearn_hd.structures._cells import layout, matrix_shape, read_cells, write_cells
+from sklearn_hd.structures._cells import (
+    layout,
+    matrix_shape,
+    read_cells,
+    read_names,
+    read_numbers,
+    write_cells,
+)
 
 __all__ = ["MatrixStructure"]
 
@@ -121,12 +128,7 @@ class MatrixStructure:
 
     def matrices(self, theta):
         """(A, B, C, D) at the parameters θ, shape (k,) in the order of parameter_names."""
-        theta = np.asarray(theta, dtype=float)
-        if theta.shape != (self.n_parameters,):
-            raise ValueError(
-                f"theta of shape {theta.shape} must hold {self.n_parameters} numbers, one for "
-                f"each of {list(self.parameter_names)}"
-            )
+        theta = read_numbers("theta", theta, self.parameter_names)
         return tuple(matrix.copy() for matrix in self.affine.matrices(theta))
 
     def _key(self):
@@ -160,7 +162,7 @@ def _places(n):
 
 def _labels(what, size, given, *sources):
     """Names given, else those of the DataFrames' axes, which must agree; None if none."""
-    found = None if given is None else tuple(map(str, given))
+    found = None if given is None else read_names(f"{what}_names", given)
     for frame, axis in sources:
         if not isinstance(frame, pd.DataFrame):
             continue
@@ -205,7 +207,4 @@ def _initial(initial, names):
                 f"{unknown}, allowed {list(names)}"
             )
         initial = [initial[name] for name in names]
-    initial = np.asarray(initial, dtype=float)
-    if initial.shape != (len(names),) or not np.all(np.isfinite(initial)):
-        raise ValueError(f"initial must hold {len(names)} finite numbers, for {list(names)}")
-    return initial
+    return read_numbers("initial", initial, names)
