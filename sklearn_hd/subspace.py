@@ -9,9 +9,10 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import hop_means, lifted_periods, rows_read
+from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._fit_checks import warn_of_growing_data, warn_of_growth, warn_of_mismatch
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short
@@ -22,7 +23,6 @@ from sklearn_hd._validation import (
     check_outputs_given,
     signal_names,
 )
-from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.moesp import (
@@ -41,10 +41,11 @@ __all__ = ["MOESPRegressor"]
 
 DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
-STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 DUST = 1e-13  # share of an output's size that is rounding
+LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
+EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
 class MOESPRegressor(ModelStep):
@@ -195,6 +196,8 @@ class MOESPRegressor(ModelStep):
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
             U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
+        if self.block_rows is None and self.order == "auto" and _sliding(experiment):
+            U, values = self._exact_map(U, values, experiment, excitation, outputs, y_scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = feedthrough or (basis is not None and basis.synchronous)
@@ -222,7 +225,7 @@ class MOESPRegressor(ModelStep):
         another way, which matters where inputs change at more than one.
         """
         if not _lifted(experiment):
-            modulated = _modulated_inputs(experiment, [len(u) for u in inputs], n_outputs)
+            modulated = modulated_inputs(experiment, [len(u) for u in inputs], n_outputs)
             return inputs if modulated is None else modulated
         lifted = lifted_periods(experiment, experiment.inputs)
         rows = 2 if self.block_rows is None else self.block_rows
@@ -274,6 +277,48 @@ class MOESPRegressor(ModelStep):
         more = i + (i + 1) // 2
         room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
         return self.order_ >= (i - 1) * n_outputs and room
+
+    def _exact_map(self, U, values, experiment, excitation, outputs, y_scale):
+        """The smallest model that explains a record without noise exactly, if there is one.
+
+        Inputs that move within a hop at many phases ask for many inputs, more than noise
+        would let them be told apart by; few coefficients of many states ask for many block
+        rows. Where neither leaves more than rounding, noise is no matter. The model given
+        stands where none does, or where it is the smallest.
+        """
+        n_outputs, window = outputs[0].shape[1], experiment.basis.window_rows
+        lengths = [len(y) for y in outputs]
+        before = self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
+        best, smallest = (U, values, *before), np.inf
+        if self._is_exact(n_hankel_columns(lengths, before[0]), excitation[0].shape[1], n_outputs):
+            smallest = self.order_
+        one_phase = changes_at_one_phase(experiment)
+        if one_phase and smallest < np.inf:
+            return U, values
+        for inputs in [excitation] if one_phase else inputs_by_phase(experiment):
+            m = inputs[0].shape[1]
+            for turns in (4, 3, 2, 1.5, 1):
+                i = int(turns * window) + 2
+                columns = n_hankel_columns(lengths, i)
+                if columns - i * m < max(columns // 4, i) or _too_large(columns, i, m + n_outputs):
+                    continue
+                self.block_rows_ = i
+                U, values = self._decompose(inputs, outputs, m, experiment, y_scale)
+                if self.order_ < smallest and self._is_exact(columns, m, n_outputs):
+                    smallest = self.order_
+                    kept = self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
+                    best = (U, values, *kept)
+                break
+        U, values, *kept = best
+        self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = kept
+        return U, values
+
+    def _is_exact(self, n_columns, n_inputs, n_outputs):
+        """Whether rounding is all that is left, and rank and record allow for more states."""
+        i = self.block_rows_
+        room = self.order_ + n_outputs <= (i - 1) * n_outputs
+        left = n_columns - i * n_inputs >= 2 * self.order_
+        return room and left and self.noise_floor_ <= EXACT_FLOOR * self.singular_values_[0]
 
     def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
         """The order asked for, or that of the singular values, or of the raw periods."""
@@ -431,6 +476,16 @@ def _lifted(experiment):
     return experiment.basis is not None and experiment.basis.synchronous
 
 
+def _sliding(experiment):
+    """Whether the record is read through a window that slides."""
+    return experiment.basis is not None and not experiment.basis.synchronous
+
+
+def _too_large(n_columns, block_rows, n_signals):
+    """Whether a factorisation would take more than some seconds."""
+    return n_columns * (2.0 * block_rows * n_signals) ** 2 > LARGEST_TRY
+
+
 def _warn_idle(moving, experiment):
     """Warn of inputs at rest."""
     idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
@@ -491,51 +546,3 @@ def _moving_inputs(inputs, experiment):
                 f"drop that input"
             )
     return moving
-
-
-def _modulated_inputs(experiment, lengths, n_outputs):
-    """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices.
-
-    What a window shows of a periodic system is time-invariant to u only if u changes at one
-    phase of the period alone. To u, u cos pψ, u sin pψ, … together it always is (Wereley,
-    1990); half as many harmonics as rows in a period resolve all phases. Fewer are taken
-    where the record is too short for all.
-    """
-    basis = experiment.basis
-    if basis is None or basis.synchronous or _changes_at_one_phase(experiment):
-        return None
-    n_inputs, kept = (
-        experiment.drive[0].shape[1],
-        max(k for _, orders in basis.outputs for k in orders),
-    )
-    resolved = basis.rows_per_period // 2
-    needed = min(2 * kept, resolved)  # what a harmonic decomposition asks for
-    tries = [(2 * basis.window_rows + 2, h) for h in range(resolved, needed - 1, -1)]
-    tries += [(basis.window_rows + 2, h) for h in range(needed, 0, -1)]
-    choices = [
-        (block_rows, highest)
-        for block_rows, highest in tries
-        if n_hankel_columns(lengths, block_rows)
-        >= 2 * block_rows * ((2 * highest + 1) * n_inputs + n_outputs)
-    ]
-    if not choices:
-        return None
-    highest = choices[0][1]
-    modulated = []
-    for u, time in zip(experiment.drive, experiment.times(), strict=True):
-        psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
-        waves = harmonic_functions(psi, range(highest + 1))
-        products = (u[:, :, None] * waves[:, None, :]).reshape(len(u), -1)
-        modulated.append(hop_means(products, basis, basis.rows_read(time)))
-    scale = _scales(modulated)
-    return [u / scale for u in modulated]
-
-
-def _changes_at_one_phase(experiment):
-    changes = [np.abs(np.diff(u, axis=0)) for u in experiment.drive]
-    largest = np.max([np.max(change, axis=0, initial=0.0) for change in changes], axis=0)
-    phases = set()
-    for change, time in zip(changes, experiment.times(), strict=True):
-        stepped = np.any((change > STEP_SHARE * largest) & (change > 0.0), axis=1)
-        phases.update(experiment.basis.phase_index(time)[1:][stepped].tolist())
-    return len(phases) <= 1
