@@ -25,6 +25,7 @@ from sklearn_hd._validation import (
 )
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.lifting import input_directions
+from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.moesp import (
     input_matrices,
     noise_floor,
@@ -279,39 +280,42 @@ class MOESPRegressor(ModelStep):
         return self.order_ >= (i - 1) * n_outputs and room
 
     def _exact_map(self, U, values, experiment, excitation, outputs, y_scale):
-        """The smallest model that explains a record without noise exactly, if there is one.
+        """The model without noise in which most modes have copies that agree.
 
         Inputs that move within a hop at many phases ask for many inputs, more than noise
-        would let them be told apart by; few coefficients of many states ask for many block
-        rows. Where neither leaves more than rounding, noise is no matter. The model given
-        stands where none does, or where it is the smallest.
+        would let be told apart; few coefficients of many states ask for many block rows.
+        Where no more than rounding is left, noise is no matter. A model whose inputs are too
+        few leaves no more, by modes that stand for inputs, but these have no copies.
         """
-        n_outputs, window = outputs[0].shape[1], experiment.basis.window_rows
+        basis, n_outputs = experiment.basis, outputs[0].shape[1]
         lengths = [len(y) for y in outputs]
-        before = self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
-        best, smallest = (U, values, *before), np.inf
-        if self._is_exact(n_hankel_columns(lengths, before[0]), excitation[0].shape[1], n_outputs):
-            smallest = self.order_
+        best = U, values, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
+        columns = n_hankel_columns(lengths, self.block_rows_)
         one_phase = changes_at_one_phase(experiment)
-        if one_phase and smallest < np.inf:
+        if one_phase and self._is_exact(columns, excitation[0].shape[1], n_outputs):
             return U, values
+        most = self._n_agreeing(U, values, basis, n_outputs)
         for inputs in [excitation] if one_phase else inputs_by_phase(experiment):
-            m = inputs[0].shape[1]
-            for turns in (4, 3, 2, 1.5, 1):
-                i = int(turns * window) + 2
-                columns = n_hankel_columns(lengths, i)
-                if columns - i * m < max(columns // 4, i) or _too_large(columns, i, m + n_outputs):
-                    continue
-                self.block_rows_ = i
-                U, values = self._decompose(inputs, outputs, m, experiment, y_scale)
-                if self.order_ < smallest and self._is_exact(columns, m, n_outputs):
-                    smallest = self.order_
-                    kept = self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
-                    best = (U, values, *kept)
-                break
-        U, values, *kept = best
-        self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = kept
+            m, tries = inputs[0].shape[1], _block_rows_tried(basis.window_rows)
+            i = next((i for i in tries if _fits(lengths, i, m, n_outputs)), 0)
+            if i == 0:
+                continue
+            self.block_rows_ = i
+            U, values = self._decompose(inputs, outputs, m, experiment, y_scale)
+            if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
+                agreeing = self._n_agreeing(U, values, basis, n_outputs)
+                if agreeing > most:
+                    kept = self.singular_values_, self.noise_floor_, self.order_
+                    best, most = (U, values, i, *kept), agreeing
+        U, values, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = best
         return U, values
+
+    def _n_agreeing(self, U, values, basis, n_outputs):
+        """Modes of the model that belong to families with all their copies."""
+        z = np.linalg.eigvals(state_matrices(U, values, self.order_, n_outputs)[0])
+        z = z[~is_window_pole(z, basis.window_rows, FAINT)]
+        orders = [orders for _, orders in basis.outputs]
+        return int(agreeing_copies(z, orders, basis.rows_per_period).sum())
 
     def _is_exact(self, n_columns, n_inputs, n_outputs):
         """Whether rounding is all that is left, and rank and record allow for more states."""
@@ -481,9 +485,17 @@ def _sliding(experiment):
     return experiment.basis is not None and not experiment.basis.synchronous
 
 
-def _too_large(n_columns, block_rows, n_signals):
-    """Whether a factorisation would take more than some seconds."""
-    return n_columns * (2.0 * block_rows * n_signals) ** 2 > LARGEST_TRY
+def _block_rows_tried(window_rows):
+    """Block rows of some windows, the most first: the more, the better copies agree."""
+    return [int(windows * window_rows) + 2 for windows in (4, 3, 2, 1.5, 1)]
+
+
+def _fits(lengths, block_rows, n_inputs, n_outputs):
+    """Whether inputs leave a quarter of the columns, and it takes no more than some seconds."""
+    columns = n_hankel_columns(lengths, block_rows)
+    left = columns - block_rows * n_inputs
+    work = columns * (2.0 * block_rows * (n_inputs + n_outputs)) ** 2
+    return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY
 
 
 def _warn_idle(moving, experiment):
