@@ -384,11 +384,11 @@ class SpuriousModeReducer(ModelStep):
         limit = max(NEARLY_ALL * total, value / REFINED_GAIN)
         if value <= NEARLY_ALL**2 * total:  # as good as all: no more modes than these
             tried = [pair for pair in tried if sum(map(len, pair[1])) <= sum(map(len, kept_units))]
-        for rest, some in [pair for pair in tried if pair[0] <= limit][:MAX_REFINED]:
+        enough = max(value, rounding) if value <= NEARLY_ALL**2 * total else rounding
+        for some in [some for rest, some in tried if rest <= limit][:MAX_REFINED]:
             first = [unit[0] for unit in some]
             single = np.array([len(unit) == 1 for unit in some])
             start = np.where(single, exponents[first].real, exponents[first])
-            enough = max(value, rounding) if value <= NEARLY_ALL**2 * total else rounding
             A, C = refined_modes(experiment, start, shapes[first], enough)
             if A is not None:
                 return some, (A, C)

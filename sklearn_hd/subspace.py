@@ -321,7 +321,7 @@ class MOESPRegressor(ModelStep):
         """Whether rounding is all that is left, and rank and record allow for more states."""
         i = self.block_rows_
         room = self.order_ + n_outputs <= (i - 1) * n_outputs
-        left = n_columns - i * n_inputs >= 2 * self.order_
+        left = n_columns - i * n_inputs >= self.order_ + i
         return room and left and self.noise_floor_ <= EXACT_FLOOR * self.singular_values_[0]
 
     def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
