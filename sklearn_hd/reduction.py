@@ -20,10 +20,10 @@ from sklearn_hd._raw_modes import periodic_decomposition, refined_modes
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd.algorithms.modes import (
+    FAINT,
+    agreeing_copies,
     best_modes,
-    complete_families,
     conjugate_units,
-    expected_members,
     family_exponents,
     floquet_families,
     invariant_pair,
@@ -39,13 +39,14 @@ __all__ = ["SpuriousModeReducer"]
 
 METHODS = ("truncate", "residualize", "both")
 FAMILY_TOLERANCE = 0.05
-COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a genuine one may differ
+COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of a family's decay, by which its members may differ
 WINDOW_DECAY = 1e-3
 MULTIPLIER_ANGLE = 0.3  # rad; a multiplier turned by less may be a real one
 MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
 WHOLE_SHARE = 0.1  # of the variance, at most unexplained by families taken for all
 ROUNDING = 1e-14  # of the variance
 NEARLY_ALL = 1e-4  # of the variance: what a set whose poles are a little off may leave
+OWN_SHARE = 1e-3  # of next to nothing, that is left once a mode of the system's own is added
 REFINED_GAIN = 1 / 3  # by which refinement may be hoped to lower what is left
 MAX_REFINED = 4  # sets that are refined, for the time it takes
 DECISIVE_SHARE = 0.5  # the same for more modes than output coefficients
@@ -233,7 +234,7 @@ class SpuriousModeReducer(ModelStep):
         window = np.zeros(len(z), dtype=bool)
         families = np.arange(len(z))
         if basis is not None:
-            window = is_window_pole(z, basis.window_rows, WINDOW_DECAY)
+            window = _window_memory(z, basis)
             families = np.full(len(z), -1)
             families[~window] = floquet_families(
                 z[~window], basis.rows_per_period, FAMILY_TOLERANCE
@@ -315,20 +316,24 @@ class SpuriousModeReducer(ModelStep):
         open_units = [i for i, unit in enumerate(units) if unit in whole]
         floor_whole = residual(R, columns, tuple(open_units))
         # complete families that explain most are the system's own; what explains more beside
-        # them makes up for harmonics not kept, or for inputs that change between rows
-        if floor_whole <= WHOLE_SHARE * total + rounding:
+        # them makes up for harmonics not kept, or for inputs that change between rows; unless
+        # all modes leave next to nothing, as those of a harmonic decomposition do
+        nothing = NEARLY_ALL**2 * total
+        if floor_whole <= WHOLE_SHARE * total + rounding and not floor <= nothing < floor_whole:
             units, sizes = [units[i] for i in open_units], [sizes[i] for i in open_units]
             columns, floor = [columns[i] for i in open_units], floor_whole
         wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
-        ranking, tried = [], []
+        ranking, rankings, tried = [], [], []
         for n_states in wanted:
             ranking = best_modes(R, columns, sizes, n_states) or ranking
+            rankings.append(ranking)
             tried += [(value, [units[i] for i in best]) for value, best in ranking[:1]]
             # in harmonic-decomposition form the output coefficients are the states: more are
             # kept only where so many leave out what matters (noise can pair a real pole)
             share = MATERIAL_SHARE if n_states < shapes.shape[1] else DECISIVE_SHARE
             if ranking and ranking[0][0] <= floor / (1.0 - share) + rounding:
                 break
+        ranking = _without_trifles(rankings, nothing)
         if not ranking:
             asked = "no mode" if self.n_states is None else f"n_states={self.n_states}"
             raise ValueError(
@@ -337,7 +342,8 @@ class SpuriousModeReducer(ModelStep):
                 f"too fast are split off (pairs stay together); change n_states, keep more "
                 f"harmonics, or raise the order of the identified model"
             )
-        self.left_out_ = 1.0 - min(1.0, (floor + rounding) / max(ranking[0][0], rounding))
+        slack = nothing if ranking[0][0] <= nothing else rounding
+        self.left_out_ = 1.0 - min(1.0, (floor + slack) / max(ranking[0][0], slack))
         limit = ranking[0][0] * (1.0 + RIVAL_SHARE) + rounding
         rivals = [rival for value, rival in ranking[1:] if value <= limit]
         picked = _every_family(R, columns, ranking[0][1], [whole.get(unit) for unit in units])
@@ -388,11 +394,13 @@ class SpuriousModeReducer(ModelStep):
         if value <= rounding or (exact and value > NEARLY_ALL**2 * total):
             return kept_units, None  # nothing to gain, or nothing white: copies agree to 0.1 %
         limit = max(NEARLY_ALL * total, value / REFINED_GAIN)
-        for rest, some in [pair for pair in tried if pair[0] <= limit][:MAX_REFINED]:
+        if value <= NEARLY_ALL**2 * total:  # as good as all: no more modes than these
+            tried = [pair for pair in tried if sum(map(len, pair[1])) <= sum(map(len, kept_units))]
+        enough = max(value, rounding) if value <= NEARLY_ALL**2 * total else rounding
+        for some in [some for rest, some in tried if rest <= limit][:MAX_REFINED]:
             first = [unit[0] for unit in some]
             single = np.array([len(unit) == 1 for unit in some])
             start = np.where(single, exponents[first].real, exponents[first])
-            enough = value if rest > value and value <= NEARLY_ALL**2 * total else 0.0
             A, C = refined_modes(experiment, start, shapes[first], enough)
             if A is not None:
                 return some, (A, C)
@@ -422,15 +430,33 @@ def _scaled_outputs(experiment):
 
 
 def _whole_families(units, z, window, basis):
-    """Units of complete families and their families; none where no family is complete."""
+    """Units of complete families and their families; none where no family is complete.
+
+    A weak family's copies agree less well than a strong one's: of the poles that belong to
+    no family by the strictest tolerance the next are made.
+    """
     if basis is None:
         return []
-    rows = basis.rows_per_period
-    n_members = expected_members([orders for _, orders in basis.outputs], rows)
-    families = np.full(len(z), -1)
-    families[~window] = floquet_families(z[~window], rows, COPY_TOLERANCE)
-    members = complete_families(z, families, rows, n_members, COPY_TOLERANCE)
-    return [(unit, int(families[unit[0]])) for unit in units if members[list(unit)].all()]
+    rows, orders = basis.rows_per_period, [orders for _, orders in basis.outputs]
+    whole, rest, count = np.full(len(z), -1), np.flatnonzero(~window), 0
+    for tolerance in COPY_TOLERANCES:
+        members = rest[agreeing_copies(z[rest], orders, rows, tolerance)]
+        if not count and not len(members):
+            return []
+        if len(members):
+            whole[members] = floquet_families(z[members], rows, tolerance) + count
+        count = int(whole.max()) + 1
+        rest = np.setdiff1d(rest, members)
+    return [(unit, int(whole[unit[0]])) for unit in units if (whole[list(unit)] >= 0).all()]
+
+
+def _window_memory(z, basis):
+    """Poles that die within the window, but for those whose copies agree."""
+    window = is_window_pole(z, basis.window_rows, WINDOW_DECAY)
+    told = np.flatnonzero(~is_window_pole(z, basis.window_rows, FAINT))
+    orders = [orders for _, orders in basis.outputs]
+    window[told[agreeing_copies(z[told], orders, basis.rows_per_period)]] = False
+    return window
 
 
 def _every_family(R, columns, picked, families):
@@ -440,6 +466,17 @@ def _every_family(R, columns, picked, families):
         best = min(own, key=lambda i: residual(R, columns, (*picked, i)))
         picked = (*picked, best)
     return picked
+
+
+def _without_trifles(rankings, nothing):
+    """The ranking of the smallest size that leaves next to nothing; else that of the largest.
+
+    Poles that are a little off leave a trace, which more modes make up for by and by; one of
+    the system's own would lower what is left by decades.
+    """
+    last = rankings[-1] if rankings else []
+    small = [r for r in rankings if r and r[0][0] <= nothing]
+    return next((r for r in small if last[0][0] >= OWN_SHARE * r[0][0]), last)
 
 
 def _to_residualize(method, others, exponents, z, basis):

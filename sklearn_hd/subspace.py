@@ -9,9 +9,10 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import hop_means, lifted_periods, rows_read
+from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._fit_checks import warn_of_growing_data, warn_of_growth, warn_of_mismatch
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short
@@ -22,9 +23,9 @@ from sklearn_hd._validation import (
     check_outputs_given,
     signal_names,
 )
-from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.lifting import input_directions
+from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.moesp import (
     input_matrices,
     noise_floor,
@@ -41,10 +42,11 @@ __all__ = ["MOESPRegressor"]
 
 DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
-STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 DUST = 1e-13  # share of an output's size that is rounding
+LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
+EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
 class MOESPRegressor(ModelStep):
@@ -195,6 +197,8 @@ class MOESPRegressor(ModelStep):
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
             U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
+        if self.block_rows is None and self.order == "auto" and _sliding(experiment):
+            U, values = self._exact_map(U, values, experiment, excitation, outputs, y_scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = feedthrough or (basis is not None and basis.synchronous)
@@ -222,7 +226,7 @@ class MOESPRegressor(ModelStep):
         another way, which matters where inputs change at more than one.
         """
         if not _lifted(experiment):
-            modulated = _modulated_inputs(experiment, [len(u) for u in inputs], n_outputs)
+            modulated = modulated_inputs(experiment, [len(u) for u in inputs], n_outputs)
             return inputs if modulated is None else modulated
         lifted = lifted_periods(experiment, experiment.inputs)
         rows = 2 if self.block_rows is None else self.block_rows
@@ -274,6 +278,51 @@ class MOESPRegressor(ModelStep):
         more = i + (i + 1) // 2
         room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
         return self.order_ >= (i - 1) * n_outputs and room
+
+    def _exact_map(self, U, values, experiment, excitation, outputs, y_scale):
+        """The model without noise in which most modes have copies that agree.
+
+        Inputs that move within a hop at many phases ask for many inputs, more than noise
+        would let be told apart; few coefficients of many states ask for many block rows.
+        Where no more than rounding is left, noise is no matter. A model whose inputs are too
+        few leaves no more, by modes that stand for inputs, but these have no copies.
+        """
+        basis, n_outputs = experiment.basis, outputs[0].shape[1]
+        lengths = [len(y) for y in outputs]
+        best = U, values, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
+        columns = n_hankel_columns(lengths, self.block_rows_)
+        one_phase = changes_at_one_phase(experiment)
+        if one_phase and self._is_exact(columns, excitation[0].shape[1], n_outputs):
+            return U, values
+        most = self._n_agreeing(U, values, basis, n_outputs)
+        for inputs in [excitation] if one_phase else inputs_by_phase(experiment):
+            m, tries = inputs[0].shape[1], _block_rows_tried(basis.window_rows)
+            i = next((i for i in tries if _fits(lengths, i, m, n_outputs)), 0)
+            if i == 0:
+                continue
+            self.block_rows_ = i
+            U, values = self._decompose(inputs, outputs, m, experiment, y_scale)
+            if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
+                agreeing = self._n_agreeing(U, values, basis, n_outputs)
+                if agreeing > most:
+                    kept = self.singular_values_, self.noise_floor_, self.order_
+                    best, most = (U, values, i, *kept), agreeing
+        U, values, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = best
+        return U, values
+
+    def _n_agreeing(self, U, values, basis, n_outputs):
+        """Modes of the model that belong to families with all their copies."""
+        z = np.linalg.eigvals(state_matrices(U, values, self.order_, n_outputs)[0])
+        z = z[~is_window_pole(z, basis.window_rows, FAINT)]
+        orders = [orders for _, orders in basis.outputs]
+        return int(agreeing_copies(z, orders, basis.rows_per_period).sum())
+
+    def _is_exact(self, n_columns, n_inputs, n_outputs):
+        """Whether rounding is all that is left, and rank and record allow for more states."""
+        i = self.block_rows_
+        room = self.order_ + n_outputs <= (i - 1) * n_outputs
+        left = n_columns - i * n_inputs >= self.order_ + i
+        return room and left and self.noise_floor_ <= EXACT_FLOOR * self.singular_values_[0]
 
     def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
         """The order asked for, or that of the singular values, or of the raw periods."""
@@ -432,6 +481,24 @@ def _lifted(experiment):
     return experiment.basis is not None and experiment.basis.synchronous
 
 
+def _sliding(experiment):
+    """Whether the record is read through a window that slides."""
+    return experiment.basis is not None and not experiment.basis.synchronous
+
+
+def _block_rows_tried(window_rows):
+    """Block rows of some windows, the most first: the more, the better copies agree."""
+    return [int(windows * window_rows) + 2 for windows in (4, 3, 2, 1.5, 1)]
+
+
+def _fits(lengths, block_rows, n_inputs, n_outputs):
+    """Whether inputs leave a quarter of the columns, and it takes no more than some seconds."""
+    columns = n_hankel_columns(lengths, block_rows)
+    left = columns - block_rows * n_inputs
+    work = columns * (2.0 * block_rows * (n_inputs + n_outputs)) ** 2
+    return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY
+
+
 def _warn_idle(moving, experiment):
     """Warn of inputs at rest."""
     idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
@@ -492,51 +559,3 @@ def _moving_inputs(inputs, experiment):
                 f"drop that input"
             )
     return moving
-
-
-def _modulated_inputs(experiment, lengths, n_outputs):
-    """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices.
-
-    What a window shows of a periodic system is time-invariant to u only if u changes at one
-    phase of the period alone. To u, u cos pψ, u sin pψ, … together it always is (Wereley,
-    1990); half as many harmonics as rows in a period resolve all phases. Fewer are taken
-    where the record is too short for all.
-    """
-    basis = experiment.basis
-    if basis is None or basis.synchronous or _changes_at_one_phase(experiment):
-        return None
-    n_inputs, kept = (
-        experiment.drive[0].shape[1],
-        max(k for _, orders in basis.outputs for k in orders),
-    )
-    resolved = basis.rows_per_period // 2
-    needed = min(2 * kept, resolved)  # what a harmonic decomposition asks for
-    tries = [(2 * basis.window_rows + 2, h) for h in range(resolved, needed - 1, -1)]
-    tries += [(basis.window_rows + 2, h) for h in range(needed, 0, -1)]
-    choices = [
-        (block_rows, highest)
-        for block_rows, highest in tries
-        if n_hankel_columns(lengths, block_rows)
-        >= 2 * block_rows * ((2 * highest + 1) * n_inputs + n_outputs)
-    ]
-    if not choices:
-        return None
-    highest = choices[0][1]
-    modulated = []
-    for u, time in zip(experiment.drive, experiment.times(), strict=True):
-        psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
-        waves = harmonic_functions(psi, range(highest + 1))
-        products = (u[:, :, None] * waves[:, None, :]).reshape(len(u), -1)
-        modulated.append(hop_means(products, basis, basis.rows_read(time)))
-    scale = _scales(modulated)
-    return [u / scale for u in modulated]
-
-
-def _changes_at_one_phase(experiment):
-    changes = [np.abs(np.diff(u, axis=0)) for u in experiment.drive]
-    largest = np.max([np.max(change, axis=0, initial=0.0) for change in changes], axis=0)
-    phases = set()
-    for change, time in zip(changes, experiment.times(), strict=True):
-        stepped = np.any((change > STEP_SHARE * largest) & (change > 0.0), axis=1)
-        phases.update(experiment.basis.phase_index(time)[1:][stepped].tolist())
-    return len(phases) <= 1

@@ -15,7 +15,7 @@ LAYERS = [
     {"_frame"},
     {"_sampling"},
     {"_data"},
-    {"_small_signal", "_fit_checks"},
+    {"_small_signal", "_fit_checks", "_sliding_inputs"},
     {"_base"},
     {"_continuous"},
     {"_raw_modes"},

@@ -22,6 +22,7 @@ __all__ = ["ModalModel", "Record", "fit_modal_model", "is_white", "residuals"]
 SMALL_STEP = 1e-6  # of an exponent, for central differences: exact to about 1e-10
 SETTLED = 0.01  # a step that gains less, in variances of the residual, is the last
 MAX_STEPS = 15
+RANK = 1e-13  # exponents near one another give responses that are nearly alike
 DAMPING, MAX_DAMPING = 1e-9, 1e3
 MAX_GROWTH = 20.0  # e-folds over the longest segment
 WHITE_SPREADS = 4.0
@@ -200,7 +201,7 @@ def fit_modal_model(record, exponents, C):
 def _scaled_solution(regressors, target):
     size = np.linalg.norm(regressors, axis=0)
     size[size == 0.0] = 1.0
-    return linalg.lstsq(regressors / size, target, cond=1e-10)[0] / size
+    return linalg.lstsq(regressors / size, target, cond=RANK)[0] / size
 
 
 def _with_residual(record, responses, exponents, inputs, C):

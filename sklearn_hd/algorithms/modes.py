@@ -22,6 +22,7 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 __all__ = [
+    "agreeing_copies",
     "best_modes",
     "complete_families",
     "conjugate_units",
@@ -35,6 +36,8 @@ __all__ = [
 ]
 
 MAX_SUBSETS = 2_000
+FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
+COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a strong one may differ
 REAL_TOLERANCE = 1e-8
 
 
@@ -148,6 +151,36 @@ def complete_families(z, families, rows_per_period, n_members, tolerance):
         if agree.sum() >= (2 if pair else 1) * n_members:
             members[own[agree]] = True
     return members
+
+
+def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCE):
+    """Poles that belong to a complete family.
+
+    Parameters
+    ----------
+    z : complex ndarray, shape (n,)
+        Not those of the window's memory.
+    output_harmonics : list of sequence of int
+    rows_per_period : int
+    tolerance : float
+
+    Returns
+    -------
+    members : ndarray of bool, shape (n,)
+
+    Examples
+    --------
+    A mode and its copies in harmonics 0 and 1 agree; another pole stands alone:
+
+    >>> z = np.exp(-0.1 + 0.25j * np.pi * np.arange(-2, 3))
+    >>> agreeing_copies(np.append(z, 0.8), [(0, 1)], 8).tolist()
+    [True, True, True, True, True, False]
+    """
+    if len(z) == 0:
+        return np.zeros(0, dtype=bool)
+    families = floquet_families(z, rows_per_period, tolerance)
+    n_members = expected_members(output_harmonics, rows_per_period)
+    return complete_families(z, families, rows_per_period, n_members, tolerance)
 
 
 def family_exponents(z, families, chosen, rows_per_period, n_states, tolerance):

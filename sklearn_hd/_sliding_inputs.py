@@ -1,0 +1,113 @@
+"""Inputs as a sliding window sees them: what is projected out of the future.
+
+A periodic system seen through a sliding window answers to an input in another way at each
+phase of the period. Its coefficients at the rows read are time-invariant
+
+- to u itself, where u changes at one phase of the period alone;
+- to u, u cos pψ, u sin pψ, …, but for what u does within a hop (Wereley, 1990);
+- to the samples of u within each hop, times what tells the rows of a period apart:
+  exactly, for whatever moves within one hop is in w, and the response to w at row k,
+
+      Ŷ[k] = Σ_d H_d(k − d) w[k − d],   H_d(k) = H_d(k + r),
+
+  is time-invariant to the r parts of w that are other than zero at one phase of r.
+"""
+
+import numpy as np
+
+from sklearn_hd._data import hop_means
+from sklearn_hd.algorithms.fourier import harmonic_functions
+from sklearn_hd.algorithms.hankel import n_hankel_columns
+from sklearn_hd.algorithms.lifting import input_directions
+
+__all__ = ["changes_at_one_phase", "inputs_by_phase", "modulated_inputs"]
+
+STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
+
+
+def changes_at_one_phase(experiment):
+    """Whether all steps of the inputs fall on one sample of the period."""
+    changes = [np.abs(np.diff(u, axis=0)) for u in experiment.drive]
+    largest = np.max([np.max(change, axis=0, initial=0.0) for change in changes], axis=0)
+    phases = set()
+    for change, time in zip(changes, experiment.times(), strict=True):
+        stepped = np.any((change > STEP_SHARE * largest) & (change > 0.0), axis=1)
+        phases.update(experiment.basis.phase_index(time)[1:][stepped].tolist())
+    return len(phases) <= 1
+
+
+def modulated_inputs(experiment, lengths, n_outputs):
+    """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices.
+
+    Half as many harmonics as rows in a period resolve all phases. Fewer are taken where the
+    record is too short for all.
+    """
+    basis = experiment.basis
+    if basis is None or basis.synchronous or changes_at_one_phase(experiment):
+        return None
+    n_inputs, kept = (
+        experiment.drive[0].shape[1],
+        max(k for _, orders in basis.outputs for k in orders),
+    )
+    resolved = basis.rows_per_period // 2
+    needed = min(2 * kept, resolved)  # what a harmonic decomposition asks for
+    tries = [(2 * basis.window_rows + 2, h) for h in range(resolved, needed - 1, -1)]
+    tries += [(basis.window_rows + 2, h) for h in range(needed, 0, -1)]
+    choices = [
+        (block_rows, highest)
+        for block_rows, highest in tries
+        if n_hankel_columns(lengths, block_rows)
+        >= 2 * block_rows * ((2 * highest + 1) * n_inputs + n_outputs)
+    ]
+    if not choices:
+        return None
+    highest = choices[0][1]
+    modulated = []
+    for u, time in zip(experiment.drive, experiment.times(), strict=True):
+        psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
+        waves = harmonic_functions(psi, range(highest + 1))
+        products = (u[:, :, None] * waves[:, None, :]).reshape(len(u), -1)
+        modulated.append(hop_means(products, basis, basis.rows_read(time)))
+    return unit_size(modulated)
+
+
+def inputs_by_phase(experiment):
+    """Inputs of each hop in the directions they move in, at each phase an input of its own.
+
+    Returns
+    -------
+    choices : list of list of ndarray, shapes (n_rows_s, d r)
+        For d = all directions, then fewer, down to one for each input: smooth inputs move
+        little but in their means. r is the rows in a period.
+    """
+    basis = experiment.basis
+    hops, phases = [], []
+    for drive, time in zip(experiment.drive, experiment.times(), strict=True):
+        rows = basis.rows_read(time)
+        hops.append(_hops(drive, basis, rows))
+        phases.append(basis.phase_index(time)[rows] // basis.hop_samples)
+    directions, n_all, _ = input_directions(hops)
+    choices = []
+    for count in range(n_all, min(n_all, experiment.drive[0].shape[1]) - 1, -1):
+        choice = []
+        for w, phase in zip(directions, phases, strict=True):
+            marks = np.eye(basis.rows_per_period)[phase]
+            choice.append((w[:, :count, None] * marks[:, None, :]).reshape(len(w), -1))
+        choices.append(unit_size(choice))
+    return choices
+
+
+def _hops(drive, basis, rows):
+    """Samples within the hop after each row's window, (n_rows, hop, m); held at the end."""
+    hop, ends = basis.hop_samples, rows + basis.lead
+    if len(rows) == 0:
+        return np.zeros((0, hop, drive.shape[1]))
+    places = np.minimum(ends[:, None] + np.arange(hop), len(drive) - 1)
+    return drive[places]
+
+
+def unit_size(signals):
+    """Signals divided by the root mean square of each channel over all segments."""
+    stacked = np.vstack(signals)
+    size = np.sqrt(np.mean(stacked**2, axis=0))
+    return [u / np.where(size == 0.0, 1.0, size) for u in signals]
