@@ -249,6 +249,9 @@ class MOESPRegressor(ModelStep):
                     f"HarmonicStructure(), criterion='output_error')"
                 )
             warnings.warn(words, ExcitationWarning, stacklevel=4)
+        if experiment.basis.output_trim is not None:
+            # the trim is known as well as its span averages it: what it is off by repeats itself
+            directions = [np.hstack([w, np.ones((len(w), 1))]) for w in directions]
         return directions
 
     def _decompose(self, inputs, outputs, n_moving, experiment, y_scale):

@@ -12,8 +12,9 @@ from periodic_cases import (
     same_exponents,
     synchronous,
 )
+from sklearn.pipeline import Pipeline
 
-from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MatrixStructure
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MatrixStructure, MOESPRegressor
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
 from sklearn_hd.systems import LTPSystem, flapping_blade
@@ -482,3 +483,17 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         errors.append((match.theta_ - true) / match.theta_std_)
     assert 0.92 < np.mean(inside) < 0.98
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.1)
+
+
+# ---- trim that is known badly ----------------------------------------------------------------
+
+
+def test_what_the_trim_is_off_by_is_no_state():
+    """The span holds the end of a decay: its mean waveform is off alike in every period."""
+    data = make_flapping_wing("ltp", n_periods=60, start=5)
+    period = 2 * np.pi / data.omega
+    analyzer = {"trim_span": (50 * period, 55 * period), "output_harmonics": KEPT, "hop": "period"}
+    pipe = Pipeline([("a", HarmonicAnalyzer(data.omega, **analyzer)), ("i", MOESPRegressor())])
+    found = pipe.fit(data.inputs, data.outputs)["i"]
+    assert found.order_ == 2
+    same_exponents(np.log(found.eigenvalues_) / period, data.ltp, rtol=1e-8)
