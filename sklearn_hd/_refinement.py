@@ -142,11 +142,11 @@ def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
 def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None):
     """A periodic structure with as many harmonics of F and G as the data show.
 
-    From the number of the start up and down: first of F, as long as Akaike's criterion
-    falls, then of G, by Schwarz's. F(ψ) has a tail of harmonics, and the truth lies in no
-    class of few; G mostly has few, and Akaike's criterion takes more of them than there are,
-    however long the record. Noise on the inputs, where it is allowed for, looks like
-    harmonics of G if it is not: it comes in before G is judged.
+    From the number of the start up and down, as long as Akaike's criterion falls: first
+    of F, then of G. It takes a harmonic too many now and then, which widens the intervals;
+    Schwarz's leaves out some that are there, and the intervals then miss the truth (the
+    rotor blade's by four standard deviations). Noise on the inputs, where it is allowed
+    for, looks like harmonics of G if it is not: it comes in before G is judged.
 
     Parameters
     ----------
@@ -193,17 +193,13 @@ class _Candidate:
     resolved: PeriodicStructure
     result: OutputErrorResult
 
-    def criterion(self, name):
-        """What the number of harmonics of F, or of G, is chosen by."""
-        return self.result.bic if name == "G" else self.result.aic
-
 
 def _climb(best, name, ahead, fit):
     """The best candidate on the way through some numbers of harmonics."""
     at, worse = best, 0
     for count in ahead:
         at = fit({**at.counts, name: count}, at.resolved.coefficients(at.result.theta))
-        worse = 0 if at.criterion(name) < best.criterion(name) else worse + 1
+        worse = 0 if at.result.aic < best.result.aic else worse + 1
         best = at if worse == 0 else best
         if worse == PATIENCE:
             break

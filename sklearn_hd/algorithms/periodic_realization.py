@@ -39,7 +39,8 @@ __all__ = [
 
 BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
-WHITE_MARGIN = 1.3
+WHITE_MARGIN = 1.3  # above it something stands out of the noise
+CLEARLY_WHITE = 1.1  # white noise of these sizes stays within 2 % of its expectation
 NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
@@ -54,8 +55,8 @@ SWEEP_TOLERANCE = 1e-13
 def order_by_residual(candidates, directions, lifted):
     """Which of some maps Φ, of rising order, the lifted outputs call for.
 
-    The order of the least Bayesian information criterion, if what it leaves is white noise.
-    Systematic errors (a nonlinear system's) call for ever more states: then the last order
+    The order of the least Bayesian information criterion, or the next one that leaves white
+    noise. Systematic errors (a nonlinear system's) call for ever more states: then the last order
     that brought down the sum of squares left by half a decade.
 
     Parameters
@@ -81,7 +82,10 @@ def order_by_residual(candidates, directions, lifted):
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
-    if not _is_white(left[best], n_columns):
+    white = [n for n in range(best, len(left)) if _is_white(left[n], n_columns, CLEARLY_WHITE)]
+    if white:  # more states than the criterion pays for, if fewer leave what is no noise
+        best = white[0]
+    elif not _is_white(left[best], n_columns):
         sizes = np.array([np.linalg.norm(rest) for rest in left])
         drops = np.flatnonzero(sizes[:-1] >= SQUARE_DROP**0.5 * sizes[1:])
         best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
@@ -150,11 +154,11 @@ def told_apart(Phi, lifted):
     return len(seen) >= len(Phi) and seen[len(Phi) - 1] > DISTINCT * seen[0]
 
 
-def _is_white(rest, n_columns):
+def _is_white(rest, n_columns, margin=WHITE_MARGIN):
     """Whether no direction stands out of what is left (Marchenko and Pastur, 1967)."""
     sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
     largest = np.linalg.norm(rest, 2)
-    return largest <= WHITE_MARGIN * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
+    return largest <= margin * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
 
 
 def state_response(Phi, C, directions, lifted, seen):
