@@ -246,18 +246,18 @@ def _shapes(model, experiment, scale):
     inputs = lifted_periods(experiment, experiment.inputs)
     outputs = lifted_periods(experiment, experiment.outputs, scale)
     n_periods, n = sum(map(len, outputs)), model.n_states
-    largest = np.max(np.abs(linalg.eigvals(model.A)))
-    growth = max(map(len, outputs)) * np.log(max(largest, 1e-300))
-    if growth > MAX_GROWTH:
-        raise ValueError(
-            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
-            f"a record can show: lower the order, check omega, or cut the record shorter"
-        )
     directions, _, _ = input_directions(inputs, most_directions(n_periods, n))
     lifted = [y.reshape(len(y), -1) for y in outputs]
     _, seen = rows_read(experiment)
     unit = _sizes(np.vstack(seen))
     refined = refine_multipliers(model.A, directions, lifted)
+    largest = np.max(np.abs(linalg.eigvals(refined.Phi)))
+    growth = max(map(len, outputs)) * np.log(max(largest, 1e-300))
+    if growth > MAX_GROWTH:
+        raise GrowthError(
+            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
+            f"a record can show: lower the order, check omega, or cut the record shorter"
+        )
     Phi, C = refined.Phi, model.C / unit[:, None]
     if leaves_white_noise(Phi, directions, lifted):
         over = [Y / unit for Y in seen]
