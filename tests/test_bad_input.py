@@ -624,15 +624,14 @@ def test_an_order_that_no_real_system_has():
         synchronous(2.0, order=1).fit(*record(system))
 
 
-def test_a_model_that_outgrows_the_record(oscillation):
+def test_a_model_that_outgrows_the_record_is_mended_on_it(oscillation):
+    """Multipliers twenty times too large are but a start: the raw record says better."""
     u, y = oscillation
     frame = synchronous(2.0)[:2].fit(u, y).transform(u)
     growing = replace(frame.model, A=20.0 * frame.model.A)
     frame = HarmonicFrame.attach(frame, frame.basis, growing)
-    with pytest.raises(
-        ValueError, match=r"model grows e\^\d+ times over the record, .* check omega"
-    ):
-        StructuredMatcher(structure=HarmonicStructure()).fit(frame, y)
+    found = StructuredMatcher(structure=HarmonicStructure()).fit(frame, y).ltp_
+    np.testing.assert_allclose(found.F.coefficients[:2], mathieu().F.coefficients[:2], atol=0.01)
 
 
 def test_fixed_entries_that_outgrow_the_record(oscillation):

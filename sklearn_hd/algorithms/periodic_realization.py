@@ -76,20 +76,28 @@ def order_by_residual(candidates, directions, lifted):
     per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
-        left.append(_left_by(refine_multipliers(Phi, directions, lifted).Phi, directions, target))
+        refined = refine_multipliers(Phi, directions, lifted).Phi
+        left.append(_left_by(refined, directions, target))
         rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
-        bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
+        impossible = refined.size == 1 and refined.item() < 0.0  # one state cannot change sign
+        bic.append(
+            np.inf
+            if impossible
+            else n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free)
+        )
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
-    white = [n for n in range(best, len(left)) if _is_white(left[n], n_columns, CLEARLY_WHITE)]
+    white = [
+        n for n in range(max(best, 1), len(left)) if _is_white(left[n], n_columns, CLEARLY_WHITE)
+    ]
     if white:  # more states than the criterion pays for, if fewer leave what is no noise
         best = white[0]
     elif not _is_white(left[best], n_columns):
         sizes = np.array([np.linalg.norm(rest) for rest in left])
         drops = np.flatnonzero(sizes[:-1] >= SQUARE_DROP**0.5 * sizes[1:])
         best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
-    return candidates[best - 1]
+    return candidates[max(best, 1) - 1]
 
 
 def _left_by(Phi, directions, target):
