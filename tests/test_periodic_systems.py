@@ -188,4 +188,6 @@ def test_intervals_of_exponents_hold_under_noise(name):
     row = study.with_noise(name, range(12))
     assert row["failures"] == row["wrong_order"] == 0
     assert row["coverage"] > 0.8
-    assert 0.6 < row["rms_z"] < 1.5
+    # the exponents of one record are correlated: twelve seeds are χ² of about twelve degrees
+    # of freedom, whose root mean square stays within these limits 999 times in a thousand
+    assert 0.4 < row["rms_z"] < 1.7
