@@ -54,8 +54,25 @@ class Uncertainty:
 class Match:
     """A structured model: its parameters, and how it came about.
 
-    ``structure`` and ``observed`` say how the parameters make the outputs, for the
-    maximum-likelihood refinement; ``periodic`` is there for periodic structures only.
+    Attributes
+    ----------
+    model : LTIModel
+        Time-invariant, in continuous time; the harmonic decomposition of a periodic one.
+    names : tuple of str
+    theta : ndarray, shape (n_parameters,)
+    structure : PeriodicStructure or None
+        How the parameters make the matrices, for the maximum-likelihood refinement; None
+        where every entry is one.
+    periodic : PeriodicModel or None
+        The linear time-periodic model, of periodic structures only.
+    theta_least_squares : ndarray, shape (n_parameters,), or None
+        The match in the mean square over frequency; None where it is ``theta``.
+    hinf_error, relative_error, peak_frequency : float
+        Largest error over frequency, the same relative to the model, and where, rad/s;
+        NaN where the match was not made in this norm.
+    n_iter : int
+    uncertainty : Uncertainty or None
+        After maximum likelihood only.
     """
 
     model: LTIModel

@@ -21,6 +21,8 @@ class FourierMatrix:
     >>> M = FourierMatrix(np.array([1.0, 0.5, 0.0]).reshape(3, 1, 1))
     >>> M(np.array([0.0, np.pi])).ravel().tolist()
     [1.5, 0.5]
+    >>> M.n_harmonics
+    1
     """
 
     def __init__(self, coefficients):
@@ -30,6 +32,11 @@ class FourierMatrix:
                 f"Fourier coefficients have shape {self.coefficients.shape}; give an array of "
                 f"shape (2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
             )
+
+    @property
+    def n_harmonics(self):
+        """K, the highest harmonic."""
+        return len(self.coefficients) // 2
 
     def __call__(self, psi):
         """Values at azimuths psi, shape (n_points,) -> (n_points, rows, columns)."""
