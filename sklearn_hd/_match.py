@@ -9,6 +9,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd._validation import check_fraction, check_frequencies
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.algorithms.uncertainty import propagate_std
@@ -45,7 +46,7 @@ class Uncertainty:
 
     def frequency_response(self, theta, frequencies):
         """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""
-        points = 1j * np.asarray(frequencies, dtype=float)
+        points = 1j * check_frequencies(frequencies)
         response, slopes = self.affine.response_and_sensitivity(theta[self.seen], points)
         return response, propagate_std(slopes, self.covariance[np.ix_(self.seen, self.seen)])
 
@@ -158,8 +159,7 @@ class ParameterReport:
         interval : DataFrame, shape (n_parameters, 2)
             Columns ``lower`` and ``upper``.
         """
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level={level!r} must be a probability between 0 and 1, such as 0.95")
+        level = check_fraction("level", level, "it is a probability, such as 0.95")
         self._bounds("confidence_interval")
         reach = norm.ppf(0.5 + 0.5 * level) * self.theta_std_
         return pd.DataFrame({"lower": self.theta_ - reach, "upper": self.theta_ + reach})
