@@ -77,12 +77,14 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
     directions = problem.orthonormal_directions(theta)
     history, memory = [value], [peak]
     radius, n_iter, predicted, moved = 1.0, 0, np.inf, True
-    curvature = np.zeros((directions.shape[1],) * 2)
+    curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
         if moved:
-            frequencies = problem.active_frequencies(theta, value, memory[-_MEMORY:])
+            known = [*memory[-_MEMORY:], *(frequency for frequency, _ in cuts)]
+            frequencies = problem.active_frequencies(theta, value, known)
             model = _linearise(problem, theta, frequencies, directions, value)
-        step, level, duals, _ = _convex_step(model, problem, theta, curvature, radius)
+        step, level, duals, _ = _convex_step(model, problem, theta, curvature, radius, cuts)
+        cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
         n_iter += 1
         predicted = 1.0 - level
         if predicted <= tol:
@@ -91,7 +93,9 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
         trial_value, trial_peak = problem.peak(trial)
         gain = (value - trial_value) / (value * predicted)
         if gain < 0.75 and np.isfinite(trial_value):
-            corrected = _second_order_correction(problem, model, theta, trial, step, value, radius)
+            corrected = _second_order_correction(
+                problem, model, theta, trial, step, value, radius, cuts
+            )
             second = problem.inside(theta + directions @ corrected)
             second_value, second_peak = problem.peak(second)
             if second_value < trial_value:
@@ -212,7 +216,7 @@ def _linearise(problem, theta, frequencies, directions, value):
     return _Linearisation(frequencies, error, slope, directions, swapped)
 
 
-def _second_order_correction(problem, model, theta, trial, step, value, radius):
+def _second_order_correction(problem, model, theta, trial, step, value, radius, cuts):
     """Step that counts in how far E at the trial point is from its linearisation.
 
     Along a curved valley, active peaks rise again at second order whatever the step's
@@ -221,7 +225,7 @@ def _second_order_correction(problem, model, theta, trial, step, value, radius):
     error, _ = problem.error_and_sensitivity(trial, model.frequencies)
     error = (error.swapaxes(1, 2) if model.swapped else error) / value
     moved = replace(model, error=error - model.slope @ step)
-    return _convex_step(moved, problem, theta, np.zeros((len(step),) * 2), radius)[0]
+    return _convex_step(moved, problem, theta, np.zeros((len(step),) * 2), radius, cuts)[0]
 
 
 def _lagrangian_curvature(problem, theta, model, duals, directions, value):
@@ -242,15 +246,22 @@ def _next_radius(radius, gain, length):
     return max(radius, 2.5 * length) if gain > 0.75 else radius
 
 
-def _convex_step(model, problem, theta, curvature, radius, max_rounds=30):
+def _convex_step(model, problem, theta, curvature, radius, known=(), max_rounds=60):
     """Minimiser ζ of the convex model within a ball and the bounds, its value, the multipliers.
+
+    ``known`` are pairs of a frequency and a direction v that held the step before.
 
     The multipliers come as (which frequency, left vectors, right vectors), so that their
     sum weighs E as the optimality conditions do, and as that of the ball.
     """
     error, slope = model.error, model.slope
     walls = _walls(problem, theta, model.directions)
-    which, cuts = _singular_directions(error)
+    order = np.argsort(model.frequencies)
+    which, cuts = _singular_directions(error, order)
+    if known:
+        places = {frequency: k for k, frequency in enumerate(model.frequencies)}
+        which = np.concatenate([which, [places[frequency] for frequency, _ in known]])
+        cuts = np.concatenate([cuts, [direction for _, direction in known]])
     for _ in range(max_rounds):
         vectors = np.einsum("flm,fm->fl", error[which], cuts)
         rates = np.einsum("flmk,fm->flk", slope[which], cuts)
@@ -258,11 +269,11 @@ def _convex_step(model, problem, theta, curvature, radius, max_rounds=30):
         _, sizes, adjoint = np.linalg.svd(error + slope @ step, full_matrices=False)
         level = np.linalg.norm(vectors + rates @ step, axis=1).max()
         slack = max(_SLACK, 0.1 * (1.0 - level))
-        violated = np.flatnonzero(sizes[:, 0] > level + slack)
-        if not len(violated):
+        violated = (sizes > level + slack) & _tops(sizes[:, 0], order)[:, None]
+        if not violated.any():
             break
-        which = np.concatenate([which, np.repeat(violated, adjoint.shape[1])])
-        cuts = np.concatenate([cuts, adjoint[violated].conj().reshape(-1, cuts.shape[1])])
+        which = np.concatenate([which, np.nonzero(violated)[0]])
+        cuts = np.concatenate([cuts, adjoint[violated].conj()])
     level = sizes[:, 0].max() + 0.5 * step @ curvature @ step
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > 1e-9)
     duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
@@ -276,10 +287,18 @@ def _walls(problem, theta, directions):
     return rows, np.concatenate([(problem.upper - theta)[above], (theta - problem.lower)[below]])
 
 
-def _singular_directions(error):
-    """Right singular vectors of the large singular values, and whose they are."""
+def _tops(gains, order):
+    """Where the gains have a local maximum over frequency."""
+    padded = np.concatenate([[-np.inf], gains[order], [-np.inf]])
+    tops = np.empty(len(gains), dtype=bool)
+    tops[order] = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
+    return tops
+
+
+def _singular_directions(error, order):
+    """Right singular vectors of the peaks' large singular values, and whose they are."""
     _, sizes, adjoint = np.linalg.svd(error, full_matrices=False)
-    large = sizes > min(_LARGE, sizes.max())
+    large = (sizes > _LARGE) & _tops(sizes[:, 0], order)[:, None]
     large[np.argmax(sizes[:, 0]), 0] = True
     return np.nonzero(large)[0], adjoint[large].conj()
 
