@@ -149,8 +149,8 @@ WRONG = {
     "label 0c": ({"F": {"0c": [[1]]}}, r"'0c' is no label of F"),
     "label number": ({"F": {0: [[1]]}}, r"0 is no label of F"),
     "not square": ({"F": {"0": [[1, 2]]}}, r"F have shape \(1, 2\); with 1 states F must have 1"),
-    "no matrix": ({"F": {"0": [1, 2]}}, r"F must be a matrix, rows of equal"),
-    "ragged": ({"F": {"0": [[1, 2], [3]]}}, r"F must be a matrix, rows of equal"),
+    "no matrix": ({"F": {"0": [1, 2]}}, r"F_0 must be a matrix, rows of equal"),
+    "ragged": ({"F": {"0": [[1, 2], [3]]}}, r"F_0 must be a matrix, rows of equal"),
     "shapes": ({"F": {"0": [[1]], "1c": [[1, 2], [3, 4]]}}, r"coefficients of F differ in shape"),
     "states a number": ({"states": 5}, r"states=5 is no sequence of names; give a list such as"),
     "states a text": ({"states": "w"}, r"states='w' is no sequence of names"),
@@ -177,9 +177,10 @@ def test_what_is_not_understood_is_refused(case):
 
 @pytest.mark.parametrize("entry", ["1a", "k+", "a*b", 1j, np.inf])
 def test_entries_that_are_none_are_refused(entry):
-    structure = HarmonicStructure(F={"0": [[entry]]}, G=0)
-    with pytest.raises(ValueError, match=r"F\[x,x\] = .* is (no entry|not understood)"):
-        structure.parameter_names(["x"], ["u"])
+    with pytest.raises(
+        ValueError, match=r"F\[0,0\]_1c = .* (is no entry|is not understood|multiplies by)"
+    ):
+        HarmonicStructure(F={"1c": [[entry]]}, G=0)
 
 
 def test_shapes_must_fit_the_signals():
