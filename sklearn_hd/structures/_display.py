@@ -7,6 +7,9 @@ from sklearn_hd.structures._cells import format_cell
 
 _FREE = ' style="text-align:right; font-weight:bold; background:rgba(70,130,180,0.2)"'
 _NUMBER = ' style="text-align:right"'
+_NAME = ' style="text-align:right; font-weight:normal"'
+_TABLE = ' style="color:inherit"'
+_CAPTION = ' style="caption-side:top; text-align:center"'
 _ROW = ' style="display:flex; flex-wrap:wrap; gap:1.5em; align-items:flex-start"'
 
 
@@ -52,13 +55,13 @@ def _html_of_table(table):
     rows = range(len(table.cells)) if table.rows is None else table.rows
     columns = range(n_columns) if table.columns is None else table.columns
     caption = f"<i>{table.letter}</i>" + (f"<sub>{table.harmonic}</sub>" if table.harmonic else "")
-    head = "".join(f"<th>{escape(str(name))}</th>" for name in columns)
+    head = "".join(f"<th{_NAME}>{escape(str(name))}</th>" for name in columns)
     body = "".join(
-        f"<tr><th>{escape(str(name))}</th>{''.join(map(_html_of_cell, line))}</tr>"
+        f"<tr><th{_NAME}>{escape(str(name))}</th>{''.join(map(_html_of_cell, line))}</tr>"
         for name, line in zip(rows, table.cells, strict=True)
     )
     return (
-        f'<table><caption style="caption-side:top; text-align:center">{caption}</caption>'
+        f"<table{_TABLE}><caption{_CAPTION}>{caption}</caption>"
         f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody></table>"
     )
 

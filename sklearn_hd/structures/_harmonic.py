@@ -325,15 +325,17 @@ class HarmonicStructure:
 
     def _shown(self):
         """Tables of the coefficients given, and a line for each matrix without."""
+        shown = []
         for name, spec in self._specs.items():
             if not isinstance(spec, dict):
-                yield f"{name}: {_OPEN[name] if spec is None else _counted(spec)}"
+                shown.append(f"{name}: {_OPEN[name] if spec is None else _counted(spec)}")
                 continue
             for label, (cells, rows, columns) in spec.items():
                 rows = self.states if rows is None and name in "FG" else rows
                 columns = self.states if columns is None and name in "FP" else columns
                 named, _ = name_places(cells, name, rows, columns, f"_{label}")
-                yield Table(name, fill_all(named, self._fixed), rows, columns, label)
+                shown.append(Table(name, fill_all(named, self._fixed), rows, columns, label))
+        return shown
 
     def _notes(self):
         return describe(self._fixed, self._fixed)
