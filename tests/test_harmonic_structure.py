@@ -413,9 +413,33 @@ def test_structures_that_do_not_fit_are_refused(case, data):
         synchronous(2.0, structure).fit(*data)
 
 
-def test_known_entries_need_outputs_that_determine_the_state(data):
+FULL = HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]], "1c": [[0, 0], ["q", 0]]}, G=0)
+
+
+@pytest.mark.parametrize("criterion", ["hinf", "output_error"])
+def test_fixed_parameters_are_held_period_by_period(criterion, data):
+    """Either fixing is right here, so that the others come out as they are."""
+    entries = {"F[y,y]_0": 0.0, "F[y,v]_0": 1.0, "F[v,v]_0": -0.2}
+    for structure, truth in (
+        (FULL.fix({"a": 2.0, "G[y,u1]_0": 0.0}), {"d": 0.2, "q": 1.0, "G[v,u1]_0": 1.0}),
+        (HarmonicStructure(F=1, G=0).fix(entries), {"F[v,y]_0": -2.0, "F[v,y]_1c": 1.0}),
+    ):
+        match = synchronous(2.0, structure, criterion=criterion).fit(*data)["match"]
+        assert match.theta_[list(truth)].to_dict() == pytest.approx(truth, rel=1e-6)
+        assert not match.theta_.index.isin(structure.fixed).any()
+        np.testing.assert_array_equal(match.ltp_.F.coefficients[0, 0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "structure",
+    [
+        HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]]}),
+        HarmonicStructure(F=1, fixed={"F[y,y]_0": 0.0}),
+    ],
+    ids=["entries", "fixed"],
+)
+def test_known_entries_need_outputs_that_determine_the_state(structure, data):
     u, y = data
-    structure = HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]]})
     with pytest.raises(ValueError, match=r"\['y'\] do not determine the 2 states .* entries of F"):
         synchronous(2.0, structure).fit(u, y[["y"]])
 
