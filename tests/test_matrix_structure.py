@@ -172,6 +172,8 @@ KNOWN = {
     "fixed a list": ({"fixed": [1.0]}, r"fixed=\[1.0\] is no mapping by name; give one such as"),
     "bounds a pair": ({"bounds": (0, 1)}, r"bounds=\(0, 1\) is no mapping by name; .* \{'k': \(0"),
     "fixed a text": ({"fixed": {"d": "1"}}, r"fixed value of 'd' must be a finite number; got '1'"),
+    "fixed too large": ({"fixed": {"d": 10**400}}, r"fixed value of 'd' must be a finite number"),
+    "bounds too large": ({"bounds": {"d": (0, 10**400)}}, r"give \(low, high\) with low < high"),
     "fixed NaN": ({"fixed": {"d": np.nan}}, r"fixed value of 'd' must be a finite number; got nan"),
     "fixed twice": (
         {"fixed": pd.Series([1.0, 2.0], index=["d", "d"])},

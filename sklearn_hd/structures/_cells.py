@@ -43,12 +43,22 @@ def _cell(value, place):
         return _text(value, place)
     if value is None or value is pd.NA or (isinstance(value, Real) and value != value):
         return FREE
-    if isinstance(value, Real) and math.isfinite(value):
-        return float(value) + 0.0, ()  # no negative zero
+    number = finite_number(value)
+    if number is not None:
+        return number + 0.0, ()  # no negative zero
     raise ValueError(
         f"{place} = {value!r} is no entry; give a finite number (fixed), NaN (free) or a text of "
         f"numbers and parameters, such as 'k' or '1.5 - 2*k'"
     )
+
+
+def finite_number(value):
+    """A float; None if the value is no finite number."""
+    try:
+        number = float(value) if isinstance(value, Real) else math.nan
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _text(text, place):

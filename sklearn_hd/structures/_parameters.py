@@ -1,10 +1,11 @@
 """What may be said of parameters by name: a value to hold, where to start, between what bounds."""
 
 from collections.abc import Mapping
-from numbers import Real
 
 import numpy as np
 import pandas as pd
+
+from sklearn_hd.structures._cells import finite_number
 
 
 def read_fixed(given, names=None):
@@ -54,7 +55,7 @@ def _interval(name, given):
     try:
         low, high = given
         low, high = _end(low, -np.inf), _end(high, np.inf)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         low = high = np.nan
     if not low < high:
         raise ValueError(
@@ -162,6 +163,7 @@ def _mapping(what, given, example):
 
 
 def _number(what, value):
-    if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(value):
+    number = None if isinstance(value, bool) else finite_number(value)
+    if number is None:
         raise ValueError(f"the {what} must be a finite number; got {value!r}")
-    return float(value)
+    return number
