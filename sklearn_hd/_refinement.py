@@ -62,9 +62,7 @@ def _refine_invariant(match, structure, experiment, max_iter, input_noise):
         match,
         model=match.model.in_continuous_time(*matrices, state_names=names),
         theta=result.theta,
-        hinf_error=np.nan,  # those of the start
-        relative_error=np.nan,
-        peak_frequency=np.nan,
+        found=None,  # that of the start
         n_iter=result.n_iter,
         uncertainty=uncertainty(match.structure, result, experiment, structure.affine, everything),
     )

@@ -83,8 +83,11 @@ def test_filter_moves_the_match_to_its_band():
     slow = match(output_filter=lag(0.1))
     plain = match()
     at_rest = [
-        linalg.norm(frequency_response(*OSCILLATORS, [0.0])[0]
-                    - frequency_response(r.A, r.B, r.C, r.D, [0.0])[0], 2)
+        linalg.norm(
+            frequency_response(*OSCILLATORS, [0.0])[0]
+            - frequency_response(r.A, r.B, r.C, r.D, [0.0])[0],
+            2,
+        )
         for r in (slow, plain)
     ]
     assert at_rest[0] < 0.5 * at_rest[1]

@@ -26,7 +26,6 @@ import pandas as pd
 from joblib import Parallel, delayed
 from scipy import linalg, optimize
 
-from sklearn_hd.algorithms.hinf import hinf_norm
 from sklearn_hd.algorithms.least_squares import Start, local_fits
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
@@ -195,8 +194,9 @@ def descend(problem, theta, max_iter=2000):
 
     step = np.zeros(directions.shape[1])
     for _ in range(3):
-        found = optimize.minimize(value, step, jac=True, method="BFGS",
-                                  options={"maxiter": max_iter, "gtol": 0.0})
+        found = optimize.minimize(
+            value, step, jac=True, method="BFGS", options={"maxiter": max_iter, "gtol": 0.0}
+        )
         step = found.x
     return memory["best"]
 
@@ -281,9 +281,10 @@ def exact_table(rows):
 
 def inexact_table(rows):
     groups = rows.groupby(["case", "disturbance"], sort=False)
-    share = {f"≤ {limit:g}": groups.above.apply(
-        lambda a, limit=limit: f"{(a <= limit).sum()}/{len(a)}"
-    ) for limit in (1e-6, 1e-4, 1e-2)}
+    share = {
+        f"≤ {limit:g}": groups.above.apply(lambda a, limit=limit: f"{(a <= limit).sum()}/{len(a)}")
+        for limit in (1e-6, 1e-4, 1e-2)
+    }
     return pd.DataFrame(
         share
         | {

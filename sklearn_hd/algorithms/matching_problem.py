@@ -17,7 +17,7 @@ from sklearn_hd.algorithms.hinf import hinf_norm
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
 from sklearn_hd.algorithms.weighting import Weighting, fixed_model
 
-__all__ = ["MatchingProblem", "channel_scales", "matching_grid"]
+__all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
 
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
@@ -239,7 +239,7 @@ class MatchingProblem:
             return np.empty(0), ()
         _, singular, adjoint = linalg.svd(jacobian / column_sizes(jacobian))
         singular = np.pad(singular, (0, len(adjoint) - len(singular)))
-        null = adjoint[singular <= _RANK * max(singular.max(), 1e-300)]
+        null = adjoint[numerical_rank(singular) :]
         undetermined = np.flatnonzero(np.any(np.abs(null) > 1e-3, axis=0))
         return singular, tuple(self.structure.parameter_names[k] for k in undetermined)
 
@@ -257,6 +257,11 @@ class MatchingProblem:
             return float(linalg.norm(weighted, 2))
         diagonal = self.weighting.output_filter is None and self.weighting.input_filter is None
         return float(np.abs(weighted).max(initial=0.0)) if diagonal else 0.0
+
+
+def numerical_rank(singular_values):
+    """Number of singular values, largest first, that do not count as zero."""
+    return int(np.sum(singular_values > _RANK * max(np.max(singular_values, initial=0.0), 1e-300)))
 
 
 def line(frequencies, shift=0.0):

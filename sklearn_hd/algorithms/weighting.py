@@ -1,6 +1,6 @@
 """Weights of a matching error: constants by channel, and filters over frequency.
 
-    W_o(s) E(s) W_i(s),   W_o = F_o(s) diag(outputs),   W_i = diag(inputs) F_i(s)
+W_o(s) E(s) W_i(s),   W_o = F_o(s) diag(outputs),   W_i = diag(inputs) F_i(s)
 """
 
 from dataclasses import dataclass, replace
