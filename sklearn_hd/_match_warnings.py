@@ -9,7 +9,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 MOST_SYSTEMATIC = 0.01  # share of the variance left in a rest that is not white
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
-FLOOR = 0.9  # share of the error that fixed entries of D leave, above which they decide it
+FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
 
 
 def warn_realized(found):

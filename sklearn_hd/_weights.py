@@ -115,7 +115,7 @@ def _matrices(name, system):
         if not isinstance(system, tuple):
             system = system.A, system.B, system.C, system.D
         A, B, C, D = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in system)
-    except (ValueError, TypeError, control.ControlException) as error:
+    except (ValueError, TypeError, NotImplementedError) as error:
         raise ValueError(
             f"{name}={system!r} has no state-space form ({error}); give {_ALLOWED}"
         ) from error
@@ -123,8 +123,9 @@ def _matrices(name, system):
         A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0))
     poles = linalg.eigvals(A) if len(A) else np.empty(0)
     if np.any(poles.real >= 0):
+        worst = np.real_if_close(poles[np.argmax(poles.real)])
         raise ValueError(
-            f"{name} has a pole at {poles[np.argmax(poles.real)]:.6g}; a weight must be stable, "
+            f"{name} has a pole at {worst:.6g}; a weight must be stable, "
             f"such as an integrator moved off the origin, 1/(s + 0.01)"
         )
     return A, B, C, D

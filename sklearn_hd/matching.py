@@ -243,6 +243,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
         check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
+        if self.n_jobs is not None and self.n_jobs != -1:
+            check_count("n_jobs", self.n_jobs, 1, "None is one process, -1 all processors")
         check_count("max_iter", self.max_iter, 1, "100 is usual")
         check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
         check_flag("scale", self.scale)

@@ -9,11 +9,13 @@ stable one, and an exact match is the same on every line.
 """
 
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
-from joblib import Parallel, delayed
-from scipy import linalg, optimize
+from joblib import Parallel, delayed, effective_n_jobs
+from scipy import linalg
 
+from sklearn_hd.algorithms.bounded_steps import BoundedSteps
 from sklearn_hd.algorithms.structured_model import column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -23,8 +25,6 @@ _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become ro
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
 _ROUNDING = 1e-31  # sum of squares, relative to that of G_c
 _PATIENCE = 25  # steps that must earn a tenth; a creep goes to parameters at infinity
-_LEAST_DAMPING = 1e-14  # of a bounded step that counts as free of damping
-_WIDTH = 1e-300  # between a bound and a parameter on it: the routine wants an interval
 _LINES = 40  # largest number of lines Re s = α on the way to the axis
 
 
@@ -106,7 +106,7 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
 def _steps(problem, theta, residual, jacobian):
     if not problem.bounded:
         return _FreeSteps(residual, jacobian)
-    return _BoundedSteps(residual, jacobian, problem.lower - theta, problem.upper - theta)
+    return BoundedSteps(residual, jacobian, problem.lower - theta, problem.upper - theta)
 
 
 class _FreeSteps:
@@ -127,26 +127,6 @@ class _FreeSteps:
         step = -(self._adjoint.T @ (weight * self._projected)) / self._size
         kept = 1.0 - (damping / (self._singular**2 + damping)) ** 2
         return step, self._projected**2 @ kept
-
-
-class _BoundedSteps:
-    """The same between bounds of the step (bounded-variable least squares)."""
-
-    def __init__(self, residual, jacobian, lower, upper):
-        self._size = column_sizes(jacobian)
-        orthogonal, self._factor = linalg.qr(jacobian / self._size, mode="economic")
-        self._target = -(orthogonal.T @ residual)
-        reach = np.minimum(lower, 0.0) * self._size, np.maximum(upper, 0.0) * self._size
-        self._bounds = reach[0] - _WIDTH * (reach[0] == 0), reach[1] + _WIDTH * (reach[1] == 0)
-        self.promised = self.damped(_LEAST_DAMPING)[1]
-
-    def damped(self, damping):
-        k = self._factor.shape[1]
-        system = np.vstack([self._factor, np.sqrt(damping) * np.eye(k)])
-        target = np.concatenate([self._target, np.zeros(k)])
-        step = optimize.lsq_linear(system, target, self._bounds, method="bvls", tol=1e-14).x
-        left = self._target - self._factor @ step
-        return step / self._size, self._target @ self._target - left @ left
 
 
 def fit_from_the_right(problem, theta, max_iter=100):
@@ -192,6 +172,13 @@ class Start:
     near: bool
 
 
+def _in_batches(problem, starts, max_iter, n_jobs):
+    """Fits in the order of the starts, as many at once as there are processes."""
+    size = effective_n_jobs(n_jobs)
+    while batch := list(islice(starts, size)):
+        yield from Parallel(n_jobs)(delayed(fit_from)(problem, start, max_iter) for start in batch)
+
+
 def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
     """Different least-squares matches reached from some starts, the best first.
 
@@ -218,8 +205,7 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
         If no start led to a stable model.
     """
     fits, n_starts = [], 0
-    tasks = (delayed(fit_from)(problem, start, max_iter) for start in starts)
-    for fit in Parallel(n_jobs, return_as="generator")(tasks):
+    for fit in _in_batches(problem, iter(starts), max_iter, n_jobs):
         n_starts += 1
         if fit is None:
             continue
