@@ -177,7 +177,7 @@ def test_a_structure_without_parameters_is_refused(identified, record):
 def test_feedthrough_that_decides_the_error_is_named(record):
     u, y = record
     y = y + 5.0 * u.to_numpy()
-    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8).fit(u, y))
+    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(u, y))
     with pytest.warns(IdentifiabilityWarning, match="entries of D that are fixed leave"):
         match(model, (u, y))
     with pytest.raises(ValueError, match="the H2 norm is infinite: the model's D = "):
