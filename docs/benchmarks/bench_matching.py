@@ -45,10 +45,8 @@ CASES = {
     "random, 30 states": lambda random: sparse(random, 30, 60),
     "chain, 6 states": lambda random: chain(random, 3),
     "chain, 14 states": lambda random: chain(random, 7),
-    "chain, 30 states": lambda random: chain(random, 15),
 }
 DISTURBANCES = (0.001, 0.01, 0.05)
-HARD = 15  # states from which only the random ones have rows of the second table
 
 
 def wing(which):
