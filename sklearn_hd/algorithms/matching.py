@@ -6,10 +6,9 @@ in the H∞ norm, the H2 norm, or the mean square over a frequency grid. The sta
 function: channels are scaled alike; where C_s is known and invertible a change of state
 gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
 match over the grid, which is where the mean square stops. The best ones go downhill in
-the exact H∞ norm by a prox-linear trust region, then by quasi-Newton steps where that
-stalls; or in the H2 norm by least squares on a quadrature. The singular values of the
-sensitivity at the end say which parameters the outputs determine, the certificate
-whether the norm can still fall.
+the exact H∞ norm by a prox-linear trust region, or in the H2 norm by least squares on a
+quadrature. The singular values of the sensitivity at the end say which parameters the
+outputs determine, the certificate whether the norm can still fall.
 """
 
 from dataclasses import dataclass, replace
@@ -71,8 +70,8 @@ class MatchResult:
         Steps of all stages and starts together.
     history : tuple of (str, float)
         Stage and its measure after each step on the way here: ``"least squares"`` (length
-        of the error over the grid, relative to that of G_c), ``"minimax"`` and
-        ``"quasi-Newton"`` (relative H∞ norm), ``"h2"`` (relative H2 norm).
+        of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
+        norm), ``"h2"`` (H2 norm, relative to ‖W_o G_c W_i‖_∞).
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str
