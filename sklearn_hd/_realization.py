@@ -7,6 +7,7 @@
 3. G(ψ) and Q(ψ) by linear least squares on the raw record.
 """
 
+import warnings
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -35,6 +36,7 @@ from sklearn_hd.algorithms.periodic_realization import (
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.shape_exponents import refine_within_period
 from sklearn_hd.algorithms.structured_model import column_sizes
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 MAX_GROWTH = 100.0  # e-folds over a record
@@ -118,12 +120,17 @@ def realize(model, experiment, structure):
     scale = output_scale(experiment)
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
-    except (FloquetError, GrowthError):
+    except (FloquetError, GrowthError) as error:
         other = _from_equation_error(model, experiment, structure, scale)
         if other is None or other.systematic > MOST_SYSTEMATIC:
             raise  # not noise, but the order is at fault
-        return other
-    if noise > NOISY and 1.0 - found.r2 > NOISY**2:
+        return _told(other, model, f"is that of no periodic system ({error})")
+    if len(structure.states or experiment.basis.outputs) != model.n_states:
+        if structure.n_states is None and found.systematic > MOST_SYSTEMATIC:
+            other = _from_equation_error(model, experiment, structure, scale)
+            if other is not None and other.systematic <= MOST_SYSTEMATIC:
+                return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
+    elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
         enough = CLEARLY_LESS if found.physical else HARDLY_MORE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
@@ -131,12 +138,27 @@ def realize(model, experiment, structure):
     return found
 
 
+def _told(realization, model, why):
+    """A realization by measured states, after a warning if it has another number of states."""
+    n = realization.model.n_states
+    if n != model.n_states:
+        warnings.warn(
+            f"the model identified has {model.n_states} state(s), and {why}; with the {n} outputs "
+            f"{list(realization.model.state_names)} as states all but noise is explained, and they "
+            f"are taken; MOESPRegressor(order={n}) asks for them, HarmonicStructure(states=[...]) "
+            f"for others",
+            IdentifiabilityWarning,
+            stacklevel=7,
+        )
+    return realization
+
+
 def _from_equation_error(model, experiment, structure, scale):
     """The realization of measured states' F(ψ) by linear least squares; None if there is none."""
     basis = experiment.basis
     names = [name for name, _ in basis.outputs]
     states = list(structure.states or names)
-    if len(states) != model.n_states or set(states) != set(names):
+    if structure.n_states not in (None, len(states)) or set(states) != set(names):
         return None
     rows = [names.index(name) for name in states]
     spp = basis.samples_per_period

@@ -22,6 +22,7 @@ __all__ = [
     "invariant_blocks",
     "mode_responses",
     "mode_steps",
+    "orthonormal_range",
     "refine_multipliers",
     "with_characteristic",
 ]
@@ -30,6 +31,7 @@ SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
 LARGEST_MULTIPLIER = 1e3
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
 ROUNDING = 1e-15
+RANK = 1e-11  # of columns of length one; dependent ones leave 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +98,7 @@ def refine_multipliers(Phi, directions, lifted):
         steps = _companions(coefficients, blocks)
         if not max(np.max(np.abs(linalg.eigvals(step))) for step in steps) < largest:
             return target.ravel()
-        regressors = np.vstack(mode_responses(steps, directions))
-        Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+        Q = orthonormal_range(np.vstack(mode_responses(steps, directions)))
         return (target - Q @ (Q.T @ target)).ravel()
 
     found = _best_of(left, blocks)
@@ -226,6 +227,37 @@ def compact(stacked):
     if stacked.shape[1] <= len(stacked):
         return stacked
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
+
+
+def orthonormal_range(columns, beyond=None):
+    """Orthonormal columns that span what some columns do, dependent ones left out.
+
+    What a mode answers to a step is the step less its answers to the step's edges: nothing
+    new where edges have directions of their own. An orthonormal column in its place would
+    be any direction, would fit noise, and would jump as multipliers move.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n_rows, n_columns)
+    beyond : ndarray, shape (n_rows, n_known), optional
+        Orthonormal; what they span is left out.
+
+    Returns
+    -------
+    Q : ndarray, shape (n_rows, rank)
+
+    Examples
+    --------
+    >>> orthonormal_range(np.array([[2.0, 1.0], [2.0, 1.0]])).round(6).tolist()
+    [[-0.707107], [-0.707107]]
+    """
+    columns = columns / column_sizes(columns)
+    if beyond is not None:
+        columns = columns - beyond @ (beyond.T @ columns)
+    if not columns.size:
+        return columns
+    Q, R, _ = linalg.qr(columns, mode="economic", pivoting=True)
+    return Q[:, np.abs(np.diag(R)) > RANK]
 
 
 def mode_steps(Phi):

@@ -19,6 +19,7 @@ from sklearn_hd.algorithms.multipliers import (
     compact,
     mode_responses,
     mode_steps,
+    orthonormal_range,
     refine_multipliers,
 )
 from sklearn_hd.algorithms.simulation import propagate, real_logarithm
@@ -40,7 +41,7 @@ __all__ = [
 BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
-CLEARLY_WHITE = 1.1  # white noise of these sizes stays within 2 % of its expectation
+TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
 NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
@@ -89,7 +90,9 @@ def order_by_residual(candidates, directions, lifted):
             break
     best = int(np.argmin(bic))
     white = [
-        n for n in range(max(best, 1), len(left)) if _is_white(left[n], n_columns, CLEARLY_WHITE)
+        n
+        for n in range(max(best, 1), len(left))
+        if _is_noise(left[n], len(target) - r - n, n_columns)
     ]
     if white:  # more states than the criterion pays for, if fewer leave what is no noise
         best = white[0]
@@ -107,19 +110,13 @@ def _left_by(Phi, directions, target):
     initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
     them together would fit the noise, the more the more directions the inputs have.
     """
-    regressors = np.vstack(mode_responses(mode_steps(Phi), directions))
-    if regressors.shape[1] == 0:
-        return target
-    Q, r = (
-        linalg.qr(regressors / column_sizes(regressors), mode="economic")[0],
-        len(directions[0].T),
-    )
-    left = target - Q[:, :r] @ (Q[:, :r].T @ target)
-    if len(Phi) == 0:
-        return left
-    within = Q[:, r:].T @ left
+    regressors, r = np.vstack(mode_responses(mode_steps(Phi), directions)), len(directions[0].T)
+    Q = orthonormal_range(regressors[:, :r])
+    left = target - Q @ (Q.T @ target)
+    Q = orthonormal_range(regressors[:, r:], beyond=Q)
+    within = Q.T @ left
     U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
-    return left - Q[:, r:] @ (U @ (U.T @ within))
+    return left - Q @ (U @ (U.T @ within))
 
 
 def leaves_white_noise(Phi, directions, lifted):
@@ -145,8 +142,7 @@ def without_noise(Phi, directions, lifted):
     explained : list of ndarray, shapes (n_periods_s, q)
     """
     steps = mode_steps(Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi)))))
-    regressors = np.vstack(mode_responses(steps, directions))
-    Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+    Q = orthonormal_range(np.vstack(mode_responses(steps, directions)))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
 
@@ -167,6 +163,26 @@ def _is_white(rest, n_columns, margin=WHITE_MARGIN):
     sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
     largest = np.linalg.norm(rest, 2)
     return largest <= margin * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
+
+
+def _is_noise(rest, n_rows, n_columns):
+    """Whether the strongest direction of what is left may be white noise's (Johnstone, 2001).
+
+    Its variance in parts of the noise's, less its expectation, in parts of its spread has
+    Tracy and Widom's distribution.
+
+    Parameters
+    ----------
+    rest : ndarray, shape (n_periods, n_columns or fewer)
+        Of the same scalar products as what is left.
+    n_rows : int
+        Periods less the directions taken out.
+    n_columns : int
+    """
+    variance = float(np.sum(rest**2)) / (n_rows * n_columns)
+    a, b = np.sqrt(n_rows - 1.0), np.sqrt(n_columns)
+    spread = (a + b) * (1.0 / a + 1.0 / b) ** (1.0 / 3.0)
+    return bool(np.linalg.norm(rest, 2) ** 2 <= variance * ((a + b) ** 2 + TRACY_WIDOM * spread))
 
 
 def state_response(Phi, C, directions, lifted, seen):
