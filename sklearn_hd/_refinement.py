@@ -201,6 +201,11 @@ def _climb(best, name, ahead, fit):
         at = fit({**at.counts, name: count}, at.resolved.coefficients(at.result.theta))
         worse = 0 if at.result.aic < best.result.aic else worse + 1
         best = at if worse == 0 else best
-        if worse == PATIENCE:
+        if worse == PATIENCE or (count < best.counts[name] and _hopeless(at, best)):
             break
     return best
+
+
+def _hopeless(at, best):
+    """Whether no part of a model class can have the smaller criterion: fewer parameters fit worse."""
+    return 2.0 * at.result.cost >= best.result.aic

@@ -99,14 +99,13 @@ def record(system, kind, seed, n_periods=None):
     return pd.DataFrame(u, t, names[0]), pd.DataFrame(y, t, names[1])
 
 
-def pipeline(omega, criterion="hinf", order="auto", structure=None, **analyzer):
-    structure = HarmonicStructure() if structure is None else structure
+def pipeline(omega, criterion="hinf", order="auto", **analyzer):
     return Pipeline(
         [
             ("harmonics", HarmonicAnalyzer(omega, hop="period", **analyzer)),
             ("identify", MOESPRegressor(order=order)),
             ("reduce", SpuriousModeReducer()),
-            ("match", StructuredMatcher(structure=structure, criterion=criterion)),
+            ("match", StructuredMatcher(structure=HarmonicStructure(), criterion=criterion)),
         ]
     )
 
@@ -222,36 +221,56 @@ def bound(name, u, sigma, spp):
     return np.sqrt(np.einsum("kij,kl,lij->", slopes, found.covariance, slopes))
 
 
-def noisy_fit(name, seed, given, kind="3-2-1-1", n_periods=160):
-    """Errors of one fit; where there is none, what was raised.
-
-    ``given`` tells the fit how many harmonics F and G have; else it chooses.
-    """
-    system, row = SYSTEMS[name](), {"name": name, "seed": seed}
-    u, clean = record(system, kind, seed, n_periods)
+def noisy_record(name, seed, kind="3-2-1-1", n_periods=160):
+    """Inputs, outputs with noise, and its standard deviations."""
+    u, clean = record(SYSTEMS[name](), kind, seed, n_periods)
     sigma = clean.std().to_numpy() / SNR
-    y = clean + sigma * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
-    structure = HarmonicStructure(**true_harmonics(system) if given else {})
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            match = pipeline(system.omega, "output_error", structure=structure).fit(u, y)["match"]
-    except Exception:
-        return {**row, "failure": traceback.format_exc(limit=-1)}
-    table, row["order"] = match.eigenvalues_, len(match.eigenvalues_)
-    if row["order"] != system.n_states:
-        return row
-    exact = system.harmonic_decomposition(1).A
-    row["e"] = np.linalg.norm(match.ltp_.harmonic_decomposition(1).A - exact)
-    row["bound"] = bound(name, u.to_numpy(), sigma, SPP[kind])
+    noise = np.random.default_rng([seed, 1]).standard_normal(clean.shape)
+    return u, clean + sigma * noise, sigma
+
+
+def noisy_fits(name, seed, ways=("given", "chosen"), kind="3-2-1-1"):
+    """Errors of the fits to one record; where there is none, what was raised.
+
+    The numbers of harmonics of F and G are given to the fit, or chosen by it.
+    """
+    system, fits = SYSTEMS[name](), []
+    u, y, sigma = noisy_record(name, seed, kind)
+    smallest = bound(name, u.to_numpy(), sigma, SPP[kind])
+    pipe = pipeline(system.omega, "output_error")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        frame = pipe[:3].fit(u, y).transform(u)
+        for way in ways:
+            fit = {"name": name, "seed": seed, "way": way, "bound": smallest}
+            structure = HarmonicStructure(**true_harmonics(system) if way == "given" else {})
+            try:
+                match = pipe["match"].set_params(structure=structure).fit(frame, y)
+                fit |= errors_under_noise(match, system)
+            except Exception:
+                fit["failure"] = traceback.format_exc(limit=-1)
+            fits.append(fit)
+    return fits
+
+
+def errors_under_noise(match, system):
+    """Order; of the right one: error of the N = 1 state matrix, and others in deviations."""
+    table = match.eigenvalues_
+    if len(table) != system.n_states:
+        return {"order": len(table)}
+    gap = match.ltp_.harmonic_decomposition(1).A - system.harmonic_decomposition(1).A
     harmonics = {part: match.periodic_.highest(part) for part in "FG"}
-    row["harmonics"] = "F {F}, G {G}".format(**harmonics)
     truth = true_parameters(system, harmonics)[1]
-    row["z"] = ((match.theta_ - truth) / match.theta_std_).to_numpy()
-    rows, gap = nearest_exponents(table["eigenvalue"], system)
+    rows, exponents = nearest_exponents(table["eigenvalue"], system)
+    exponents = np.column_stack([exponents.real, exponents.imag])
     std = table[["std_real", "std_imag"]].to_numpy()[rows]
-    row["z_exponents"] = (np.column_stack([gap.real, gap.imag])[std > 0.0]) / std[std > 0.0]
-    return row
+    return {
+        "order": system.n_states,
+        "e": np.linalg.norm(gap),
+        "harmonics": "F {F}, G {G}".format(**harmonics),
+        "z": ((match.theta_ - truth) / match.theta_std_).to_numpy(),
+        "z_exponents": exponents[std > 0.0] / std[std > 0.0],
+    }
 
 
 def inside(z):
@@ -285,15 +304,19 @@ def summary(name, fits):
     }
 
 
-def with_noise(seeds, given, names=tuple(SYSTEMS), n_jobs=1):
-    """One row for each system, and one for all of them, pooled over seeds."""
-    jobs = [delayed(noisy_fit)(name, seed, given) for name in names for seed in seeds]
-    fits = Parallel(n_jobs=n_jobs)(jobs)
+def with_noise(seeds, ways=("given", "chosen"), names=tuple(SYSTEMS), n_jobs=1):
+    """Rows by way of taking the harmonics: one for each system, one for all of them pooled."""
+    jobs = [delayed(noisy_fits)(name, seed, ways) for name in names for seed in seeds]
+    fits = [fit for pair in Parallel(n_jobs=n_jobs)(jobs) for fit in pair]
     for fit in fits:
         if "failure" in fit:
-            print(fit["name"], fit["seed"], fit["failure"])
-    rows = [summary(name, [fit for fit in fits if fit["name"] == name]) for name in names]
-    return rows if len(names) == 1 else [*rows, {**summary("all", fits), "harmonics": ""}]
+            print(fit["name"], fit["seed"], fit["way"], fit["failure"])
+    tables = {}
+    for way in ways:
+        own = [fit for fit in fits if fit["way"] == way]
+        rows = [summary(name, [fit for fit in own if fit["name"] == name]) for name in names]
+        tables[way] = [*rows, {**summary("all", own), "harmonics": ""}]
+    return tables
 
 
 def show(rows):
@@ -315,9 +338,9 @@ def main():
         show([small_signal(how, a, first) for a in (0.02, 0.005) for how in AMPLITUDES])
     if "noise" in options.parts:
         seeds = range(first, first + options.seeds)
-        for given in (True, False):
-            print("harmonics given" if given else "harmonics chosen")
-            show(with_noise(seeds, given, n_jobs=options.jobs))
+        for way, rows in with_noise(seeds, n_jobs=options.jobs).items():
+            print(f"harmonics {way}")
+            show(rows)
 
 
 if __name__ == "__main__":

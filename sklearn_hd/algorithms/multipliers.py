@@ -31,6 +31,7 @@ SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
 LARGEST_MULTIPLIER = 1e3
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
 ROUNDING = 1e-15
+MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 RANK = 1e-11  # of columns of length one; dependent ones leave 1e-15
 
 
@@ -125,7 +126,7 @@ def _best_of(left, blocks):
         start = np.concatenate([characteristic(block * (value / size)) for block in blocks])
         searches.append(
             least_squares(
-                left, start, x_scale="jac", xtol=1e-15, ftol=1e-12, gtol=1e-15, max_nfev=60
+                left, start, x_scale="jac", xtol=1e-15, ftol=1e-12, gtol=1e-15, max_nfev=MAX_STEPS
             )
         )
     return min(searches, key=lambda search: search.cost)
