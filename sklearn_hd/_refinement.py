@@ -207,5 +207,5 @@ def _climb(best, name, ahead, fit):
 
 
 def _hopeless(at, best):
-    """Whether no part of a model class can have the smaller criterion: fewer parameters fit worse."""
+    """Whether no part of a model class can have a smaller criterion: it fits worse, if anything."""
     return 2.0 * at.result.cost >= best.result.aic

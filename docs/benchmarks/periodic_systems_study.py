@@ -285,9 +285,7 @@ def rms(values):
 def summary(name, fits):
     """One row of the table of noise."""
     right = [fit for fit in fits if "e" in fit]
-    z, exponents = (
-        np.concatenate([fit[key] for fit in right]) for key in ("z", "z_exponents")
-    )
+    z, exponents = (np.concatenate([fit[key] for fit in right]) for key in ("z", "z_exponents"))
     counts = Counter(fit["harmonics"] for fit in right)
     usual, times = counts.most_common(1)[0]
     return {
