@@ -18,7 +18,6 @@ from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._periodic import PeriodicModel
 from sklearn_hd.algorithms.equation_error import equation_error
-from sklearn_hd.algorithms.floquet import propagate_periodic
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale, floquet_coordinates
 from sklearn_hd.algorithms.fourier import sampled_harmonics
 from sklearn_hd.algorithms.lifting import input_directions
@@ -34,6 +33,7 @@ from sklearn_hd.algorithms.periodic_realization import (
     without_noise,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.sensitivity import linear_response
 from sklearn_hd.algorithms.shape_exponents import refine_within_period
 from sklearn_hd.algorithms.structured_model import column_sizes
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -413,7 +413,7 @@ class _InputProblem:
         gains, left, unknown = self._least_squares(linear)
         n_rows, rss = len(left), np.sum(left**2, axis=0)
         found = linear.coefficients(gains)
-        theta = project(full, found)
+        theta = full.nearest(found)
         basis = self.experiment.basis
         model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
         if self.form is not None:
@@ -432,7 +432,7 @@ class _InputProblem:
         for name, part in (("F", guess[:, :n, :n]), ("P", guess[:, n:, :n])):
             part[: len(self.free[name])] = self.free[name][: len(part)]
         constant = full.constant.copy()
-        constant[:, :, :n] = full.coefficients(project(full, guess))[:, :, :n]
+        constant[:, :, :n] = full.coefficients(full.nearest(guess))[:, :, :n]
         columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
         entries = sparse.csr_array(full.basis * (columns >= n))  # not F's that share a name
         entries.eliminate_zeros()
@@ -485,39 +485,3 @@ class _InputProblem:
     @property
     def omega(self):
         return self.experiment.basis.omega
-
-
-def linear_response(response, u, phase):
-    """Outputs of one segment per unit parameter, at θ = 0, and per unit initial state.
-
-    Returns
-    -------
-    forced : ndarray, shape (n_samples, l, k)
-    given : ndarray, shape (n_samples, l)
-    free : ndarray, shape (n_samples, l, n)
-    """
-    n = response.n_states
-    p, q = len(response.Psi), len(response.Out)
-    at, seen = phase % p, phase % q
-    Phi = np.roll(response.Phi, -at[0], axis=0)
-    inputs = np.concatenate([response.dPsi[:, :, :, n:], response.Psi[None, :, :, n:]])
-    forcing = np.einsum("ktim,tm->kti", inputs[:, at], u)
-    forcing = np.concatenate([forcing, np.zeros((n, *forcing.shape[1:]))])
-    starts = np.zeros((len(forcing), n))
-    starts[-n:] = np.eye(n)
-    states = propagate_periodic(Phi, forcing, starts)
-    outputs = np.einsum("tli,kti->tlk", response.Out[seen][:, :, :n], states)
-    k = len(response.dPsi)
-    outputs[:, :, :k] += np.einsum("ktlm,tm->tlk", response.dOut[:, seen][:, :, :, n:], u)
-    given = outputs[:, :, k] + np.einsum("tlm,tm->tl", response.Out[seen][:, :, n:], u)
-    return outputs[:, :, :k], given, outputs[:, :, k + 1 :]
-
-
-def project(structure, coefficients):
-    """Parameters of the structure whose coefficients are nearest to some given ones."""
-    gap = np.zeros(structure.constant.shape)
-    gap[: len(coefficients)] = coefficients[: len(gap)]
-    gap -= structure.constant
-    basis = structure.basis
-    gram = (basis @ basis.T).toarray()
-    return linalg.solve(gram, basis @ gap.ravel(), assume_a="pos") if len(gram) else np.zeros(0)

@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 
 from sklearn_hd._match import Uncertainty, periodic_match
-from sklearn_hd._realization import project
 from sklearn_hd.algorithms.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.uncertainty import floquet_exponent_std
@@ -169,7 +168,7 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
 
     def fit(counts, near, noise=None):
         resolved = structure.resolve(*names, counts)
-        theta = project(resolved, near)
+        theta = resolved.nearest(near)
         result = refine_periodic(resolved, theta, experiment, max_iter, noise)
         return _Candidate(counts, resolved, result)
 

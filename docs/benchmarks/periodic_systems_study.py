@@ -193,8 +193,8 @@ def true_parameters(system, harmonics):
     for block, part in ((truth[:, :n, :n], system.F), (truth[:, :n, n:], system.G)):
         count = min(len(block), len(part.coefficients))
         block[:count] = part.coefficients[:count]
-    theta = structure.basis @ (truth - structure.constant).ravel()
-    return structure, pd.Series(theta, structure.parameter_names)
+    truth[0, n:, :n] = np.eye(n)
+    return structure, pd.Series(structure.nearest(truth), structure.parameter_names)
 
 
 @cache
