@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from periodic_cases import record, same_exponents, synchronous
-from scipy import linalg
+from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
 from sklearn_hd.algorithms.equation_error import equation_error
@@ -135,6 +135,22 @@ def test_a_state_that_stands_out_of_the_noise_counts(faint, n_states):
         rng = np.random.default_rng(seed)
         directions, lifted = answers_to_a_step(np.diag([0.6, -0.3]), rng, noise=0.3, faint=faint)
         assert len(order_by_residual(candidates, directions, lifted)) == n_states
+
+
+def test_candidates_that_outgrow_numbers_are_passed_over(rng):
+    directions, lifted = answers_to_a_step(np.diag([0.6, -0.3]), rng, noise=1e-2)
+    candidates = [np.diag([0.6, -0.3, 400.0, 2.0][:n]) for n in range(1, 5)]
+    with np.errstate(all="raise", under="ignore"):
+        assert len(order_by_residual(candidates, directions, lifted)) == 2
+
+
+def test_no_start_outgrows_numbers(rng):
+    """1.49 a period over 2000 periods: 1e346."""
+    w = rng.choice([-1.0, 1.0], size=(2000, 1))
+    z = signal.lfilter([0.0, 1.0], [1.0, -0.5], w[:, 0])
+    start = np.array([[1.49]])
+    with np.errstate(all="raise", under="ignore"):
+        assert refine_multipliers(start, [w], [z[:, None]]).Phi is start
 
 
 # ---- equation error ------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = [
+    "LARGEST_RESPONSE",
     "RefinedMap",
     "characteristic",
     "compact",
@@ -29,6 +30,7 @@ __all__ = [
 
 SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
 LARGEST_MULTIPLIER = 1e3
+LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
 ROUNDING = 1e-15
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
@@ -90,6 +92,7 @@ def refine_multipliers(Phi, directions, lifted):
     ):
         return RefinedMap(Phi)
     largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
+    largest = min(largest, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
     if np.max(np.abs(multipliers)) >= largest:
         return RefinedMap(Phi)
     basis, blocks = invariant_blocks(Phi)

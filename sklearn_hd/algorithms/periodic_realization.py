@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.multipliers import (
+    LARGEST_RESPONSE,
     compact,
     mode_responses,
     mode_steps,
@@ -78,14 +79,13 @@ def order_by_residual(candidates, directions, lifted):
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
         refined = refine_multipliers(Phi, directions, lifted).Phi
-        left.append(_left_by(refined, directions, target))
-        rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
-        impossible = refined.size == 1 and refined.item() < 0.0  # one state cannot change sign
-        bic.append(
-            np.inf
-            if impossible
-            else n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free)
-        )
+        if not _is_possible(refined, max(map(len, lifted))):
+            left.append(target)
+            bic.append(np.inf)
+        else:
+            left.append(_left_by(refined, directions, target))
+            rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
+            bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
@@ -101,6 +101,15 @@ def order_by_residual(candidates, directions, lifted):
         drops = np.flatnonzero(sizes[:-1] >= SQUARE_DROP**0.5 * sizes[1:])
         best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
     return candidates[max(best, 1) - 1]
+
+
+def _is_possible(Phi, n_periods):
+    """Whether a periodic system may have this map: one state alone cannot change sign from period
+    to period, and what outgrows numbers within a record was not recorded."""
+    if Phi.size == 1 and Phi.item() < 0.0:
+        return False
+    largest = np.max(np.abs(linalg.eigvals(Phi)))
+    return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
 
 
 def _left_by(Phi, directions, target):
