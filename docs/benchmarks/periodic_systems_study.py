@@ -234,22 +234,24 @@ def noisy_fits(name, seed, ways=("given", "chosen"), kind="3-2-1-1"):
 
     The numbers of harmonics of F and G are given to the fit, or chosen by it.
     """
-    system, fits = SYSTEMS[name](), []
+    system = SYSTEMS[name]()
     u, y, sigma = noisy_record(name, seed, kind)
     smallest = bound(name, u.to_numpy(), sigma, SPP[kind])
+    fits = [{"name": name, "seed": seed, "way": way, "bound": smallest} for way in ways]
     pipe = pipeline(system.omega, "output_error")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        frame = pipe[:3].fit(u, y).transform(u)
-        for way in ways:
-            fit = {"name": name, "seed": seed, "way": way, "bound": smallest}
-            structure = HarmonicStructure(**true_harmonics(system) if way == "given" else {})
+        try:
+            frame = pipe[:3].fit(u, y).transform(u)
+        except Exception:
+            return [{**fit, "failure": traceback.format_exc(limit=-1)} for fit in fits]
+        for fit in fits:
+            given = true_harmonics(system) if fit["way"] == "given" else {}
+            pipe["match"].set_params(structure=HarmonicStructure(**given))
             try:
-                match = pipe["match"].set_params(structure=structure).fit(frame, y)
-                fit |= errors_under_noise(match, system)
+                fit |= errors_under_noise(pipe["match"].fit(frame, y), system)
             except Exception:
                 fit["failure"] = traceback.format_exc(limit=-1)
-            fits.append(fit)
     return fits
 
 
