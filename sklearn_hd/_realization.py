@@ -7,6 +7,7 @@
 3. G(ψ) and Q(ψ) by linear least squares on the raw record.
 """
 
+import warnings
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,7 +18,6 @@ from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._periodic import PeriodicModel
 from sklearn_hd.algorithms.equation_error import equation_error
-from sklearn_hd.algorithms.floquet import propagate_periodic
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale, floquet_coordinates
 from sklearn_hd.algorithms.fourier import sampled_harmonics
 from sklearn_hd.algorithms.lifting import input_directions
@@ -33,8 +33,10 @@ from sklearn_hd.algorithms.periodic_realization import (
     without_noise,
 )
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.sensitivity import linear_response
 from sklearn_hd.algorithms.shape_exponents import refine_within_period
 from sklearn_hd.algorithms.structured_model import column_sizes
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 MAX_GROWTH = 100.0  # e-folds over a record
@@ -118,12 +120,17 @@ def realize(model, experiment, structure):
     scale = output_scale(experiment)
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
-    except (FloquetError, GrowthError):
+    except (FloquetError, GrowthError) as error:
         other = _from_equation_error(model, experiment, structure, scale)
         if other is None or other.systematic > MOST_SYSTEMATIC:
             raise  # not noise, but the order is at fault
-        return other
-    if noise > NOISY and 1.0 - found.r2 > NOISY**2:
+        return _told(other, model, f"is that of no periodic system ({error})")
+    if len(structure.states or experiment.basis.outputs) != model.n_states:
+        if structure.n_states is None and found.systematic > MOST_SYSTEMATIC:
+            other = _from_equation_error(model, experiment, structure, scale)
+            if other is not None and other.systematic <= MOST_SYSTEMATIC:
+                return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
+    elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
         enough = CLEARLY_LESS if found.physical else HARDLY_MORE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
@@ -131,12 +138,27 @@ def realize(model, experiment, structure):
     return found
 
 
+def _told(realization, model, why):
+    """A realization by measured states, after a warning if it has another number of states."""
+    n = realization.model.n_states
+    if n != model.n_states:
+        warnings.warn(
+            f"the model identified has {model.n_states} state(s), and {why}; with the {n} outputs "
+            f"{list(realization.model.state_names)} as states all but noise is explained, and they "
+            f"are taken; MOESPRegressor(order={n}) asks for them, HarmonicStructure(states=[...]) "
+            f"for others",
+            IdentifiabilityWarning,
+            stacklevel=7,
+        )
+    return realization
+
+
 def _from_equation_error(model, experiment, structure, scale):
     """The realization of measured states' F(ψ) by linear least squares; None if there is none."""
     basis = experiment.basis
     names = [name for name, _ in basis.outputs]
     states = list(structure.states or names)
-    if len(states) != model.n_states or set(states) != set(names):
+    if structure.n_states not in (None, len(states)) or set(states) != set(names):
         return None
     rows = [names.index(name) for name in states]
     spp = basis.samples_per_period
@@ -391,7 +413,7 @@ class _InputProblem:
         gains, left, unknown = self._least_squares(linear)
         n_rows, rss = len(left), np.sum(left**2, axis=0)
         found = linear.coefficients(gains)
-        theta = project(full, found)
+        theta = full.nearest(found)
         basis = self.experiment.basis
         model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
         if self.form is not None:
@@ -410,7 +432,7 @@ class _InputProblem:
         for name, part in (("F", guess[:, :n, :n]), ("P", guess[:, n:, :n])):
             part[: len(self.free[name])] = self.free[name][: len(part)]
         constant = full.constant.copy()
-        constant[:, :, :n] = full.coefficients(project(full, guess))[:, :, :n]
+        constant[:, :, :n] = full.coefficients(full.nearest(guess))[:, :, :n]
         columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
         entries = sparse.csr_array(full.basis * (columns >= n))  # not F's that share a name
         entries.eliminate_zeros()
@@ -463,39 +485,3 @@ class _InputProblem:
     @property
     def omega(self):
         return self.experiment.basis.omega
-
-
-def linear_response(response, u, phase):
-    """Outputs of one segment per unit parameter, at θ = 0, and per unit initial state.
-
-    Returns
-    -------
-    forced : ndarray, shape (n_samples, l, k)
-    given : ndarray, shape (n_samples, l)
-    free : ndarray, shape (n_samples, l, n)
-    """
-    n = response.n_states
-    p, q = len(response.Psi), len(response.Out)
-    at, seen = phase % p, phase % q
-    Phi = np.roll(response.Phi, -at[0], axis=0)
-    inputs = np.concatenate([response.dPsi[:, :, :, n:], response.Psi[None, :, :, n:]])
-    forcing = np.einsum("ktim,tm->kti", inputs[:, at], u)
-    forcing = np.concatenate([forcing, np.zeros((n, *forcing.shape[1:]))])
-    starts = np.zeros((len(forcing), n))
-    starts[-n:] = np.eye(n)
-    states = propagate_periodic(Phi, forcing, starts)
-    outputs = np.einsum("tli,kti->tlk", response.Out[seen][:, :, :n], states)
-    k = len(response.dPsi)
-    outputs[:, :, :k] += np.einsum("ktlm,tm->tlk", response.dOut[:, seen][:, :, :, n:], u)
-    given = outputs[:, :, k] + np.einsum("tlm,tm->tl", response.Out[seen][:, :, n:], u)
-    return outputs[:, :, :k], given, outputs[:, :, k + 1 :]
-
-
-def project(structure, coefficients):
-    """Parameters of the structure whose coefficients are nearest to some given ones."""
-    gap = np.zeros(structure.constant.shape)
-    gap[: len(coefficients)] = coefficients[: len(gap)]
-    gap -= structure.constant
-    basis = structure.basis
-    gram = (basis @ basis.T).toarray()
-    return linalg.solve(gram, basis @ gap.ravel(), assume_a="pos") if len(gram) else np.zeros(0)

@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 
 from sklearn_hd._match import Uncertainty, periodic_match
-from sklearn_hd._realization import project
 from sklearn_hd.algorithms.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.uncertainty import floquet_exponent_std
@@ -171,7 +170,7 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
 
     def fit(counts, near, noise=None):
         resolved = structure.resolve(*names, counts)
-        theta = project(resolved, near)
+        theta = resolved.nearest(near)
         result = refine_periodic(resolved, theta, experiment, max_iter, noise)
         return _Candidate(counts, resolved, result)
 
@@ -203,6 +202,11 @@ def _climb(best, name, ahead, fit):
         at = fit({**at.counts, name: count}, at.resolved.coefficients(at.result.theta))
         worse = 0 if at.result.aic < best.result.aic else worse + 1
         best = at if worse == 0 else best
-        if worse == PATIENCE:
+        if worse == PATIENCE or (count < best.counts[name] and _hopeless(at, best)):
             break
     return best
+
+
+def _hopeless(at, best):
+    """Whether no part of a model class can have a smaller criterion: it fits worse, if anything."""
+    return 2.0 * at.result.cost >= best.result.aic

@@ -145,6 +145,22 @@ def test_parameters_may_be_shared_and_the_basis_sparse(rng):
     )  # fmt: skip
 
 
+def test_the_nearest_parameters(rng):
+    """Their own come back, too many harmonics are cut off, missing ones are zero."""
+    structure = free_structure(rng, 2, 1, 2, 2, outputs=2)
+    theta = rng.standard_normal(structure.n_parameters)
+    M = structure.coefficients(theta)
+    np.testing.assert_allclose(structure.nearest(M), theta, atol=1e-13)
+    longer = np.concatenate([M, rng.standard_normal((4, *M.shape[1:]))])
+    np.testing.assert_allclose(structure.nearest(longer), theta, atol=1e-13)
+    fewer = structure.coefficients(structure.nearest(M[:3]))
+    np.testing.assert_allclose(fewer, np.concatenate([M[:3], 0.0 * M[3:]]), atol=1e-13)
+    shared = PeriodicStructure(np.zeros((1, 2, 1)), [[[[1.0], [-1.0]]]], 1, ("rate",))
+    np.testing.assert_allclose(shared.nearest(np.array([[[3.0], [-1.0]]])), [2.0])
+    none = PeriodicStructure(np.zeros((1, 2, 1)), np.zeros((0, 1, 2, 1)), 1, ())
+    assert none.nearest(np.zeros((1, 2, 1))).shape == (0,)
+
+
 def test_a_system_without_inputs_or_parameters(rng):
     constant = rng.standard_normal((3, 3, 2))
     structure = PeriodicStructure(constant, np.zeros((0, 3, 3, 2)), 2, ())

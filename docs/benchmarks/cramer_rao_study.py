@@ -86,8 +86,7 @@ class Case:
         M = np.zeros((9, 4, 3))
         M[:, :2, :2], M[:3, :2, 2:], M[0, 2:, :2] = F, G, np.eye(2)
         resolved = self.periodic(4, 1)
-        gap = (M - resolved.constant).ravel()
-        self.theta = np.linalg.lstsq(resolved.basis.toarray().T, gap)[0]
+        self.theta = resolved.nearest(M)
 
     @staticmethod
     def periodic(F, G):
@@ -136,8 +135,7 @@ class Case:
             G = self.data.ltp.fourier_coefficients(1)[1]
             start[: len(F), :2, :2], start[0, 2:, :2] = F, np.eye(2)
             start[: min(3, len(start)), :2, 2:] = G[: min(3, len(start))]
-            gap = (start - structure.constant).ravel()
-            theta = np.linalg.lstsq(structure.basis.toarray().T, gap)[0]
+            theta = structure.nearest(start)
             # the fit of the class to the clean record, each output weighed as under noise
             theta = output_error(structure, record, self.omega, SPP, theta, sigma=sigma).theta
         found = fisher_information(

@@ -10,9 +10,11 @@ period-synchronous route: no truth is used, the order is found from the data.
   at every sample.
 - Duffing: the same against its linearisation about the trim, from one record, from a ± pair,
   and from four amplitudes extrapolated to zero.
-- White noise of 1/20 of each output's standard deviation, criterion="output_error": errors
-  of the exponents in standard deviations (``eigenvalues_``), and the share of 95 % intervals
-  that hold the truth. Fits that end in an exception are counted.
+- White noise of 1/20 of each output's standard deviation, criterion="output_error", the
+  numbers of harmonics of F and G given (truth inside the model class), then chosen from each
+  record: error of the N = 1 state matrix relative to its Cramér-Rao bound, errors of the
+  parameters (``theta_``) and of the exponents (``eigenvalues_``) in standard deviations, and
+  the share of 95 % intervals that hold the truth. Fits that end in an exception are counted.
 
     python docs/benchmarks/periodic_systems_study.py --seeds 40 --first-seed 1000
 """
@@ -20,10 +22,13 @@ period-synchronous route: no truth is used, the order is found from the data.
 import argparse
 import traceback
 import warnings
+from collections import Counter
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from joblib import Parallel, delayed
 from scipy.optimize import linear_sum_assignment
 from sklearn.pipeline import Pipeline
 
@@ -34,6 +39,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd.algorithms.uncertainty import fisher_information
 from sklearn_hd.systems import (
     LTPSystem,
     coupled_oscillators,
@@ -174,53 +180,143 @@ def small_signal(how, amplitude, seed=0, n_periods=80, spp=32):
 # ---- noise -------------------------------------------------------------------------------------
 
 
-def with_noise(name, seeds, kind="3-2-1-1", n_periods=160):
-    """One row: errors of the exponents in standard deviations, over some seeds."""
-    system, scores, inside, wrong_order, failures = SYSTEMS[name](), [], [], 0, []
-    relative, counts = [], []
-    for seed in seeds:
-        u, clean = record(system, kind, seed, n_periods)
-        noise = np.random.default_rng([seed, 1]).standard_normal(clean.shape)
-        y = clean + clean.std().to_numpy() / SNR * noise
+def true_harmonics(system):
+    """Highest harmonics of F and G."""
+    return {"F": len(system.F.coefficients) // 2, "G": len(system.G.coefficients) // 2}
+
+
+def true_parameters(system, harmonics):
+    """Truth by the names of theta_, zero where the system has no such harmonic."""
+    states, inputs = system.state_names, system.input_names
+    structure = HarmonicStructure().resolve(states, inputs, states, harmonics)
+    n, truth = system.n_states, np.zeros(structure.constant.shape)
+    for block, part in ((truth[:, :n, :n], system.F), (truth[:, :n, n:], system.G)):
+        count = min(len(block), len(part.coefficients))
+        block[:count] = part.coefficients[:count]
+    truth[0, n:, :n] = np.eye(n)
+    return structure, pd.Series(structure.nearest(truth), structure.parameter_names)
+
+
+@cache
+def state_matrix_slopes(name):
+    """Derivatives of the N = 1 state matrix by the parameters of the truth's structure."""
+    system = SYSTEMS[name]()
+    structure, _ = true_parameters(system, true_harmonics(system))
+    n = system.n_states
+
+    def decompose(coefficients):
+        F, G = coefficients[:, :n, :n], coefficients[:, :n, n:]
+        return LTPSystem(F, G, omega=system.omega).harmonic_decomposition(1).A
+
+    rates = structure.basis.toarray().reshape(-1, *structure.constant.shape)
+    origin = decompose(structure.constant)
+    return np.array([decompose(structure.constant + rate) - origin for rate in rates])
+
+
+def bound(name, u, sigma, spp):
+    """Cramér-Rao bound on the rms error of the N = 1 state matrix, the start not known."""
+    system, slopes = SYSTEMS[name](), state_matrix_slopes(name)
+    structure, theta = true_parameters(system, true_harmonics(system))
+    found = fisher_information(structure, theta, [(u, None, 0)], system.omega, spp, sigma)
+    return np.sqrt(np.einsum("kij,kl,lij->", slopes, found.covariance, slopes))
+
+
+def noisy_record(name, seed, kind="3-2-1-1", n_periods=160):
+    """Inputs, outputs with noise, and its standard deviations."""
+    u, clean = record(SYSTEMS[name](), kind, seed, n_periods)
+    sigma = clean.std().to_numpy() / SNR
+    noise = np.random.default_rng([seed, 1]).standard_normal(clean.shape)
+    return u, clean + sigma * noise, sigma
+
+
+def noisy_fits(name, seed, ways=("given", "chosen"), kind="3-2-1-1"):
+    """Errors of the fits to one record; where there is none, what was raised.
+
+    The numbers of harmonics of F and G are given to the fit, or chosen by it.
+    """
+    system = SYSTEMS[name]()
+    u, y, sigma = noisy_record(name, seed, kind)
+    smallest = bound(name, u.to_numpy(), sigma, SPP[kind])
+    fits = [{"name": name, "seed": seed, "way": way, "bound": smallest} for way in ways]
+    pipe = pipeline(system.omega, "output_error")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                pipe = pipeline(system.omega, "output_error").fit(u, y)
+            frame = pipe[:3].fit(u, y).transform(u)
         except Exception:
-            failures.append(f"{name} {seed}: {traceback.format_exc(limit=-1)}")
-            continue
-        match = pipe["match"]
-        if len(match.eigenvalues_) != system.n_states:
-            wrong_order += 1
-            continue
-        table = match.eigenvalues_
-        rows, gap = nearest_exponents(table["eigenvalue"], system)
-        relative.append(np.max(np.abs(gap)) / np.max(np.abs(system.floquet_exponents())))
-        for part, std in (
-            (gap.real, table["std_real"].to_numpy()[rows]),
-            (gap.imag, table["std_imag"].to_numpy()[rows]),
-        ):
-            moves = std > 0.0
-            z = part[moves] / std[moves]
-            scores.extend(z)
-            inside.extend(np.abs(z) < 1.959964)
-        counts.append((match.ltp_.F.n_harmonics, match.ltp_.G.n_harmonics))
-    usual = max(set(counts), key=counts.count) if counts else (0, 0)
-    share = counts.count(usual) / max(1, len(counts))
-    for text in failures:
-        print(text)
+            return [{**fit, "failure": traceback.format_exc(limit=-1)} for fit in fits]
+        for fit in fits:
+            given = true_harmonics(system) if fit["way"] == "given" else {}
+            pipe["match"].set_params(structure=HarmonicStructure(**given))
+            try:
+                fit |= errors_under_noise(pipe["match"].fit(frame, y), system)
+            except Exception:
+                fit["failure"] = traceback.format_exc(limit=-1)
+    return fits
+
+
+def errors_under_noise(match, system):
+    """Order; of the right one: error of the N = 1 state matrix, and others in deviations."""
+    table = match.eigenvalues_
+    if len(table) != system.n_states:
+        return {"order": len(table)}
+    gap = match.ltp_.harmonic_decomposition(1).A - system.harmonic_decomposition(1).A
+    harmonics = {part: match.periodic_.highest(part) for part in "FG"}
+    truth = true_parameters(system, harmonics)[1]
+    rows, exponents = nearest_exponents(table["eigenvalue"], system)
+    exponents = np.column_stack([exponents.real, exponents.imag])
+    std = table[["std_real", "std_imag"]].to_numpy()[rows]
+    return {
+        "order": system.n_states,
+        "e": np.linalg.norm(gap),
+        "harmonics": "F {F}, G {G}".format(**harmonics),
+        "z": ((match.theta_ - truth) / match.theta_std_).to_numpy(),
+        "z_exponents": exponents[std > 0.0] / std[std > 0.0],
+    }
+
+
+def inside(z):
+    """Share of 95 % intervals that hold the truth."""
+    return np.mean(np.abs(z) < 1.959964)
+
+
+def rms(values):
+    return np.sqrt(np.mean(np.square(values)))
+
+
+def summary(name, fits):
+    """One row of the table of noise."""
+    right = [fit for fit in fits if "e" in fit]
+    z, exponents = (np.concatenate([fit[key] for fit in right]) for key in ("z", "z_exponents"))
+    counts = Counter(fit["harmonics"] for fit in right)
+    usual, times = counts.most_common(1)[0]
     return {
         "system": name,
-        "input": kind,
-        "seeds": len(seeds),
-        "median_err": np.median(relative) if relative else np.nan,
-        "rms_z": np.sqrt(np.mean(np.square(scores))),
-        "median_abs_z": np.median(np.abs(scores)),
-        "coverage": np.mean(inside),
-        "harmonics": f"F {usual[0]}, G {usual[1]} ({share:.0%})",
-        "wrong_order": wrong_order,
-        "failures": len(failures),
+        "seeds": len(fits),
+        "rms_e/bound": rms([fit["e"] / fit["bound"] for fit in right]),
+        "rms_z": rms(z),
+        "coverage": inside(z),
+        "rms_z_exponents": rms(exponents),
+        "coverage_exponents": inside(exponents),
+        "harmonics": f"{usual} ({times / len(right):.0%})",
+        "wrong_order": sum("order" in fit for fit in fits) - len(right),
+        "failures": sum("failure" in fit for fit in fits),
     }
+
+
+def with_noise(seeds, ways=("given", "chosen"), names=tuple(SYSTEMS), n_jobs=1):
+    """Rows by way of taking the harmonics: one for each system, one for all of them pooled."""
+    jobs = [delayed(noisy_fits)(name, seed, ways) for name in names for seed in seeds]
+    fits = [fit for pair in Parallel(n_jobs=n_jobs)(jobs) for fit in pair]
+    for fit in fits:
+        if "failure" in fit:
+            print(fit["name"], fit["seed"], fit["way"], fit["failure"])
+    tables = {}
+    for way in ways:
+        own = [fit for fit in fits if fit["way"] == way]
+        rows = [summary(name, [fit for fit in own if fit["name"] == name]) for name in names]
+        tables[way] = [*rows, {**summary("all", own), "harmonics": ""}]
+    return tables
 
 
 def show(rows):
@@ -233,6 +329,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--parts", nargs="+", default=["clean", "nonlinear", "noise"])
+    parser.add_argument("--jobs", type=int, default=1, help="processes for the fits under noise")
     options = parser.parse_args()
     first = options.first_seed
     if "clean" in options.parts:
@@ -241,7 +338,9 @@ def main():
         show([small_signal(how, a, first) for a in (0.02, 0.005) for how in AMPLITUDES])
     if "noise" in options.parts:
         seeds = range(first, first + options.seeds)
-        show([with_noise(name, seeds) for name in SYSTEMS])
+        for way, rows in with_noise(seeds, n_jobs=options.jobs).items():
+            print(f"harmonics {way}")
+            show(rows)
 
 
 if __name__ == "__main__":

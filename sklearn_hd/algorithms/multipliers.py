@@ -16,20 +16,25 @@ from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = [
+    "LARGEST_RESPONSE",
     "RefinedMap",
     "characteristic",
     "compact",
     "invariant_blocks",
     "mode_responses",
     "mode_steps",
+    "orthonormal_range",
     "refine_multipliers",
     "with_characteristic",
 ]
 
 SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
 LARGEST_MULTIPLIER = 1e3
+LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
 ROUNDING = 1e-15
+MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
+RANK = 1e-11  # of columns of length one; dependent ones leave 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +92,7 @@ def refine_multipliers(Phi, directions, lifted):
     ):
         return RefinedMap(Phi)
     largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
+    largest = min(largest, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
     if np.max(np.abs(multipliers)) >= largest:
         return RefinedMap(Phi)
     basis, blocks = invariant_blocks(Phi)
@@ -96,8 +102,7 @@ def refine_multipliers(Phi, directions, lifted):
         steps = _companions(coefficients, blocks)
         if not max(np.max(np.abs(linalg.eigvals(step))) for step in steps) < largest:
             return target.ravel()
-        regressors = np.vstack(mode_responses(steps, directions))
-        Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+        Q = orthonormal_range(np.vstack(mode_responses(steps, directions)))
         return (target - Q @ (Q.T @ target)).ravel()
 
     found = _best_of(left, blocks)
@@ -124,7 +129,7 @@ def _best_of(left, blocks):
         start = np.concatenate([characteristic(block * (value / size)) for block in blocks])
         searches.append(
             least_squares(
-                left, start, x_scale="jac", xtol=1e-15, ftol=1e-12, gtol=1e-15, max_nfev=60
+                left, start, x_scale="jac", xtol=1e-15, ftol=1e-12, gtol=1e-15, max_nfev=MAX_STEPS
             )
         )
     return min(searches, key=lambda search: search.cost)
@@ -226,6 +231,37 @@ def compact(stacked):
     if stacked.shape[1] <= len(stacked):
         return stacked
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
+
+
+def orthonormal_range(columns, beyond=None):
+    """Orthonormal columns that span what some columns do, dependent ones left out.
+
+    What a mode answers to a step is the step less its answers to the step's edges: nothing
+    new where edges have directions of their own. An orthonormal column in its place would
+    be any direction, would fit noise, and would jump as multipliers move.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n_rows, n_columns)
+    beyond : ndarray, shape (n_rows, n_known), optional
+        Orthonormal; what they span is left out.
+
+    Returns
+    -------
+    Q : ndarray, shape (n_rows, rank)
+
+    Examples
+    --------
+    >>> orthonormal_range(np.array([[2.0, 1.0], [2.0, 1.0]])).round(6).tolist()
+    [[-0.707107], [-0.707107]]
+    """
+    columns = columns / column_sizes(columns)
+    if beyond is not None:
+        columns = columns - beyond @ (beyond.T @ columns)
+    if not columns.size:
+        return columns
+    Q, R, _ = linalg.qr(columns, mode="economic", pivoting=True)
+    return Q[:, np.abs(np.diag(R)) > RANK]
 
 
 def mode_steps(Phi):

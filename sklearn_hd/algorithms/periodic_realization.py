@@ -16,9 +16,11 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.multipliers import (
+    LARGEST_RESPONSE,
     compact,
     mode_responses,
     mode_steps,
+    orthonormal_range,
     refine_multipliers,
 )
 from sklearn_hd.algorithms.simulation import propagate, real_logarithm
@@ -40,7 +42,7 @@ __all__ = [
 BIC_PATIENCE = 2
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
-CLEARLY_WHITE = 1.1  # white noise of these sizes stays within 2 % of its expectation
+TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
 NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
 UNSEEN = 1e-9
@@ -77,19 +79,20 @@ def order_by_residual(candidates, directions, lifted):
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
         refined = refine_multipliers(Phi, directions, lifted).Phi
-        left.append(_left_by(refined, directions, target))
-        rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
-        impossible = refined.size == 1 and refined.item() < 0.0  # one state cannot change sign
-        bic.append(
-            np.inf
-            if impossible
-            else n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free)
-        )
+        if not _is_possible(refined, max(map(len, lifted))):
+            left.append(target)
+            bic.append(np.inf)
+        else:
+            left.append(_left_by(refined, directions, target))
+            rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
+            bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
     white = [
-        n for n in range(max(best, 1), len(left)) if _is_white(left[n], n_columns, CLEARLY_WHITE)
+        n
+        for n in range(max(best, 1), len(left))
+        if _is_noise(left[n], len(target) - r - n, n_columns)
     ]
     if white:  # more states than the criterion pays for, if fewer leave what is no noise
         best = white[0]
@@ -100,6 +103,15 @@ def order_by_residual(candidates, directions, lifted):
     return candidates[max(best, 1) - 1]
 
 
+def _is_possible(Phi, n_periods):
+    """Whether a periodic system may have this map: one state alone cannot change sign from period
+    to period, and what outgrows numbers within a record was not recorded."""
+    if Phi.size == 1 and Phi.item() < 0.0:
+        return False
+    largest = np.max(np.abs(linalg.eigvals(Phi)))
+    return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
+
+
 def _left_by(Phi, directions, target):
     """Lifted outputs less what inputs and as many states as Φ has can explain.
 
@@ -107,19 +119,13 @@ def _left_by(Phi, directions, target):
     initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
     them together would fit the noise, the more the more directions the inputs have.
     """
-    regressors = np.vstack(mode_responses(mode_steps(Phi), directions))
-    if regressors.shape[1] == 0:
-        return target
-    Q, r = (
-        linalg.qr(regressors / column_sizes(regressors), mode="economic")[0],
-        len(directions[0].T),
-    )
-    left = target - Q[:, :r] @ (Q[:, :r].T @ target)
-    if len(Phi) == 0:
-        return left
-    within = Q[:, r:].T @ left
+    regressors, r = np.vstack(mode_responses(mode_steps(Phi), directions)), len(directions[0].T)
+    Q = orthonormal_range(regressors[:, :r])
+    left = target - Q @ (Q.T @ target)
+    Q = orthonormal_range(regressors[:, r:], beyond=Q)
+    within = Q.T @ left
     U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
-    return left - Q[:, r:] @ (U @ (U.T @ within))
+    return left - Q @ (U @ (U.T @ within))
 
 
 def leaves_white_noise(Phi, directions, lifted):
@@ -145,8 +151,7 @@ def without_noise(Phi, directions, lifted):
     explained : list of ndarray, shapes (n_periods_s, q)
     """
     steps = mode_steps(Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi)))))
-    regressors = np.vstack(mode_responses(steps, directions))
-    Q = linalg.qr(regressors / column_sizes(regressors), mode="economic")[0]
+    Q = orthonormal_range(np.vstack(mode_responses(steps, directions)))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
 
@@ -167,6 +172,26 @@ def _is_white(rest, n_columns, margin=WHITE_MARGIN):
     sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
     largest = np.linalg.norm(rest, 2)
     return largest <= margin * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
+
+
+def _is_noise(rest, n_rows, n_columns):
+    """Whether the strongest direction of what is left may be white noise's (Johnstone, 2001).
+
+    Its variance in parts of the noise's, less its expectation, in parts of its spread has
+    Tracy and Widom's distribution.
+
+    Parameters
+    ----------
+    rest : ndarray, shape (n_periods, n_columns or fewer)
+        Of the same scalar products as what is left.
+    n_rows : int
+        Periods less the directions taken out.
+    n_columns : int
+    """
+    variance = float(np.sum(rest**2)) / (n_rows * n_columns)
+    a, b = np.sqrt(n_rows - 1.0), np.sqrt(n_columns)
+    spread = (a + b) * (1.0 / a + 1.0 / b) ** (1.0 / 3.0)
+    return bool(np.linalg.norm(rest, 2) ** 2 <= variance * ((a + b) ** 2 + TRACY_WIDOM * spread))
 
 
 def state_response(Phi, C, directions, lifted, seen):

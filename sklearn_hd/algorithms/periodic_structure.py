@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.floquet import N_STAGES, gauss_tableau, state_units
 from sklearn_hd.algorithms.fourier import harmonic_functions
@@ -119,6 +119,16 @@ class PeriodicStructure:
         """Fourier coefficients of [F G; P Q], shape (2 K + 1, n + l, n + m)."""
         moved = np.asarray(theta, dtype=float) @ self.basis
         return self.constant + moved.reshape(self.constant.shape)
+
+    def nearest(self, coefficients):
+        """Parameters that bring the coefficients nearest to some given ones of any number."""
+        gap = np.zeros(self.constant.shape)
+        gap[: len(coefficients)] = coefficients[: len(gap)]
+        gap -= self.constant
+        gram = (self.basis @ self.basis.T).toarray()
+        if not len(gram):
+            return np.zeros(0)
+        return linalg.solve(gram, self.basis @ gap.ravel(), assume_a="pos")
 
     def matrices(self, theta):
         """Fourier coefficients of F, G, P and Q."""
