@@ -32,12 +32,22 @@ def blank(columns=1, size=(6.4, 4.0), **kwargs):
     return figure, figure.subplots(1, columns, **kwargs)
 
 
+def below(figure, legend):
+    """The figure with the legend of a panel moved below all of them."""
+    labels = [text.get_text() for text in legend.get_texts()]
+    handles = legend.legend_handles
+    legend.remove()
+    options = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
+    figure.legend(handles, labels, ncols=min(4, len(labels)), **options)
+    return figure
+
+
 def participation(shares):
     """Share of each harmonic of a state in that state's motion, by mode (Fig. 1)."""
     figure, axes = blank(2, (7.0, 3.2), sharey=True)
     display = ParticipationDisplay(shares, mode_names=("heave mode", "flap mode"))
     display.plot(axes, state_names=STATE_NAMES)
-    return figure
+    return below(figure, display.legend_)
 
 
 def responses(input_percent, records, seconds):
@@ -62,7 +72,7 @@ def responses(input_percent, records, seconds):
         ax=axes,
     )
     _zoom(display, moving[-1])
-    return figure
+    return below(figure, display.legend_)
 
 
 def _zoom(display, end):
@@ -75,8 +85,9 @@ def _zoom(display, end):
     lines += [display.simulated_lines_[label, "Δw"] for label in display.simulated]
     for line in lines:
         inside = (line.get_xdata() >= around.start) & (line.get_xdata() <= around.stop)
-        (copy,) = inset.plot(line.get_xdata()[inside], line.get_ydata()[inside])
-        copy.update_from(line)
+        look = {"color": line.get_color(), "ls": line.get_linestyle(), "alpha": line.get_alpha()}
+        x, y = line.get_xdata()[inside], line.get_ydata()[inside]
+        inset.plot(x, y, lw=line.get_linewidth(), **look)
     inset.tick_params(labelsize=8)
     inset.xaxis.set_major_locator(MaxNLocator(3))
     inset.yaxis.set_major_locator(MaxNLocator(3))
@@ -108,9 +119,7 @@ def eigenvalues(modes, matched, exact, title):
         half = max(least, 1.6 * np.abs(miss.real), 1.6 * np.abs(miss.imag))
         axis.set_xlim(centre.real - half, centre.real + half)
         axis.set_ylim(centre.imag - half, centre.imag + half)
-    handles = axes[0].get_legend_handles_labels()[0]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    return figure
+    return below(figure, axes[0].legend(handles=axes[0].get_legend_handles_labels()[0]))
 
 
 def frequency_responses(exact, systems):
@@ -124,15 +133,16 @@ def frequency_responses(exact, systems):
     figure = Figure(figsize=(9.6, 5.2), layout="constrained")
     axes = figure.subplots(2, 3, sharex=True)
     frequencies = np.geomspace(0.1, 1000.0, 400)
-    BodeDisplay.from_systems(
+    display = BodeDisplay.from_systems(
         systems, frequencies, true=true, units=COEFFICIENT_UNITS, ax=axes.T.ravel()
     )
-    return figure
+    return below(figure, display.legend_)
 
 
 def order_search(search):
     """Cross-validated misfit by order, with its standard error (Fig. 18)."""
     figure, axis = blank()
     OrderSelectionDisplay.from_estimator(search, misfit=True, ax=axis)
-    axis.set(title="GridSearchCV: records held out", ylabel="1 − R² of y(t) (–)")
+    axis.set_title("GridSearchCV: records held out", loc="left")
+    axis.set_ylabel("1 − R² of y(t) (–)")
     return figure

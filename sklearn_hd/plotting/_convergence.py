@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._fitted import fitted_step
 from sklearn_hd.plotting._panels import one_axes
-from sklearn_hd.plotting._style import POINTS, dress, looks
+from sklearn_hd.plotting._style import POINTS, dress, looks, number
 
 __all__ = ["ConvergenceDisplay"]
 
@@ -109,7 +109,7 @@ class ConvergenceDisplay:
             self.lines_[name] += self.ax_.semilogy(iteration[span], drawn[span], **style, **mark)
             start = stop
         self.end_ = self.ax_.annotate(
-            f"{error[-1]:.3g}",
+            number(error[-1]),
             (iteration[-1], drawn[-1]),
             xytext=(6, 0),
             textcoords="offset points",

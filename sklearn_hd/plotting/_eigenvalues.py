@@ -167,7 +167,7 @@ class EigenvalueDisplay:
         self.figure_, self.ax_ = panels.figure, panels.axes[0]
         dress(self.ax_, x=REAL, y=IMAGINARY)
         self.ax_.axvline(0.0, color=BLACK, lw=0.8, zorder=0.5)
-        view = self._view()
+        view = self._view(level)
         self._mark_strip(view)
         self.true_points_ = None
         if self.true is not None:
@@ -184,16 +184,19 @@ class EigenvalueDisplay:
         self.legend_ = panels.legend(columns=3) if legend else None
         return self
 
-    def _view(self):
+    def _view(self, level):
         """Limits that hold all that is not the window's memory."""
         parts = [] if self.true is None else [self.true]
         if self.model is not None:
             parts.append(self.model["eigenvalue"].to_numpy())
+            parts += [z + side for z, *reach in self._reaches(level) for side in _corners(*reach)]
         if self.modes is not None:
             window = (self.modes["verdict"] == "window").to_numpy()
             seen = window if window.all() else ~window
             parts.append(self.modes["eigenvalue"].to_numpy()[seen])
-        z = np.concatenate([*parts, [0.0]])  # how near to instability is seen from the origin
+        z = np.concatenate(
+            [*map(np.ravel, parts), [0.0]]
+        )  # how near to instability is seen from the origin
         extent = np.ptp(z.real), np.ptp(z.imag)
         size = max(*extent, 1e-3 * np.abs(z).max(), np.finfo(float).tiny)
         limits = []
@@ -227,23 +230,28 @@ class EigenvalueDisplay:
             if len(z):
                 self.mode_points_[verdict] = self._points(z, *look, view)
 
-    def _draw_uncertainty(self, level):
-        if "std_real" not in self.model:
-            return
+    def _reaches(self, level):
+        """Eigenvalues of known uncertainty, and how far it reaches in both directions."""
+        if self.model is None or "std_real" not in self.model:
+            return []
         joint, alone = np.sqrt(chi2.ppf(level, 2)), norm.ppf(0.5 + 0.5 * level)
+        columns = self.model[["eigenvalue", "std_real", "std_imag"]]
+        return [
+            (z, alone * std_real, 0.0) if _is_real(z) else (z, joint * std_real, joint * std_imag)
+            for z, std_real, std_imag in columns.itertuples(index=False)
+            if np.isfinite(std_real + std_imag)
+        ]
+
+    def _draw_uncertainty(self, level):
         label = f"{100 * level:g} % confidence"
-        for z, std_real, std_imag in self.model.itertuples(index=False):
-            if not np.isfinite(std_real + std_imag):
-                continue
-            if abs(z.imag) <= REAL_LINE * abs(z):
-                reach = alone * std_real
-                ends = [z.real - reach, z.real + reach]
+        for z, right, up in self._reaches(level):
+            if _is_real(z):
+                ends = [z.real - right, z.real + right]
                 style = {"color": RED, "lw": 1.6, "marker": "|", "ms": 7, "label": label}
                 self.uncertainty_ += self.ax_.plot(ends, [0.0, 0.0], **style)
             else:
-                size = 2.0 * joint * std_real, 2.0 * joint * std_imag
                 style = {"fill": False, "ec": RED, "lw": 1.2, "label": label}
-                ellipse = Ellipse((z.real, z.imag), *size, **style)
+                ellipse = Ellipse((z.real, z.imag), 2.0 * right, 2.0 * up, **style)
                 self.uncertainty_.append(self.ax_.add_patch(ellipse))
             label = None
 
@@ -252,6 +260,14 @@ class EigenvalueDisplay:
             return
         style = {"color": LIGHT, "zorder": 0, "lw": 0, "label": "|imaginary part| < ω/2"}
         self.ax_.axhspan(-0.5 * self.omega, 0.5 * self.omega, alpha=0.5, **style)
+
+
+def _is_real(z):
+    return abs(z.imag) <= REAL_LINE * abs(z)
+
+
+def _corners(right, up):
+    return [np.array([right * a + 1j * up * b]) for a in (-1, 1) for b in (-1, 1)]
 
 
 def continuous_eigenvalues(model):

@@ -87,7 +87,7 @@ class Record:
         inside = [segment for segment in base.segments if self.rows[segment.start]]
         self.segments = [slice(place[s.start], place[s.stop - 1] + 1) for s in inside]
         self.time = base.time[self.rows]
-        self.axis = SAMPLES if base.counted and step is None else TIME
+        self.axis = SAMPLES if base.counted and step in (None, 1.0) else TIME
 
     def title(self, text):
         """A title that names the record where there are several."""

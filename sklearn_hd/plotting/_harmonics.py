@@ -3,6 +3,7 @@
 from copy import copy
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from sklearn_hd._containers import as_container
@@ -168,7 +169,8 @@ class HarmonicsDisplay:
         frame = pd.DataFrame(analyzer.transform(X))
         parts, harmonics = [frame], _names(basis.inputs)
         if y is not None:
-            parts.append(pd.DataFrame(_of_outputs(analyzer).transform(_beside(X, y, basis))))
+            outputs = _beside(X, y, basis)
+            parts.append(pd.DataFrame(_reading(outputs, analyzer).transform(outputs)))
             harmonics |= _names(basis.outputs)
         frame = pd.concat(parts, axis=1)[record.rows].set_axis(pd.Index(record.time, name="time"))
         display = cls(
@@ -241,25 +243,23 @@ def _names(signals):
     return {signal: coefficient_names([(signal, orders)]) for signal, orders in signals}
 
 
-def _of_outputs(analyzer):
+def _reading(outputs, analyzer):
     """The same analyzer for the outputs."""
-    basis = analyzer.basis_
-    if not basis.outputs:
-        raise ValueError(
-            "y was given, but the HarmonicAnalyzer was fitted without outputs: call its "
-            "fit(X, y), or leave y out"
-        )
-    other = copy(analyzer)
+    basis, other = analyzer.basis_, copy(analyzer)
     other.basis_ = replace(basis, inputs=basis.outputs, input_trim=basis.output_trim)
-    del other.n_features_in_
-    if hasattr(other, "feature_names_in_"):
-        del other.feature_names_in_
+    other.n_features_in_ = outputs.shape[1]
+    other.feature_names_in_ = np.asarray(outputs.columns, dtype=object)
     return other
 
 
 def _beside(X, y, basis):
     """Outputs with the azimuth that stands among the inputs, where there is one."""
     y = as_container(y, "y")
+    if not basis.outputs:
+        raise ValueError(
+            "y was given, but the HarmonicAnalyzer was fitted without outputs: call its "
+            "fit(X, y), or leave y out"
+        )
     names = signal_names(y, "y")
     check_output_names(names, tuple(s for s, _ in basis.outputs), "the analyzer")
     y = pd.DataFrame(y).set_axis(list(dict(basis.outputs)), axis=1)

@@ -14,7 +14,7 @@ POINTS = 361  # a degree apart
 MATRICES = ("F", "G", "P", "Q")
 SMALL = 4  # rows or columns, from which on panels and letters are smaller
 LEAST = 0.4  # of an entry's largest value, the height of its panel
-FLAT = 1e-9  # of the size of the matrix, the same: below is rounding
+NEGLIGIBLE = 0.02  # of the largest entries of its row and of its column, the same
 
 
 class PeriodicMatrixDisplay:
@@ -166,9 +166,13 @@ class PeriodicMatrixDisplay:
 
     def _limit(self, axis, i, j):
         """No magnifying: what hardly changes is drawn as what hardly changes."""
-        size = max(np.abs(M).max() for M in self.values.values())
+        sizes = np.max([np.abs(M).max(axis=0) for M in self.values.values()], axis=0)
+        least = max(
+            LEAST * sizes[i, j],
+            NEGLIGIBLE * min(sizes[i].max(), sizes[:, j].max()),
+            np.finfo(float).tiny,
+        )
         entries = np.concatenate([M[:, i, j] for M in self.values.values()])
-        least = max(LEAST * np.abs(entries).max(), FLAT * size, np.finfo(float).tiny)
         if np.ptp(entries) < least:
             middle = 0.5 * (entries.min() + entries.max())
             axis.set_ylim(middle - 0.5 * least, middle + 0.5 * least)

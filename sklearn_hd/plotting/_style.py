@@ -84,8 +84,9 @@ def unit_of(name, units):
 
 
 def number(value):
-    """Three digits, with the sign that print uses."""
-    return f"{value:.3g}".replace("-", "−")
+    """Three digits as print has them: 7.8e8, −0.5."""
+    digits, _, power = f"{value:.3g}".partition("e")
+    return (f"{digits}e{int(power)}" if power else digits).replace("-", "−")
 
 
 def complex_number(value):
