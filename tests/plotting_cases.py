@@ -104,6 +104,13 @@ def history():
     return pd.DataFrame({"stage": stages, "error": error}, index=index)
 
 
+def modes_of(orders):
+    """Modes as a stabilization display draws them: one pair at every order, others that move."""
+    rows = [(n, z, n > 1) for n in orders for z in (-1 + 4j, -1 - 4j)]
+    rows += [(n, complex(-k, n * k), False) for n in orders for k in range(1, n)]
+    return pd.DataFrame(rows, columns=["order", "eigenvalue", "steady"])
+
+
 def many_signals(count):
     """Some decaying oscillations at one frequency, each with a phase of its own."""
     t = pd.Index(np.arange(240) / 30, name="time")

@@ -109,7 +109,7 @@ class BodeDisplay:
         display.std = {
             label: step.frequency_response(display.frequencies)[1]
             for label, step in steps.items()
-            if isinstance(step, StructuredMatcher) and step._uncertainty is not None
+            if hasattr(step, "eigenvalues_") and isinstance(step, StructuredMatcher)
         }
         return display.plot(ax=ax, **plotted)
 
@@ -136,7 +136,7 @@ class BodeDisplay:
         for label, system in systems.items():
             if not isinstance(system, control.StateSpace):
                 raise TypeError(
-                    f"{cls.__name__} draws control.StateSpace models; {label!r} is a "
+                    f"{cls.__name__} draws control.StateSpace models; {label!r} is of type "
                     f"{type(system).__name__} (an LTPSystem gives one by harmonic_decomposition)"
                 )
         first = next(iter(systems.values()))

@@ -280,9 +280,9 @@ def continuous_eigenvalues(model):
 
 def _matched(matcher):
     """Eigenvalues (Floquet exponents of periodic structures), with deviations if known."""
-    if matcher._uncertainty is not None:
+    if hasattr(matcher, "eigenvalues_"):  # after maximum likelihood
         return matcher.eigenvalues_
-    if matcher.periodic_ is not None:
+    if hasattr(matcher, "ltp_"):  # of a periodic structure
         return matcher.ltp_.floquet_exponents()
     return matcher.system_.poles()
 

@@ -6,9 +6,12 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._base import ModelStep
 from sklearn_hd._time import read_time
 from sklearn_hd._validation import FIRST
 from sklearn_hd.plotting._style import SAMPLES, TIME
+
+NAMES = {ModelStep: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher"}
 
 
 def steps_of(estimator):
@@ -46,7 +49,7 @@ def fitted_step(estimator, kinds, display):
     step = find_step(estimator, kinds)
     if step is None:
         kinds = kinds if isinstance(kinds, tuple) else (kinds,)
-        names = " or ".join(kind.__name__ for kind in kinds)
+        names = " or ".join(NAMES.get(kind, kind.__name__) for kind in kinds)
         raise TypeError(
             f"{display} needs a fitted {names}, or a Pipeline or search that holds one; "
             f"{type(estimator).__name__} holds none"

@@ -66,7 +66,7 @@ class HarmonicTransferFunctionDisplay:
             if not isinstance(response, HarmonicTransferFunction):
                 raise TypeError(
                     f"HarmonicTransferFunctionDisplay draws HarmonicTransferFunctions; {label!r} "
-                    f"is a {type(response).__name__}"
+                    f"is of type {type(response).__name__}"
                 )
         signals = {(r.output_names, r.input_names) for r in responses.values()}
         if len(signals) != 1:

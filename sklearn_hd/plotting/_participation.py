@@ -160,7 +160,7 @@ class ParticipationDisplay:
 def periodic_system(estimator, display):
     """The linear time-periodic system that a fitted estimator has identified."""
     matcher = fitted_step(estimator, StructuredMatcher, display)
-    if matcher.periodic_ is None:
+    if not hasattr(matcher, "ltp_"):
         raise ValueError(
             f"{display} needs a linear time-periodic model, and this match was made with "
             f"structure={matcher.structure!r}; fit with a HarmonicStructure, or with "
@@ -172,5 +172,5 @@ def periodic_system(estimator, display):
 def check_periodic(system, display, label=None):
     """Raise TypeError unless a system is linear time-periodic."""
     if not isinstance(system, LTPSystem):
-        what = "" if label is None else f"{label!r} is a "
-        raise TypeError(f"{display} draws LTPSystems; {what}{type(system).__name__} is none")
+        what = "this" if label is None else repr(label)
+        raise TypeError(f"{display} draws LTPSystems; {what} is of type {type(system).__name__}")

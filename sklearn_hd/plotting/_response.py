@@ -156,7 +156,8 @@ class ResponseDisplay:
         reading = None if step.basis_ is None else step.basis_.reading
         whole = Record(X, record, reading)
         rows = _rows_of_all([run[-1] for run in runs.values()], whole)
-        names = list(step.target_names_)
+        harmonics = step.predicts_harmonics_  # the signals that they make up are compared
+        names = list(dict(step.basis_.outputs)) if harmonics else list(step.target_names_)
         time = np.full(len(whole.rows), np.nan)
         time[whole.rows] = whole.time
         index = pd.Index(time[rows], name="time")
