@@ -166,7 +166,7 @@ def of_signals(count):
     signals = cases.many_signals(count)
     yield HarmonicsDisplay.from_data(signals, 2 * np.pi)
     yield ResponseDisplay.from_data(signals, 0.9 * signals)
-    yield StabilizationDisplay(cases.modes_of(range(1, count + 1)), order=count)
+    yield StabilizationDisplay(cases.modes_of(range(1, count + 1)), order=count).plot()
 
 
 def of_states(count):

@@ -48,6 +48,7 @@ def without_letters(figure):
         axis.tick_params(which="both", labelleft=False, labelbottom=False)
         for ticks in (axis.xaxis, axis.yaxis):
             ticks.offsetText.set_visible(False)
+    figure.set_size_inches(np.round(figure.get_size_inches()))  # whole pixels
     return figure
 
 

@@ -21,8 +21,8 @@ class ConvergenceDisplay:
     Parameters
     ----------
     history : DataFrame, shape (n_iterations, 2)
-        ``history_`` of a StructuredMatcher: the columns stage (text) and error (the
-        norm, relative), by iteration.
+        ``history_`` of a StructuredMatcher: the columns stage (text) and error (relative,
+        in the norm that the stage minimises), by iteration.
 
     Attributes
     ----------
@@ -32,6 +32,10 @@ class ConvergenceDisplay:
         Of each stage; one line a run of it.
     end_ : Text
         Says the last error.
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eq. 22.
 
     Examples
     --------
@@ -52,7 +56,10 @@ class ConvergenceDisplay:
                 f"{list(COLUMNS)}, as StructuredMatcher.history_"
             )
         if len(history) == 0:
-            raise ValueError("history is empty: the match took no iteration, it is exact")
+            raise ValueError(
+                "history is empty: nothing was minimised, as where the match is exact or in closed "
+                "form"
+            )
         self.history = history
 
     @classmethod
@@ -76,7 +83,7 @@ class ConvergenceDisplay:
         NotFittedError
             If it has not been fitted.
         ValueError
-            If the match took no iteration.
+            If nothing was minimised.
         """
         return cls(fitted_step(estimator, StructuredMatcher, cls.__name__).history_).plot(ax=ax)
 
@@ -103,10 +110,9 @@ class ConvergenceDisplay:
         for name, run in groupby(stages):
             stop = start + len(list(run))
             label = None if self.lines_[name] else name
-            span = slice(max(start - 1, 0), stop)  # joined to the stage before
+            span = slice(start, stop)  # not joined: each stage has a norm of its own
             style = styles[name] | {"ms": 5, "lw": 1.3, "label": label}
-            mark = {"markevery": slice(start - span.start, None)}
-            self.lines_[name] += self.ax_.semilogy(iteration[span], drawn[span], **style, **mark)
+            self.lines_[name] += self.ax_.semilogy(iteration[span], drawn[span], **style)
             start = stop
         self.end_ = self.ax_.annotate(
             number(error[-1]),
@@ -116,7 +122,7 @@ class ConvergenceDisplay:
             va="center",
             fontsize=9,
         )
-        dress(self.ax_, x="iteration (–)", y="relative error of the match (–)")
+        dress(self.ax_, x="iteration (–)", y="relative error, in the norm of the stage (–)")
         self.ax_.xaxis.get_major_locator().set_params(integer=True)
         self.ax_.margins(x=0.08)
         self.ax_.legend(frameon=False, fontsize=9)

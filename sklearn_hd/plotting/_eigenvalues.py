@@ -71,6 +71,10 @@ class EigenvalueDisplay:
         Of the model's eigenvalues; a line for real ones.
     legend_ : Legend or None
 
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, section 2.3 and Figs. 4 to 15.
+
     Examples
     --------
     >>> import pandas as pd

@@ -42,6 +42,10 @@ class PeriodicMatrixDisplay:
         By label, row and column.
     legend_ : Legend or None
 
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eq. 6.
+
     Examples
     --------
     >>> from sklearn_hd.systems import mathieu

@@ -25,7 +25,7 @@ class StabilizationDisplay:
     """Modes of models of growing order: genuine ones come back, others wander.
 
     A mode of order n is steady if the order tried before has one at a distance of at most
-    ``tol`` |λ|. Copies λ + jpω that the analyzer makes are steady, too.
+    ``tol`` times the size of λ. Copies λ + jpω that the analyzer makes are steady, too.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class StabilizationDisplay:
         orders : sequence of int, optional
             From 1 to four beyond the order of the estimator by default.
         tol : float, default=0.02
-            Share of |λ| by which a steady mode may differ from the order before.
+            Share of its size by which a steady mode may differ from the order before.
         ax : Axes or array of Axes, optional
             Two Axes, or one that is divided.
 
