@@ -9,6 +9,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd._validation import check_fraction, check_frequencies
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.algorithms.uncertainty import propagate_std
@@ -45,7 +46,7 @@ class Uncertainty:
 
     def frequency_response(self, theta, frequencies):
         """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""
-        points = 1j * np.asarray(frequencies, dtype=float)
+        points = 1j * check_frequencies(frequencies)
         response, slopes = self.affine.response_and_sensitivity(theta[self.seen], points)
         return response, propagate_std(slopes, self.covariance[np.ix_(self.seen, self.seen)])
 
@@ -54,8 +55,25 @@ class Uncertainty:
 class Match:
     """A structured model: its parameters, and how it came about.
 
-    ``structure`` and ``observed`` say how the parameters make the outputs, for the
-    maximum-likelihood refinement; ``periodic`` is there for periodic structures only.
+    Attributes
+    ----------
+    model : LTIModel
+        Time-invariant, in continuous time; the harmonic decomposition of a periodic one.
+    names : tuple of str
+    theta : ndarray, shape (n_parameters,)
+    structure : PeriodicStructure or None
+        How the parameters make the matrices, for the maximum-likelihood refinement; None
+        where every entry is one.
+    periodic : PeriodicModel or None
+        The linear time-periodic model, of periodic structures only.
+    theta_least_squares : ndarray, shape (n_parameters,), or None
+        The match in the mean square over frequency; None where it is ``theta``.
+    hinf_error, relative_error, peak_frequency : float
+        Largest error over frequency, the same relative to the model, and where, rad/s;
+        NaN where the match was not made in this norm.
+    n_iter : int
+    uncertainty : Uncertainty or None
+        After maximum likelihood only.
     """
 
     model: LTIModel
@@ -141,8 +159,7 @@ class ParameterReport:
         interval : DataFrame, shape (n_parameters, 2)
             Columns ``lower`` and ``upper``.
         """
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level={level!r} must be a probability between 0 and 1, such as 0.95")
+        level = check_fraction("level", level, "it is a probability, such as 0.95")
         self._bounds("confidence_interval")
         reach = norm.ppf(0.5 + 0.5 * level) * self.theta_std_
         return pd.DataFrame({"lower": self.theta_ - reach, "upper": self.theta_ + reach})

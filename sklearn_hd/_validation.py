@@ -1,6 +1,8 @@
 """The one place that words errors about parameters, period, shape and finite values."""
 
+import math
 import numbers
+import reprlib
 
 import numpy as np
 import pandas as pd
@@ -19,14 +21,69 @@ RAISE, GAP = "raise", "gap"  # what becomes of missing samples
 
 def check_positive(name, value, unit, hint):
     """Return a float if it is a positive finite number."""
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, numbers.Real)
-        or not np.isfinite(value)
-        or value <= 0
-    ):
-        raise ValueError(f"{name} must be a positive number in {unit}, got {value!r}; {hint}")
+    return _check_number(name, value, "positive", f" in {unit}", hint)
+
+
+def check_numbers(kind, hint, **values):
+    """Raise ValueError unless all values are numbers of a kind.
+
+    The kind is "finite", "nonnegative" or "positive", the last two finite as well.
+    """
+    for name, value in values.items():
+        _check_number(name, value, kind, "", hint)
+
+
+def _check_number(name, value, kind, unit, hint):
+    allowed = _is_real(value) and (
+        kind == "finite" or value > 0 or (kind == "nonnegative" and value == 0)
+    )
+    if not allowed:
+        raise ValueError(f"{name} must be a {kind} number{unit}, got {value!r}; {hint}")
     return float(value)
+
+
+def _is_real(value):
+    """Whether it is a finite number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def check_fraction(name, value, hint, *, zero=False):
+    """Return a float if it lies between 0 and 1, or may be 0 as well."""
+    if not _is_real(value) or not (0.0 < value < 1.0 or (zero and value == 0.0)):
+        allowed = "from 0 to below 1" if zero else "between 0 and 1"
+        raise ValueError(f"{name} must be a number {allowed}, got {value!r}; {hint}")
+    return float(value)
+
+
+def real_array(name, values, wanted):
+    """Finite real numbers as an array of floats; ``wanted`` words what they should be."""
+    try:
+        array = np.asarray(values)
+        texts = array.dtype.kind == "O" and any(v is None or isinstance(v, str) for v in array.flat)
+        if array.dtype.kind not in "biufO" or texts:
+            raise TypeError("no real numbers")
+        array = array.astype(float, copy=False)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(
+            f"{name}={reprlib.repr(values)} is no array of real numbers; give {wanted}"
+        ) from None
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} holds NaN or infinity; give {wanted}")
+    return array
+
+
+def check_frequencies(frequencies):
+    """Frequencies as a finite array of one dimension."""
+    wanted = "finite real numbers in rad/s, in one dimension"
+    array = np.atleast_1d(real_array("frequencies", frequencies, wanted))
+    if array.ndim != 1:
+        raise ValueError(f"frequencies has shape {array.shape}; give {wanted}")
+    return array
 
 
 def check_choice(name, value, allowed):

@@ -222,7 +222,7 @@ class StructuredMatcher(ParameterReport, ModelStep):
             check_count("random_state", self.random_state, 0, "it is the seed of the starts")
 
     def _store(self, match):
-        self.periodic_ = match.periodic
+        self._periodic = match.periodic
         self._parameter_names, self._theta = match.names, match.theta
         least_squares = match.theta_least_squares
         self._theta_least_squares = match.theta if least_squares is None else least_squares
@@ -348,20 +348,20 @@ class StructuredMatcher(ParameterReport, ModelStep):
     def ltp_(self):
         """The linear time-periodic system, as an LTPSystem."""
         check_is_fitted(self)
-        if self.periodic_ is None:
+        if self._periodic is None:
             raise AttributeError(
                 "ltp_ is there for a HarmonicStructure only; this match was made with "
                 f"structure={self.structure!r}"
             )
-        return self.periodic_.to_system()
+        return self._periodic.to_system()
 
     def _simulators(self, experiment):
-        if self.periodic_ is None or self.predicts_harmonics_:
+        if self._periodic is None or self.predicts_harmonics_:
             return super()._simulators(experiment)
         basis = experiment.basis
-        response = self.periodic_.sampled(basis.samples_per_period)
+        response = self._periodic.sampled(basis.samples_per_period)
         return [
-            PeriodicSimulator(self.periodic_, response, basis.phase_index(time), u, time)
+            PeriodicSimulator(self._periodic, response, basis.phase_index(time), u, time)
             for u, time in zip(experiment.inputs, experiment.times(), strict=True)
         ]
 

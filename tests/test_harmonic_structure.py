@@ -286,7 +286,9 @@ def test_only_maximum_likelihood_has_deviations(data):
     with pytest.raises(AttributeError, match="frequency_response is there after maximum"):
         match.frequency_response([1.0])
     for level in (0.0, 1.0, 95):
-        with pytest.raises(ValueError, match=rf"level={level} must be a probability"):
+        with pytest.raises(
+            ValueError, match=f"level must be a number between 0 and 1, got {level}; it"
+        ):
             match.confidence_interval(level)
 
 

@@ -188,9 +188,9 @@ def test_unbounded_response_is_refused():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"frequencies": [np.nan]}, "must be finite numbers in rad/s"),
-        ({"frequencies": [[1.0]]}, r"shape \(1, 1\) must be finite"),
-        ({"n_harmonics": -1}, "n_harmonics=-1 must be an integer"),
+        ({"frequencies": [np.nan]}, "frequencies holds NaN or infinity; give finite real numbers"),
+        ({"frequencies": [[1.0]]}, r"frequencies has shape \(1, 1\); give finite real"),
+        ({"n_harmonics": -1}, "n_harmonics must be a whole number of at least 0, got -1"),
         ({"max_internal_harmonics": 2}, "at least 3, got 2; it must exceed n_harmonics=2"),
         ({"sample_time": 0.1}, "samples a period, not a whole number"),
         ({"sample_time": -0.1}, "sample_time must be a positive number in seconds"),
@@ -385,7 +385,7 @@ def test_misfit_wants_the_same_axes():
         ({"omega": 0.0}, "omega must be a positive number in rad/s"),
         ({"n_harmonics": -1}, "n_harmonics must be a whole number of at least 0"),
         ({"n_harmonics": 9}, "harmonic 9 of omega=0.4 rad/s lies beyond half the sampling"),
-        ({"overlap": 1.0}, "overlap=1.0 must be from 0 to below 1"),
+        ({"overlap": 1.0}, "overlap must be a number from 0 to below 1, got 1.0; it is a share"),
         ({"periods_per_segment": 0}, "periods_per_segment must be a whole number of at least 1"),
         ({"periods_per_segment": 30}, r"independent segments of 30 periods.* 3 unknowns"),
         ({"periods_per_segment": 900}, r"hold 0 independent segments"),

@@ -176,7 +176,7 @@ def test_harmonics_of_the_inputs_that_the_record_does_not_tell_apart_are_named()
     ):
         pipe.fit(u, y)
     assert pipe.score(u, y) > 1 - 1e-10
-    assert synchronous(2.0).fit(u, y)["match"].periodic_.highest("G") == 0
+    assert synchronous(2.0).fit(u, y)["match"].ltp_.G.n_harmonics == 0
 
 
 # ---- records, origins, containers --------------------------------------------------------------
@@ -386,8 +386,8 @@ def test_maximum_likelihood_of_the_noisy_wing():
     pipe = fit_wing(data, criterion="output_error")
     match = pipe["match"]
     assert wing_error(pipe, data) < 2.5
-    assert match.periodic_.highest("F") <= 8
-    assert match.periodic_.highest("G") <= 4
+    assert match.ltp_.F.n_harmonics <= 8
+    assert match.ltp_.G.n_harmonics <= 4
     assert np.isfinite(match.theta_std_).all()
     assert (match.theta_std_ > 0).all()
     noise = (data.outputs - data.outputs_clean).std()

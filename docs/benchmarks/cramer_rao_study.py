@@ -179,7 +179,9 @@ def run(kind, n_seeds, first_seed=0):
             pipe = case.pipeline().fit(case.inputs, y)
         match = pipe["match"]
         e = 100 * np.linalg.norm(match.system_.A - case.exact) / np.linalg.norm(case.exact)
-        chosen = None if kind != "ltp" else tuple(match.periodic_.highest(name) for name in "FG")
+        chosen = None
+        if kind == "ltp":
+            chosen = match.ltp_.F.n_harmonics, match.ltp_.G.n_harmonics
         if chosen not in bounds:
             bounds[chosen] = case.bound(sigma, chosen)
         bound, bias = bounds[chosen]

@@ -204,7 +204,7 @@ def with_noise(name, seeds, kind="3-2-1-1", n_periods=160):
             z = part[moves] / std[moves]
             scores.extend(z)
             inside.extend(np.abs(z) < 1.959964)
-        counts.append(tuple(match.periodic_.highest(part) for part in "FG"))
+        counts.append((match.ltp_.F.n_harmonics, match.ltp_.G.n_harmonics))
     usual = max(set(counts), key=counts.count) if counts else (0, 0)
     share = counts.count(usual) / max(1, len(counts))
     for text in failures:

@@ -124,7 +124,7 @@ def odd_weights(amplitudes):
     Parameters
     ----------
     amplitudes : array_like, shape (n_records,)
-        Signed, none of them zero.
+        As for :func:`extrapolation_weights`.
 
     Returns
     -------

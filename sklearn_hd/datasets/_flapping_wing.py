@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 
+from sklearn_hd._validation import real_array
 from sklearn_hd.algorithms.fourier import recompose
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
 from sklearn_hd.systems import LTPSystem, PeriodicSystem, flapping_wing
@@ -353,14 +354,13 @@ def _excitation(input, n_periods, spp, start, width, size, offset, n_records, qu
 
 def _given(du, n_samples, n_records):
     """The user's own ΔU, checked."""
-    du = np.atleast_2d(np.array(du, dtype=float))
+    wanted = f"{n_samples} finite samples of dU for each record"
+    du = np.atleast_2d(np.array(real_array("input", du, wanted)))
     if du.ndim != 2 or du.shape[1] != n_samples or n_records not in (1, len(du)):
         raise ValueError(
             f"input has shape {du.shape}; as an array it must have n_periods * samples_per_period "
             f"= {n_samples} samples, in one row for each of n_records={n_records} records"
         )
-    if not np.all(np.isfinite(du)):
-        raise ValueError("input holds NaN or infinity; each sample of dU must be finite")
     return du
 
 

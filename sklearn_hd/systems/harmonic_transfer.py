@@ -1,19 +1,26 @@
 """Harmonic transfer functions of models and of records, in one labelled form."""
 
+import numbers
+import reprlib
 import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
+from scipy.signal import get_window
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._containers import as_container, to_float
 from sklearn_hd._time import read_time
 from sklearn_hd._validation import (
     check_count,
     check_finite,
+    check_fraction,
+    check_frequencies,
     check_period,
     check_positive,
     check_same_rows,
+    check_time_origin,
     signal_names,
 )
 from sklearn_hd.algorithms.floquet import transition_matrices
@@ -80,10 +87,11 @@ class HarmonicTransferFunction:
 
     def harmonic(self, n):
         """H_n(jΩ), shape (n_frequencies, n_outputs, n_inputs), for one n from −N to N."""
-        if abs(n) > self.n_harmonics:
+        whole = isinstance(n, numbers.Integral) and not isinstance(n, bool)
+        if not whole or abs(n) > self.n_harmonics:
+            way = f"ask for n_harmonics={abs(n)} or more" if whole else "give a whole number"
             raise ValueError(
-                f"harmonic {n} is not among −{self.n_harmonics} … {self.n_harmonics}; ask for "
-                f"n_harmonics={abs(n)} or more"
+                f"harmonic {n!r} is not among −{self.n_harmonics} … {self.n_harmonics}; {way}"
             )
         return self.response[:, self.n_harmonics + n]
 
@@ -122,6 +130,11 @@ class HarmonicTransferFunction:
         """
         if self.std is None:
             raise ValueError("a misfit needs standard deviations: call misfit of the estimate")
+        if not isinstance(model, HarmonicTransferFunction):
+            raise ValueError(
+                f"model={reprlib.repr(model)} is no HarmonicTransferFunction; give what "
+                f"LTPSystem.harmonic_transfer_function returns"
+            )
         same = (self.input_names, self.output_names) == (model.input_names, model.output_names)
         extra = model.n_harmonics - self.n_harmonics
         if not same or extra < 0 or not np.array_equal(self.frequencies, model.frequencies):
@@ -159,17 +172,6 @@ def model_response(system, frequencies, N, sample_time, tolerance, max_internal_
         system.output_names,
         blocks=blocks,
     )
-
-
-def check_frequencies(frequencies):
-    """Frequencies as a finite array of one dimension."""
-    frequencies = np.atleast_1d(np.asarray(frequencies, dtype=float))
-    if frequencies.ndim != 1 or not np.all(np.isfinite(frequencies)):
-        raise ValueError(
-            f"frequencies of shape {frequencies.shape} must be finite numbers in rad/s, in one "
-            f"dimension"
-        )
-    return frequencies
 
 
 def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
@@ -306,10 +308,11 @@ def estimate_harmonic_transfer_function(
     """
     omega = check_positive("omega", omega, "rad/s", "the fundamental frequency")
     N = check_count("n_harmonics", n_harmonics, 0, "harmonics of the response")
-    if not 0.0 <= overlap < 1.0:
-        raise ValueError(f"overlap={overlap} must be from 0 to below 1, a share of the segment")
+    overlap = check_fraction("overlap", overlap, "it is a share of the segment", zero=True)
+    _check_window(window)
+    u, y = as_container(u, "u"), as_container(y, "y")
     check_same_rows(u, y)
-    base = read_time(u, sample_time, time_origin)
+    base = read_time(u, sample_time, check_time_origin(time_origin))
     dt = base.sample_time
     if base.jitter[1] > UNEVEN * dt:
         raise ValueError(
@@ -350,10 +353,23 @@ def estimate_harmonic_transfer_function(
     )
 
 
+def _check_window(window):
+    """Raise ValueError unless scipy.signal makes a window of it."""
+    try:
+        known = np.all(np.isfinite(get_window(window, 64)))
+    except (TypeError, ValueError, OverflowError, np.linalg.LinAlgError):
+        known = False
+    if not known:
+        raise ValueError(
+            f"window={reprlib.repr(window)} is none that scipy.signal.get_window makes; 'hann' is "
+            f"usual"
+        )
+
+
 def _signals(data, what, base):
     """Values of shape (n_rows, n_signals) and their names."""
     names = signal_names(data, what)
-    values = np.asarray(data, dtype=float).reshape(len(data), -1)
+    values = to_float(data, what)
     check_finite(values, names, base.time, what)
     return values, names
 

@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
+from sklearn_hd._validation import check_count, check_flag, check_numbers, check_positive
 from sklearn_hd.algorithms import floquet
 from sklearn_hd.algorithms.floquet_exponents import floquet_exponents
 from sklearn_hd.algorithms.fourier import harmonic_labels
@@ -16,11 +17,18 @@ from sklearn_hd.systems.periodic_matrix import (
     periodic_matrix,
     precision,
 )
+from sklearn_hd.systems.signals import (
+    NamedSignals,
+    check_inputs,
+    check_names,
+    check_state,
+    check_times,
+)
 
 __all__ = ["FourierMatrix", "LTPSystem"]
 
 
-class LTPSystem:
+class LTPSystem(NamedSignals):
     """Linear system with coefficients of period T = 2π / ω.
 
         ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt              (Eq. 6)
@@ -48,7 +56,7 @@ class LTPSystem:
     Raises
     ------
     ValueError
-        If omega is not positive, or shapes and names do not fit.
+        If omega is not positive, shapes and names do not fit, or a number is not finite.
 
     References
     ----------
@@ -81,9 +89,7 @@ class LTPSystem:
         input_names=None,
         output_names=None,
     ):
-        if not (np.isfinite(omega) and omega > 0):
-            raise ValueError(f"omega={omega} must be a positive frequency in rad/s")
-        self.omega = float(omega)
+        self.omega = check_positive("omega", omega, "rad/s", "it is 2π over the period in seconds")
         self.F, (n, columns) = periodic_matrix(F, "F")
         self.G, (rows, m) = periodic_matrix(G, "G")
         if n != columns or rows != n:
@@ -99,33 +105,18 @@ class LTPSystem:
                 f"P is {n_outputs} x {columns} and Q is {shape[0]} x {shape[1]}; with {n} states "
                 f"and {m} inputs, P must have {n} columns and Q as many rows as P and {m} columns"
             )
-        self.state_names = check_names(state_names, n, "x", "state_names")
-        self.input_names = check_names(input_names, m, "u", "input_names")
+        self.state_names = check_names(state_names, "state_names", n, "x")
+        self.input_names = check_names(input_names, "input_names", m, "u")
         if output_names is None and measures_states:
             output_names = self.state_names
-        self.output_names = check_names(output_names, n_outputs, "y", "output_names")
-
-    @property
-    def n_states(self):
-        return len(self.state_names)
-
-    @property
-    def n_inputs(self):
-        return len(self.input_names)
-
-    @property
-    def n_outputs(self):
-        return len(self.output_names)
+        self.output_names = check_names(output_names, "output_names", n_outputs, "y")
 
     @property
     def period(self):
         return 2.0 * np.pi / self.omega
 
     def __repr__(self):
-        return (
-            f"LTPSystem(omega={self.omega:.6g}, states={list(self.state_names)}, "
-            f"inputs={list(self.input_names)}, outputs={list(self.output_names)})"
-        )
+        return self._described(f"omega={self.omega:.6g}")
 
     def fourier_coefficients(self, n_harmonics):
         """Real Fourier coefficients of F, G, P and Q up to some harmonic.
@@ -140,10 +131,12 @@ class LTPSystem:
         F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
             In the order 0, 1c, 1s, …; jumps within the period cost no accuracy.
         """
-        return tuple(matrix_coefficients(M, n_harmonics) for M in (self.F, self.G, self.P, self.Q))
+        K = _check_harmonics("n_harmonics", n_harmonics)
+        return tuple(matrix_coefficients(M, K) for M in (self.F, self.G, self.P, self.Q))
 
     def monodromy(self, start=0.0):
         """Transition matrix over one period that begins at azimuth ``start`` (radians)."""
+        check_numbers("finite", "it is the azimuth ψ in radians", start=start)
         tolerance = max(1e-14, precision(self.F))
         return floquet.monodromy_matrix(self.F, self.omega, start=start, tolerance=tolerance)
 
@@ -182,19 +175,13 @@ class LTPSystem:
         Raises
         ------
         ValueError
-            If a number of harmonics is negative or not an integer.
+            If a number of harmonics is negative or not whole.
         """
-        N = check_harmonics(n_harmonics, "n_harmonics")
-        M = (
-            N
-            if n_input_harmonics is None
-            else check_harmonics(n_input_harmonics, "n_input_harmonics")
-        )
-        L = (
-            N
-            if n_output_harmonics is None
-            else check_harmonics(n_output_harmonics, "n_output_harmonics")
-        )
+        N = _check_harmonics("n_harmonics", n_harmonics)
+        M = N if n_input_harmonics is None else n_input_harmonics
+        L = N if n_output_harmonics is None else n_output_harmonics
+        M = _check_harmonics("n_input_harmonics", M)
+        L = _check_harmonics("n_output_harmonics", L)
         coefficients = self.fourier_coefficients(max(2 * N, N + M, L + N, L + M))
         A, B, C, D = floquet.harmonic_decomposition(*coefficients, self.omega, N, M, L)
         return control.StateSpace(
@@ -257,7 +244,8 @@ class LTPSystem:
         >>> response.harmonic(0).ravel().round(12).tolist()
         [(1+0j), (0.5-0.5j)]
         """
-        N = check_harmonics(n_harmonics, "n_harmonics")
+        N = _check_harmonics("n_harmonics", n_harmonics)
+        check_numbers("positive", "1e-8 is usual", tolerance=tolerance)
         return model_response(self, frequencies, N, sample_time, tolerance, max_internal_harmonics)
 
     def participation_factors(self, n_harmonics):
@@ -278,7 +266,7 @@ class LTPSystem:
             Index: names of the HD states (w_0, …); columns: eigenvalues in 1/s, from
             the rightmost leftwards. Each column sums to one.
         """
-        N = check_harmonics(n_harmonics, "n_harmonics")
+        N = _check_harmonics("n_harmonics", n_harmonics)
         eigenvalues, _, factors = floquet.participation_factors(self._hd_matrix(N))
         index = pd.Index(harmonic_names(self.state_names, N), name="state")
         return pd.DataFrame(factors, index, pd.Index(eigenvalues, name="eigenvalue"))
@@ -311,7 +299,7 @@ class LTPSystem:
         Eigenvectors for the Dynamics of Time-Varying Systems", American Helicopter
         Society Forum 65 (2009).
         """
-        N, n = check_harmonics(n_harmonics, "n_harmonics"), self.n_states
+        N, n = _check_harmonics("n_harmonics", n_harmonics), self.n_states
         eigenvalues, vectors, _ = floquet.participation_factors(self._hd_matrix(N))
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
@@ -349,8 +337,9 @@ class LTPSystem:
         Raises
         ------
         ValueError
-            If shapes do not fit, or t does not increase.
+            If shapes do not fit, t does not increase, or a value is not finite.
         """
+        check_flag("return_states", return_states)
         t = check_times(t)
         u = check_inputs(u, len(t), self.input_names)
         x0 = check_state(x0, u.shape[:-2], self.state_names)
@@ -385,60 +374,8 @@ def harmonic_names(names, n_harmonics):
     return [f"{name}_{label}" for label in labels for name in names]
 
 
-def check_names(names, count, letter, parameter):
-    """Names as a tuple, by default x1, x2, …; as many as there are signals, all different."""
-    if names is None:
-        return tuple(f"{letter}{k + 1}" for k in range(count))
-    names = (names,) if isinstance(names, str) else tuple(names)
-    if len(names) != count or len(set(names)) != count:
-        raise ValueError(
-            f"{parameter}={list(names)} must hold {count} different names, one for each signal"
-        )
-    return names
-
-
-def check_times(t):
-    """Sample times as an increasing array of at least two."""
-    t = np.asarray(t, dtype=float)
-    if t.ndim != 1 or len(t) < 2 or not np.all(np.diff(t) > 0):
-        raise ValueError(
-            f"t of shape {t.shape} must be one-dimensional, with two or more finite, increasing "
-            f"times in seconds; sort it and drop repeated times"
-        )
-    return t
-
-
-def check_inputs(u, n_samples, names, *, batch=True):
-    """Inputs as an array (n_samples, m), or (..., n_samples, m) where records may be stacked."""
-    u, m = np.asarray(u, dtype=float), len(names)
-    if u.ndim == 1 and m == 1:
-        u = u[:, None]
-    if u.ndim < 2 or (u.ndim > 2 and not batch) or u.shape[-2:] != (n_samples, m):
-        raise ValueError(
-            f"u has shape {u.shape}; with {n_samples} times in t and the inputs {list(names)} it "
-            f"must have shape ({n_samples}, {m})"
-        )
-    if not np.all(np.isfinite(u)):
-        raise ValueError("u holds NaN or infinity; a held input needs a finite value everywhere")
-    return u
-
-
-def check_state(x0, batch, names):
-    """Initial state as an array (..., n), zero by default."""
-    if x0 is None:
-        return np.zeros((*batch, len(names)))
-    x0 = np.asarray(x0, dtype=float)
-    if x0.shape not in ((len(names),), (*batch, len(names))):
-        raise ValueError(
-            f"x0 has shape {x0.shape}; it must hold one value for each of the states {list(names)}"
-        )
-    return np.broadcast_to(x0, (*batch, len(names)))
-
-
-def check_harmonics(value, parameter):
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise ValueError(f"{parameter}={value!r} must be an integer, zero or more")
-    return int(value)
+def _check_harmonics(name, value):
+    return check_count(name, value, 0, "0 keeps the mean alone")
 
 
 def _harmonic_sizes(vectors):

@@ -1,9 +1,19 @@
 """Nonlinear time-periodic systems (Eq. 1): trim, linearisation, simulation."""
 
+import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from sklearn_hd._validation import (
+    check_choice,
+    check_count,
+    check_flag,
+    check_numbers,
+    check_positive,
+    real_array,
+)
 from sklearn_hd.algorithms.harmonic_balance import (
     evaluate_harmonics,
     galerkin_coefficients,
@@ -12,9 +22,9 @@ from sklearn_hd.algorithms.harmonic_balance import (
 )
 from sklearn_hd.algorithms.integration import integrate
 from sklearn_hd.algorithms.shooting import solve_shooting
-from sklearn_hd.systems.ltp import (
-    LTPSystem,
-    check_harmonics,
+from sklearn_hd.systems.ltp import LTPSystem
+from sklearn_hd.systems.signals import (
+    NamedSignals,
     check_inputs,
     check_names,
     check_state,
@@ -73,10 +83,11 @@ class Trim:
 
     def states(self, psi):
         """States at azimuths psi (radians), shape (...,) -> (..., n)."""
+        psi = real_array("psi", psi, "azimuths in radians")
         return evaluate_harmonics(self.coefficients, psi)
 
 
-class PeriodicSystem:
+class PeriodicSystem(NamedSignals):
     """Nonlinear system whose right-hand side repeats with period T.
 
         ẋ = f(x, u, t),   y = g(x, u, t),   f and g of period T in t      (Eqs. 1, 2)
@@ -144,39 +155,25 @@ class PeriodicSystem:
         trim_guess=None,
         trim_targets=None,
     ):
-        if not (np.isfinite(period) and period > 0):
-            raise ValueError(f"period={period} must be a positive time in seconds")
-        self.f, self.g, self.period = f, g, float(period)
-        self.state_names = check_names(state_names, _count(state_names), "x", "state_names")
-        self.input_names = check_names(input_names, _count(input_names), "u", "input_names")
+        for name, function in (("f", f), ("g", g), ("jacobian", jacobian)):
+            _check_callable(name, function, optional=name != "f")
+        self.period = check_positive("period", period, "seconds", "f and g repeat after it")
+        self.f, self.g = f, g
+        self.state_names = check_names(state_names, "state_names")
+        self.input_names = check_names(input_names, "input_names")
         if g is None and output_names is None:
             output_names = self.state_names
-        self.output_names = check_names(output_names, self._count_outputs(), "y", "output_names")
+        self.output_names = check_names(output_names, "output_names", self._count_outputs(), "y")
         self.jacobian = _CentralDifferences(f, g) if jacobian is None else jacobian
-        self.trim_guess = trim_guess
-        self.trim_targets = dict(trim_targets or {})
+        self.trim_guess = None if trim_guess is None else self._guess(trim_guess)
+        self.trim_targets = _by_name("trim_targets", trim_targets, self.state_names, "states")
 
     @property
     def omega(self):
         return 2.0 * np.pi / self.period
 
-    @property
-    def n_states(self):
-        return len(self.state_names)
-
-    @property
-    def n_inputs(self):
-        return len(self.input_names)
-
-    @property
-    def n_outputs(self):
-        return len(self.output_names)
-
     def __repr__(self):
-        return (
-            f"PeriodicSystem(period={self.period:.6g}, states={list(self.state_names)}, "
-            f"inputs={list(self.input_names)}, outputs={list(self.output_names)})"
-        )
+        return self._described(f"period={self.period:.6g}")
 
     def trim(
         self,
@@ -220,12 +217,13 @@ class PeriodicSystem:
         ValueError
             If names are unknown, or targets and free inputs differ in number.
         """
-        N = check_harmonics(n_harmonics, "n_harmonics")
-        if method not in ("harmonic_balance", "shooting"):
-            raise ValueError(f"method={method!r} must be 'harmonic_balance' or 'shooting'")
+        N = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
+        check_choice("method", method, ("harmonic_balance", "shooting"))
+        if n_points is not None:
+            check_count("n_points", n_points, 1, "None takes enough")
         targets = self._targets(self.trim_targets if targets is None else targets)
         X, u = self._guess(self.trim_guess if guess is None else guess)
-        free = self._hold(u, inputs or {}, len(targets))
+        free = self._hold(u, inputs, len(targets))
         start = N if method == "harmonic_balance" else min(N, SHOOTING_START_HARMONICS)
         X, u, residual = solve_harmonic_balance(
             self.f,
@@ -251,6 +249,7 @@ class PeriodicSystem:
         defect : ndarray, shape (n,)
             In the units of the states; zero for an exact periodic solution.
         """
+        self._check_trim(trim)
         t = np.linspace(0.0, self.period, STEPS_PER_PERIOD + 1)
         u = np.broadcast_to(trim.inputs, (len(t), self.n_inputs))
         x = integrate(self.f, trim.initial_state, u, t, rtol=1e-13, atol=1e-14)
@@ -269,6 +268,7 @@ class PeriodicSystem:
             Perturbations of states, inputs and outputs; F, G, P, Q are the
             derivatives of f and g along x*(ψ), u*.
         """
+        self._check_trim(trim)
         jacobian = self.jacobian
         if isinstance(jacobian, _CentralDifferences):
             jacobian = jacobian.along(trim)
@@ -281,9 +281,7 @@ class PeriodicSystem:
             P,
             Q,
             omega=self.omega,
-            state_names=self.state_names,
-            input_names=self.input_names,
-            output_names=self.output_names,
+            **self._names(),
         )
 
     def simulate(self, u, t, x0=None, *, rtol=1e-12, atol=1e-13, return_states=False):
@@ -311,10 +309,13 @@ class PeriodicSystem:
         Raises
         ------
         ValueError
-            If shapes do not fit, or t does not increase.
+            If shapes do not fit, t does not increase, or a value is not finite.
         RuntimeError
             If the integrator cannot continue; the message says where.
         """
+        check_flag("return_states", return_states)
+        check_numbers("positive", "1e-12 is usual", rtol=rtol)
+        check_numbers("nonnegative", "1e-13 is usual, in the units of the states", atol=atol)
         t = check_times(t)
         u = check_inputs(u, len(t), self.input_names, batch=False)
         x0 = check_state(x0, (), self.state_names)
@@ -326,35 +327,50 @@ class PeriodicSystem:
     def _count_outputs(self):
         if self.g is None:
             return self.n_states
-        return len(self.g(np.zeros(self.n_states), np.zeros(self.n_inputs), 0.0))
+        shape = np.shape(self.g(np.zeros(self.n_states), np.zeros(self.n_inputs), 0.0))
+        if len(shape) != 1:
+            raise ValueError(
+                f"g returned an array of shape {shape} for one point; it must return the outputs, "
+                f"shape (l,)"
+            )
+        return shape[0]
 
     def _targets(self, targets):
-        unknown = sorted(set(targets) - set(self.state_names))
-        if unknown:
-            raise ValueError(
-                f"targets names {unknown}, which are no states; the states are "
-                f"{list(self.state_names)}"
-            )
-        return [(self.state_names.index(name), float(mean)) for name, mean in targets.items()]
+        targets = _by_name("targets", targets, self.state_names, "states")
+        return [(self.state_names.index(name), mean) for name, mean in targets.items()]
 
     def _guess(self, guess):
         if guess is None:
             guess = np.zeros((1, self.n_states)), np.zeros(self.n_inputs)
         elif isinstance(guess, Trim):
             guess = guess.coefficients, guess.inputs
-        X, u = (np.array(values, dtype=float) for values in guess)
-        if X.ndim != 2 or X.shape[1] != self.n_states or u.shape != (self.n_inputs,):
-            raise ValueError(
-                f"the trim guess has shapes {X.shape} and {u.shape}; it must hold coefficients "
-                f"(2 K + 1, {self.n_states}) and inputs ({self.n_inputs},)"
-            )
+        wanted = (
+            f"a Trim, or a pair of arrays: coefficients (2 K + 1, {self.n_states}) and inputs "
+            f"({self.n_inputs},)"
+        )
+        if not isinstance(guess, tuple | list) or len(guess) != 2:
+            raise ValueError(f"the trim guess is {reprlib.repr(guess)}; give {wanted}")
+        X, u = (np.array(real_array("the trim guess", values, wanted)) for values in guess)
+        odd = X.ndim == 2 and len(X) % 2 == 1
+        if not odd or X.shape[1] != self.n_states or u.shape != (self.n_inputs,):
+            raise ValueError(f"the trim guess has shapes {X.shape} and {u.shape}; give {wanted}")
         return X, u
+
+    def _check_trim(self, trim):
+        """Raise ValueError unless it is a trim, and of a system such as this one."""
+        if not isinstance(trim, Trim):
+            raise ValueError(f"trim={reprlib.repr(trim)} is no trim; give what trim() returns")
+        sizes = trim.coefficients.shape[1], len(trim.inputs)
+        if sizes != (self.n_states, self.n_inputs) or not np.isclose(trim.omega, self.omega):
+            raise ValueError(
+                f"the trim has {sizes[0]} states, {sizes[1]} inputs and omega={trim.omega:.6g}, "
+                f"the system {self.n_states}, {self.n_inputs} and {self.omega:.6g}; give what "
+                f"trim() of this system returns"
+            )
 
     def _hold(self, u, inputs, n_targets):
         """Write held inputs into u; positions of the free ones."""
-        unknown = sorted(set(inputs) - set(self.input_names))
-        if unknown:
-            raise ValueError(f"inputs names {unknown}; the inputs are {list(self.input_names)}")
+        inputs = _by_name("inputs", inputs, self.input_names, "inputs")
         for name, value in inputs.items():
             u[self.input_names.index(name)] = value
         rest = [name for name in self.input_names if name not in inputs]
@@ -374,6 +390,37 @@ class PeriodicSystem:
         held = np.broadcast_to(u, (n_points, len(u)))
         orbit = integrate(self.f, x0, held, t, rtol=1e-13, atol=1e-14)
         return galerkin_coefficients(orbit, n_harmonics)
+
+
+def _check_callable(name, function, *, optional):
+    if not callable(function) and not (optional and function is None):
+        raise ValueError(
+            f"{name}={reprlib.repr(function)} must be a function of (x, u, t)"
+            f"{', or None' if optional else ''}"
+        )
+
+
+def _by_name(parameter, values, names, what):
+    """Finite numbers by name, as a dict; None is none."""
+    if values is None:
+        return {}
+    if not isinstance(values, Mapping):
+        raise ValueError(
+            f"{parameter}={reprlib.repr(values)} must be a dict of numbers by name; the {what} are "
+            f"{list(names)}"
+        )
+    unknown = [name for name in values if name not in names]
+    if unknown:
+        raise ValueError(f"{parameter} names {unknown}; the {what} are {list(names)}")
+    for name, value in values.items():
+        hint = f"{parameter} holds numbers by name"
+        check_numbers("finite", hint, **{f"{parameter}[{name!r}]": value})
+    return {name: float(value) for name, value in values.items()}
+
+
+def states_measured(F, G):
+    """(F, G, P, Q) of a system whose outputs are its states."""
+    return F, G, np.broadcast_to(np.eye(F.shape[-1]), F.shape), np.zeros(G.shape)
 
 
 class _OrbitMatrix:
@@ -417,7 +464,7 @@ class _CentralDifferences:
         F = _slopes(lambda x: self.f(x, u, t), x, x_steps)
         G = _slopes(lambda u: self.f(x, u, t), u, u_steps)
         if self.g is None:
-            return F, G, np.broadcast_to(np.eye(len(x)), F.shape), np.zeros(G.shape)
+            return states_measured(F, G)
         P = _slopes(lambda x: self.g(x, u, t), x, x_steps)
         Q = _slopes(lambda u: self.g(x, u, t), u, u_steps)
         return F, G, P, Q
@@ -435,9 +482,3 @@ def _slopes(function, variables, steps):
         n_rows = len(np.asarray(function(variables)))
         return np.zeros((variables.shape[1], n_rows, 0))
     return np.stack(columns, axis=-1).swapaxes(0, 1)
-
-
-def _count(names):
-    if names is None:
-        raise ValueError("state_names and input_names must name each state and input")
-    return 1 if isinstance(names, str) else len(names)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_hd._validation import real_array
 from sklearn_hd.algorithms import floquet
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, resize_harmonics
 
@@ -21,15 +22,22 @@ class FourierMatrix:
     >>> M = FourierMatrix(np.array([1.0, 0.5, 0.0]).reshape(3, 1, 1))
     >>> M(np.array([0.0, np.pi])).ravel().tolist()
     [1.5, 0.5]
+    >>> M.n_harmonics
+    1
     """
 
     def __init__(self, coefficients):
-        self.coefficients = np.array(coefficients, dtype=float)
+        wanted = "an array of shape (2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
+        self.coefficients = np.array(real_array("coefficients", coefficients, wanted))
         if self.coefficients.ndim != 3 or len(self.coefficients) % 2 == 0:
             raise ValueError(
-                f"Fourier coefficients have shape {self.coefficients.shape}; give an array of "
-                f"shape (2 K + 1, rows, columns) in the order 0, 1c, 1s, …"
+                f"Fourier coefficients have shape {self.coefficients.shape}; give {wanted}"
             )
+
+    @property
+    def n_harmonics(self):
+        """K, the highest harmonic."""
+        return len(self.coefficients) // 2
 
     def __call__(self, psi):
         """Values at azimuths psi, shape (n_points,) -> (n_points, rows, columns)."""
@@ -42,12 +50,13 @@ class FourierMatrix:
 def periodic_matrix(matrix, name):
     """Callable of ψ and the shape of its value."""
     if not callable(matrix):
-        values = np.asarray(matrix, dtype=float)
+        wanted = (
+            "a matrix (rows, columns), Fourier coefficients (2 K + 1, rows, columns), or a "
+            "callable of psi"
+        )
+        values = real_array(name, matrix, wanted)
         if values.ndim not in (2, 3):
-            raise ValueError(
-                f"{name} has shape {values.shape}; give a matrix (rows, columns), Fourier "
-                f"coefficients (2 K + 1, rows, columns), or a callable of psi"
-            )
+            raise ValueError(f"{name} has shape {values.shape}; give {wanted}")
         matrix = FourierMatrix(values[None] if values.ndim == 2 else values)
     shape = np.shape(matrix(np.zeros(2)))
     if len(shape) != 3 or shape[0] != 2:

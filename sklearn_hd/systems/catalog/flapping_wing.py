@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd.systems.periodic import PeriodicSystem
+from sklearn_hd._validation import check_numbers, check_positive
+from sklearn_hd.systems.periodic import PeriodicSystem, states_measured
 
 __all__ = ["flapping_wing"]
 
@@ -32,7 +33,7 @@ def flapping_wing(
     ----------
     k_d1, k_d2, k_d3, k_L : float
         Coefficients of drag and lift: k_d1 in 1/rad, k_d2 dimensionless, k_d3 in 1/m,
-        k_L in m.
+        k_L in m. Drag may be zero, lift must be positive: it carries the weight.
     inverse_inertia : float
         1 / I_f in 1/(kg m²).
     omega : float
@@ -64,6 +65,10 @@ def flapping_wing(
     >>> print(f"{hd.A[0, 0]:.3f}")
     -4.000
     """
+    check_numbers("nonnegative", "it is a coefficient of drag", k_d1=k_d1, k_d2=k_d2, k_d3=k_d3)
+    hint = "without it no trim carries the weight"
+    check_numbers("positive", hint, k_L=k_L, inverse_inertia=inverse_inertia, gravity=gravity)
+    omega = check_positive("omega", omega, "rad/s", "it is the flapping frequency")
     wing = _FlappingWing(k_d1, k_d2, k_d3, k_L, inverse_inertia, omega, gravity)
     return PeriodicSystem(
         wing,
@@ -109,7 +114,7 @@ class _FlappingWing:
         F[:, 1, 1] = -2.0 * self.k_d2 * size - self.k_d3 * w
         G = np.zeros((len(t), 2, 1))
         G[:, 1, 0] = self.inverse_inertia * np.cos(self.omega * t)
-        return F, G, np.broadcast_to(np.eye(2), F.shape), np.zeros(G.shape)
+        return states_measured(F, G)
 
     def trim_guess(self):
         """First harmonic of φ̇ whose mean lift carries the weight, and its torque.

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_hd._validation import check_fraction, check_numbers, check_positive, real_array
 from sklearn_hd.systems.ltp import LTPSystem
-from sklearn_hd.systems.periodic import PeriodicSystem
+from sklearn_hd.systems.periodic import PeriodicSystem, states_measured
 
 __all__ = ["coupled_oscillators", "duffing", "mathieu", "meissner"]
 
@@ -24,7 +25,7 @@ def mathieu(a=2.0, q=0.5, *, damping=0.1):
     a, q : float
         Mean stiffness and half the amplitude of its change.
     damping : float, default=0.1
-        d in 1/s; 0 gives Mathieu's own equation.
+        d in 1/s; 0 gives Mathieu's own equation, and a negative number growth.
 
     Returns
     -------
@@ -41,6 +42,7 @@ def mathieu(a=2.0, q=0.5, *, damping=0.1):
     >>> print(f"{abs(exponents[0].imag):.10f}")
     0.6304914303
     """
+    check_numbers("finite", "a and q are in 1/s², the damping in 1/s", a=a, q=q, damping=damping)
     F = np.zeros((3, 2, 2))
     F[0] = [[0.0, 1.0], [-a, -damping]]
     F[1, 1, 0] = 2.0 * q
@@ -65,7 +67,7 @@ def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, da
     period : float
         T in seconds.
     damping : float, default=0.0
-        d in 1/s.
+        d in 1/s; a negative number gives growth.
 
     Returns
     -------
@@ -82,8 +84,10 @@ def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, da
     >>> np.sort(multipliers.real).round(9).tolist()
     [-1.138826449, -0.878096922]
     """
-    if not 0.0 < share < 1.0:
-        raise ValueError(f"share={share} must lie between 0 and 1")
+    hint = "stiffness and modulation are in 1/s², the damping in 1/s"
+    check_numbers("finite", hint, stiffness=stiffness, modulation=modulation, damping=damping)
+    share = check_fraction("share", share, "it is the part of the period of lower stiffness")
+    period = check_positive("period", period, "seconds", "the stiffness repeats after it")
     return LTPSystem(
         _SwitchedStiffness(stiffness, modulation, share, damping),
         [[0.0], [1.0]],
@@ -112,9 +116,9 @@ def coupled_oscillators(
     Parameters
     ----------
     frequencies : pair of float
-        Natural frequencies ω_1 and ω_2 in rad/s.
+        Natural frequencies ω_1 and ω_2 in rad/s, positive.
     damping_ratios : pair of float
-        ζ_1 and ζ_2.
+        ζ_1 and ζ_2; a negative number gives growth.
     coupling : array_like, shape (2, 2)
         e_ij in 1/s².
     omega : float
@@ -138,13 +142,16 @@ def coupled_oscillators(
     >>> bool(np.isclose(system.floquet_exponents().sum().real, -2 * (0.06 * 1.0 + 0.04 * 1.7)))
     True
     """
-    natural, ratios = np.asarray(frequencies, float), np.asarray(damping_ratios, float)
-    coupling = np.asarray(coupling, dtype=float)
+    natural = real_array("frequencies", frequencies, "two natural frequencies in rad/s")
+    ratios = real_array("damping_ratios", damping_ratios, "two damping ratios")
+    coupling = real_array("coupling", coupling, "stiffnesses in 1/s², of shape (2, 2)")
     if natural.shape != (2,) or ratios.shape != (2,) or coupling.shape != (2, 2):
         raise ValueError(
             f"frequencies, damping_ratios and coupling have shapes {natural.shape}, "
             f"{ratios.shape} and {coupling.shape}; two oscillators take (2,), (2,) and (2, 2)"
         )
+    for i, frequency in enumerate(natural):
+        check_positive(f"frequencies[{i}]", float(frequency), "rad/s", "oscillators have one each")
     F = np.zeros((3, 4, 4))
     F[0, :2, 2:] = np.eye(2)
     F[0, 2:, :2] = -np.diag(natural**2)
@@ -171,8 +178,10 @@ def duffing(*, damping=0.2, stiffness=1.0, hardening=1.0, amplitude=1.0, omega=1
 
     Parameters
     ----------
-    damping, stiffness, hardening : float
-        δ, α, β.
+    damping : float
+        δ, not negative: no oscillation would be stable.
+    stiffness, hardening : float
+        α and β, of either sign (two wells, softening).
     amplitude : float
         Γ, amplitude of the periodic force.
     omega : float
@@ -203,6 +212,10 @@ def duffing(*, damping=0.2, stiffness=1.0, hardening=1.0, amplitude=1.0, omega=1
     >>> bool(np.isclose(ltp.floquet_exponents().sum().real, -0.2))
     True
     """
+    check_numbers("nonnegative", "a negative one makes every oscillation unstable", damping=damping)
+    hint = "it may have either sign"
+    check_numbers("finite", hint, stiffness=stiffness, hardening=hardening, amplitude=amplitude)
+    omega = check_positive("omega", omega, "rad/s", "it is the frequency of the force")
     oscillator = _Duffing(damping, stiffness, hardening, amplitude, omega)
     return PeriodicSystem(
         oscillator,
@@ -253,7 +266,7 @@ class _Duffing:
         F[:, 1, 0] = -self.stiffness - 3.0 * self.hardening * x[0] ** 2
         G = np.zeros((len(t), 2, 1))
         G[:, 1, 0] = 1.0
-        return F, G, np.broadcast_to(np.eye(2), F.shape), np.zeros(G.shape)
+        return states_measured(F, G)
 
     def trim_guess(self):
         """Smallest first harmonic that balances the force: A cos(ψ − δ)."""
@@ -264,7 +277,8 @@ class _Duffing:
         )
         real = squares[(np.abs(squares.imag) < 1e-9) & (squares.real >= 0.0)].real
         square = np.min(real) if len(real) else 0.0  # none: undamped, at resonance
-        size, stiffness = np.sqrt(square), detuning + cubic * square
+        size = np.copysign(np.sqrt(square), self.amplitude)
+        stiffness = detuning + cubic * square
         phase = np.arctan2(loss, stiffness)
         cosine, sine = size * np.cos(phase), size * np.sin(phase)
         coefficients = np.zeros((3, 2))

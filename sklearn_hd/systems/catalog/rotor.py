@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_hd._validation import check_numbers, check_positive
 from sklearn_hd.systems.ltp import LTPSystem
 
 __all__ = ["flapping_blade"]
@@ -61,8 +62,8 @@ def flapping_blade(*, gamma=8.0, mu=0.3, nu=1.0, omega=1.0):
     >>> bool(np.isclose(exponent.real, -0.5)), bool(np.isclose(abs(exponent.imag), 1 - 0.96**0.5))
     (True, True)
     """
-    if mu < 0 or gamma < 0:
-        raise ValueError(f"gamma={gamma} and mu={mu} must be zero or positive")
+    check_numbers("nonnegative", "the blade has none below zero", gamma=gamma, mu=mu, nu=nu)
+    omega = check_positive("omega", omega, "rad/s", "it is the rotor speed")
     lift = gamma / 8.0
     F = np.zeros((5, 2, 2))  # harmonics 0, 1c, 1s, 2c, 2s
     F[0] = [[0.0, 1.0], [-(omega**2) * nu**2, -omega * lift]]
