@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._fitted import fitted_step
 from sklearn_hd.plotting._panels import one_axes
-from sklearn_hd.plotting._style import POINTS, dress, looks, number
+from sklearn_hd.plotting._style import LEGEND, POINTS, dress, looks, number
 
 __all__ = ["ConvergenceDisplay"]
 
@@ -125,7 +125,7 @@ class ConvergenceDisplay:
         dress(self.ax_, x="iteration (–)", y="relative error, in the norm of the stage (–)")
         self.ax_.xaxis.get_major_locator().set_params(integer=True)
         self.ax_.margins(x=0.08)
-        self.ax_.legend(frameon=False, fontsize=9)
+        self.ax_.legend(**LEGEND)
         return self
 
 

@@ -6,7 +6,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd.model_selection._rule import fold_scores, searched_as, standard_error
 from sklearn_hd.plotting._panels import one_axes
-from sklearn_hd.plotting._style import BLACK, GREY, POINTS, dress, looks
+from sklearn_hd.plotting._style import BLACK, GREY, LEGEND, POINTS, dress, looks
 
 __all__ = ["OrderSelectionDisplay"]
 
@@ -225,7 +225,7 @@ class OrderSelectionDisplay:
         dress(self.ax_, x="order of the model (–)", y=f"cross-validated {label}")
         handles = [*self.lines_.values(), self.chosen_, self.limit_, self.failed_]
         handles = [handle for handle in handles if handle is not None]
-        self.legend_ = self.ax_.legend(handles=handles, frameon=False, fontsize=9)
+        self.legend_ = self.ax_.legend(handles=handles, **LEGEND)
         return self
 
     def _draw_lines(self, good, misfit):

@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
 
+from sklearn_hd.plotting._style import LEGEND
+
 
 class Panels:
     """The panels of a display.
@@ -92,7 +94,7 @@ class Panels:
             handles = self.axes[fallback].get_legend_handles_labels()[0]
         if not handles:
             return None
-        options = {"handles": handles, "frameon": False, "fontsize": 9}
+        options = {"handles": handles, **LEGEND}
         if self.own:
             count = min(columns, len(handles))
             return self.figure.legend(loc="outside lower center", ncols=count, **options)

@@ -4,7 +4,7 @@ import numpy as np
 
 from sklearn_hd.plotting._fitted import fitted_step
 from sklearn_hd.plotting._panels import one_axes
-from sklearn_hd.plotting._style import BLUE, GREY, ORANGE, RED, dress, number
+from sklearn_hd.plotting._style import BLUE, GREY, LEGEND, ORANGE, RED, dress, number
 from sklearn_hd.subspace import MOESPRegressor
 
 __all__ = ["SingularValueDisplay"]
@@ -134,7 +134,7 @@ class SingularValueDisplay:
         }
         dress(ax, x="number (–)", y="singular value (scaled outputs)")
         ax.set_xlim(0, len(values) + 1)
-        ax.legend(loc="upper right", frameon=False, fontsize=9)
+        ax.legend(loc="upper right", **LEGEND)
         return self
 
     def _gap(self, values):

@@ -47,6 +47,7 @@ BARS = (
 TIME, SAMPLES = "time (s)", "sample (–)"
 FREQUENCY = "frequency (rad/s)"
 REAL, IMAGINARY = "real part (1/s)", "imaginary part (rad/s)"
+LEGEND = {"fontsize": 9, "edgecolor": "none", "framealpha": 0.8}  # readable over what it covers
 LARGEST = 10.5  # points, the size of titles
 
 
