@@ -88,4 +88,4 @@ def warn_refined(result):
 
 
 def _warn(text, category=IdentifiabilityWarning):
-    warnings.warn(text, category, stacklevel=6)
+    warnings.warn(text, category, stacklevel=8)
