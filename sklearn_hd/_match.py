@@ -1,6 +1,6 @@
 """A structured model with its parameters: what matching leaves, and how it is reported."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -10,6 +10,8 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._periodic import PeriodicModel
 from sklearn_hd._validation import check_fraction, check_frequencies
+from sklearn_hd.algorithms.matching import MatchResult
+from sklearn_hd.algorithms.matching_problem import numerical_rank
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.algorithms.uncertainty import propagate_std
@@ -68,9 +70,8 @@ class Match:
         The linear time-periodic model, of periodic structures only.
     theta_least_squares : ndarray, shape (n_parameters,), or None
         The match in the mean square over frequency; None where it is ``theta``.
-    hinf_error, relative_error, peak_frequency : float
-        Largest error over frequency, the same relative to the model, and where, rad/s;
-        NaN where the match was not made in this norm.
+    found : MatchResult or None
+        What the search in a norm left; None where nothing was minimised in one.
     n_iter : int
     uncertainty : Uncertainty or None
         After maximum likelihood only.
@@ -82,18 +83,68 @@ class Match:
     structure: PeriodicStructure | None
     periodic: PeriodicModel | None = None
     theta_least_squares: np.ndarray | None = None
-    hinf_error: float = np.nan
-    relative_error: float = np.nan
-    peak_frequency: float = np.nan
+    found: MatchResult | None = None
     n_iter: int = 1
     uncertainty: Uncertainty | None = None
 
+    def by(self, found):
+        """The same with what a search in a norm left."""
+        least_squares = found.theta_least_squares
+        return replace(self, theta_least_squares=least_squares, found=found, n_iter=found.n_iter)
 
-def periodic_match(structure, theta, periodic, model, basis, figures=()):
+
+def periodic_match(structure, theta, periodic, model, basis, found=None):
     """The match of a periodic structure; its time-invariant model is the decomposition."""
     matrices, state_names = periodic.time_invariant(basis)
     matched = model.in_continuous_time(*matrices, state_names=state_names)
-    return Match(matched, structure.parameter_names, theta, structure, periodic, *figures)
+    match = Match(matched, structure.parameter_names, theta, structure, periodic)
+    return match if found is None else match.by(found)
+
+
+class NormReport:
+    """How near a fitted match came in its norm, and what certifies it."""
+
+    def _store_found(self, found):
+        """Keep the figures of a MatchResult as numbers and arrays; NaN where there is none."""
+        self.hinf_error_ = self.hinf_error_relative_ = self.h2_error_ = np.nan
+        self.peak_frequency_ = self.optimality_ = np.nan
+        self._peaks, self._history = np.empty((0, 3)), ()
+        self._singular_values = np.empty(0)
+        if found is None:
+            return
+        self.hinf_error_, self.hinf_error_relative_ = found.hinf_error, found.relative_error
+        self.h2_error_, self.peak_frequency_ = found.h2_error, found.peak_frequency
+        self._history, self._singular_values = found.history, found.singular_values
+        self.optimality_ = found.predicted_decrease
+        if found.certificate is not None:
+            proof = found.certificate
+            self.optimality_ = max(proof.distance, proof.predicted_decrease)
+            self._peaks = np.stack([proof.frequencies, proof.errors, proof.weights], axis=1)
+
+    @property
+    def peaks_(self):
+        """Peaks of the error that hold the H∞ norm where it is, as a DataFrame."""
+        check_is_fitted(self)
+        return pd.DataFrame(self._peaks, columns=["frequency", "error", "weight"])
+
+    @property
+    def history_(self):
+        """Stage and error after each step of the search, as a DataFrame."""
+        check_is_fitted(self)
+        history = pd.DataFrame(list(self._history), columns=["stage", "error"])
+        return history.rename_axis("iteration")
+
+    @property
+    def sensitivity_(self):
+        """Singular values of the response's sensitivity to the parameters, as a Series."""
+        check_is_fitted(self)
+        return pd.Series(self._singular_values, name="singular_value")
+
+    @property
+    def rank_(self):
+        """Number of independent combinations of parameters that the outputs determine."""
+        check_is_fitted(self)
+        return numerical_rank(self._singular_values)
 
 
 class ParameterReport:

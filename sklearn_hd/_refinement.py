@@ -54,7 +54,10 @@ def refine(match, structure, experiment, max_iter, input_noise):
 
 
 def _refine_invariant(match, structure, experiment, max_iter, input_noise):
-    result = refine_invariant(match.structure, match.theta, experiment, max_iter, input_noise)
+    bounds = structure.lower, structure.upper
+    result = refine_invariant(
+        match.structure, match.theta, experiment, max_iter, input_noise, bounds
+    )
     matrices = [M[0] for M in match.structure.matrices(result.theta)]
     names = match.model.state_names
     everything = np.arange(match.structure.n_parameters)
@@ -62,9 +65,7 @@ def _refine_invariant(match, structure, experiment, max_iter, input_noise):
         match,
         model=match.model.in_continuous_time(*matrices, state_names=names),
         theta=result.theta,
-        hinf_error=np.nan,  # those of the start
-        relative_error=np.nan,
-        peak_frequency=np.nan,
+        found=None,  # that of the start
         n_iter=result.n_iter,
         uncertainty=uncertainty(match.structure, result, experiment, structure.affine, everything),
     )
@@ -114,7 +115,7 @@ def observation(experiment):
     )
 
 
-def refine_invariant(structure, theta, experiment, max_iter, input_noise=None):
+def refine_invariant(structure, theta, experiment, max_iter, input_noise=None, bounds=None):
     """A time-invariant structure between the drive and the (harmonics of the) outputs."""
     return output_error(
         structure,
@@ -123,6 +124,7 @@ def refine_invariant(structure, theta, experiment, max_iter, input_noise=None):
         theta,
         observe=observation(experiment),
         input_sigma=input_noise,
+        bounds=bounds,
         max_iter=max_iter,
     )
 

@@ -1,42 +1,36 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._frame import highest_harmonic
-from sklearn_hd._match import Match, ParameterReport, periodic_match
+from sklearn_hd._match import Match, NormReport, ParameterReport, periodic_match
+from sklearn_hd._match_warnings import warn_matched, warn_realized, warn_refined
+from sklearn_hd._norm_matching import NORMS, NormSettings
 from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator
 from sklearn_hd._realization import realize
 from sklearn_hd._refinement import refine
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
-from sklearn_hd.algorithms.matching import match_structure
-from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.simulation import frequency_response
-from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
-CRITERIA = ("hinf", "output_error")
-POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
-MOST_SYSTEMATIC = 0.01  # share of that variance left in a rest that is not white
-POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
+CRITERIA = (*NORMS, "output_error")
+SEARCH = ("n_starts", "n_jobs", "max_iter", "tol", "random_state")  # told to every search
 
 
-class StructuredMatcher(ParameterReport, ModelStep):
+class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     """Bring the identified model to the structure of the physics.
 
-        θ* = arg min_θ ‖G_c(s) − G_s(s; θ)‖_∞                            (Eq. 22)
+        θ* = arg min_θ ‖W_o(s) (G_c(s) − G_s(s; θ)) W_i(s)‖_∞             (Eq. 22)
         θ* = arg max_θ  likelihood of the measured y(t)        (criterion="output_error")
 
     With a :class:`MatrixStructure` the model is time-invariant. With a
@@ -52,22 +46,33 @@ class StructuredMatcher(ParameterReport, ModelStep):
     structure : MatrixStructure, HarmonicStructure or None, default=None
         The structure. None leaves every entry free: the model as it is, or the periodic
         system if the model was identified period by period.
-    criterion : {"hinf", "output_error"}, default="hinf"
-        ``"hinf"`` matches the model identified; where the closed form is exact there is
-        nothing left to minimise. ``"output_error"`` goes on from there to the parameters
-        of largest likelihood for the raw record, if the noise on the outputs is white:
-        no bias by windows, and standard deviations beside the parameters. It chooses the
-        numbers of harmonics that a HarmonicStructure leaves open (Akaike's criterion).
+    criterion : {"hinf", "h2", "least_squares", "output_error"}, default="hinf"
+        In what the model identified is matched: ``"hinf"``, the largest error over
+        frequency; ``"h2"``, the size of the error's impulse response, for which D_s must
+        be able to equal D_c; ``"least_squares"``, the mean square over a grid of
+        frequencies in which all channels count alike, usually the better estimate of
+        parameters where no exact match exists. Where a closed form is exact there is
+        nothing left to minimise. ``"output_error"`` goes on from the latter to the
+        parameters of largest likelihood for the raw record, if the noise on the outputs
+        is white: no bias by windows, and standard deviations beside the parameters. It
+        chooses the numbers of harmonics that a HarmonicStructure leaves open (Akaike's
+        criterion).
     input_noise : float, dict or None, default=None
         Standard deviation of white noise on the measured inputs (a dict: by input, in
         their units), which the system does not feel. Maximum likelihood then is a total
         least squares, without the bias that noisy inputs give. None: they are exact.
+    output_weights, input_weights : float, sequence, dict or linear system, default=None
+        W_o and W_i, by channel of the model (a dict: by name; what is not named weighs 1).
+        A weight is a positive number, or a stable continuous transfer function of one
+        channel or of all: from control or scipy.signal, or a tuple A, B, C, D.
     scale : bool, default=True
-        Whether to scale the channels for the H∞ norm, each output by the size of its
+        Whether to scale the channels beside these weights, each output by the size of its
         row of G_c, each input by that of its column; without, the units of the model
         decide which channel is matched.
     n_starts : int, default=6
         Largest number of starts tried where no exact match is found.
+    n_jobs : int or None, default=None
+        Starts tried at once, in processes of their own; the match is the same.
     random_state : int, default=0
         Seed of the starts.
     max_iter : int, default=100
@@ -100,12 +105,28 @@ class StructuredMatcher(ParameterReport, ModelStep):
         The match in the mean square over frequency, usually the better
         estimate of parameters where no exact match exists.
     hinf_error_ : float
-        ‖W_o (G_c − G_s(θ)) W_i‖_∞, W_o and W_i the channel scales; NaN where the match
-        was not made in this norm.
+        ‖W_o (G_c − G_s(θ)) W_i‖_∞, channel scales included in the weights; NaN where
+        nothing was matched in a norm.
     hinf_error_relative_ : float
         The same divided by ‖W_o G_c W_i‖_∞.
+    h2_error_ : float
+        ‖W_o (G_c − G_s(θ)) W_i‖_2; infinite where the feedthroughs differ.
     peak_frequency_ : float
         rad/s, where the error is largest.
+    peaks_ : DataFrame, columns frequency (rad/s), error and weight
+        The peaks of the error that hold the H∞ norm where it is, relative to
+        ‖W_o G_c W_i‖_∞, and the weights of their gradients in the convex combination that
+        vanishes at the optimum. Empty where the match is exact or in another norm.
+    optimality_ : float
+        By how much, relative to itself, the criterion could still fall at first order,
+        within a step that moves the response by as much as the error. 0: stationary.
+    history_ : DataFrame, columns stage and error
+        The search, step by step: ``"least squares"`` (relative length of the error over
+        the grid), then ``"minimax"`` (relative H∞ norm) or ``"h2"``.
+    sensitivity_ : Series
+        Singular values of the sensitivity of the response to the parameters.
+    rank_ : int
+        How many combinations of parameters the outputs determine.
     n_iter_ : int
     n_features_in_ : int
     feature_names_in_ : ndarray of str
@@ -152,8 +173,11 @@ class StructuredMatcher(ParameterReport, ModelStep):
         structure=None,
         criterion="hinf",
         input_noise=None,
+        output_weights=None,
+        input_weights=None,
         scale=True,
         n_starts=6,
+        n_jobs=None,
         random_state=0,
         max_iter=100,
         tol=1e-8,
@@ -163,8 +187,11 @@ class StructuredMatcher(ParameterReport, ModelStep):
         self.structure = structure
         self.criterion = criterion
         self.input_noise = input_noise
+        self.output_weights = output_weights
+        self.input_weights = input_weights
         self.scale = scale
         self.n_starts = n_starts
+        self.n_jobs = n_jobs
         self.random_state = random_state
         self.max_iter = max_iter
         self.tol = tol
@@ -197,6 +224,12 @@ class StructuredMatcher(ParameterReport, ModelStep):
         lifted = experiment.basis is not None and experiment.basis.synchronous and model.dt > 0.0
         periodic = isinstance(structure, HarmonicStructure) or (lifted and structure is None)
         noise = self._input_noise(experiment, periodic)
+        if periodic and lifted and not (self.output_weights is None and self.input_weights is None):
+            raise ValueError(
+                "a model identified period by period is brought to periodic form in closed form, "
+                "where nothing is weighed; leave output_weights and input_weights None, or use "
+                "criterion='output_error', which weighs each output by its noise"
+            )
         if periodic:
             match = self._match_periodic(model, experiment, lifted)
         else:
@@ -210,6 +243,8 @@ class StructuredMatcher(ParameterReport, ModelStep):
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
         check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
+        if self.n_jobs is not None and self.n_jobs != -1:
+            check_count("n_jobs", self.n_jobs, 1, "None is one process, -1 all processors")
         check_count("max_iter", self.max_iter, 1, "100 is usual")
         check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
         check_flag("scale", self.scale)
@@ -226,46 +261,37 @@ class StructuredMatcher(ParameterReport, ModelStep):
         self._parameter_names, self._theta = match.names, match.theta
         least_squares = match.theta_least_squares
         self._theta_least_squares = match.theta if least_squares is None else least_squares
-        self.hinf_error_, self.hinf_error_relative_ = match.hinf_error, match.relative_error
-        self.peak_frequency_, self.n_iter_ = match.peak_frequency, match.n_iter
-        self._uncertainty = match.uncertainty
+        self._store_found(match.found)
+        self.n_iter_, self._uncertainty = match.n_iter, match.uncertainty
         return self
 
     # ---- time-invariant structures -----------------------------------------------------------
 
     def _match(self, model):
-        """The structure matched to a continuous model in the H∞ norm."""
+        """The structure matched to a continuous model in the norm of the criterion."""
         if self.structure is None:
             return _unchanged(model)
         structure = self._checked_structure(model)
-        result = self._match_affine(model, structure.affine, structure.initial)
+        bounds = structure.lower, structure.upper
+        result = self._match_affine(model, structure.affine, structure.initial, bounds)
         matrices = (result.A, result.B, result.C, result.D)
         return Match(
             model.in_continuous_time(*matrices, state_names=_state_names(structure, model)),
             structure.parameter_names,
             result.theta,
             PeriodicStructure.time_invariant(structure.affine),
-            None,
-            *_figures(result),
-        )
+        ).by(result)
 
-    def _match_affine(self, model, affine, initial=None):
-        outputs, inputs = self._weights(model)
-        result = match_structure(
-            model.A,
-            model.B,
-            model.C,
-            model.D,
-            affine,
-            theta0=initial,
-            output_weights=outputs,
-            input_weights=inputs,
-            n_starts=self.n_starts,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            random_state=self.random_state,
+    def _match_affine(self, model, affine, initial=None, bounds=None):
+        settings = NormSettings(
+            criterion="least_squares" if self.criterion == "output_error" else self.criterion,
+            scale=self.scale,
+            output_weights=self.output_weights,
+            input_weights=self.input_weights,
+            search={name: getattr(self, name) for name in SEARCH},
         )
-        self._warn(result, self.tol, model.n_states, affine.n_states)
+        result = settings.match(model, affine, initial, bounds)
+        warn_matched(result, settings, model.n_states, affine.n_states)
         return result
 
     # ---- periodic structures -----------------------------------------------------------------
@@ -285,42 +311,11 @@ class StructuredMatcher(ParameterReport, ModelStep):
     def _realize(self, model, experiment, structure):
         """In closed form, from a model identified period by period."""
         found = realize(model, experiment, structure)
-        if not found.physical:
-            warnings.warn(
-                f"the outputs {list(found.model.output_names)} do not determine the "
-                f"{found.model.n_states} states: the model is in Floquet coordinates, in which "
-                f"its states have no physical meaning; measure more outputs for that",
-                IdentifiabilityWarning,
-                stacklevel=5,
-            )
-        if found.r2 < POOR_FIT:
-            warnings.warn(
-                f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's "
-                f"variance; check order, omega and that the record is long enough, or refine it "
-                f"with criterion='output_error'",
-                IdentifiabilityWarning,
-                stacklevel=5,
-            )
-        elif found.systematic > MOST_SYSTEMATIC:
-            warnings.warn(
-                f"the periodic model leaves {found.systematic:.2g} of the record's variance in a "
-                f"rest that is no noise (neighbouring samples are alike); check order, omega, the "
-                f"harmonics that the structure allows, and whether the response is linear",
-                IdentifiabilityWarning,
-                stacklevel=5,
-            )
-        if found.unidentified:
-            warnings.warn(
-                f"the record does not determine {', '.join(found.unidentified)} (only some "
-                f"combinations of them): of all values that fit, the smallest are taken; let "
-                f"inputs change at more phases of the period, or give G and Q fewer harmonics",
-                IdentifiabilityWarning,
-                stacklevel=5,
-            )
+        warn_realized(found)
         return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
     def _match_decomposition(self, model, experiment, structure):
-        """In the H∞ norm, from a model in harmonic-decomposition form."""
+        """In the norm of the criterion, from a model in harmonic-decomposition form."""
         basis = experiment.basis
         inputs, outputs = (tuple(s for s, _ in kept) for kept in (basis.inputs, basis.outputs))
         if structure.states is not None and set(structure.states) != set(outputs):
@@ -342,7 +337,7 @@ class StructuredMatcher(ParameterReport, ModelStep):
         else:
             resolved, theta = full.restricted(seen), result.theta
         periodic = replace(periodic, coefficients=resolved.coefficients(theta))
-        return periodic_match(resolved, theta, periodic, model, basis, _figures(result))
+        return periodic_match(resolved, theta, periodic, model, basis, result)
 
     @property
     def ltp_(self):
@@ -376,7 +371,7 @@ class StructuredMatcher(ParameterReport, ModelStep):
             )
         structure = HarmonicStructure() if self.structure is None else self.structure
         refined, result = refine(match, structure, experiment, self.max_iter, input_noise)
-        self._warn_refined(result)
+        warn_refined(result)
         return refined
 
     def _input_noise(self, experiment, periodic):
@@ -404,30 +399,16 @@ class StructuredMatcher(ParameterReport, ModelStep):
             )
         return np.array([float(values[name]) for name in names])
 
-    @staticmethod
-    def _warn_refined(result):
-        if result.unidentified:
-            warnings.warn(
-                f"the record does not determine {', '.join(result.unidentified)} (only some "
-                f"combinations of them): their standard deviation is infinite; fix some, share a "
-                f"name, or use a richer record",
-                IdentifiabilityWarning,
-                stacklevel=4,
-            )
-        if not result.converged:
-            warnings.warn(
-                f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
-                f"lower the sum of squares by {result.relative_decrease:.2g} of itself; raise "
-                f"max_iter",
-                ConvergenceWarning,
-                stacklevel=4,
-            )
-
     # ---- details -----------------------------------------------------------------------------
 
     def _checked_structure(self, model):
         """The structure, after checking that it fits the model."""
         structure = self.structure
+        if structure.n_parameters == 0:
+            raise ValueError(
+                f"the structure has no free parameter, so there is nothing to match: let entries "
+                f"be NaN or names, or free some of those fixed, {list(structure.fixed)}"
+            )
         for what, given, there in (
             ("inputs", structure.n_inputs, model.input_names),
             ("outputs", structure.n_outputs, model.output_names),
@@ -448,40 +429,6 @@ class StructuredMatcher(ParameterReport, ModelStep):
                 )
         return structure
 
-    def _weights(self, model):
-        """Diagonals of W_o and W_i."""
-        if not self.scale:
-            return None, None
-        grid = matching_grid(np.linalg.eigvals(model.A))
-        grid = grid[np.isfinite(grid)]
-        return channel_scales(frequency_response(model.A, model.B, model.C, model.D, 1j * grid))
-
-    def _warn(self, result, tol, n_found, n_wanted):
-        if n_found != n_wanted and result.relative_error > POOR_MATCH:
-            warnings.warn(
-                f"the model has {n_found} states, the structure {n_wanted}, and the match leaves "
-                f"a relative error of {result.relative_error:.2g}; the structure may not be that "
-                f"of the system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
-                IdentifiabilityWarning,
-                stacklevel=5,
-            )
-        if result.unidentified:
-            warnings.warn(
-                f"these outputs do not determine {', '.join(result.unidentified)} (only some "
-                f"combinations of them): fix some, share a name, or measure more outputs",
-                IdentifiabilityWarning,
-                stacklevel=5,
-            )
-        if not result.converged:
-            warnings.warn(
-                f"the H-infinity match stopped after {result.n_iter} iterations at a relative "
-                f"error of {result.relative_error:.3g}; it could still fall by "
-                f"{result.predicted_decrease:.2g} of itself where tol={tol:g} was asked for; raise "
-                f"max_iter or n_starts",
-                ConvergenceWarning,
-                stacklevel=5,
-            )
-
 
 def _state_names(structure, model):
     """Names of the states: the structure's, or those of the outputs where C is the identity."""
@@ -493,17 +440,6 @@ def _state_names(structure, model):
     return model.output_names if fixed and np.array_equal(C, np.eye(n)) else None
 
 
-def _figures(result):
-    """Least-squares parameters, H∞ errors, peak and iterations of a match."""
-    return (
-        result.theta_least_squares,
-        result.hinf_error,
-        result.relative_error,
-        result.peak_frequency,
-        result.n_iter,
-    )
-
-
 def _unchanged(model):
     """No structure: every entry is a parameter, and the model stays as it is."""
     matrices = (model.A, model.B, model.C, model.D)
@@ -513,4 +449,4 @@ def _unchanged(model):
         for i, j in np.ndindex(M.shape)
     )
     theta = np.concatenate([M.ravel() for M in matrices])
-    return Match(model, names, theta, None, None, None, 0.0, 0.0, 0.0)
+    return Match(model, names, theta, None)

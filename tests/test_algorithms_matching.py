@@ -245,7 +245,11 @@ def test_history_falls_and_error_is_that_of_the_matrices():
     structure, truth = subsystem("heave")
     model = disturbed_heave(0.03, np.random.default_rng(13))
     result = match_structure(*model, structure, theta0=truth)
-    assert np.all(np.diff(result.history) < 0)
+    stages = [stage for stage, _ in result.history]
+    norms = np.array([value for stage, value in result.history if stage == "minimax"])
+    assert stages == sorted(stages)  # least squares first
+    assert np.all(np.diff(norms) < 0)
+    assert norms[-1] == pytest.approx(result.relative_error, rel=1e-12)
     s = 1j * np.array([result.peak_frequency])
     parts = (result.A, result.B, result.C, result.D)
     gap = frequency_response(*model, s) - frequency_response(*parts, s)

@@ -13,6 +13,8 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd._frame import HarmonicBasis
+from sklearn_hd._periodic import PeriodicModel
 from sklearn_hd.algorithms.fourier import harmonic_functions
 
 STATES, INPUTS = ("x", "v"), ("u",)
@@ -84,6 +86,126 @@ def test_outputs_that_are_states_measure_them():
     np.testing.assert_array_equal(P[0], [[0, 1], [0, 0]])
 
 
+def test_entries_are_affine_in_the_parameters():
+    structure = HarmonicStructure(
+        F={"0": [[0, 1], ["-(a + b)/2", "0.5 - d"]], "1c": [[0, 0], ["a - b", "d"]]}, G=0
+    )
+    resolved = structure.resolve(STATES, INPUTS, STATES, {})
+    assert resolved.parameter_names[:3] == ("a", "b", "d")
+    F, *_ = resolved.matrices([3.0, 1.0, 0.25, 0.0, 0.0])
+    np.testing.assert_array_equal(F[:2], [[[0, 1], [-2, 0.25]], [[0, 0], [2.0, 0.25]]])
+
+
+def test_parameters_that_no_entry_tells_apart_are_refused():
+    structure = HarmonicStructure(F={"0": [["a + b"]], "1c": [["2*b + 2*a"]]}, G=0)
+    message = r"determine only combinations of \['a', 'b'\]; give each an entry of its own, or fix"
+    with pytest.raises(ValueError, match=message):
+        structure.parameter_names(["x"], ["u"])
+    assert structure.fix({"b": 1.0}).parameter_names(["x"], ["u"]) == ("a", "G[x,u]_0")
+
+
+def test_the_heave_decomposition_has_eight_parameters_in_A():
+    """w_0, phi_dot_1c, phi_dot_1s: nine entries, but ω is known and the mean damping of the flap
+    stands on the diagonal twice; and one input matrix of harmonic 0 stands in B."""
+    omega, names = 165.0, ("w", "phi_dot")
+    kept = (("U", (0,)),), (("w", (0,)), ("phi_dot", (1,)))
+    basis = HarmonicBasis(omega, 2 * np.pi / omega / 64, 64, "boxcar", 8, *kept)
+    full = HarmonicStructure(F=2, G=1).resolve(names, ("U",), names, {})
+    zero = np.zeros(full.n_parameters)
+    periodic = PeriodicModel(full.coefficients(zero), omega, names, ("U",), names)
+    affine, _ = periodic.decomposed_structure(full, basis)
+    in_A = affine.basis[:, :3, :3].reshape(affine.n_parameters, -1)
+    moving = [name for name, rate in zip(affine.parameter_names, in_A, strict=True) if rate.any()]
+    assert moving == [
+        "F[w,w]_0",
+        "F[phi_dot,phi_dot]_0",
+        "F[w,phi_dot]_1c",
+        "F[phi_dot,w]_1c",
+        "F[w,phi_dot]_1s",
+        "F[phi_dot,w]_1s",
+        "F[phi_dot,phi_dot]_2c",
+        "F[phi_dot,phi_dot]_2s",
+    ]
+    assert np.linalg.matrix_rank(in_A) == 8
+    np.testing.assert_array_equal(
+        affine.constant[:3, :3], [[0, 0, 0], [0, 0, -omega], [0, omega, 0]]
+    )
+    A = affine.matrices(np.random.default_rng(0).standard_normal(affine.n_parameters))[0]
+    assert A[2, 1] - A[1, 2] == pytest.approx(2 * omega, rel=1e-12)
+
+
+# ---- parameters that are known -------------------------------------------------------------------
+
+
+def test_fixed_parameters_become_numbers():
+    fixed = HarmonicStructure(**OSCILLATOR, fixed={"a": 2.0, "q": 0.5})
+    resolved = fixed.resolve(STATES, INPUTS, STATES, {})
+    assert resolved.parameter_names == ("d",)
+    free = oscillator().resolve(STATES, INPUTS, STATES, {})
+    np.testing.assert_array_equal(resolved.coefficients([0.3]), free.coefficients([2.0, 0.3, 0.5]))
+    assert oscillator().fix({"a": 2.0}).fix({"q": 0.5}) == fixed
+    assert fixed.free() == oscillator()
+    assert fixed.free(["q"]).fixed == {"a": 2.0}
+    assert fixed != oscillator()
+
+
+def test_entries_are_fixed_by_their_place():
+    structure = HarmonicStructure(F=1, G=0).fix({"F[x,v]_0": 1.0, "F[x,x]_1s": 0.0})
+    resolved = structure.resolve(STATES, INPUTS, STATES, {})
+    assert resolved.n_parameters == 3 * 4 + 2 - 2
+    assert resolved.matrices(np.zeros(12))[0][0, 0, 1] == 1.0
+    assert structure.given_entries() == ["F"]
+
+
+FIXED = {
+    "list": ({"fixed": [1]}, r"fixed=\[1\] is no mapping by name"),
+    "text": ({"fixed": {"a": "b"}}, r"fixed value of 'a' must be a finite number; got 'b'"),
+    "unknown": (
+        {"fixed": {"x": 1}},
+        r"fixed names 'x', no parameter here; give one of \['a', 'd', 'q'",
+    ),
+    "left to the data": (
+        {"F": None, "fixed": {"F[x,x]_0": 1}},
+        r"fixed names 'F\[x,x\]_0', which F=None leaves out; give F harmonic 0, as a number",
+    ),
+    "higher harmonic": (
+        {"F": 1, "fixed": {"F[x,x]_2c": 1}},
+        r"fixed names 'F\[x,x\]_2c', which F=1 leaves out; give F harmonic 2",
+    ),
+    "not in the dict": (
+        {"fixed": {"F[x,x]_1s": 1}},
+        r"'F\[x,x\]_1s', which F=\{0, 1c\} leaves out",
+    ),
+    "zero": ({"fixed": {"Q[x,u]_0": 1}}, r"'Q\[x,u\]_0', which Q=None leaves out"),
+}
+
+
+@pytest.mark.parametrize("case", FIXED)
+def test_names_that_cannot_be_fixed_are_refused(case):
+    arguments, message = FIXED[case]
+    with pytest.raises(ValueError, match=message):
+        HarmonicStructure(**{**OSCILLATOR, **arguments})
+
+
+def test_names_of_other_signals_cannot_be_fixed():
+    for name in ("F[x,w]_0", "F[x,v]_0"):  # no such state; a number
+        structure = HarmonicStructure(**{**OSCILLATOR, "G": 0}, fixed={name: 1.0})
+        with pytest.raises(ValueError, match=r"fixed names \['F\[x,.\]_0'\], no parameters here"):
+            structure.parameter_names(STATES, INPUTS)
+
+
+def test_wrong_uses_of_fix_and_free_are_refused():
+    structure = oscillator().fix({"a": 2.0})
+    with pytest.raises(
+        ValueError, match=r"'a' is fixed at 2 already and cannot be 3 too; free\(\['a"
+    ):
+        structure.fix({"a": 3.0})
+    with pytest.raises(ValueError, match=r"fix names 'x', no parameter here"):
+        structure.fix({"x": 3.0})
+    with pytest.raises(ValueError, match=r"\['q'\] are not fixed, so cannot be freed; .* \['a'\]"):
+        structure.free(["q"])
+
+
 def test_what_is_known_beforehand():
     structure = oscillator()
     assert structure.n_states == 2
@@ -110,7 +232,12 @@ def test_equality_hash_pickle_clone_and_copies():
         HarmonicStructure(F=1),
         HarmonicStructure(states=STATES),
         HarmonicStructure(F=OSCILLATOR["F"]),
+        one.fix({"a": 1.0}),
+        one.fix({"a": 2.0}),
+        HarmonicStructure(F={"0": pd.DataFrame([["a"]], ["x"], ["x"])}),
+        HarmonicStructure(F={"0": pd.DataFrame([["a"]], ["y"], ["y"])}),
     ]
+    assert len(set(different)) == len(different)
     assert all(one != each for each in different)
     assert one != "F"
     assert HarmonicStructure(F={"0": [[np.nan]]}) == HarmonicStructure(F={"0": [[np.nan]]})
@@ -127,6 +254,31 @@ def test_repr_shows_what_is_given():
     assert repr(HarmonicStructure()) == "HarmonicStructure()"
     assert repr(oscillator()) == "HarmonicStructure(F={0, 1c}, G={1s})"
     assert repr(HarmonicStructure(F=4, states=["w"])) == "HarmonicStructure(F=4, states=['w'])"
+    assert repr(oscillator().fix({"a": 2})).endswith("G={1s}, fixed={'a': 2.0})")
+
+
+def test_text_and_html_show_what_is_given():
+    structure = HarmonicStructure(**OSCILLATOR, P=1, states=["x", "<v>"], fixed={"a": 2.5})
+    lines = [
+        "F_0 = [    0   1 ]",
+        "      [ -2.5  -d ]",
+        "F_1c = [ 0  0 ]",
+        "       [ q  0 ]",
+        "G_1s = [   0 ]",
+        "       [ 2*q ]",
+        "P: 1 harmonic, every entry free",
+        "Q: zero",
+        "a = 2.5, fixed",
+    ]
+    assert str(structure).splitlines() == lines
+    html = structure._repr_html_()
+    for part in ("<i>F</i><sub>0</sub>", "<sub>1s</sub>", ">-d</td>", ">2*q</td>", ">&lt;v&gt;<"):
+        assert part in html
+    for line in lines[-3:]:
+        assert f"<div>{line}</div>" in html
+    assert html.count("font-weight:bold") == 3  # d, q and 2*q
+    assert "<v>" not in html
+    assert str(HarmonicStructure()).splitlines()[0] == "F: the data decide how many harmonics"
 
 
 def test_labels_of_dataframes_are_the_names_of_the_signals():
@@ -149,8 +301,8 @@ WRONG = {
     "label 0c": ({"F": {"0c": [[1]]}}, r"'0c' is no label of F"),
     "label number": ({"F": {0: [[1]]}}, r"0 is no label of F"),
     "not square": ({"F": {"0": [[1, 2]]}}, r"F have shape \(1, 2\); with 1 states F must have 1"),
-    "no matrix": ({"F": {"0": [1, 2]}}, r"F must be a matrix, rows of equal"),
-    "ragged": ({"F": {"0": [[1, 2], [3]]}}, r"F must be a matrix, rows of equal"),
+    "no matrix": ({"F": {"0": [1, 2]}}, r"F_0 must be a matrix, rows of equal"),
+    "ragged": ({"F": {"0": [[1, 2], [3]]}}, r"F_0 must be a matrix, rows of equal"),
     "shapes": ({"F": {"0": [[1]], "1c": [[1, 2], [3, 4]]}}, r"coefficients of F differ in shape"),
     "states a number": ({"states": 5}, r"states=5 is no sequence of names; give a list such as"),
     "states a text": ({"states": "w"}, r"states='w' is no sequence of names"),
@@ -177,9 +329,10 @@ def test_what_is_not_understood_is_refused(case):
 
 @pytest.mark.parametrize("entry", ["1a", "k+", "a*b", 1j, np.inf])
 def test_entries_that_are_none_are_refused(entry):
-    structure = HarmonicStructure(F={"0": [[entry]]}, G=0)
-    with pytest.raises(ValueError, match=r"F\[x,x\] = .* is (no entry|not understood)"):
-        structure.parameter_names(["x"], ["u"])
+    with pytest.raises(
+        ValueError, match=r"F\[0,0\]_1c = .* (is no entry|is not understood|multiplies by)"
+    ):
+        HarmonicStructure(F={"1c": [[entry]]}, G=0)
 
 
 def test_shapes_must_fit_the_signals():
@@ -260,9 +413,33 @@ def test_structures_that_do_not_fit_are_refused(case, data):
         synchronous(2.0, structure).fit(*data)
 
 
-def test_known_entries_need_outputs_that_determine_the_state(data):
+FULL = HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]], "1c": [[0, 0], ["q", 0]]}, G=0)
+
+
+@pytest.mark.parametrize("criterion", ["hinf", "output_error"])
+def test_fixed_parameters_are_held_period_by_period(criterion, data):
+    """Either fixing is right here, so that the others come out as they are."""
+    entries = {"F[y,y]_0": 0.0, "F[y,v]_0": 1.0, "F[v,v]_0": -0.2}
+    for structure, truth in (
+        (FULL.fix({"a": 2.0, "G[y,u1]_0": 0.0}), {"d": 0.2, "q": 1.0, "G[v,u1]_0": 1.0}),
+        (HarmonicStructure(F=1, G=0).fix(entries), {"F[v,y]_0": -2.0, "F[v,y]_1c": 1.0}),
+    ):
+        match = synchronous(2.0, structure, criterion=criterion).fit(*data)["match"]
+        assert match.theta_[list(truth)].to_dict() == pytest.approx(truth, rel=1e-6)
+        assert not match.theta_.index.isin(structure.fixed).any()
+        np.testing.assert_array_equal(match.ltp_.F.coefficients[0, 0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "structure",
+    [
+        HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]]}),
+        HarmonicStructure(F=1, fixed={"F[y,y]_0": 0.0}),
+    ],
+    ids=["entries", "fixed"],
+)
+def test_known_entries_need_outputs_that_determine_the_state(structure, data):
     u, y = data
-    structure = HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]]})
     with pytest.raises(ValueError, match=r"\['y'\] do not determine the 2 states .* entries of F"):
         synchronous(2.0, structure).fit(u, y[["y"]])
 

@@ -15,21 +15,22 @@ LAYERS = [
     {"_frame"},
     {"_sampling"},
     {"_data"},
-    {"_small_signal", "_fit_checks", "_sliding_inputs"},
+    {"_small_signal", "_fit_checks", "_sliding_inputs", "_weights"},
     {"_base"},
     {"_continuous"},
     {"_raw_modes"},
     {"_periodic"},
     {"_match"},
     {"_realization"},
-    {"_refinement"},
+    {"_norm_matching", "_refinement"},
+    {"_match_warnings"},
     {"harmonics", "subspace", "reduction", "matching"},
     {"datasets", "model_selection", "plotting"},
     {"__init__"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 ALONE = {"harmonics", "subspace", "reduction", "matching"}  # the steps never import each other
-ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "clarabel", "sklearn_hd"}
+ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "clarabel", "joblib", "sklearn_hd"}
 STANDARD = {
     "collections", "contextlib", "dataclasses", "functools", "itertools", "math", "numbers",
     "typing", "warnings",

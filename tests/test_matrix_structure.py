@@ -2,7 +2,9 @@
 
 import copy
 import pickle
+from html.parser import HTMLParser
 
+import joblib
 import numpy as np
 import pandas as pd
 import pytest
@@ -95,14 +97,169 @@ def test_initial_values_in_parameter_order(initial):
     np.testing.assert_array_equal(structure.initial, [1.0, 2.0])
 
 
+# ---- what is known of parameters by name -------------------------------------------------------
+
+
+def oscillator(**known):
+    return MatrixStructure([["-d", "w"], ["-w", "-d"]], [["b"], [0]], C=[[1, "c - d"]], **known)
+
+
+def test_fixed_parameters_become_numbers():
+    structure = oscillator(fixed={"d": 0.5})
+    assert structure.parameter_names == ("w", "b", "c")
+    assert structure.n_parameters == 3
+    A, B, C, _ = structure.matrices([2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(A, [[-0.5, 2.0], [-2.0, -0.5]])
+    np.testing.assert_array_equal(C, [[1.0, 3.5]])
+    free = oscillator()
+    for one, other in zip((A, B, C), free.matrices([0.5, 2.0, 3.0, 4.0]), strict=False):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_fix_and_free_are_inverse():
+    free = oscillator(initial=[1.0, 2.0, 3.0, 4.0], bounds={"d": (0, 5), "w": (None, 9.0)})
+    fixed = free.fix({"d": 0.5}).fix(pd.Series({"c": 2.0}))
+    assert fixed.fixed == {"d": 0.5, "c": 2.0}
+    assert fixed.parameter_names == ("w", "b")
+    np.testing.assert_array_equal(fixed.initial, [2.0, 3.0])
+    np.testing.assert_array_equal(fixed.upper, [9.0, np.inf])
+    back = fixed.free()
+    np.testing.assert_array_equal(back.initial, [0.5, 2.0, 3.0, 2.0])  # from where they stood
+    assert back.bounds == free.bounds
+    assert oscillator().fix({"d": 1.0}).free(["d"]) == oscillator()
+    assert free.fix({"d": 1.0}).free(["d"]) == free
+    assert free.fixed == {}
+    assert fixed.free(["c"]).parameter_names == ("w", "b", "c")
+
+
+def test_everything_may_be_fixed():
+    values = {"d": 1.0, "w": 2.0, "b": 3.0, "c": 4.0}
+    for start in (None, values):
+        structure = oscillator(initial=start).fix(values)
+        assert structure.parameter_names == ()
+        assert structure.matrices([])[0].tolist() == [[-1.0, 2.0], [-2.0, -1.0]]
+
+
+def test_fixing_an_entry_by_its_place():
+    structure = heave().fix({"A[0,1]": 0.0})
+    assert structure.n_parameters == 9
+    assert structure.affine.n_parameters == 9
+    assert structure == heave().fix({"A[0,1]": -0.0})
+
+
+def test_bounds_are_in_the_order_of_the_parameters():
+    structure = oscillator(
+        bounds={"c": [-1, 1], "d": (0, None), "b": (None, None), "w": (-np.inf, 2)}
+    )
+    np.testing.assert_array_equal(structure.lower, [0.0, -np.inf, -np.inf, -1.0])
+    np.testing.assert_array_equal(structure.upper, [np.inf, 2.0, np.inf, 1.0])
+    assert structure.bounds == {"c": (-1.0, 1.0), "d": (0.0, None), "w": (None, 2.0)}
+    assert oscillator(bounds=structure.bounds) == structure
+    np.testing.assert_array_equal(oscillator().lower, [-np.inf] * 4)
+    np.testing.assert_array_equal(structure.fix({"d": 1}).lower, [-np.inf, -np.inf, -1.0])
+
+
+def test_initial_values_beside_fixed_ones():
+    given = {"w": 2.0, "b": 3.0, "c": 4.0}
+    for initial in (given, {**given, "d": 0.5}, [2.0, 3.0, 4.0]):
+        structure = oscillator(initial=initial, fixed={"d": 0.5})
+        np.testing.assert_array_equal(structure.initial, [2.0, 3.0, 4.0])
+
+
+KNOWN = {
+    "unknown fixed": ({"fixed": {"x": 1}}, r"fixed names \['x'\], no parameters here; allowed are"),
+    "unknown bounds": ({"bounds": {"x": (0, 1)}}, r"bounds names \['x'\], no parameters here"),
+    "fixed a list": ({"fixed": [1.0]}, r"fixed=\[1.0\] is no mapping by name; give one such as"),
+    "bounds a pair": ({"bounds": (0, 1)}, r"bounds=\(0, 1\) is no mapping by name; .* \{'k': \(0"),
+    "fixed a text": ({"fixed": {"d": "1"}}, r"fixed value of 'd' must be a finite number; got '1'"),
+    "fixed too large": ({"fixed": {"d": 10**400}}, r"fixed value of 'd' must be a finite number"),
+    "bounds too large": ({"bounds": {"d": (0, 10**400)}}, r"give \(low, high\) with low < high"),
+    "fixed NaN": ({"fixed": {"d": np.nan}}, r"fixed value of 'd' must be a finite number; got nan"),
+    "fixed twice": (
+        {"fixed": pd.Series([1.0, 2.0], index=["d", "d"])},
+        r"fixed names \['d'\] more than once; give every name one value",
+    ),
+    "low above high": (
+        {"bounds": {"d": (2, 1)}},
+        r"bounds of 'd' are \(2, 1\); give .* low < high",
+    ),
+    "one point": ({"bounds": {"d": (1, 1)}}, r"one value alone is given by fixed"),
+    "bounds NaN": ({"bounds": {"d": (np.nan, 1)}}, r"bounds of 'd' are \(nan, 1\)"),
+    "three bounds": ({"bounds": {"d": (0, 1, 2)}}, r"bounds of 'd' are \(0, 1, 2\)"),
+    "bounds a number": ({"bounds": {"d": 3}}, r"bounds of 'd' are 3; give \(low, high\)"),
+    "bounds texts": ({"bounds": {"d": ("0", "1")}}, r"bounds of 'd' are \('0', '1'\)"),
+    "bounds at infinity": ({"bounds": {"d": (np.inf, None)}}, r"bounds of 'd' are \(inf, None\)"),
+    "start outside": (
+        {"initial": [1.0, 2.0, 3.0, 4.0], "bounds": {"w": (None, 1.5)}},
+        r"the initial value 2 of 'w' is outside its bounds \(None, 1.5\); change one of them",
+    ),
+    "fixed outside": (
+        {"fixed": {"d": -1.0}, "bounds": {"d": (0, None)}},
+        r"the fixed value -1 of 'd' is outside its bounds \(0.0, None\); change one of them",
+    ),
+    "fixed elsewhere": (
+        {"fixed": {"d": 1.0}, "initial": {"d": 2.0, "w": 2.0, "b": 3.0, "c": 4.0}},
+        r"initial gives 'd' the value 2, but it is fixed at 1; leave it out of one of the two",
+    ),
+    "start of some": ({"initial": {"w": 2.0}}, r"missing \['d', 'b', 'c'\], unknown \[\], allowed"),
+}
+
+
+@pytest.mark.parametrize("case", KNOWN)
+def test_contradictions_are_refused(case):
+    arguments, message = KNOWN[case]
+    with pytest.raises(ValueError, match=message):
+        oscillator(**arguments)
+
+
+def test_wrong_uses_of_fix_and_free_are_refused():
+    structure = oscillator(fixed={"d": 0.5}, bounds={"w": (0, 9)})
+    with pytest.raises(ValueError, match=r"'d' is fixed at 0.5 already and cannot be 1 too; free"):
+        structure.fix({"d": 1.0})
+    assert structure.fix({"d": 0.5}) == structure
+    with pytest.raises(
+        ValueError, match=r"fix names \['x'\], no parameters here; allowed are \['d'"
+    ):
+        structure.fix({"x": 1.0})
+    with pytest.raises(ValueError, match=r"fixed=\[1.0\] is no mapping by name; give one such"):
+        structure.fix([1.0])
+    with pytest.raises(ValueError, match=r"the fixed value 10 of 'w' is outside its bounds"):
+        structure.fix({"w": 10.0})
+    with pytest.raises(ValueError, match=r"\['w'\] are not fixed, so cannot be freed; fixed are"):
+        structure.free(["w"])
+    with pytest.raises(ValueError, match=r"free\('d'\): give a list of names, such as \['k'\]"):
+        structure.free("d")
+
+
+# ---- a parameter like any other ----------------------------------------------------------------
+
+
 def test_equality_hash_pickle_and_copies():
-    structure = heave()
-    for twin in (heave(), pickle.loads(pickle.dumps(structure)), copy.deepcopy(structure)):
-        assert twin == structure
-        assert hash(twin) == hash(structure)
+    known = {"initial": [1.0, 2.0, 3.0], "bounds": {"w": (0, None)}, "fixed": {"d": 0.5}}
+    for make in (heave, lambda: oscillator(**known)):
+        structure = make()
+        for twin in (make(), pickle.loads(pickle.dumps(structure)), copy.deepcopy(structure)):
+            assert twin == structure
+            assert hash(twin) == hash(structure)
+            assert joblib.hash(twin) == joblib.hash(structure)
     assert structure != MatrixStructure(np.full((3, 3), NAN), [[0.0], [1.0], [0.0]])
     assert structure != "heave"
     assert MatrixStructure([["a"]], [[1.0]]) != MatrixStructure([["a"]], [[1.0]], initial=[1.0])
+    different = [oscillator(), oscillator(**known | {"bounds": None})]
+    different += [oscillator(fixed={"d": 0.5}), oscillator(fixed={"d": 0.6}), oscillator(**known)]
+    assert len(set(different)) == len(different)
+    order = {"d": 1.0, "w": 2.0}, {"w": 2.0, "d": 1.0}
+    assert len({oscillator(fixed=fixed) for fixed in order}) == 1
+    scales = MatrixStructure([["2.00000001*k"]], [[1]]), MatrixStructure([["2*k"]], [[1]])
+    assert scales[0] != scales[1]
+
+
+def test_use_does_not_change_the_hash():
+    """A pipeline's cache would take a structure that has been fitted for another one."""
+    structure = oscillator()
+    before = joblib.hash(structure)
+    structure.affine.response_and_sensitivity([1.0, 2.0, 3.0, 4.0], [1j])
+    assert joblib.hash(structure) == before
 
 
 def test_scikit_learn_clones_it_as_a_parameter():
@@ -124,13 +281,75 @@ def test_results_and_inputs_do_not_share_memory():
 
 
 def test_repr_and_str_show_the_entries():
-    structure = MatrixStructure([["-k", 2.0], [0.0, NAN]], [[0.0], ["2*k"]])
+    structure = MatrixStructure([["-k", 2.0], [0.0, NAN]], [[0.0], ["1 - 2*k + b"]])
     assert repr(structure) == (
-        "MatrixStructure(2 states, 1 inputs, 2 outputs, parameters=['k', 'A[1,1]'])"
+        "MatrixStructure(2 states, 1 inputs, 2 outputs, parameters=['k', 'A[1,1]', 'b'])"
     )
-    text = str(structure)
-    for part in ("A = [", "-k", "A[1,1]", "2*k", "D = ["):
-        assert part in text
+    assert str(structure).splitlines() == [
+        "A = [ -k       2 ]",
+        "    [  0  A[1,1] ]",
+        "B = [           0 ]",
+        "    [ 1 - 2*k + b ]",
+        "C = [ 1  0 ]",
+        "    [ 0  1 ]",
+        "D = [ 0 ]",
+        "    [ 0 ]",
+    ]
+
+
+def test_repr_and_str_show_what_is_known():
+    structure = oscillator(
+        fixed={"c": 2}, bounds={"d": (0, 5), "w": (None, 9)}, initial=[1, 1e-4, 3]
+    )
+    assert repr(structure).endswith(
+        "parameters=['d', 'w', 'b'], bounds={'d': (0.0, 5.0), 'w': (None, 9.0)}, fixed={'c': 2.0})"
+    )
+    assert str(structure).splitlines()[4:] == [
+        "C = [ 1  2 - d ]",
+        "D = [ 0 ]",
+        "0 <= d <= 5, initial 1",
+        "w <= 9, initial 0.0001",
+        "b, initial 3",
+        "c = 2, fixed",
+    ]
+
+
+class Cells(HTMLParser):
+    """Texts of a page by tag, cells that stand out apart."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.found, self.open = {}, []
+        self.feed(html)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append((tag, "bold" in dict(attrs).get("style", "")))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        self.found.setdefault(self.open[-1], []).append(data)
+
+
+def test_html_shows_names_and_lets_free_entries_stand_out():
+    states = ["w_0", "<b>&"]
+    A = pd.DataFrame([["-k", 2.5], ["k", NAN]], states, states)
+    structure = MatrixStructure(A, [[0], [1]], input_names=["U"], bounds={"k": (0, None)})
+    found = Cells(structure._repr_html_()).found
+    assert found["i", False] == ["A", "B", "C", "D"]
+    assert found["td", True] == ["-k", "k", "A[<b>&,<b>&]"]
+    assert found["td", False][:3] == ["2.5", "0", "1"]
+    assert found["th", False][:4] == ["w_0", "<b>&", "w_0", "<b>&"]
+    assert found["th", False][4] == "U"
+    assert found["div", False] == ["0 <= k"]
+
+
+def test_html_counts_what_has_no_names():
+    found = Cells(MatrixStructure([["a"]], [[1, 2]])._repr_html_()).found
+    assert found["th", False] == ["0", "0", "0", "1", "0", "0", "0", "0", "1", "0"]
 
 
 def test_no_free_entry_is_allowed_here():
@@ -151,12 +370,6 @@ def test_no_free_entry_is_allowed_here():
         ({"A": np.eye(2), "B": np.ones((2, 1)), "D": [[0.0]]}, r"D has shape .*\(2, 1\)"),
         ({"A": np.ones(3), "B": [[1]]}, "A must be a matrix"),
         ({"A": [[1, 2], [3]], "B": [[1], [1]]}, "A must be a matrix"),
-        ({"A": [["a+b"]], "B": [[1]]}, r"A\[0,0\] = 'a\+b' is not understood"),
-        ({"A": [["x*k"]], "B": [[1]]}, r"write a parameter as 'k', '-k' or '2\*k'"),
-        ({"A": [["0*k"]], "B": [[1]]}, "is not understood"),
-        ({"A": [["2k"]], "B": [[1]]}, "is not understood"),
-        ({"A": [[""]], "B": [[1]]}, "is not understood"),
-        ({"A": [["inf"]], "B": [[1]]}, r"A\[0,0\] = inf is no entry"),
         ({"A": [[np.inf]], "B": [[1]]}, r"A\[0,0\] = inf is no entry"),
         ({"A": [[1j]], "B": [[1]]}, r"is no entry; give a finite number"),
         ({"A": [["a"]], "B": [[1]], "initial": {"b": 1.0}}, r"missing \['a'\], unknown \['b'\]"),
@@ -164,6 +377,8 @@ def test_no_free_entry_is_allowed_here():
         ({"A": [["a"]], "B": [[1]], "initial": [NAN]}, "initial must hold 1 finite numbers"),
         ({"A": [["a"]], "B": [[1]], "initial": ["x"]}, r"each of \['a'\]; got \['x'\]"),
         ({"A": [["a"]], "B": [[1]], "initial": [[1], [1, 2]]}, "initial must hold 1 finite"),
+        ({"A": [["a"]], "B": np.zeros((1, 0))}, r"without inputs, or without outputs, there is no"),
+        ({"A": [["a"]], "B": [[1]], "C": np.zeros((0, 1))}, r"C \(0, 1\): without inputs, or"),
         ({"A": [["a"]], "B": [[1]], "state_names": 3}, "state_names=3 is no sequence of names"),
         ({"A": [["a"]], "B": [[1]], "input_names": "u"}, "input_names='u' is no sequence of"),
         ({"A": [["a"]], "B": [[1]], "state_names": ["x", "y"]}, "must be 1 different names"),

@@ -1,6 +1,6 @@
 """Least-squares matches of responses over a frequency grid, by Levenberg-Marquardt.
 
-    min_θ Σ_i |W_o (G_c(s_i) − G_s(s_i; θ)) W_i|_F²,   s_i = α + jω_i,  α ≥ 0
+    min_θ Σ_i |W_o (G_c(s_i) − G_s(s_i; θ)) W_i|_F²,   s_i = α + jω_i,  α ≥ 0,  l ≤ θ ≤ u
 
 The line Re s = α lies right of all poles of G_s; a step that moves a pole across it is
 refused. α = 0 is the match proper. Starts are led there through lines α > 0: seen from
@@ -9,10 +9,13 @@ stable one, and an exact match is the same on every line.
 """
 
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
+from joblib import Parallel, delayed, effective_n_jobs
 from scipy import linalg
 
+from sklearn_hd.algorithms.bounded_steps import BoundedSteps
 from sklearn_hd.algorithms.structured_model import column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -34,12 +37,20 @@ class GridFit:
     theta : ndarray, shape (k,)
     residual : float
         Relative to the length of G_c on the grid.
-    n_iter : int
+    promised : float
+        By how much the sum of squares could still fall at first order, relative to it.
+    history : tuple of float
+        The residual after each step, on the lines Re s = α that led here.
     """
 
     theta: np.ndarray
     residual: float
-    n_iter: int
+    promised: float
+    history: tuple
+
+    @property
+    def n_iter(self):
+        return len(self.history)
 
 
 def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
@@ -64,23 +75,18 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
     cost, damping, growth = residual @ residual, 1e-3, 2.0
     costs = [cost]
     while len(costs) <= max_iter:
-        size = column_sizes(jacobian)
-        left, singular, adjoint = linalg.svd(jacobian / size, full_matrices=False)
-        projected = left.T @ residual
-        promised = projected @ projected
-        if promised <= tol * cost:
+        steps = _steps(problem, theta, residual, jacobian)
+        if steps.promised <= tol * cost:
             break
         accepted = False
         while not accepted and damping < _DAMPING_LIMIT:
-            weight = singular / (singular**2 + damping)
-            step = -(adjoint.T @ (weight * projected)) / size
-            trial = theta + step
+            step, expected = steps.damped(damping)
+            trial = problem.inside(theta + step)
             new_cost = np.inf
             if problem.abscissa(trial) < shift:
                 new_residual, new_jacobian = problem.residual_and_jacobian(trial, shift)
                 new_cost = new_residual @ new_residual
-            model = projected**2 * (1.0 - (damping / (singular**2 + damping)) ** 2)
-            gain = (cost - new_cost) / max(model.sum(), 1e-300)
+            gain = (cost - new_cost) / max(expected, 1e-300)
             accepted = new_cost < cost
             if not accepted:
                 damping, growth = damping * growth, 2.0 * growth
@@ -93,7 +99,34 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
         creeping = len(costs) > _PATIENCE and cost > 0.9 * costs[-_PATIENCE]
         if creeping or cost > (1.0 - _STALLED) * costs[-2] or cost <= _ROUNDING:
             break
-    return GridFit(theta, float(np.sqrt(cost)), len(costs))
+    promised = _steps(problem, theta, residual, jacobian).promised / max(cost, _ROUNDING)
+    return GridFit(theta, float(np.sqrt(cost)), float(promised), tuple(np.sqrt(costs).tolist()))
+
+
+def _steps(problem, theta, residual, jacobian):
+    if not problem.bounded:
+        return _FreeSteps(residual, jacobian)
+    return BoundedSteps(residual, jacobian, problem.lower - theta, problem.upper - theta)
+
+
+class _FreeSteps:
+    """Steps that minimise |r + J s|² + damping |s|², columns of J scaled to length one.
+
+    ``promised`` is the decrease of |r + J s|² without damping.
+    """
+
+    def __init__(self, residual, jacobian):
+        self._size = column_sizes(jacobian)
+        left, self._singular, self._adjoint = linalg.svd(jacobian / self._size, full_matrices=False)
+        self._projected = left.T @ residual
+        self.promised = self._projected @ self._projected
+
+    def damped(self, damping):
+        """Step and the decrease it promises."""
+        weight = self._singular / (self._singular**2 + damping)
+        step = -(self._adjoint.T @ (weight * self._projected)) / self._size
+        kept = 1.0 - (damping / (self._singular**2 + damping)) ** 2
+        return step, self._projected**2 @ kept
 
 
 def fit_from_the_right(problem, theta, max_iter=100):
@@ -104,15 +137,15 @@ def fit_from_the_right(problem, theta, max_iter=100):
     one output, from starts 50 % off: 98-100 % end at the exact match this way, about 35 %
     when the search begins on the axis. None if no stable model is reached.
     """
-    n_iter, fastest = 0, problem.fastest
+    history, fastest = (), problem.fastest
     shift = max(fastest, 2.0 * problem.abscissa(theta))
     for _ in range(_LINES):
         fit = levenberg_marquardt(problem, theta, shift=shift, max_iter=15)
-        theta, n_iter = fit.theta, n_iter + fit.n_iter
+        theta, history = fit.theta, history + fit.history
         abscissa = problem.abscissa(theta)
         if abscissa < 0 and shift < 0.03 * fastest:
             fit = levenberg_marquardt(problem, theta, max_iter=max_iter)
-            return replace(fit, n_iter=fit.n_iter + n_iter)
+            return replace(fit, history=history + fit.history)
         shift = max(0.4 * shift, 0.5 * (shift + abscissa))
     return None
 
@@ -139,7 +172,14 @@ class Start:
     near: bool
 
 
-def local_fits(problem, starts, *, max_iter=100, near=1e-6):
+def _in_batches(problem, starts, max_iter, n_jobs):
+    """Fits in the order of the starts, as many at once as there are processes."""
+    size = effective_n_jobs(n_jobs)
+    while batch := list(islice(starts, size)):
+        yield from Parallel(n_jobs)(delayed(fit_from)(problem, start, max_iter) for start in batch)
+
+
+def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
     """Different least-squares matches reached from some starts, the best first.
 
     Stops early at an exact match, or when the best residual has been reached twice.
@@ -152,6 +192,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
         Largest number of steps from each.
     near : float
         Relative residual that counts as an exact match but for rounding.
+    n_jobs : int, optional
+        Starts tried at once, in processes of their own (joblib); the result is the same.
 
     Returns
     -------
@@ -163,9 +205,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
         If no start led to a stable model.
     """
     fits, n_starts = [], 0
-    for start in starts:
+    for fit in _in_batches(problem, iter(starts), max_iter, n_jobs):
         n_starts += 1
-        fit = fit_from(problem, start, max_iter)
         if fit is None:
             continue
         known = [abs(fit.residual - other.residual) <= 1e-6 * fit.residual for other in fits]

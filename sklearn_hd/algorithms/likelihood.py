@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.bounded_steps import BoundedSteps
 from sklearn_hd.algorithms.periodic_structure import (
     MAX_SUBSTEPS,
     PeriodicStructure,
@@ -92,6 +93,13 @@ class LinearSystem:
         weight = np.where(self.kept, weight, 0.0)
         return -(self.adjoint.T @ (weight * self.projected)) / self.size
 
+    def within(self, lower, upper):
+        """The same for steps between bounds."""
+        if not (np.any(np.isfinite(lower)) or np.any(np.isfinite(upper))):
+            return self
+        steps = BoundedSteps(self.R[:, -1], self.R[:, :-1], lower, upper)
+        return BoundedSystem(self.factors, self.states, self.promised_by_states, steps)
+
     def covariance(self):
         """(JᵀJ)⁻¹, and which parameters are not identified."""
         kept = self.kept
@@ -101,6 +109,23 @@ class LinearSystem:
         covariance[unknown, :] = covariance[:, unknown] = np.nan
         covariance[unknown, unknown] = np.inf
         return covariance, unknown
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedSystem:
+    """A :class:`LinearSystem` for steps between bounds."""
+
+    factors: list
+    states: list
+    promised_by_states: float
+    steps: BoundedSteps
+
+    @property
+    def promised(self):
+        return self.steps.promised + self.promised_by_states
+
+    def step(self, damping):
+        return self.steps.damped(damping)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,22 +1,27 @@
-"""Structured models matched to a given one in the H∞ norm (step 5, Eqs. 20-22).
+"""Structured models matched to a given one (step 5, Eqs. 20-22).
 
-    θ* = arg min ‖W_o (G_c − G_s(θ)) W_i‖_∞,   G_s(θ): A, B, C, D affine in θ
+    θ* = arg min ‖W_o (G_c − G_s(θ)) W_i‖,   G_s(θ): A, B, C, D affine in θ,  l ≤ θ ≤ u
 
-The stages, each a function: channels are scaled alike; where C_s is known and invertible
-a change of state gives θ in closed form; otherwise Levenberg-Marquardt brings starts to
-the least-squares match over a frequency grid; the best one goes downhill in the exact
-norm by a prox-linear trust region; the singular values of the sensitivity at the end say
-which parameters the outputs determine.
+in the H∞ norm, the H2 norm, or the mean square over a frequency grid. The stages, each a
+function: channels are scaled alike; where C_s is known and invertible a change of state
+gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
+match over the grid, which is where the mean square stops. The best ones go downhill in
+the exact H∞ norm by a prox-linear trust region, then by quasi-Newton steps where that
+stalls; or in the H2 norm by least squares on a quadrature. The singular values of the
+sensitivity at the end say which parameters the outputs determine, the certificate
+whether the norm can still fall.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from joblib import Parallel, delayed
 from scipy import linalg
 
-from sklearn_hd.algorithms.least_squares import GridFit, Start, levenberg_marquardt, local_fits
+from sklearn_hd.algorithms.h2_matching import h2_error, minimise_h2
+from sklearn_hd.algorithms.least_squares import Start, levenberg_marquardt, local_fits
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
-from sklearn_hd.algorithms.minimax import MinimaxResult, minimise_peak
+from sklearn_hd.algorithms.minimax import Certificate, certify, minimise_peak
 from sklearn_hd.algorithms.similarity import (
     draw_transformation,
     output_transformation,
@@ -41,6 +46,8 @@ class MatchResult:
         ‖W_o (G_c − G_s) W_i‖_∞, in the outputs' unit per input's unit.
     relative_error : float
         The same divided by ‖W_o G_c W_i‖_∞.
+    h2_error : float
+        ‖W_o (G_c − G_s) W_i‖_2; infinite where it does not vanish at infinite frequency.
     peak_frequency : float
         rad/s; where the error is largest.
     theta_least_squares : ndarray, shape (k,)
@@ -54,13 +61,18 @@ class MatchResult:
     exact : bool
         True if the match holds to ``exact_tol``, judged by the residual.
     converged : bool
-        True if exact, or if no direction lowers the norm at first order.
+        True if exact, or if no direction lowers the criterion at first order.
     predicted_decrease : float
-        By how much, relative to itself, the norm could still fall at first order.
+        By how much, relative to itself, the criterion could still fall at first order.
+    certificate : Certificate or None
+        First-order conditions of the least H∞ norm; None for other criteria and for exact
+        matches.
     n_iter : int
-        Least-squares and minimax iterations, all starts together.
-    history : tuple of float
-        The norm after each minimax step, the least-squares start first.
+        Steps of all stages and starts together.
+    history : tuple of (str, float)
+        Stage and its measure after each step on the way here: ``"least squares"`` (length
+        of the error over the grid, relative to that of G_c), ``"minimax"`` and
+        ``"quasi-Newton"`` (relative H∞ norm), ``"h2"`` (relative H2 norm).
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str
@@ -75,6 +87,7 @@ class MatchResult:
     D: np.ndarray
     hinf_error: float
     relative_error: float
+    h2_error: float
     peak_frequency: float
     theta_least_squares: np.ndarray
     hinf_error_least_squares: float
@@ -82,6 +95,7 @@ class MatchResult:
     exact: bool
     converged: bool
     predicted_decrease: float
+    certificate: Certificate | None
     n_iter: int
     history: tuple
     singular_values: np.ndarray
@@ -95,19 +109,24 @@ def match_structure(
     D,
     structure,
     *,
+    criterion="hinf",
     theta0=None,
+    bounds=None,
     output_weights=None,
     input_weights=None,
+    output_filter=None,
+    input_filter=None,
     closed_form=True,
     n_starts=6,
+    n_jobs=None,
     max_iter=100,
     tol=1e-8,
     exact_tol=1e-9,
     random_state=0,
 ):
-    """Structured model nearest to a stable continuous one in the H∞ norm.
+    """Structured model nearest to a stable continuous one.
 
-        min_θ ‖W_o (G_c − G_s(θ)) W_i‖_∞
+        min_θ ‖W_o (G_c − G_s(θ)) W_i‖,   lower ≤ θ ≤ upper
 
     Parameters
     ----------
@@ -115,24 +134,34 @@ def match_structure(
         G_c, stable; its order may differ from the structure's.
     structure : AffineStructure
         G_s(θ), with m inputs and l outputs.
+    criterion : {"hinf", "h2", "least_squares"}
+        The H∞ norm, the H2 norm, or the mean square over a grid of frequencies, in which
+        all channels count alike.
     theta0 : array_like, shape (k,), optional
         Where to start; need not be stable. Without it, and where neither it nor the
         closed form leads to an exact match, changes of state that agree with C_s are
         tried as starts.
+    bounds : pair of array_like, shape (k,) each, optional
+        Lower and upper bounds of the parameters, infinite where there are none.
     output_weights, input_weights : array_like, shapes (l,), (m,), optional
-        Diagonals of W_o and W_i; ones by default, the norm as Eq. 22 has it. Outputs in
-        different units call for :func:`channel_scales`: otherwise the largest decides.
+        Positive constants of W_o and W_i, next to the error; ones by default, the norm as
+        Eq. 22 has it. Outputs in different units call for :func:`channel_scales`:
+        otherwise the largest decides.
+    output_filter, input_filter : tuple of four array_like, optional
+        A, B, C, D of the frequency-dependent parts of W_o (l × l) and W_i (m × m), stable.
     closed_form : bool
         False leaves the closed form out where theta0 is given (for studies of the search).
     n_starts : int
         Largest number of starts by a change of state.
+    n_jobs : int, optional
+        Starts tried at once, in processes of their own; the result is the same.
     max_iter : int
         Largest number of iterations of each stage.
     tol : float
-        Relative decrease of the norm promised at first order, at which to stop.
+        Relative decrease of the criterion promised at first order, at which to stop.
     exact_tol : float
-        Relative residual below which the match is called exact and the minimax stage
-        left out: AB13DD does not resolve the norm of such a difference.
+        Relative residual below which the match is called exact and no norm minimised:
+        AB13DD does not resolve the norm of such a difference.
     random_state : int
         Seed of the changes of state tried.
 
@@ -147,7 +176,8 @@ def match_structure(
     UnstableModelError
         If G_c is unstable, or if no start led to a stable G_s.
     ValueError
-        If shapes do not fit.
+        If shapes do not fit, theta0 is out of bounds, or ``criterion="h2"`` and D_s
+        cannot equal D_c.
 
     References
     ----------
@@ -169,24 +199,53 @@ def match_structure(
     >>> [round(value, 9) for value in result.theta.tolist()], result.exact
     ([-1.0, 2.0, -2.0, -3.0], True)
     """
-    problem = MatchingProblem.build(A, B, C, D, structure, output_weights, input_weights)
-    theta0 = _check_theta(theta0, structure)
+    weights = {"outputs": output_weights, "inputs": input_weights}
+    weights |= {"output_filter": output_filter, "input_filter": input_filter}
+    problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds)
+    theta0 = _check_theta(theta0, problem)
     starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
-    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
+    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR, n_jobs=n_jobs)
     fit, exact = exact_match(problem, fits[0], exact_tol)
-    if not exact and structure.n_parameters > 0:
-        found = minimax_from_fits(problem, fits, max_iter, tol)
-        last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
-        if last.residual < fit.residual:  # the minimax steps have left a poor valley
-            fit, exact = exact_match(problem, last, exact_tol)
-    if exact or structure.n_parameters == 0:
-        value = problem.peak(fit.theta)[0]
-        found = MinimaxResult(fit.theta, value, 0.0, exact, (value,), 0)
-    n_iter = sum(each.n_iter for each in fits) + found.n_iter
-    return _result(problem, fit, found, exact, n_iter)
+    found = _Found.by_least_squares(fit, exact, tol)
+    if exact or structure.n_parameters == 0 or criterion == "least_squares":
+        return _result(problem, fit, found, fits, exact)
+    if criterion == "h2":
+        best = minimise_h2(problem, [each.theta for each in fits], max_iter=max_iter, tol=tol)
+        found = _Found.by_least_squares(fits[best.start], False, tol)
+        found = found.further("h2", best.theta, best.predicted_decrease, tol, best.history)
+        return _result(problem, fit, found, fits, exact)
+    found = minimax_from_fits(problem, fits, max_iter, tol, n_jobs)
+    last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
+    if last.residual < fit.residual:  # the minimax steps have left a poor valley
+        fit, exact = exact_match(problem, last, exact_tol)
+        found = _Found.by_least_squares(fit, exact, tol) if exact else found
+    return _result(problem, fit, found, fits, exact, certified=not exact)
 
 
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Parameters, and what led to them."""
+
+    theta: np.ndarray
+    predicted_decrease: float
+    converged: bool
+    history: tuple
+    n_iter: int
+
+    @classmethod
+    def by_least_squares(cls, fit, exact, tol):
+        history = tuple(("least squares", residual) for residual in fit.history)
+        converged = exact or fit.promised <= tol
+        return cls(fit.theta, 0.0 if exact else fit.promised, converged, history, 0)
+
+    def further(self, stage, theta, predicted, tol, values):
+        """The same with another stage."""
+        history = self.history + tuple((stage, value) for value in values)
+        converged = abs(predicted) <= tol
+        return _Found(theta, predicted, converged, history, self.n_iter + len(values))
 
 
 def exact_match(problem, fit, tol):
@@ -194,59 +253,64 @@ def exact_match(problem, fit, tol):
     if fit.residual > _NEAR:
         return fit, False
     theta, residual = solve_similarity(problem, fit.theta)
-    if residual <= tol and problem.abscissa(theta) < 0:
-        error = linalg.norm(problem.residual_and_jacobian(theta)[0])
-        return GridFit(theta, float(error), fit.n_iter), True
+    inside = problem.inside(theta)
+    kept = np.allclose(inside, theta, rtol=tol, atol=0.0)
+    if residual <= tol and kept and problem.abscissa(inside) < 0:
+        error = linalg.norm(problem.residual_and_jacobian(inside)[0])
+        return replace(fit, theta=inside, residual=float(error)), True
     return fit, bool(fit.residual <= tol)
 
 
-def minimax_from_fits(problem, fits, max_iter, tol):
+def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
     """Least norm reached from the least-squares matches: short runs, the best one finished.
 
     The ranking by squares is not the ranking by peaks, so the match best in squares and
     the three best in peaks have their short runs.
     """
     short = min(_SCREENING, max_iter)
-    ranked = sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])
-    runs = [
-        minimise_peak(problem, fit.theta, max_iter=short, tol=tol) for fit in [fits[0], *ranked[:3]]
-    ]
-    best = min(runs, key=lambda run: run.value)
-    if best.converged or short == max_iter:
-        return best
-    rest = minimise_peak(problem, best.theta, max_iter=max_iter - short, tol=tol)
-    history, n_iter = best.history + rest.history[1:], best.n_iter + rest.n_iter
-    return replace(rest, history=history, n_iter=n_iter)
+    ranked = [fits[0], *sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[:3]]
+    runs = Parallel(n_jobs)(
+        delayed(minimise_peak)(problem, fit.theta, max_iter=short, tol=tol) for fit in ranked
+    )
+    best = min(range(len(runs)), key=lambda k: runs[k].value)
+    run, found = runs[best], _Found.by_least_squares(ranked[best], False, tol)
+    found = found.further("minimax", run.theta, run.predicted_decrease, tol, run.history)
+    if run.converged or short == max_iter:
+        return found
+    run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol)
+    return found.further("minimax", run.theta, run.predicted_decrease, tol, run.history[1:])
 
 
 _SCREENING = 20  # convex steps of a short run
 
 
-def _result(problem, fit, found, exact, n_iter):
+def _result(problem, fit, found, fits, exact, certified=False):
     """The result in the user's units."""
-    unit = problem.criterion_unit
+    unit, (value, peak) = problem.unit, problem.peak(found.theta)
     singular_values, unidentified = problem.identifiability(found.theta)
     return MatchResult(
         found.theta,
         *problem.structure.matrices(found.theta),
-        hinf_error=found.value * unit,
-        relative_error=found.value,
-        peak_frequency=problem.peak(found.theta)[1],
+        hinf_error=value * unit,
+        relative_error=value,
+        h2_error=h2_error(problem, found.theta) * unit,
+        peak_frequency=peak,
         theta_least_squares=fit.theta,
         hinf_error_least_squares=problem.peak(fit.theta)[0] * unit,
         feedthrough_floor=problem.feedthrough_floor() * unit,
         exact=exact,
         converged=bool(found.converged),
         predicted_decrease=float(found.predicted_decrease),
-        n_iter=n_iter,
-        history=tuple(value * unit for value in found.history),
+        certificate=certify(problem, found.theta, value) if certified and value > 0 else None,
+        n_iter=sum(each.n_iter for each in fits) + found.n_iter,
+        history=found.history,
         singular_values=singular_values,
         unidentified=unidentified,
     )
 
 
 def starting_points(problem, theta0, closed_form, n_starts, random_state):
-    """Starts in the order of their promise, made as they are asked for.
+    """Starts within the bounds in the order of their promise, made as they are asked for.
 
     The closed form; theta0; changes of state that agree with C_s, first as the states at
     theta0 suggest, then at random; where C_s leaves no choice, the first start shaken
@@ -258,7 +322,7 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
     first = theta0
     transformation = output_transformation(problem) if closed_form or theta0 is None else None
     if transformation is not None:
-        projected = project_transformed(problem, transformation)
+        projected = problem.inside(project_transformed(problem, transformation))
         first = projected if first is None else first
         yield Start(projected, near=True)
     if theta0 is not None:
@@ -268,19 +332,27 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
     for k in range(n_starts):
         transformation = draw_transformation(problem, theta0, random, spread=float(k > 0))
         if transformation is not None:
-            yield Start(project_transformed(problem, transformation), near=k % 2 == 0)
+            drawn = project_transformed(problem, transformation)
+            yield Start(problem.inside(drawn), near=k % 2 == 0)
         elif first is not None:
             shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
-            yield Start(shaken, near=k % 2 == 1)
+            yield Start(problem.inside(shaken), near=k % 2 == 1)
 
 
-def _check_theta(theta0, structure):
+def _check_theta(theta0, problem):
     if theta0 is None:
         return None
-    theta0 = np.asarray(theta0, dtype=float)
+    theta0, structure = np.asarray(theta0, dtype=float), problem.structure
     if theta0.shape != (structure.n_parameters,) or not np.all(np.isfinite(theta0)):
         raise ValueError(
             f"theta0 of shape {theta0.shape} must hold {structure.n_parameters} finite numbers, "
             f"one for each of {list(structure.parameter_names)}"
+        )
+    outside = np.flatnonzero(problem.inside(theta0) != theta0)
+    if len(outside):
+        k = outside[0]
+        raise ValueError(
+            f"the bounds {problem.lower[k]:g} and {problem.upper[k]:g} of "
+            f"{structure.parameter_names[k]} exclude its start {theta0[k]:g}; start within them"
         )
     return theta0

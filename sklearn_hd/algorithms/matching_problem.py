@@ -1,10 +1,11 @@
 """A structured matching problem: weights, frequency grid, error response and its norm.
 
-    E(s; θ) = W_o (G_c(s) − G_s(s; θ)) W_i
+    E(s; θ) = W_o(s) (G_c(s) − G_s(s; θ)) W_i(s),   lower ≤ θ ≤ upper
 
-Two scalings live side by side. The criterion's W_o, W_i are the user's, and the norm is
-counted in units of ‖W_o G_c W_i‖_∞. Least squares over the grid uses its own, which make
-all channels of G_c alike, so that a search is not blind to small ones.
+Two weightings live side by side. The criterion's W_o, W_i are the user's, and the norm is
+counted in units of ‖W_o G_c W_i‖_∞. Least squares over the grid has the same filters over
+frequency, but constants of its own that make all channels of W_o G_c W_i alike, so that a
+search is not blind to small ones.
 """
 
 from dataclasses import dataclass
@@ -14,8 +15,9 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.hinf import hinf_norm
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
+from sklearn_hd.algorithms.weighting import Weighting, fixed_model
 
-__all__ = ["MatchingProblem", "channel_scales", "matching_grid"]
+__all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
 
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
@@ -85,64 +87,85 @@ class MatchingProblem:
         G_c, as a structure without parameters.
     structure : AffineStructure
         G_s(θ).
-    output_weights, input_weights : ndarray, shapes (l,), (m,)
-        The criterion's, with 1 / ``criterion_unit`` in the output weights.
-    criterion_unit : float
+    weighting : Weighting
+        The criterion's, with 1 / ``unit`` in the constants of the outputs.
+    unit : float
         ‖W_o G_c W_i‖_∞ with the weights as they were given.
     grid : ndarray, shape (n_points,)
         rad/s.
-    output_scales, input_scales : ndarray, shapes (l,), (m,)
-        Of the least squares; G_c has length 1 in them on the imaginary axis.
+    scaling : Weighting
+        Of the least squares; G_c has length 1 in it on the imaginary axis.
+    lower, upper : ndarray, shape (k,)
+        Bounds of θ; infinite where there are none.
+    grid_weights : ndarray, shape (n_points,), or float
+        Factors of the least-squares residual by frequency.
     """
 
     model: AffineStructure
     structure: AffineStructure
-    output_weights: np.ndarray
-    input_weights: np.ndarray
-    criterion_unit: float
+    weighting: Weighting
+    unit: float
     grid: np.ndarray
-    output_scales: np.ndarray
-    input_scales: np.ndarray
+    scaling: Weighting
+    lower: np.ndarray
+    upper: np.ndarray
+    grid_weights: np.ndarray | float = 1.0
 
     @classmethod
-    def build(cls, A, B, C, D, structure, output_weights=None, input_weights=None):
+    def build(cls, A, B, C, D, structure, weighting=None, bounds=None):
         """Problem for G_c = (A, B, C, D); raises where the parts do not fit."""
         A, B, C, D = (np.asarray(matrix, dtype=float) for matrix in (A, B, C, D))
-        unit = hinf_norm(A, B, C, D)[0]  # checks shapes and stability, in its own words
+        hinf_norm(A, B, C, D)  # checks shapes and stability, in its own words
         _check_fit(D.shape, structure)
-        outputs = _weights(output_weights, len(D), "output_weights")
-        inputs = _weights(input_weights, D.shape[1], "input_weights")
-        unit = hinf_norm(A, B * inputs, outputs[:, None] * C, outputs[:, None] * D * inputs)[0]
-        stacked = np.block([[A, B], [C, D]])
-        model = AffineStructure(stacked, np.zeros((0, *stacked.shape)), len(A), ())
-        grid = matching_grid(linalg.eigvals(A) if len(A) else np.empty(0))
-        response = model.response(np.empty(0), line(grid))
-        output_scales, input_scales = channel_scales(response)
-        length = np.linalg.norm(output_scales[:, None] * response * input_scales)
-        unit, length = unit or 1.0, length or 1.0
-        output_scales = output_scales / length
+        weighting = Weighting.build(D.shape, **(weighting or {}))
+        unit = hinf_norm(*weighting.realize(A, B, C, D))[0] or 1.0
+        model = fixed_model(A, B, C, D)
+        poles = linalg.eigvals(A) if len(A) else np.empty(0)
+        grid = matching_grid(np.concatenate([poles, weighting.poles]))
+        ones = weighting.with_constants(np.ones(len(D)), np.ones(D.shape[1]))
+        response = ones.apply(model.response(np.empty(0), line(grid)), line(grid))
+        outputs, inputs = channel_scales(response)
+        length = np.linalg.norm(outputs[:, None] * response * inputs) or 1.0
         return cls(
-            model, structure, outputs / unit, inputs, unit, grid, output_scales, input_scales
+            model,
+            structure,
+            weighting.with_constants(weighting.outputs / unit, weighting.inputs),
+            unit,
+            grid,
+            weighting.with_constants(outputs / length, inputs),
+            *_bounds(bounds, structure),
         )
 
     @property
     def fastest(self):
-        """Largest magnitude among the poles of G_c (rad/s)."""
-        return self.grid[-2] / _MARGIN
+        """Largest magnitude among the poles of G_c and of the weights (rad/s)."""
+        poles = [linalg.eigvals(self.model.matrices(np.empty(0))[0]), self.weighting.poles]
+        return np.abs(np.concatenate(poles)).max(initial=0.0) or 1.0
+
+    def inside(self, theta):
+        """The parameters nearest to θ within the bounds."""
+        return np.clip(theta, self.lower, self.upper)
+
+    @property
+    def bounded(self):
+        return bool(np.any(np.isfinite(self.lower)) or np.any(np.isfinite(self.upper)))
+
+    def error_model(self, theta):
+        """State-space matrices of W_o (G_c − G_s(θ)) W_i, in units of the criterion."""
+        A, B, C, D = self.structure.matrices(theta)
+        A_c, B_c, C_c, D_c = self.model.matrices(np.empty(0))
+        return self.weighting.realize(
+            linalg.block_diag(A_c, A) if len(A_c) and len(A) else (A_c if len(A_c) else A),
+            np.vstack([B_c, B]),
+            np.hstack([C_c, -C]),
+            D_c - D,
+        )
 
     def peak(self, theta):
         """Exact relative norm of the error and its frequency; (inf, nan) if G_s is unstable."""
         if self.abscissa(theta) >= 0:
             return np.inf, np.nan
-        A, B, C, D = self.structure.matrices(theta)
-        A_c, B_c, C_c, D_c = self.model.matrices(np.empty(0))
-        outputs = self.output_weights[:, None]
-        return hinf_norm(
-            linalg.block_diag(A_c, A) if len(A_c) and len(A) else (A_c if len(A_c) else A),
-            np.vstack([B_c, B]) * self.input_weights,
-            outputs * np.hstack([C_c, -C]),
-            outputs * (D_c - D) * self.input_weights,
-        )
+        return hinf_norm(*self.error_model(theta))
 
     def abscissa(self, theta):
         """Largest real part among the poles of G_s(θ), plus what rounding may hide of it."""
@@ -154,36 +177,33 @@ class MatchingProblem:
 
     def error_and_sensitivity(self, theta, frequencies):
         """E(jω; θ) and ∂E/∂θ in the criterion's weights and unit."""
-        return self._difference(theta, line(frequencies), self.output_weights, self.input_weights)
+        return self._difference(theta, line(frequencies), self.weighting)
 
     def error_curvature(self, theta, frequencies, left_vectors, right_vectors):
         """Σ_i Re(p_iᴴ ∂²E(jω_i)/∂θ² v_i), shape (k, k), in the criterion's weights."""
-        return -self.structure.curvature(
-            theta,
-            line(frequencies),
-            self.output_weights * left_vectors,
-            self.input_weights * right_vectors,
-        )
+        s = line(frequencies)
+        vectors = self.weighting.pull_back(left_vectors, right_vectors, s)
+        return -self.structure.curvature(theta, s, *vectors)
 
     def residual_and_jacobian(self, theta, shift=0.0):
         """Least-squares residual over the grid on the line Re s = shift, and ∂/∂θ, as reals."""
-        s = line(self.grid, shift)
-        error, slope = self._difference(theta, s, self.output_scales, self.input_scales)
-        error, slope = error.ravel(), slope.reshape(error.size, -1)
+        error, slope = self._difference(theta, line(self.grid, shift), self.scaling)
+        by_point = np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
+        error, slope = (error * by_point).ravel(), slope * by_point[..., None]
+        slope = slope.reshape(error.size, -1)
         return np.concatenate([error.real, error.imag]), np.vstack([slope.real, slope.imag])
 
-    def _difference(self, theta, s, outputs, inputs):
-        weights = outputs[:, None] * inputs
+    def _difference(self, theta, s, weighting):
         response, slope = self.structure.response_and_sensitivity(theta, s)
         error = self.model.response(np.empty(0), s) - response
-        return weights * error, -weights[..., None] * slope
+        return weighting.apply(error, s), -weighting.apply(slope, s)
 
     def gains(self, theta, frequencies):
         """σ_max(E(jω; θ)), shape of the frequencies."""
         frequencies = np.asarray(frequencies)
         s = line(frequencies.ravel())
         error = self.model.response(np.empty(0), s) - self.structure.response(theta, s)
-        error = self.output_weights[:, None] * error * self.input_weights
+        error = self.weighting.apply(error, s)
         return np.linalg.norm(error, 2, axis=(1, 2)).reshape(frequencies.shape)
 
     def active_frequencies(self, theta, value, extra=()):
@@ -219,20 +239,29 @@ class MatchingProblem:
             return np.empty(0), ()
         _, singular, adjoint = linalg.svd(jacobian / column_sizes(jacobian))
         singular = np.pad(singular, (0, len(adjoint) - len(singular)))
-        null = adjoint[singular <= _RANK * max(singular.max(), 1e-300)]
+        null = adjoint[numerical_rank(singular) :]
         undetermined = np.flatnonzero(np.any(np.abs(null) > 1e-3, axis=0))
         return singular, tuple(self.structure.parameter_names[k] for k in undetermined)
 
     def feedthrough_floor(self):
-        """Lower bound of the relative norm that fixed entries of D_s leave at ω = ∞."""
+        """Lower bound of the relative norm that fixed entries of D_s leave at ω = ∞.
+
+        0 under weights that vanish there.
+        """
         n = self.structure.n_states
         gap = self.model.constant[self.model.n_states :, self.model.n_states :]
         gap = gap - self.structure.constant[n:, n:]
-        gap = self.output_weights[:, None] * gap * self.input_weights
         free = np.any(self.structure.basis[:, n:, n:] != 0, axis=0)
+        weighted = self.weighting.apply(np.where(free, 0.0, gap)[None], line([np.inf]))[0]
         if not free.any():
-            return float(linalg.norm(gap, 2))
-        return float(np.abs(gap[~free]).max(initial=0.0))
+            return float(linalg.norm(weighted, 2))
+        diagonal = self.weighting.output_filter is None and self.weighting.input_filter is None
+        return float(np.abs(weighted).max(initial=0.0)) if diagonal else 0.0
+
+
+def numerical_rank(singular_values):
+    """Number of singular values, largest first, that do not count as zero."""
+    return int(np.sum(singular_values > _RANK * max(np.max(singular_values, initial=0.0), 1e-300)))
 
 
 def line(frequencies, shift=0.0):
@@ -252,8 +281,15 @@ def _check_fit(shape, structure):
         )
 
 
-def _weights(weights, size, name):
-    weights = np.ones(size) if weights is None else np.asarray(weights, dtype=float)
-    if weights.shape != (size,) or not (np.all(np.isfinite(weights)) and np.all(weights > 0)):
-        raise ValueError(f"{name}={weights.tolist()} must be {size} positive numbers")
-    return weights
+def _bounds(bounds, structure):
+    """Lower and upper bounds of each parameter."""
+    k = structure.n_parameters
+    if bounds is None:
+        return np.full(k, -np.inf), np.full(k, np.inf)
+    lower, upper = (np.asarray(each, dtype=float) for each in bounds)
+    if lower.shape != (k,) or upper.shape != (k,) or not np.all(lower < upper):
+        raise ValueError(
+            f"bounds must be {k} lower and {k} larger upper ones, infinite where there are none; "
+            f"got {lower.tolist()} and {upper.tolist()}"
+        )
+    return lower, upper

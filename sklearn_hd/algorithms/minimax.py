@@ -1,6 +1,6 @@
 """Minimisation of the H∞ norm of a matching error by a prox-linear trust region.
 
-    min_θ  F(θ) = sup_ω σ_max(E(jω; θ)),   E = W_o (G_c − G_s(θ)) W_i
+    min_θ  F(θ) = sup_ω σ_max(E(jω; θ)),   E = W_o (G_c − G_s(θ)) W_i,   lower ≤ θ ≤ upper
 
 F is neither smooth nor convex, yet it is a convex function (a largest singular value
 over all frequencies) of the smooth function θ → E. Each step therefore keeps the convex
@@ -11,17 +11,20 @@ part and linearises the smooth one,
 with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
 singular vectors. Few frequencies and directions begin; those that are violated join,
-until none is. A step is accepted by the exact norm and
-by the stability of G_s.
+until none is. A step is accepted by the exact norm and by the stability of G_s.
+
+At a minimum zero lies in the convex hull of the gradients of the active peaks. The
+multipliers of the cones are the weights of that hull, and the ball's multiplier is its
+distance from zero: :func:`certify` reports both.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import clarabel
 import numpy as np
 from scipy import sparse
 
-__all__ = ["MinimaxResult", "minimise_peak"]
+__all__ = ["Certificate", "MinimaxResult", "certify", "minimise_peak"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,22 +77,26 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
     directions = problem.orthonormal_directions(theta)
     history, memory = [value], [peak]
     radius, n_iter, predicted, moved = 1.0, 0, np.inf, True
-    curvature = np.zeros((directions.shape[1],) * 2)
+    curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
         if moved:
-            frequencies = problem.active_frequencies(theta, value, memory[-_MEMORY:])
+            known = [*memory[-_MEMORY:], *(frequency for frequency, _ in cuts)]
+            frequencies = problem.active_frequencies(theta, value, known)
             model = _linearise(problem, theta, frequencies, directions, value)
-        step, level, duals = _convex_step(model, curvature, radius)
+        step, level, duals, _ = _convex_step(model, problem, theta, curvature, radius, cuts)
+        cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
         n_iter += 1
         predicted = 1.0 - level
         if predicted <= tol:
             break
-        trial = theta + directions @ step
+        trial = problem.inside(theta + directions @ step)
         trial_value, trial_peak = problem.peak(trial)
         gain = (value - trial_value) / (value * predicted)
         if gain < 0.75 and np.isfinite(trial_value):
-            corrected = _second_order_correction(problem, model, trial, step, value, radius)
-            second = theta + directions @ corrected
+            corrected = _second_order_correction(
+                problem, model, theta, trial, step, value, radius, cuts
+            )
+            second = problem.inside(theta + directions @ corrected)
             second_value, second_peak = problem.peak(second)
             if second_value < trial_value:
                 memory.append(trial_peak)
@@ -111,6 +118,66 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
     return MinimaxResult(theta, value, predicted, abs(predicted) <= tol, tuple(history), n_iter)
 
 
+def certify(problem, theta, value):
+    """Whether zero lies in the convex hull of the gradients of the active peaks.
+
+    Parameters
+    ----------
+    problem : object
+        As for :func:`minimise_peak`.
+    theta : ndarray, shape (k,)
+    value : float
+        F(θ) > 0.
+
+    Returns
+    -------
+    certificate : Certificate
+    """
+    directions = problem.orthonormal_directions(theta)
+    frequencies = problem.active_frequencies(theta, value, (problem.peak(theta)[1],))
+    model = _linearise(problem, theta, frequencies, directions, value)
+    flat = np.zeros((directions.shape[1],) * 2)
+    _, level, (which, duals, _), pull = _convex_step(model, problem, theta, flat, 1.0)
+    weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))
+    active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
+    return Certificate(
+        frequencies[active],
+        problem.gains(theta, frequencies[active]),
+        weights[active] / weights[active].sum(),
+        float(pull),
+        float(1.0 - level),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """First-order conditions of a least H∞ norm.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n_active,)
+        rad/s, of the peaks that hold the norm where it is.
+    errors : ndarray, shape (n_active,)
+        σ_max(E) there.
+    weights : ndarray, shape (n_active,)
+        Of their gradients in the convex combination nearest to zero; they sum to 1.
+    distance : float
+        Length of that combination, in units of F, where θ is counted in moves of the
+        response as long as the residual; bounds that are touched take their share.
+        0 at a stationary point.
+    predicted_decrease : float
+        Largest decrease, relative to F, that the linearised peaks promise within one such
+        move.
+    """
+
+    frequencies: np.ndarray
+    errors: np.ndarray
+    weights: np.ndarray
+    distance: float
+    predicted_decrease: float
+
+
+_LEAST_WEIGHT = 1e-6  # of a gradient that takes part in the combination
 _MEMORY = 12  # peaks of earlier trials kept among the active frequencies
 _LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
 _LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
@@ -126,6 +193,7 @@ class _Linearisation:
     frequencies: np.ndarray
     error: np.ndarray
     slope: np.ndarray
+    directions: np.ndarray
     swapped: bool
 
     def join(self, other):
@@ -133,6 +201,7 @@ class _Linearisation:
             np.concatenate([self.frequencies, other.frequencies]),
             np.concatenate([self.error, other.error]),
             np.concatenate([self.slope, other.slope]),
+            self.directions,
             self.swapped,
         )
 
@@ -144,10 +213,10 @@ def _linearise(problem, theta, frequencies, directions, value):
     swapped = error.shape[2] > error.shape[1]
     if swapped:
         error, slope = error.swapaxes(1, 2), slope.swapaxes(1, 2)
-    return _Linearisation(frequencies, error, slope, swapped)
+    return _Linearisation(frequencies, error, slope, directions, swapped)
 
 
-def _second_order_correction(problem, model, trial, step, value, radius):
+def _second_order_correction(problem, model, theta, trial, step, value, radius, cuts):
     """Step that counts in how far E at the trial point is from its linearisation.
 
     Along a curved valley, active peaks rise again at second order whatever the step's
@@ -155,10 +224,8 @@ def _second_order_correction(problem, model, trial, step, value, radius):
     """
     error, _ = problem.error_and_sensitivity(trial, model.frequencies)
     error = (error.swapaxes(1, 2) if model.swapped else error) / value
-    moved = _Linearisation(
-        model.frequencies, error - model.slope @ step, model.slope, model.swapped
-    )
-    return _convex_step(moved, np.zeros((len(step),) * 2), radius)[0]
+    moved = replace(model, error=error - model.slope @ step)
+    return _convex_step(moved, problem, theta, np.zeros((len(step),) * 2), radius, cuts)[0]
 
 
 def _lagrangian_curvature(problem, theta, model, duals, directions, value):
@@ -179,44 +246,68 @@ def _next_radius(radius, gain, length):
     return max(radius, 2.5 * length) if gain > 0.75 else radius
 
 
-def _convex_step(model, curvature, radius, max_rounds=30):
-    """Minimiser ζ of the convex model within a ball, its value, and the multipliers.
+def _convex_step(model, problem, theta, curvature, radius, known=(), max_rounds=60):
+    """Minimiser ζ of the convex model within a ball and the bounds, its value, the multipliers.
+
+    ``known`` are pairs of a frequency and a direction v that held the step before.
 
     The multipliers come as (which frequency, left vectors, right vectors), so that their
-    sum weighs E as the optimality conditions do.
+    sum weighs E as the optimality conditions do, and as that of the ball.
     """
     error, slope = model.error, model.slope
-    which, cuts = _singular_directions(error)
+    walls = _walls(problem, theta, model.directions)
+    order = np.argsort(model.frequencies)
+    which, cuts = _singular_directions(error, order)
+    if known:
+        places = {frequency: k for k, frequency in enumerate(model.frequencies)}
+        which = np.concatenate([which, [places[frequency] for frequency, _ in known]])
+        cuts = np.concatenate([cuts, [direction for _, direction in known]])
     for _ in range(max_rounds):
         vectors = np.einsum("flm,fm->fl", error[which], cuts)
         rates = np.einsum("flmk,fm->flk", slope[which], cuts)
-        step, duals = _solve_cones(vectors, rates, curvature, radius)
+        step, duals, pull = _solve_cones(vectors, rates, curvature, radius, walls)
         _, sizes, adjoint = np.linalg.svd(error + slope @ step, full_matrices=False)
         level = np.linalg.norm(vectors + rates @ step, axis=1).max()
         slack = max(_SLACK, 0.1 * (1.0 - level))
-        violated = np.flatnonzero(sizes[:, 0] > level + slack)
-        if not len(violated):
+        violated = (sizes > level + slack) & _tops(sizes[:, 0], order)[:, None]
+        if not violated.any():
             break
-        which = np.concatenate([which, np.repeat(violated, adjoint.shape[1])])
-        cuts = np.concatenate([cuts, adjoint[violated].conj().reshape(-1, cuts.shape[1])])
+        which = np.concatenate([which, np.nonzero(violated)[0]])
+        cuts = np.concatenate([cuts, adjoint[violated].conj()])
     level = sizes[:, 0].max() + 0.5 * step @ curvature @ step
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > 1e-9)
-    return step, level, (which[: len(duals)][active], duals[active], cuts[: len(duals)][active])
+    duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
+    return step, level, duals, pull
 
 
-def _singular_directions(error):
-    """Right singular vectors of the large singular values, and whose they are."""
+def _walls(problem, theta, directions):
+    """Rows and offsets of the bounds, rows · ζ ≤ offsets."""
+    above, below = np.isfinite(problem.upper), np.isfinite(problem.lower)
+    rows = np.vstack([directions[above], -directions[below]])
+    return rows, np.concatenate([(problem.upper - theta)[above], (theta - problem.lower)[below]])
+
+
+def _tops(gains, order):
+    """Where the gains have a local maximum over frequency."""
+    padded = np.concatenate([[-np.inf], gains[order], [-np.inf]])
+    tops = np.empty(len(gains), dtype=bool)
+    tops[order] = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
+    return tops
+
+
+def _singular_directions(error, order):
+    """Right singular vectors of the peaks' large singular values, and whose they are."""
     _, sizes, adjoint = np.linalg.svd(error, full_matrices=False)
-    large = sizes > min(_LARGE, sizes.max())
+    large = (sizes > _LARGE) & _tops(sizes[:, 0], order)[:, None]
     large[np.argmax(sizes[:, 0]), 0] = True
     return np.nonzero(large)[0], adjoint[large].conj()
 
 
-def _solve_cones(vectors, slopes, curvature, radius):
-    """min t + ½ ζᵀHζ subject to |vectors_i + slopes_i ζ| ≤ t for all i, |ζ| ≤ radius.
+def _solve_cones(vectors, slopes, curvature, radius, walls):
+    """min t + ½ ζᵀHζ subject to |vectors_i + slopes_i ζ| ≤ t, |ζ| ≤ radius, W ζ ≤ w.
 
-    Returns ζ and the complex multipliers p_i, for which Σ_i Re(p_iᴴ slopes_i) + H ζ = 0
-    wherever the ball is not touched.
+    Returns ζ, the complex multipliers p_i, for which Σ_i Re(p_iᴴ slopes_i) + H ζ = 0
+    wherever neither ball nor walls are touched, and the length of the ball's multiplier.
     """
     n_cones, n_rows, n_directions = slopes.shape
     size = 1 + 2 * n_rows
@@ -226,10 +317,15 @@ def _solve_cones(vectors, slopes, curvature, radius):
     offset = np.concatenate([np.zeros((n_cones, 1)), vectors.real, vectors.imag], axis=1)
     ball = -np.eye(1 + n_directions)
     ball[0, 0] = 0.0
-    constraint = sparse.csc_matrix(np.vstack([rows.reshape(-1, 1 + n_directions), ball]))
-    offset = np.concatenate([offset.ravel(), [radius], np.zeros(n_directions)])
+    sides = np.hstack([np.zeros((len(walls[1]), 1)), walls[0]])
+    steep = np.maximum(np.linalg.norm(sides, axis=1), 1e-300)
+    constraint = np.vstack([rows.reshape(-1, 1 + n_directions), ball, sides / steep[:, None]])
+    constraint = sparse.csc_matrix(constraint)
+    offset = np.concatenate([offset.ravel(), [radius], np.zeros(n_directions), walls[1] / steep])
     cones = [clarabel.SecondOrderConeT(size)] * n_cones
     cones.append(clarabel.SecondOrderConeT(1 + n_directions))
+    if len(steep):
+        cones.append(clarabel.NonnegativeConeT(len(steep)))
     quadratic = np.zeros((1 + n_directions, 1 + n_directions))
     quadratic[1:, 1:] = np.triu(curvature)
     target = np.zeros(1 + n_directions)
@@ -242,9 +338,10 @@ def _solve_cones(vectors, slopes, curvature, radius):
     )
     solution = solver.solve()
     step = np.asarray(solution.x)[1:]
-    duals = np.asarray(solution.z)[: n_cones * size].reshape(n_cones, size)[:, 1:]
+    multipliers = np.asarray(solution.z)
+    duals = multipliers[: n_cones * size].reshape(n_cones, size)[:, 1:]
+    pull = np.linalg.norm(multipliers[n_cones * size + 1 :][:n_directions])
     if not (np.all(np.isfinite(step)) and np.all(np.isfinite(duals))):
         raise ArithmeticError(f"the cone solver ended with {solution.status} and no numbers")
-    return step * min(1.0, radius / max(np.linalg.norm(step), radius)), -(
-        duals[:, :n_rows] + 1j * duals[:, n_rows:]
-    )
+    step = step * min(1.0, radius / max(np.linalg.norm(step), radius))
+    return step, -(duals[:, :n_rows] + 1j * duals[:, n_rows:]), pull

@@ -102,6 +102,7 @@ def output_error(
     x0=None,
     sigma=None,
     input_sigma=None,
+    bounds=None,
     max_iter=50,
     tol=1e-8,
     keep_stable=True,
@@ -168,7 +169,7 @@ def output_error(
         structure, segments, omega, n_phases, observe, free_initial_state, sigma
     )
     point = _start(problem, theta0, x0)
-    options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable}
+    options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable, "bounds": bounds}
     search = _search(problem, point, **options)
     if input_sigma is None:
         return _result(problem, search)
@@ -184,11 +185,13 @@ class _Search:
     converged: bool
 
 
-def _search(problem, point, *, max_iter, tol, keep_stable):
+def _search(problem, point, *, max_iter, tol, keep_stable, bounds):
     """Damped Gauss-Newton steps until the next one is not worth taking."""
     damping, converged = FIRST_DAMPING, False
     for n_iter in range(1, max_iter + 1):  # noqa: B007 -- read after the loop
         system = problem.linearise(point)
+        if bounds is not None:
+            system = system.within(bounds[0] - point.theta, bounds[1] - point.theta)
         converged = system.promised <= tol * problem.n_residuals
         trial, damping = _damped_step(problem, point, system, damping, keep_stable)
         if trial is None:

@@ -1,18 +1,35 @@
 """Linear time-periodic systems of which some Fourier coefficients are parameters."""
 
 import copy
-import numbers
-from collections.abc import Mapping
+import re
 
 import numpy as np
-import pandas as pd
 from scipy import sparse
 
-from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
-from sklearn_hd.structures._cells import matrix_shape, read_cells, read_names
+from sklearn_hd.structures._cells import (
+    FREE,
+    check_places,
+    fill_all,
+    name_places,
+    parameter_names,
+    read_names,
+)
+from sklearn_hd.structures._coefficients import (
+    check_labels,
+    labels_up_to,
+    order_of,
+    place_of,
+    read_specification,
+    shape_of,
+)
+from sklearn_hd.structures._display import Table, html_of, text_of
+from sklearn_hd.structures._parameters import check_known, describe, freed, join_fixed, read_fixed
 
 __all__ = ["HarmonicStructure"]
+
+_RANK = 1e-10  # relative to the largest singular value, which counts as zero
+_PLACE = re.compile(r"(?P<matrix>[FGPQ])\[.*\]_(?P<label>0|[1-9]\d*[cs])")
 
 
 class HarmonicStructure:
@@ -30,19 +47,27 @@ class HarmonicStructure:
         A number of harmonics, every entry of every coefficient free. A dict by label,
         ``{"0": M_0, "1c": M_1c, …}``, of the coefficients that are not zero, each a matrix
         (or DataFrame) of entries as in :class:`MatrixStructure`: a number is fixed, NaN
-        a parameter of its own, a text such as ``"-k"`` a parameter shared by name. Labels
-        of a DataFrame must be the names of states, inputs and outputs, in their order.
-        None lets the data decide: the number of harmonics of F and G; of P only those
-        rows whose outputs are not states; Q is zero.
+        a parameter of its own, a text such as ``"1 - 2*k"`` is affine in parameters shared
+        by name. Labels of a DataFrame must be the names of states, inputs and outputs, in
+        their order. None lets the data decide: the number of harmonics of F and G; of P only
+        those rows whose outputs are not states; Q is zero.
     states : sequence of str, optional
         Outputs that are the states, where as many outputs as states determine the state.
         By default the first that do. Where none do, the states are Floquet coordinates, in
         which F is constant, and P(ψ) holds the mode shapes.
+    fixed : mapping of str to float, optional
+        Parameters whose value is known: they become numbers. ``"F[w,phi_dot]_1c"`` is the
+        place of an entry.
+
+    Attributes
+    ----------
+    n_states : int or None
+    fixed : dict of str to float
 
     Raises
     ------
     ValueError
-        If a label, a shape or an entry is not understood.
+        If a label, a shape, an entry or a name is not understood.
 
     References
     ----------
@@ -56,15 +81,24 @@ class HarmonicStructure:
     >>> structure = HarmonicStructure(F=4, G={"1c": [[0.0], ["gain"]]})
     >>> structure.parameter_names(["w", "phi_dot"], ["U"])[-3:]
     ('F[phi_dot,w]_4s', 'F[phi_dot,phi_dot]_4s', 'gain')
+    >>> print(structure.fix({"gain": 2}))
+    F: 4 harmonics, every entry free
+    G_1c = [ 0 ]
+           [ 2 ]
+    P: outputs that are states measure them; the data decide for the others
+    Q: zero
+    gain = 2, fixed
     """
 
-    def __init__(self, F=None, G=None, P=None, Q=None, *, states=None):
+    def __init__(self, F=None, G=None, P=None, Q=None, *, states=None, fixed=None):
         given = {"F": F, "G": G, "P": P, "Q": Q}
-        self._specs = {name: _specification(name, value) for name, value in given.items()}
+        self._specs = {name: read_specification(name, value) for name, value in given.items()}
         self.states = None if states is None else read_names("states", states)
         if self.states is not None and len(set(self.states)) != len(self.states):
             raise ValueError(f"states={list(self.states)} must be different outputs")
         self._check_shapes()
+        self._fixed = read_fixed(fixed)
+        self._check_fixed("fixed", self._fixed)
 
     def _check_shapes(self):
         n = self.n_states
@@ -77,7 +111,7 @@ class HarmonicStructure:
             spec = self._specs[name]
             if not isinstance(spec, dict):
                 continue
-            shapes = {label: matrix_shape(M, f"{name}_{label}") for label, M in spec.items()}
+            shapes = {label: shape_of(cells) for label, (cells, *_) in spec.items()}
             if len(set(shapes.values())) > 1:
                 raise ValueError(f"the coefficients of {name} differ in shape: {shapes}")
             shape = next(iter(shapes.values()))
@@ -92,18 +126,25 @@ class HarmonicStructure:
     def n_states(self):
         """States that the structure calls for; None if any number is right."""
         if isinstance(self._specs["F"], dict):
-            return matrix_shape(next(iter(self._specs["F"].values())), "F")[0]
+            return shape_of(next(iter(self._specs["F"].values()))[0])[0]
         return None if self.states is None else len(self.states)
 
+    @property
+    def fixed(self):
+        return dict(self._fixed)
+
     def given_entries(self):
-        """Those of F, G, P and Q whose entries are given, rather than a number of harmonics."""
-        return [name for name, spec in self._specs.items() if isinstance(spec, dict)]
+        """Those of F, G, P and Q of which entries are given, not a number of harmonics alone."""
+        fixed = {place["matrix"] for place in map(_PLACE.fullmatch, self._fixed) if place}
+        return [
+            name for name, spec in self._specs.items() if isinstance(spec, dict) or name in fixed
+        ]
 
     def n_harmonics(self, name):
         """Highest harmonic of F, G, P or Q; None if the data decide."""
         spec = self._specs[name]
         if isinstance(spec, dict):
-            return max(_order(label) for label in spec)
+            return max(order_of(label) for label in spec)
         return spec
 
     def parameter_names(self, states, inputs, outputs=None, **n_harmonics):
@@ -113,6 +154,68 @@ class HarmonicStructure:
         """
         outputs = states if outputs is None else outputs
         return self.resolve(states, inputs, outputs, n_harmonics).parameter_names
+
+    def fix(self, values):
+        """The structure with numbers in place of some parameters.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+
+        Returns
+        -------
+        structure : HarmonicStructure
+        """
+        values = read_fixed(values)
+        self._check_fixed("fix", values)
+        return self._with_fixed(join_fixed(self._fixed, values))
+
+    def free(self, names=None):
+        """The structure with some fixed parameters free again.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            All that are fixed by default.
+
+        Returns
+        -------
+        structure : HarmonicStructure
+        """
+        names = freed(self._fixed, names)
+        return self._with_fixed({k: x for k, x in self._fixed.items() if k not in names})
+
+    def _with_fixed(self, fixed):
+        new = copy.copy(self)
+        new._fixed = fixed
+        return new
+
+    def _named(self):
+        """Names written in the coefficients given."""
+        specs = [spec for spec in self._specs.values() if isinstance(spec, dict)]
+        cells = [cells for spec in specs for cells, *_ in spec.values()]
+        return tuple(name for name in parameter_names(cells) if name is not None)
+
+    def _check_fixed(self, what, fixed):
+        """Raise ValueError for names that no signals can make parameters."""
+        named = self._named()
+        for name in fixed:
+            if name in named:
+                continue
+            place = _PLACE.fullmatch(str(name))
+            if place is None:
+                raise ValueError(
+                    f"{what} names {name!r}, no parameter here; give one of {list(named)}, or the "
+                    f"place of a free entry, such as 'F[w,phi_dot]_1c'"
+                )
+            matrix, order = place["matrix"], order_of(place["label"])
+            spec = self._specs[matrix]
+            labels = spec if isinstance(spec, dict) else labels_up_to(spec)
+            if place["label"] not in labels:
+                raise ValueError(
+                    f"{what} names {name!r}, which {_written(matrix, spec)} leaves out; give "
+                    f"{matrix} harmonic {order}, as a number or in a dict, to fix an entry of it"
+                )
 
     def resolve(self, states, inputs, outputs, n_harmonics, *, form=None):
         """The form that the algorithms work on, for signals of some names.
@@ -132,28 +235,27 @@ class HarmonicStructure:
         """
         sides = {"F": (states, states), "G": (states, inputs)}
         sides |= {"P": (outputs, states), "Q": (outputs, inputs)}
-        terms = {
-            name: self._terms(name, sides[name], n_harmonics.get(name))
-            for name in "FGPQ"
-            if name != "F" or form is None
+        parts = [name for name in "FGPQ" if name != "F" or form is None]
+        terms = {name: self._terms(name, sides[name], n_harmonics.get(name)) for name in parts}
+        places = {
+            place: cell
+            for part in terms.values()
+            for _, at in part.values()
+            for place, cell in at.items()
         }
-        highest = max([_order(label) for part in terms.values() for label in part], default=0)
+        check_places(places)
+        check_known("fixed", self._fixed, parameter_names([[places.values()]]))
+        highest = max([order_of(label) for part in terms.values() for label in part], default=0)
         size = 1 + 2 * max(highest, 0 if form is None else form.n_harmonics)
         n = len(states)
         constant = np.zeros((size, n + len(outputs), n + len(inputs)))
-        corners = {"F": (0, 0), "G": (0, n), "P": (n, 0), "Q": (n, n)}
         names, entries = {}, []
+        corners = {"F": (0, 0), "G": (0, n), "P": (n, 0), "Q": (n, n)}
         for name, part in terms.items():
-            top, left = corners[name]
-            for label, cells in part.items():
-                place = _place(label)
-                for i, line in enumerate(cells):
-                    for j, (number, parameter) in enumerate(line):
-                        if parameter is None:
-                            constant[place, top + i, left + j] = number
-                        else:
-                            column = names.setdefault(parameter, len(names))
-                            entries.append((column, (place, top + i, left + j), number))
+            for place, number, scales in _numbered(part, corners[name], self._fixed):
+                constant[place] = number
+                for parameter, scale in scales:
+                    entries.append((names.setdefault(parameter, len(names)), place, scale))
         if form is not None:
             places = range(min(size, len(form.constant)))
             constant[places, :n, :n] = form.constant[places]
@@ -166,51 +268,38 @@ class HarmonicStructure:
         rows = [column for column, _, _ in entries]
         where = [np.ravel_multi_index(place, constant.shape) for _, place, _ in entries]
         values = [value for _, _, value in entries]
-        basis = sparse.coo_array((values, (rows, where)), shape=(len(names), constant.size))
-        return PeriodicStructure(constant, basis.tocsr(), n, tuple(names))
+        basis = sparse.coo_array((values, (rows, where)), shape=(len(names), constant.size)).tocsr()
+        _check_independent(basis, tuple(names))
+        return PeriodicStructure(constant, basis, n, tuple(names))
 
     def _terms(self, name, sides, chosen):
-        """Cells of each coefficient of one matrix, by label."""
+        """Of each coefficient of one matrix, by label: its cells, and the cell at each place."""
         spec, (rows, columns) = self._specs[name], sides
         if isinstance(spec, dict):
-            found = matrix_shape(next(iter(spec.values())), name)
+            found = shape_of(next(iter(spec.values()))[0])
             if found != (len(rows), len(columns)):
                 raise ValueError(
                     f"the coefficients of {name} have shape {found}, but {len(rows)} x "
                     f"{len(columns)} are needed for {list(rows)} by {list(columns)}"
                 )
-            for label, matrix in spec.items():
-                _check_labels(f"{name}_{label}", matrix, rows, columns)
-            return {
-                label: _cells(name, label, matrix, rows, columns) for label, matrix in spec.items()
-            }
-        count = chosen if spec is None else spec
-        if count is None:
-            return {} if name != "P" else {"0": _measured(rows, columns)}
-        labels = harmonic_labels(range(count + 1))
-        free = np.full((len(rows), len(columns)), np.nan)
-        terms = {label: _cells(name, label, free, rows, columns) for label in labels}
-        if name == "P" and spec is None:
-            identity = _measured(rows, columns)
-            for label, cells in terms.items():
-                for i, row in enumerate(rows):
-                    if row in columns:
-                        cells[i] = identity[i] if label == "0" else [(0.0, None)] * len(columns)
-        return terms
+            for label, (_, *labels) in spec.items():
+                check_labels(f"{name}_{label}", labels, sides)
+            cells = {label: given for label, (given, *_) in spec.items()}
+        else:
+            count = chosen if spec is None else spec
+            cells = {label: [[FREE] * len(columns)] * len(rows) for label in labels_up_to(count)}
+            if name == "P" and spec is None:
+                cells = _measured(rows, columns, cells)
+        return {
+            label: name_places(given, name, rows, columns, f"_{label}")
+            for label, given in cells.items()
+        }
 
     def _key(self):
         specs = tuple(
-            (
-                name,
-                tuple(
-                    (label, repr(np.asarray(M, dtype=object).tolist())) for label, M in spec.items()
-                ),
-            )
-            if isinstance(spec, dict)
-            else (name, spec)
-            for name, spec in self._specs.items()
+            tuple(spec.items()) if isinstance(spec, dict) else spec for spec in self._specs.values()
         )
-        return specs, self.states
+        return specs, self.states, tuple(sorted(self._fixed.items()))
 
     def __eq__(self, other):
         if not isinstance(other, HarmonicStructure):
@@ -221,77 +310,90 @@ class HarmonicStructure:
         return hash(self._key())
 
     def __repr__(self):
-        words = [
-            f"{name}={spec if not isinstance(spec, dict) else '{' + ', '.join(spec) + '}'}"
-            for name, spec in self._specs.items()
-            if spec is not None
-        ]
+        words = [_written(name, spec) for name, spec in self._specs.items() if spec is not None]
         if self.states is not None:
             words.append(f"states={list(self.states)}")
+        if self._fixed:
+            words.append(f"fixed={self._fixed}")
         return f"HarmonicStructure({', '.join(words)})"
 
+    def __str__(self):
+        return text_of(self._shown(), self._notes())
 
-def _specification(name, value):
-    """A number of harmonics, a dict of coefficients by label, or None."""
-    if value is None:
-        return None
-    if isinstance(value, Mapping) and value:
-        for label in value:
-            _order(label, name)
-        return {label: copy.copy(matrix) for label, matrix in value.items()}
-    if isinstance(value, numbers.Integral) and not isinstance(value, bool) and value >= 0:
-        return int(value)
-    raise ValueError(
-        f"{name}={value!r} is not understood; give a number of harmonics, a dict of coefficients "
-        f"by label such as {{'0': …, '1c': …}}, or None"
-    )
+    def _repr_html_(self):
+        return html_of(self._shown(), self._notes())
+
+    def _shown(self):
+        """Tables of the coefficients given, and a line for each matrix without."""
+        shown = []
+        for name, spec in self._specs.items():
+            if not isinstance(spec, dict):
+                shown.append(f"{name}: {_OPEN[name] if spec is None else _counted(spec)}")
+                continue
+            for label, (cells, rows, columns) in spec.items():
+                rows = self.states if rows is None and name in "FG" else rows
+                columns = self.states if columns is None and name in "FP" else columns
+                named, _ = name_places(cells, name, rows, columns, f"_{label}")
+                shown.append(Table(name, fill_all(named, self._fixed), rows, columns, label))
+        return shown
+
+    def _notes(self):
+        return describe(self._fixed, self._fixed)
 
 
-def _check_labels(what, matrix, rows, columns):
-    """Raise ValueError if a DataFrame is labelled otherwise than the signals are named."""
-    if not isinstance(matrix, pd.DataFrame):
-        return
-    for axis, names in ((matrix.index, rows), (matrix.columns, columns)):
-        if not isinstance(axis, pd.RangeIndex) and [str(x) for x in axis] != list(names):
-            raise ValueError(
-                f"{what} is labelled {[str(x) for x in axis]} where the signals are {list(names)}; "
-                f"give the same names in the same order, or an array"
+_OPEN = {
+    "F": "the data decide how many harmonics",
+    "G": "the data decide how many harmonics",
+    "P": "outputs that are states measure them; the data decide for the others",
+    "Q": "zero",
+}
+
+
+def _counted(number):
+    return f"{number} harmonic{'s' * (number != 1)}, every entry free"
+
+
+def _written(name, spec):
+    return f"{name}={'{' + ', '.join(spec) + '}' if isinstance(spec, dict) else spec}"
+
+
+def _numbered(part, corner, fixed):
+    """Place in [F G; P Q], constant and terms of each entry of one matrix."""
+    top, left = corner
+    for label, (cells, _) in part.items():
+        for i, line in enumerate(fill_all(cells, fixed)):
+            for j, (number, terms) in enumerate(line):
+                yield (place_of(label), top + i, left + j), number, terms
+
+
+def _measured(outputs, states, cells):
+    """Cells of a P that measures those states that are outputs, as some cells for the others."""
+    known = [output in states for output in outputs]
+    identity = [[(float(output == state), ()) for state in states] for output in outputs]
+    zero = [[(0.0, ())] * len(states)] * len(outputs)
+    return {
+        label: [
+            line if known[i] else free
+            for i, (line, free) in enumerate(
+                zip(identity if label == "0" else zero, given, strict=True)
             )
-
-
-def _order(label, name="a coefficient"):
-    """Harmonic k of a label 0, kc or ks."""
-    text = label if isinstance(label, str) else ""
-    if text == "0":
-        return 0
-    if text[:-1].isdecimal() and int(text[:-1]) > 0 and text[-1] in "cs":
-        return int(text[:-1])
-    raise ValueError(
-        f"{label!r} is no label of {name}; labels are '0', '1c', '1s', '2c', … (mean, cosine, sine)"
-    )
-
-
-def _place(label):
-    """Place of a coefficient in the order 0, 1c, 1s, 2c, …."""
-    k = _order(label)
-    return 2 * k - (label[-1] == "c") if k else 0
-
-
-def _cells(name, label, matrix, rows, columns):
-    """(number, None) or (scale, parameter name) of each entry, NaN named after its place."""
-    cells = read_cells(name, matrix, rows, columns)
-    return [
-        [
-            (
-                number,
-                f"{parameter}_{label}" if parameter == f"{name}[{row},{column}]" else parameter,
-            )
-            for (number, parameter), column in zip(line, columns, strict=True)
         ]
-        for line, row in zip(cells, rows, strict=True)
-    ]
+        for label, given in (cells or {"0": identity}).items()
+    }
 
 
-def _measured(outputs, states):
-    """Cells of a P that measures those states that are outputs."""
-    return [[(float(output == state), None) for state in states] for output in outputs]
+def _check_independent(basis, names):
+    """Raise ValueError if no values of the entries could tell some parameters apart."""
+    counts = np.bincount(basis.indices, minlength=basis.shape[1])
+    mixed = np.unique(sparse.coo_array(basis[:, counts > 1]).row)
+    if not len(mixed):
+        return
+    rows = basis[mixed].toarray()
+    U, values, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=1)[:, None], full_matrices=True)
+    rank = int(np.sum(values > _RANK * values[0]))
+    if rank < len(mixed):
+        alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > _RANK]]
+        raise ValueError(
+            f"the entries determine only combinations of {alike}; give each an entry of its own, "
+            f"or fix some"
+        )

@@ -1,18 +1,33 @@
 """State-space matrices of which some entries are known and some are parameters."""
 
-from collections.abc import Mapping
+import copy
+from functools import cached_property
 
 import numpy as np
-import pandas as pd
 
 from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.structures._cells import (
-    layout,
+    axis_names,
+    check_places,
+    fill_all,
     matrix_shape,
+    name_places,
+    parameter_names,
     read_cells,
     read_names,
+)
+from sklearn_hd.structures._display import Table, html_of, text_of
+from sklearn_hd.structures._parameters import (
+    bound_array,
+    check_known,
+    check_within,
+    describe,
+    freed,
+    join_fixed,
+    read_bounds,
+    read_fixed,
+    read_initial,
     read_numbers,
-    write_cells,
 )
 
 __all__ = ["MatrixStructure"]
@@ -32,40 +47,60 @@ class MatrixStructure:
     D : array_like or DataFrame, shape (l, m), optional
         Zero by default.
 
-        In all four a number is a fixed entry, NaN a parameter of its own, and a text a
-        named parameter: ``"k"``, ``"-k"``, ``"2*k"``. A name that recurs, in whichever
-        matrix, is one parameter.
+        In all four a number is a fixed entry, NaN a parameter of its own, and a text is
+        affine in named parameters: ``"k"``, ``"-k"``, ``"2*k"``, ``"1.5 - (k1 + k2)/2"``.
+        A name that recurs, in whichever matrix, is one parameter.
     state_names, input_names, output_names : sequence of str, optional
         By default the labels of the DataFrames. NaN entries are called after them,
         ``"A[w_0,phi_dot_1c]"``; without names after their position, ``"A[0,1]"``.
     initial : mapping of str to float, or array_like of shape (k,), optional
-        Where a search may start; every parameter must be given.
+        Where a search may start; all parameters that are not fixed, or none.
+    bounds : mapping of str to (low, high), optional
+        Between what values a parameter lies; None is an open end.
+    fixed : mapping of str to float, optional
+        Parameters whose value is known: they become numbers.
 
     Attributes
     ----------
     parameter_names : tuple of str
-        In the order of their first appearance in A, B, C, D, read by rows.
+        In the order of their first appearance in A, B, C, D, read by rows; without those
+        fixed.
     n_parameters, n_states, n_inputs, n_outputs : int
     initial : ndarray of shape (k,) or None
+    bounds : dict of str to (float or None, float or None)
+        As given, those of fixed parameters too.
+    lower, upper : ndarray, shape (k,)
+        The bounds in the order of parameter_names, infinite where open.
+    fixed : dict of str to float
     affine : AffineStructure
         The form that the algorithms work on.
 
     Raises
     ------
     ValueError
-        If shapes or labels do not fit together, or a cell is neither a number, NaN, nor
-        the text of a parameter.
+        If shapes or labels do not fit together, an entry is no number, NaN or affine text,
+        or values by name contradict each other.
 
     Examples
     --------
     An oscillator of unknown frequency and damping (the same number stands twice):
 
-    >>> oscillator = MatrixStructure([["-d", "w"], ["-w", "-d"]], [[0], [np.nan]], C=[[1, 0]])
+    >>> oscillator = MatrixStructure([["-d", "w"], ["-w", "-d"]], [[0], [np.nan]], C=[[1, 0]],
+    ...                              bounds={"d": (0, None)})
     >>> oscillator.parameter_names
     ('d', 'w', 'B[1,0]')
     >>> A, B, C, D = oscillator.matrices([0.1, 2.0, 3.0])
     >>> A.tolist()
     [[-0.1, 2.0], [-2.0, -0.1]]
+    >>> print(oscillator.fix({"w": 2}))
+    A = [ -d   2 ]
+        [ -2  -d ]
+    B = [      0 ]
+        [ B[1,0] ]
+    C = [ 1  0 ]
+    D = [ 0 ]
+    0 <= d
+    w = 2, fixed
     """
 
     def __init__(
@@ -79,61 +114,149 @@ class MatrixStructure:
         input_names=None,
         output_names=None,
         initial=None,
+        bounds=None,
+        fixed=None,
     ):
         n, m = matrix_shape(A, "A")[0], matrix_shape(B, "B")[1]
         C = np.eye(n) if C is None else C
-        D = np.zeros((matrix_shape(C, "C")[0], m)) if D is None else D
         p = matrix_shape(C, "C")[0]
-        for name, matrix, shape in zip("ABCD", (A, B, C, D), _shapes(n, m, p), strict=True):
-            if matrix_shape(matrix, name) != shape:
-                found = {key: matrix_shape(M, key) for key, M in zip("ABC", (A, B, C), strict=True)}
-                raise ValueError(
-                    f"{name} has shape {matrix_shape(matrix, name)} where A of {found['A']}, B of "
-                    f"{found['B']} and C of {found['C']} call for {shape}"
-                )
+        D = np.zeros((p, m)) if D is None else D
+        given = dict(zip("ABCD", (A, B, C, D), strict=True))
+        _check_shapes(given, n, m, p)
         states = _labels("state", n, state_names, (A, "index"), (A, "columns"), (B, "index"))
         states = _labels("state", n, states, (C, "columns"))
         inputs = _labels("input", m, input_names, (B, "columns"), (D, "columns"))
         outputs = _labels("output", p, output_names, (C, "index"), (D, "index"))
         self.state_names, self.input_names, self.output_names = states, inputs, outputs
-        sides = {"A": (states, states), "B": (states, inputs)}
-        sides |= {"C": (outputs, states), "D": (outputs, inputs)}
-        cells = [
-            read_cells(name, matrix, *sides[name])
-            for name, matrix in zip("ABCD", (A, B, C, D), strict=True)
-        ]
-        self._texts = tuple(tuple(map(tuple, write_cells(part))) for part in cells)
-        self.affine = _affine(cells, n, m, p)
-        self.initial = _initial(initial, self.affine.parameter_names)
+        self._shape = n, m, p
+        self._cells = self._read(given)
+        self._say(fixed, initial, bounds)
+
+    def _read(self, given):
+        """Cells of A, B, C and D, every parameter by its name."""
+        cells, places = [], {}
+        for name, matrix in given.items():
+            sides = self._sides(name)
+            named, at = name_places(read_cells(name, matrix, *sides), name, *sides)
+            cells.append(named)
+            places |= at
+        check_places(places)
+        return tuple(cells)
+
+    def _sides(self, name):
+        """Names of the rows and of the columns of A, B, C or D."""
+        rows = self.state_names if name in "AB" else self.output_names
+        return rows, self.state_names if name in "AC" else self.input_names
+
+    def _say(self, fixed, initial, bounds):
+        """Take what is known of the parameters by name."""
+        names = parameter_names(self._cells)
+        self._fixed = read_fixed(fixed, names)
+        self._bounds = read_bounds(bounds, names)
+        self._initial = read_initial(initial, self.parameter_names, self._fixed)
+        check_within("fixed", self._fixed, self._bounds)
+        check_within("initial", self._initial or {}, self._bounds)
+        return self
 
     @property
     def parameter_names(self):
-        return self.affine.parameter_names
+        return tuple(name for name in parameter_names(self._cells) if name not in self._fixed)
 
     @property
     def n_parameters(self):
-        return self.affine.n_parameters
+        return len(self.parameter_names)
 
     @property
     def n_states(self):
-        return self.affine.n_states
+        return self._shape[0]
 
     @property
     def n_inputs(self):
-        return self.affine.n_inputs
+        return self._shape[1]
 
     @property
     def n_outputs(self):
-        return self.affine.n_outputs
+        return self._shape[2]
+
+    @property
+    def initial(self):
+        return None if self._initial is None else np.array(list(self._initial.values()))
+
+    @property
+    def bounds(self):
+        return dict(self._bounds)
+
+    @property
+    def lower(self):
+        return bound_array(self._bounds, self.parameter_names, 0, -np.inf)
+
+    @property
+    def upper(self):
+        return bound_array(self._bounds, self.parameter_names, 1, np.inf)
+
+    @property
+    def fixed(self):
+        return dict(self._fixed)
+
+    @cached_property
+    def affine(self):
+        return _affine(self._filled(), *self._shape)
+
+    def _filled(self):
+        """Cells of A, B, C and D with numbers where parameters are fixed."""
+        return [fill_all(cells, self._fixed) for cells in self._cells]
 
     def matrices(self, theta):
         """(A, B, C, D) at the parameters θ, shape (k,) in the order of parameter_names."""
         theta = read_numbers("theta", theta, self.parameter_names)
         return tuple(matrix.copy() for matrix in self.affine.matrices(theta))
 
+    def fix(self, values):
+        """The structure with numbers in place of some parameters.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+
+        Returns
+        -------
+        structure : MatrixStructure
+        """
+        values = read_fixed(values)
+        check_known("fix", values, parameter_names(self._cells))
+        initial = self._initial and {k: x for k, x in self._initial.items() if k not in values}
+        return copy.copy(self)._say(join_fixed(self._fixed, values), initial, self._bounds)
+
+    def free(self, names=None):
+        """The structure with some fixed parameters free again.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            All that are fixed by default.
+
+        Returns
+        -------
+        structure : MatrixStructure
+            Where it has initial values, those freed start at the value they had.
+        """
+        names = freed(self._fixed, names)
+        initial = self._initial
+        if initial is not None:
+            initial = {**initial, **{name: self._fixed[name] for name in names}}
+        fixed = {name: x for name, x in self._fixed.items() if name not in names}
+        return copy.copy(self)._say(fixed, initial, self._bounds)
+
+    def __getstate__(self):
+        return {name: value for name, value in vars(self).items() if name != "affine"}
+
     def _key(self):
-        initial = None if self.initial is None else tuple(self.initial.tolist())
-        return self._texts, self.state_names, self.input_names, self.output_names, initial
+        known = [
+            None if each is None else tuple(sorted(each.items()))
+            for each in (self._fixed, self._initial, self._bounds)
+        ]
+        names = self.state_names, self.input_names, self.output_names
+        return self._cells, self._shape, names, *known
 
     def __eq__(self, other):
         return self._key() == other._key() if isinstance(other, MatrixStructure) else NotImplemented
@@ -142,31 +265,55 @@ class MatrixStructure:
         return hash(self._key())
 
     def __repr__(self):
+        known = [
+            f", {name}={value}"
+            for name, value in (("bounds", self._bounds), ("fixed", self._fixed))
+            if value
+        ]
         return (
-            f"MatrixStructure({self.n_states} states, {self.n_inputs} inputs, "
-            f"{self.n_outputs} outputs, parameters={list(self.parameter_names)})"
+            f"MatrixStructure({self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} "
+            f"outputs, parameters={list(self.parameter_names)}{''.join(known)})"
         )
 
     def __str__(self):
-        return "\n".join(layout(name, t) for name, t in zip("ABCD", self._texts, strict=True))
+        return text_of(self._tables(), self._notes())
+
+    def _repr_html_(self):
+        return html_of(self._tables(), self._notes())
+
+    def _tables(self):
+        return [
+            Table(name, cells, *self._sides(name))
+            for name, cells in zip("ABCD", self._filled(), strict=True)
+        ]
+
+    def _notes(self):
+        names = parameter_names(self._cells)
+        return describe(names, self._fixed, self._initial, self._bounds)
 
 
-def _shapes(n, m, p):
-    return (n, n), (n, m), (p, n), (p, m)
-
-
-def _places(n):
-    """Where A, B, C and D begin in [A B; C D]."""
-    return (0, 0), (0, n), (n, 0), (n, n)
+def _check_shapes(given, n, m, p):
+    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+    found = {name: matrix_shape(matrix, name) for name, matrix in given.items()}
+    for name, shape in shapes.items():
+        if found[name] != shape:
+            raise ValueError(
+                f"{name} has shape {found[name]} where A of {found['A']}, B of {found['B']} and C "
+                f"of {found['C']} call for {shape}"
+            )
+    if m == 0 or p == 0:
+        raise ValueError(
+            f"B has shape {found['B']} and C {found['C']}: without inputs, or without outputs, "
+            f"there is no response to match; give at least one of each"
+        )
 
 
 def _labels(what, size, given, *sources):
     """Names given, else those of the DataFrames' axes, which must agree; None if none."""
     found = None if given is None else read_names(f"{what}_names", given)
-    for frame, axis in sources:
-        if not isinstance(frame, pd.DataFrame):
+    for labels in (axis_names(*source) for source in sources):
+        if labels is None:
             continue
-        labels = tuple(map(str, getattr(frame, axis)))
         if found is not None and labels != found:
             raise ValueError(
                 f"{what} names disagree: {list(found)} in one place, {list(labels)} in another; "
@@ -180,31 +327,13 @@ def _labels(what, size, given, *sources):
 
 def _affine(cells, n, m, p):
     """The affine form of four matrices of cells."""
-    constant, names, entries = np.zeros((n + p, n + m)), {}, []
-    for (top, left), part in zip(_places(n), cells, strict=True):
+    names = {name: k for k, name in enumerate(parameter_names(cells))}
+    constant, basis = np.zeros((n + p, n + m)), np.zeros((len(names), n + p, n + m))
+    corners = (0, 0), (0, n), (n, 0), (n, n)
+    for (top, left), part in zip(corners, cells, strict=True):
         for i, line in enumerate(part):
-            for j, (number, name) in enumerate(line):
-                if name is None:
-                    constant[top + i, left + j] = number
-                else:
-                    entries.append((names.setdefault(name, len(names)), top + i, left + j, number))
-    basis = np.zeros((len(names), n + p, n + m))
-    for k, i, j, scale in entries:
-        basis[k, i, j] = scale
+            for j, (number, terms) in enumerate(line):
+                constant[top + i, left + j] = number
+                for name, scale in terms:
+                    basis[names[name], top + i, left + j] = scale
     return AffineStructure(constant, basis, n, tuple(names))
-
-
-def _initial(initial, names):
-    if initial is None:
-        return None
-    if isinstance(initial, (Mapping, pd.Series)):
-        initial = dict(initial)
-        unknown = [name for name in initial if name not in names]
-        missing = [name for name in names if name not in initial]
-        if unknown or missing:
-            raise ValueError(
-                f"initial must give every parameter and no other; missing {missing}, unknown "
-                f"{unknown}, allowed {list(names)}"
-            )
-        initial = [initial[name] for name in names]
-    return read_numbers("initial", initial, names)

@@ -1,0 +1,91 @@
+"""What a match is warned of: parameters not determined, searches cut short, poor fits."""
+
+import warnings
+
+from sklearn.exceptions import ConvergenceWarning
+
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
+MOST_SYSTEMATIC = 0.01  # share of the variance left in a rest that is not white
+POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
+FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
+
+
+def warn_realized(found):
+    """Of a periodic model in closed form."""
+    if not found.physical:
+        _warn(
+            f"the outputs {list(found.model.output_names)} do not determine the "
+            f"{found.model.n_states} states: the model is in Floquet coordinates, in which its "
+            f"states have no physical meaning; measure more outputs for that"
+        )
+    if found.r2 < POOR_FIT:
+        _warn(
+            f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
+            f"check order, omega and that the record is long enough, or refine it with "
+            f"criterion='output_error'"
+        )
+    elif found.systematic > MOST_SYSTEMATIC:
+        _warn(
+            f"the periodic model leaves {found.systematic:.2g} of the record's variance in a rest "
+            f"that is no noise (neighbouring samples are alike); check order, omega, the harmonics "
+            f"that the structure allows, and whether the response is linear"
+        )
+    if found.unidentified:
+        _warn(
+            f"the record does not determine {', '.join(found.unidentified)} (only some "
+            f"combinations of them): of all values that fit, the smallest are taken; let inputs "
+            f"change at more phases of the period, or give G and Q fewer harmonics"
+        )
+
+
+def warn_matched(result, settings, n_found, n_wanted):
+    """Of a match in a norm between models of some orders."""
+    if n_found != n_wanted and result.relative_error > POOR_MATCH:
+        _warn(
+            f"the model has {n_found} states, the structure {n_wanted}, and the match leaves a "
+            f"relative error of {result.relative_error:.2g}; the structure may not be that of the "
+            f"system, or SpuriousModeReducer(n_states={n_wanted}) is needed"
+        )
+    if result.feedthrough_floor > FLOOR * result.hinf_error and not result.exact:
+        _warn(
+            f"the feedthrough of the model cannot be that of the structure: entries of D that are "
+            f"fixed leave {result.feedthrough_floor / result.hinf_error:.0%} of the error, at "
+            f"infinite frequency, whatever the parameters; free them, or weigh high frequencies "
+            f"less (output_weights)"
+        )
+    if result.unidentified:
+        _warn(
+            f"these outputs do not determine {', '.join(result.unidentified)} (only some "
+            f"combinations of them): fix some, share a name, or measure more outputs"
+        )
+    if not result.converged:
+        name = {"hinf": "H-infinity", "h2": "H2", "least_squares": "least-squares"}
+        _warn(
+            f"the {name[settings.criterion]} match stopped after {result.n_iter} iterations at a "
+            f"relative error of {result.relative_error:.3g}; it could still fall by "
+            f"{result.predicted_decrease:.2g} of itself where tol={settings.search['tol']:g} was "
+            f"asked for; raise max_iter or n_starts",
+            ConvergenceWarning,
+        )
+
+
+def warn_refined(result):
+    """Of a fit by maximum likelihood."""
+    if result.unidentified:
+        _warn(
+            f"the record does not determine {', '.join(result.unidentified)} (only some "
+            f"combinations of them): their standard deviation is infinite; fix some, share a name, "
+            f"or use a richer record"
+        )
+    if not result.converged:
+        _warn(
+            f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
+            f"lower the sum of squares by {result.relative_decrease:.2g} of itself; raise max_iter",
+            ConvergenceWarning,
+        )
+
+
+def _warn(text, category=IdentifiabilityWarning):
+    warnings.warn(text, category, stacklevel=8)
