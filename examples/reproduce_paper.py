@@ -384,7 +384,7 @@ def main():
     draw_frequency_responses(runs, out)
 
     search, found, e = search_order()
-    figures.save(figures.order_search(found), out, 18, "order_search")
+    figures.save(figures.order_search(search), out, 18, "order_search")
     print("GridSearchCV on six noisy ltp records, two held out at a time, mean R² of y(t)")
     show(found, 4)
     print(f"best: {search.best_params_}, e = {e:.2g} % on all six records\n")

@@ -77,6 +77,7 @@ def test_algorithms_know_neither_estimators_nor_frames(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(ROOT)) for p in FILES])
-def test_matplotlib_stays_in_plotting(path):
+def test_matplotlib_stays_in_plotting_and_nothing_else_imports_it(path):
     if room(path) != "plotting":
-        assert not any(module.startswith("matplotlib") for module in imports(path))
+        for module in imports(path):
+            assert not module.startswith(("matplotlib", "sklearn_hd.plotting"))

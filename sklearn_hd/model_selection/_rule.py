@@ -79,20 +79,26 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     >>> search.fit(u, y + 0.1 * rng.standard_normal((400, 1))).best_params_
     {'order': 1}
     """
-    scores = _fold_scores(cv_results, metric)
+    scores = fold_scores(cv_results, metric)
+    _check_none_failed(scores, cv_results["params"])
     sizes = _sizes(cv_results, (size,) if isinstance(size, str) else tuple(size))
-    n_folds = scores.shape[1]
-    share = 1.0 / (n_folds - 1) if test_share is None else test_share
-    check_positive("test_share", share, "rows tested over rows trained on", "None is 1/(k − 1)")
     means = scores.mean(axis=1)
     best = int(np.argmax(means))
-    error = scores[best].std(ddof=1) * np.sqrt(1.0 / n_folds + share)
+    error = standard_error(scores[best], test_share)
     within = means[best] - means <= error + ROUNDING * abs(means[best])
     return min(np.flatnonzero(within).tolist(), key=lambda i: (*sizes[i], -means[i], i))
 
 
-def _fold_scores(cv_results, metric):
-    """Test scores, (n_candidates, n_folds); ValueError where one is missing."""
+def standard_error(scores, test_share=None):
+    """Standard error of the mean of the scores on some folds, which share training rows."""
+    n_folds = len(scores)
+    share = 1.0 / (n_folds - 1) if test_share is None else test_share
+    check_positive("test_share", share, "rows tested over rows trained on", "None is 1/(k − 1)")
+    return float(scores.std(ddof=1) * np.sqrt(1.0 / n_folds + share))
+
+
+def fold_scores(cv_results, metric):
+    """Test scores, (n_candidates, n_folds); NaN where a candidate failed."""
     metrics = [key.removeprefix("mean_test_") for key in cv_results if key.startswith("mean_test_")]
     if metric not in metrics:
         raise ValueError(
@@ -109,31 +115,28 @@ def _fold_scores(cv_results, metric):
             f"of more folds"
         )
     folds = [cv_results[f"split{f}_test_{metric}"] for f in range(n_folds)]
-    scores = np.asarray(folds, dtype=float).T
-    if not np.all(np.isfinite(scores)):
-        failed = [
-            f"{params} on folds {np.flatnonzero(~np.isfinite(row)).tolist()}"
-            for params, row in zip(cv_results["params"], scores, strict=True)
-            if not np.all(np.isfinite(row))
-        ]
-        raise ValueError(
-            f"{len(failed)} of {len(scores)} candidates failed, so that there is no mean score to "
-            f"compare: {'; '.join(failed)}; take them out of the search, or see why they fail with "
-            f"error_score='raise'"
-        )
-    return scores
+    return np.asarray(folds, dtype=float).T
+
+
+def _check_none_failed(scores, candidates):
+    """Raise ValueError where a candidate has no score on some fold."""
+    if np.all(np.isfinite(scores)):
+        return
+    failed = [
+        f"{params} on folds {np.flatnonzero(~np.isfinite(row)).tolist()}"
+        for params, row in zip(candidates, scores, strict=True)
+        if not np.all(np.isfinite(row))
+    ]
+    raise ValueError(
+        f"{len(failed)} of {len(scores)} candidates failed, so that there is no mean score to "
+        f"compare: {'; '.join(failed)}; take them out of the search, or see why they fail with "
+        f"error_score='raise'"
+    )
 
 
 def _sizes(cv_results, names):
     """One tuple of numbers a candidate, in the order of the names; empty where all are alike."""
-    keys = [key for key in cv_results if key.startswith("param_")]
-    columns = []
-    for name in names:
-        found = [key for key in keys if key == f"param_{name}" or key.endswith(f"__{name}")]
-        if len(found) > 1:
-            searched = [key.removeprefix("param_") for key in found]
-            raise ValueError(f"size={name!r} could be any of {searched}; give the whole name")
-        columns += [key.removeprefix("param_") for key in found]
+    columns = [key for name in names for key in searched_as(cv_results, name)]
     candidates = cv_results["params"]
     if not columns:
         _check_alike(candidates, names)
@@ -141,6 +144,15 @@ def _sizes(cv_results, names):
     _check_numbers(candidates, columns[0], names)
     parting = [key for key in columns[1:] if all(_is_number(p.get(key)) for p in candidates)]
     return [tuple(params[key] for key in (columns[0], *parting)) for params in candidates]
+
+
+def searched_as(cv_results, name, parameter="size"):
+    """The parameter of a search that is called so, alone or after its step: at most one."""
+    keys = [key.removeprefix("param_") for key in cv_results if key.startswith("param_")]
+    found = [key for key in keys if key == name or key.endswith(f"__{name}")]
+    if len(found) > 1:
+        raise ValueError(f"{parameter}={name!r} could be any of {found}; give the whole name")
+    return found
 
 
 def _is_number(value):

@@ -93,8 +93,8 @@ def _name(function):
     return getattr(function, "__name__", repr(function))
 
 
-def _simulate(estimator, X, y, sample_weight):
-    """Last model step, measured and simulated outputs on the rows that score counts, weights."""
+def last_model_step(estimator, X):
+    """The model step that an estimator ends in, and X as the steps before hand it on."""
     step = estimator
     while not isinstance(step, ModelStep):
         if isinstance(step, Pipeline):
@@ -112,6 +112,12 @@ def _simulate(estimator, X, y, sample_weight):
                 f"MOESPRegressor, SpuriousModeReducer, StructuredMatcher or a Pipeline that ends "
                 f"in one, or use scikit-learn's own scorers"
             )
+    return step, X
+
+
+def _simulate(estimator, X, y, sample_weight):
+    """Last model step, measured and simulated outputs on the rows that score counts, weights."""
+    step, X = last_model_step(estimator, X)
     truth, simulated, rows = scored_simulation(step, X, y)
     return step, truth, simulated, weights_of(rows, sample_weight, len(y))
 

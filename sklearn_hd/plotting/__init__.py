@@ -1,0 +1,34 @@
+"""Displays of data, models and their identification, in scikit-learn's style.
+
+Each class has ``from_estimator`` and, where it fits, ``from_data``, ``from_systems`` or
+``from_cv_results``; ``plot(ax=...)`` draws again, on Axes at hand. What was drawn is kept:
+``ax_`` (``axes_`` where there are several), ``figure_`` and the artists.
+
+Importing :mod:`sklearn_hd` does not import this package.
+"""
+
+from sklearn_hd.plotting._bode import BodeDisplay
+from sklearn_hd.plotting._convergence import ConvergenceDisplay
+from sklearn_hd.plotting._eigenvalues import EigenvalueDisplay
+from sklearn_hd.plotting._harmonic_transfer import HarmonicTransferFunctionDisplay
+from sklearn_hd.plotting._harmonics import HarmonicsDisplay
+from sklearn_hd.plotting._order_selection import OrderSelectionDisplay
+from sklearn_hd.plotting._participation import ParticipationDisplay
+from sklearn_hd.plotting._periodic_matrix import PeriodicMatrixDisplay
+from sklearn_hd.plotting._response import ResponseDisplay
+from sklearn_hd.plotting._singular_values import SingularValueDisplay
+from sklearn_hd.plotting._stabilization import StabilizationDisplay
+
+__all__ = [
+    "BodeDisplay",
+    "ConvergenceDisplay",
+    "EigenvalueDisplay",
+    "HarmonicTransferFunctionDisplay",
+    "HarmonicsDisplay",
+    "OrderSelectionDisplay",
+    "ParticipationDisplay",
+    "PeriodicMatrixDisplay",
+    "ResponseDisplay",
+    "SingularValueDisplay",
+    "StabilizationDisplay",
+]

@@ -1,0 +1,296 @@
+"""Frequency responses of models of harmonics, coefficient by coefficient."""
+
+import control
+import numpy as np
+
+from sklearn_hd._base import ModelStep
+from sklearn_hd.algorithms.simulation import frequency_response
+from sklearn_hd.matching import StructuredMatcher
+from sklearn_hd.plotting._fitted import by_label, fitted_step
+from sklearn_hd.plotting._panels import Panels
+from sklearn_hd.plotting._style import FREQUENCY, LINES, REFERENCE, dress, looks, unit_of
+
+__all__ = ["BodeDisplay"]
+
+POINTS = 400
+DECADES = 1.0  # drawn beyond the slowest and the fastest pole
+NINETY_FIVE = 1.959963984540054  # standard deviations on either side
+
+
+class BodeDisplay:
+    """Magnitude and phase from each input's harmonics to each output's.
+
+        Y(jΩ) = G(jΩ) U(jΩ),   G = C (jΩI − A)⁻¹ B + D
+
+    For models in harmonic-decomposition form the signals are coefficients such as
+    U_0 and w_1c; each pair of them has its panels.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (n_frequencies,)
+        rad/s.
+    responses : dict of complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
+        By label.
+    input_names, output_names : sequence of str
+    std : dict of complex ndarray, of the same shape, optional
+        Standard deviation of the real part + j times that of the imaginary part.
+    reference : str, optional
+        Label of the response drawn broad and grey: the truth.
+
+    Attributes
+    ----------
+    axes_ : ndarray of Axes, shape (2 * n_pairs,)
+        Magnitude and phase of each pair of an output and an input.
+    figure_ : Figure
+    magnitude_lines_, phase_lines_ : dict of Line2D
+        By label, output and input.
+    bands_ : dict of list of FillBetweenPolyCollection
+        95 % confidence of magnitude and phase, where standard deviations are known.
+    legend_ : Legend or None
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eqs. 8 and 9.
+
+    Examples
+    --------
+    >>> from sklearn_hd.systems import flapping_wing, mathieu
+    >>> hd = mathieu().harmonic_decomposition(1, 0, 1)
+    >>> display = BodeDisplay.from_systems(hd, outputs=["y_0", "y_1c"])
+    >>> [axis.get_title("left") for axis in display.axes_[::2]]
+    ['u_0 → y_0', 'u_0 → y_1c']
+    """
+
+    def __init__(
+        self, frequencies, responses, *, input_names, output_names, std=None, reference=None
+    ):
+        self.frequencies = np.asarray(frequencies, dtype=float)
+        self.responses = responses
+        self.input_names = list(input_names)
+        self.output_names = list(output_names)
+        self.std = {} if std is None else std
+        self.reference = reference
+
+    @classmethod
+    def from_estimator(cls, estimator, frequencies=None, *, true=None, ax=None, **plotted):
+        """Draw the model of a fitted step; with its confidence after maximum likelihood.
+
+        Parameters
+        ----------
+        estimator : model step of sklearn_hd, or Pipeline or search that holds one
+            Fitted. Several, in a dict by label, are drawn together.
+        frequencies : array_like, optional
+            rad/s; a decade beyond the poles by default.
+        true : control.StateSpace, optional
+            The truth, between the same signals.
+        ax : Axes or array of Axes, optional
+        **plotted
+            ``inputs``, ``outputs``, ``units``: see :meth:`plot`.
+
+        Returns
+        -------
+        display : BodeDisplay
+
+        Raises
+        ------
+        TypeError
+            If there is no model step.
+        NotFittedError
+            If it has not been fitted.
+        ValueError
+            If models have different signals.
+        """
+        steps = {
+            label: fitted_step(model, ModelStep, cls.__name__)
+            for label, model in by_label(estimator, "identified").items()
+        }
+        systems = {label: step.system_ for label, step in steps.items()}
+        display = cls._of(systems, frequencies, true)
+        display.std = {
+            label: step.frequency_response(display.frequencies)[1]
+            for label, step in steps.items()
+            if hasattr(step, "eigenvalues_") and isinstance(step, StructuredMatcher)
+        }
+        return display.plot(ax=ax, **plotted)
+
+    @classmethod
+    def from_systems(cls, systems, frequencies=None, *, true=None, ax=None, **plotted):
+        """Draw systems of python-control.
+
+        Parameters
+        ----------
+        systems : control.StateSpace, or a dict of them by label
+            Between the same signals, continuous or discrete.
+        frequencies, true, ax, **plotted
+            As in :meth:`from_estimator`.
+
+        Returns
+        -------
+        display : BodeDisplay
+        """
+        return cls._of(by_label(systems, "model"), frequencies, true).plot(ax=ax, **plotted)
+
+    @classmethod
+    def _of(cls, systems, frequencies, true):
+        systems = dict(systems) if true is None else {"true": true, **systems}
+        for label, system in systems.items():
+            if not isinstance(system, control.StateSpace):
+                raise TypeError(
+                    f"{cls.__name__} draws control.StateSpace models; {label!r} is of type "
+                    f"{type(system).__name__} (an LTPSystem gives one by harmonic_decomposition)"
+                )
+        first = next(iter(systems.values()))
+        names = first.input_labels, first.output_labels
+        for label, system in systems.items():
+            if (system.input_labels, system.output_labels) != names:
+                raise ValueError(
+                    f"{label!r} has the inputs {system.input_labels} and outputs "
+                    f"{system.output_labels}, the others {names[0]} and {names[1]}; give models "
+                    f"between the same signals"
+                )
+        if frequencies is None:
+            frequencies = default_frequencies(systems.values())
+        frequencies = np.asarray(frequencies, dtype=float)
+        if frequencies.ndim != 1 or not np.all(frequencies > 0.0):
+            raise ValueError(
+                f"frequencies of shape {frequencies.shape} must be positive numbers in rad/s, in "
+                f"one dimension"
+            )
+        responses = {label: _response(system, frequencies) for label, system in systems.items()}
+        reference = None if true is None else "true"
+        return cls(
+            frequencies,
+            responses,
+            input_names=names[0],
+            output_names=names[1],
+            reference=reference,
+        )
+
+    def plot(self, ax=None, *, inputs=None, outputs=None, units=None):
+        """Draw, on a new figure by default.
+
+        Parameters
+        ----------
+        ax : Axes or array of Axes, optional
+            Two Axes for each pair of signals, or one that is divided.
+        inputs, outputs : sequence of str, optional
+            Coefficients to draw; all by default.
+        units : dict, optional
+            Unit of each signal, or of its coefficients, for the labels.
+
+        Returns
+        -------
+        display : BodeDisplay
+        """
+        pairs = [
+            (o, i)
+            for i in chosen(inputs, self.input_names, "inputs")
+            for o in chosen(outputs, self.output_names, "outputs")
+        ]
+        columns = min(len(pairs), 3 if len(pairs) <= 6 else 4)
+        rows = -(-len(pairs) // columns)
+        cells = [
+            (2 * (k // columns) + half, k % columns) for k in range(len(pairs)) for half in (0, 1)
+        ]
+        panels = Panels(
+            ax,
+            cells,
+            size=(max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows),
+            heights=[1.3, 1.0] * rows,
+            share_x="all",
+            names="magnitude and phase of each pair of signals",
+        )
+        self.axes_, self.figure_ = panels.axes, panels.figure
+        self.magnitude_lines_, self.phase_lines_, self.bands_ = {}, {}, {}
+        for k, (o, i) in enumerate(pairs):
+            self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units)
+            panels.axes[2 * k].tick_params(labelbottom=False)
+            if k + columns >= len(pairs):
+                panels.axes[2 * k + 1].set_xlabel(FREQUENCY)
+            if k % columns == 0:
+                panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
+                panels.axes[2 * k + 1].set_ylabel("phase (deg)")
+        self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
+        return self
+
+    def _draw(self, o, i, axes, units):
+        magnitude, phase = axes
+        source, target = self.input_names[i], self.output_names[o]
+        own = [label for label in self.responses if label != self.reference]
+        styles = dict(zip(own, looks(LINES, len(own)), strict=True))
+        styles |= {} if self.reference is None else {self.reference: REFERENCE | {"lw": 4.0}}
+        for label, response in self.responses.items():
+            g, style = response[:, o, i], styles[label] | {"label": label}
+            key, size = (label, target, source), np.abs(g)
+            angle = _degrees(g)
+            self.magnitude_lines_[key] = magnitude.loglog(self.frequencies, size, **style)[0]
+            self.phase_lines_[key] = phase.semilogx(self.frequencies, angle, **style)[0]
+            if label in self.std:
+                self.bands_[key] = self._band(axes, g, angle, self.std[label][:, o, i], style)
+        low, high = np.log10(magnitude.get_ylim())
+        magnitude.set_ylim(10.0 ** np.floor(low), 10.0 ** np.ceil(high))
+        unit = None
+        if unit_of(source, units) and unit_of(target, units):
+            unit = f"magnitude ({unit_of(target, units)} per {unit_of(source, units)})"
+        dress(magnitude, title=f"{source} → {target}", y=unit)
+        dress(phase)
+
+    def _band(self, axes, g, angle, std, style):
+        """95 % confidence of magnitude and phase, to first order in the deviations."""
+        size = np.maximum(np.abs(g), np.finfo(float).tiny)
+        along = np.hypot(g.real * std.real, g.imag * std.imag) / size
+        across = np.hypot(g.imag * std.real, g.real * std.imag) / size**2
+        reach, turn = NINETY_FIVE * along, np.degrees(NINETY_FIVE * across)
+        look = {"color": style["color"], "alpha": 0.25, "lw": 0}
+        return [
+            axes[0].fill_between(
+                self.frequencies,
+                np.maximum(size - reach, 1e-3 * size),
+                size + reach,
+                label="95 % confidence",
+                **look,
+            ),
+            axes[1].fill_between(self.frequencies, angle - turn, angle + turn, **look),
+        ]
+
+
+def default_frequencies(systems):
+    """A grid in rad/s that holds all poles, and for discrete models ends where they do."""
+    sizes, top = [], np.inf
+    for system in systems:
+        dt, poles = _sample_time(system), system.poles()
+        if dt > 0.0:
+            top = min(top, np.pi / dt)
+            poles = np.log(np.where(poles == 0.0, np.finfo(float).tiny, poles)) / dt
+        sizes += [size for size in np.abs(poles) if size > 0.0]
+    low, high = (min(sizes), max(sizes)) if sizes else (1.0, 1.0)
+    reach = 10.0**DECADES
+    high = min(high * reach, top)
+    return np.geomspace(min(low / reach, high / reach), high, POINTS)
+
+
+def _response(system, frequencies):
+    dt = _sample_time(system)
+    points = 1j * frequencies if dt == 0.0 else np.exp(1j * frequencies * dt)
+    return frequency_response(system.A, system.B, system.C, system.D, points)
+
+
+def _sample_time(system):
+    return 0.0 if system.dt is None else float(system.dt)
+
+
+def _degrees(g):
+    """Phase without jumps, that of the lowest frequency within half a turn of zero."""
+    angle = np.degrees(np.unwrap(np.angle(g)))
+    return angle - 360.0 * np.round(angle[0] / 360.0)
+
+
+def chosen(wanted, names, what):
+    """Places of the signals to draw."""
+    if wanted is None:
+        return range(len(names))
+    wanted = [wanted] if isinstance(wanted, str) else list(wanted)
+    unknown = [name for name in wanted if name not in names]
+    if unknown or not wanted:
+        raise ValueError(f"{what}={wanted} are not all among {names}; give some of these")
+    return [names.index(name) for name in wanted]

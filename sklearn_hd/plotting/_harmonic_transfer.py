@@ -1,0 +1,314 @@
+"""Harmonic transfer functions: models against what a record says without one."""
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._data import read_experiment
+from sklearn_hd._time import read_time
+from sklearn_hd._validation import FIRST
+from sklearn_hd.model_selection._scorers import last_model_step
+from sklearn_hd.plotting._bode import chosen
+from sklearn_hd.plotting._fitted import by_label
+from sklearn_hd.plotting._panels import Panels
+from sklearn_hd.plotting._participation import check_periodic, periodic_system
+from sklearn_hd.plotting._style import BLACK, FREQUENCY, GREY, LINES, dress, looks, unit_of
+from sklearn_hd.systems import HarmonicTransferFunction, estimate_harmonic_transfer_function
+
+__all__ = ["HarmonicTransferFunctionDisplay"]
+
+LOWEST = 0.01  # share of a curve's points that may lie below the view
+DEEPEST = 1e-6  # of the largest magnitude, below which nothing is shown
+DEFAULT_SPAN = 2.0  # of omega, beyond the highest harmonic, where frequencies are left open
+POINTS = 400
+MEASURED = {"color": GREY, "marker": ".", "ms": 3.5, "ls": ""}
+
+
+class HarmonicTransferFunctionDisplay:
+    """Magnitude of H_n(jΩ), harmonic by harmonic, and the coherence of what was measured.
+
+        u(t) = u e^{jΩt}   →   y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
+
+    Parameters
+    ----------
+    responses : dict of HarmonicTransferFunction
+        By label, between the same signals. Estimates (those with ``std``) are drawn as
+        points with their standard deviation, models as lines.
+
+    Attributes
+    ----------
+    axes_ : ndarray of Axes
+        One row for each output and input, and one with the coherence of each output
+        where something was measured; one column a harmonic, from −N to N.
+    figure_ : Figure
+    magnitude_lines_ : dict of Line2D
+        By label, output, input and harmonic.
+    std_lines_ : dict of Line2D
+        Standard deviations of estimates, by the same.
+    coherence_lines_ : dict of Line2D
+        By label, output and harmonic.
+    legend_ : Legend
+
+    References
+    ----------
+    Wereley, Hall (1990), Frequency response of linear time periodic systems, 29th IEEE
+    Conference on Decision and Control.
+
+    Examples
+    --------
+    >>> from sklearn_hd.systems import mathieu
+    >>> display = HarmonicTransferFunctionDisplay.from_systems(mathieu(), n_harmonics=1)
+    >>> [axis.get_title("left") for axis in display.axes_[:3]]
+    ['n = −1', 'n = 0', 'n = 1']
+    """
+
+    def __init__(self, responses):
+        for label, response in responses.items():
+            if not isinstance(response, HarmonicTransferFunction):
+                raise TypeError(
+                    f"HarmonicTransferFunctionDisplay draws HarmonicTransferFunctions; {label!r} "
+                    f"is of type {type(response).__name__}"
+                )
+        signals = {(r.output_names, r.input_names) for r in responses.values()}
+        if len(signals) != 1:
+            words = ", ".join(f"{list(o)} from {list(i)}" for o, i in sorted(signals))
+            raise ValueError(
+                f"responses are between different signals: {words or 'there are none'}"
+            )
+        self.responses = responses
+
+    @classmethod
+    def from_estimator(
+        cls, estimator, X=None, y=None, *, n_harmonics=1, frequencies=None, ax=None, **plotted
+    ):
+        """Draw an identified linear time-periodic system, and a record beside it.
+
+        Parameters
+        ----------
+        estimator : StructuredMatcher, or Pipeline or search that ends in one
+            Fitted with a periodic structure.
+        X, y : DataFrame or Series, optional
+            A record from which the response is estimated without a model, best one that
+            the model was not fitted to; the periodic trim is taken from it.
+        n_harmonics : int, default=1
+            N.
+        frequencies : array_like, optional
+            rad/s; without a record, up to N + 2 times ω by default. With one, its own.
+        ax : Axes or array of Axes, optional
+        **plotted
+            ``inputs``, ``outputs``, ``units``, ``xscale``: see :meth:`plot`.
+
+        Returns
+        -------
+        display : HarmonicTransferFunctionDisplay
+
+        Raises
+        ------
+        TypeError
+            If there is no StructuredMatcher.
+        NotFittedError
+            If it has not been fitted.
+        ValueError
+            If its structure is time-invariant, or the record is too short.
+        """
+        system = periodic_system(estimator, cls.__name__)
+        systems = {"identified": system}
+        if X is None:
+            return cls.from_systems(systems, n_harmonics, frequencies, ax=ax, **plotted)
+        u, y = _about_trim(estimator, X, y)
+        return cls.from_data(
+            u, y, system.omega, n_harmonics, systems=systems, ax=ax, plotted=plotted
+        )
+
+    @classmethod
+    def from_systems(cls, systems, n_harmonics=1, frequencies=None, *, ax=None, **plotted):
+        """Draw linear time-periodic systems.
+
+        Parameters
+        ----------
+        systems : LTPSystem, or a dict of them by label
+            Between the same signals.
+        n_harmonics, frequencies, ax, **plotted
+            As in :meth:`from_estimator`.
+
+        Returns
+        -------
+        display : HarmonicTransferFunctionDisplay
+        """
+        systems = by_label(systems, "model")
+        for label, system in systems.items():
+            check_periodic(system, cls.__name__, label)
+        if frequencies is None:
+            omega = next(iter(systems.values())).omega
+            frequencies = np.linspace(0.0, (n_harmonics + DEFAULT_SPAN) * omega, POINTS)
+        responses = {
+            label: system.harmonic_transfer_function(frequencies, n_harmonics)
+            for label, system in systems.items()
+        }
+        return cls(responses).plot(ax=ax, **plotted)
+
+    @classmethod
+    def from_data(cls, u, y, omega, n_harmonics=1, *, systems=None, ax=None, plotted=None, **kw):
+        """Estimate the response of a record without a model, and draw it.
+
+        Parameters
+        ----------
+        u, y : DataFrame, Series or ndarray
+            Inputs and outputs, the periodic trim subtracted.
+        omega : float
+            rad/s.
+        n_harmonics : int, default=1
+        systems : LTPSystem, or a dict of them by label, optional
+            Models to compare with, for inputs held from sample to sample.
+        ax : Axes or array of Axes, optional
+        plotted : dict, optional
+            Parameters of :meth:`plot`.
+        **kw
+            Of :func:`~sklearn_hd.systems.estimate_harmonic_transfer_function`.
+
+        Returns
+        -------
+        display : HarmonicTransferFunctionDisplay
+        """
+        measured = estimate_harmonic_transfer_function(u, y, omega, n_harmonics, **kw)
+        responses = {"measured": measured}
+        dt = read_time(u, kw.get("sample_time"), kw.get("time_origin", FIRST)).sample_time
+        for label, system in by_label(systems or {}, "model").items():
+            check_periodic(system, cls.__name__, label)
+            responses[label] = system.harmonic_transfer_function(
+                measured.frequencies, n_harmonics, sample_time=dt
+            )
+        return cls(responses).plot(ax=ax, **(plotted or {}))
+
+    def plot(self, ax=None, *, inputs=None, outputs=None, units=None, xscale="linear"):
+        """Draw, on a new figure by default.
+
+        Parameters
+        ----------
+        ax : Axes or array of Axes, optional
+            One Axes a panel, row by row, or one that is divided.
+        inputs, outputs : sequence of str, optional
+            Signals to draw; all by default.
+        units : dict, optional
+            Unit of each signal, for the labels.
+        xscale : {"linear", "log"}, default="linear"
+
+        Returns
+        -------
+        display : HarmonicTransferFunctionDisplay
+        """
+        first = next(iter(self.responses.values()))
+        inputs = chosen(inputs, first.input_names, "inputs")
+        outputs = chosen(outputs, first.output_names, "outputs")
+        N = max(response.n_harmonics for response in self.responses.values())
+        measured = {k: r for k, r in self.responses.items() if r.coherence is not None}
+        rows = [(o, i) for o in outputs for i in [*inputs, *([None] if measured else [])]]
+        panels = self._panels(ax, rows, N)
+        axes = panels.axes.reshape(len(rows), -1)
+        self.axes_, self.figure_ = panels.axes, panels.figure
+        self.magnitude_lines_, self.std_lines_, self.coherence_lines_ = {}, {}, {}
+        for (o, i), row in zip(rows, axes, strict=True):
+            for n, axis in zip(range(-N, N + 1), row, strict=True):
+                if i is None:
+                    self._draw_coherence(axis, measured, o, n)
+                else:
+                    self._draw_magnitude(axis, o, i, n)
+            if i is not None:
+                _limit(row)
+            self._label(row, first, o, i, units)
+        for axis, n in zip(axes[0], range(-N, N + 1), strict=True):
+            axis.set_title(f"n = {n}".replace("-", "−"), loc="left", fontsize=10.5)
+        for axis in axes[-1]:
+            axis.set_xlabel(FREQUENCY.replace("frequency", "frequency Ω"))
+        for axis in self.axes_:
+            axis.set_xscale(xscale)
+        self.legend_ = panels.legend() if len(self.responses) > 1 or measured else None
+        return self
+
+    def _panels(self, ax, rows, N):
+        heights = [0.5 if i is None else 1.0 for _, i in rows]
+        high = 2.3 if len(rows) <= 4 else 1.6
+        return Panels(
+            ax,
+            list(np.ndindex(len(rows), 2 * N + 1)),
+            size=(max(5.0, min(15.0, 3.0 * (2 * N + 1))), 0.9 + high * sum(heights)),
+            heights=heights,
+            share_x="all",
+            share_y="row",
+            names="one a harmonic and pair of signals, and the coherence of each output",
+        )
+
+    def _draw_magnitude(self, axis, o, i, n):
+        models = [label for label, r in self.responses.items() if r.std is None]
+        styles = dict(zip(models, looks(LINES, len(models)), strict=True))
+        for label, response in self.responses.items():
+            if abs(n) > response.n_harmonics:
+                continue
+            key = label, response.output_names[o], response.input_names[i], n
+            size = np.abs(response.harmonic(n)[:, o, i])
+            style = styles.get(label, MEASURED) | {"label": label}
+            (self.magnitude_lines_[key],) = axis.plot(response.frequencies, size, **style)
+            if response.std is not None:
+                std = response.std[:, response.n_harmonics + n, o, i]
+                style = {"color": BLACK, "ls": ":", "lw": 1.0, "label": "its standard deviation"}
+                (self.std_lines_[key],) = axis.plot(response.frequencies, std, **style)
+        axis.set_yscale("log")
+        dress(axis)
+
+    def _draw_coherence(self, axis, measured, o, n):
+        for label, response in measured.items():
+            if abs(n) <= response.n_harmonics:
+                values = response.coherence[:, response.n_harmonics + n, o]
+                key = label, response.output_names[o], n
+                (self.coherence_lines_[key],) = axis.plot(
+                    response.frequencies, values, color=GREY, lw=1.0
+                )
+        dress(axis)
+        axis.set(ylim=(0, 1.05), yticks=(0, 0.5, 1))
+
+    @staticmethod
+    def _label(row, first, o, i, units):
+        """What a row shows, on its left."""
+        target = first.output_names[o]
+        words = f"coherence\n{target}"
+        if i is not None:
+            source = first.input_names[i]
+            words = f"|$H_n$| {source} → {target}"
+            if units is not None:
+                units_ = [unit_of(name, units) or "–" for name in (target, source)]
+                words += f"\n({units_[0]} per {units_[1]})"
+        row[0].set_ylabel(words)
+        for axis in row[1:]:
+            axis.tick_params(labelleft=False, which="both")
+
+
+def _limit(row):
+    """Whole decades that hold the curves of a row, but for what dips far below them."""
+    drawn = [line.get_ydata() for axis in row for line in axis.lines]
+    drawn = [values[values > 0.0] for values in drawn if np.any(values > 0.0)]
+    if drawn:
+        low = min(np.quantile(values, LOWEST) for values in drawn)
+        high = max(values.max() for values in drawn)
+        bottom = np.floor(np.log10(max(low, DEEPEST * high)))
+        for axis in row:
+            axis.set_ylim(10.0**bottom, 10.0 ** max(np.ceil(np.log10(high)), bottom + 1.0))
+
+
+def _about_trim(estimator, X, y):
+    """Inputs and outputs on the grid that is analysed, trim taken, segments for records."""
+    if y is None:
+        raise ValueError("X was given without y; give both, or neither")
+    step, handed = last_model_step(estimator, X)
+    experiment = read_experiment(step.transform(handed), y)
+    keys = range(len(experiment.base.segments))
+    names = [[s for s, _ in kept] for kept in (experiment.basis.inputs, experiment.basis.outputs)]
+    return (
+        pd.concat(
+            [
+                pd.DataFrame(values, pd.Index(time, name="time"), columns)
+                for values, time in zip(blocks, experiment.times(), strict=True)
+            ],
+            keys=keys,
+            names=["record"],
+        )
+        for blocks, columns in zip((experiment.inputs, experiment.outputs), names, strict=True)
+    )

@@ -1,0 +1,413 @@
+"""Measured against simulated responses."""
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._base import ModelStep, scored_simulation
+from sklearn_hd._containers import to_float
+from sklearn_hd._validation import check_span, signal_names
+from sklearn_hd.model_selection import fit_percent
+from sklearn_hd.model_selection._scorers import last_model_step
+from sklearn_hd.plotting._fitted import Record, by_label, fitted_step
+from sklearn_hd.plotting._panels import Panels, grid_of, places
+from sklearn_hd.plotting._style import (
+    BLACK,
+    LINES,
+    ORANGE,
+    REFERENCE,
+    TIME,
+    dress,
+    looks,
+    unbroken,
+    with_unit,
+)
+
+__all__ = ["ResponseDisplay"]
+
+MANY = 4  # panels in a column, from which on their letters are smaller
+
+
+class ResponseDisplay:
+    """Measured outputs and those that models simulate, with the fit of each in percent.
+
+        fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
+
+    Parameters
+    ----------
+    measured : DataFrame, shape (n_samples, n_outputs)
+        One record, indexed by seconds.
+    simulated : dict of DataFrame
+        By label, on the same rows.
+    inputs : DataFrame, shape (n_rows, n_inputs), optional
+        Drawn above the outputs, on times of their own.
+    segments : list of slice, optional
+        Runs of consecutive rows; lines are broken between them. By default one.
+    validation_span : (float, float), optional
+        Seconds; rows not used for the fit, shaded, with a fit of their own.
+    axis : str, default="time (s)"
+    title : str, optional
+    measured_name : str, default="measured"
+
+    Attributes
+    ----------
+    fit_ : DataFrame, shape (n_models, n_outputs)
+        Percent, of all rows drawn outside the validation span.
+    validation_fit_ : DataFrame or None
+        The same within the validation span.
+    axes_ : ndarray of Axes
+        Of the inputs, then of the outputs.
+    figure_ : Figure
+    measured_lines_ : dict of Line2D
+        By output.
+    simulated_lines_ : dict of Line2D
+        By label and output.
+    input_lines_ : dict of Line2D
+    spans_ : list
+        Shading of the validation span in each panel.
+    legend_ : Legend
+
+    References
+    ----------
+    Ljung (1999), System Identification, section 16.4.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> t = pd.Index(np.arange(200) / 50, name="time")
+    >>> y = pd.DataFrame({"y": np.exp(-t) * np.cos(6 * t)}, index=t)
+    >>> display = ResponseDisplay.from_data(y, {"model": 0.9 * y}, validation_span=(2, 4))
+    >>> display.axes_[0].get_title("left")
+    'fit 90.0 %, validation 89.9 %'
+    """
+
+    def __init__(
+        self,
+        measured,
+        simulated,
+        *,
+        inputs=None,
+        segments=None,
+        validation_span=None,
+        axis=TIME,
+        title=None,
+        measured_name="measured",
+    ):
+        self.measured = measured
+        self.simulated = simulated
+        self.inputs = inputs
+        self.segments = [slice(0, len(measured))] if segments is None else segments
+        self.validation_span = validation_span
+        self.axis = axis
+        self.title = title
+        self.measured_name = measured_name
+
+    @classmethod
+    def from_estimator(
+        cls,
+        estimator,
+        X,
+        y,
+        *,
+        record=None,
+        validation_span=None,
+        span=None,
+        show_inputs=True,
+        units=None,
+        ax=None,
+    ):
+        """Simulate a fitted model as its ``score`` does, and draw it beside the record.
+
+        The initial state of each segment is fitted on its first ``warmup`` seconds, which
+        are not drawn; the periodic trim is taken from both.
+
+        Parameters
+        ----------
+        estimator : model step of sklearn_hd, or Pipeline or search that ends in one
+            Fitted. Several, in a dict by label, are drawn together.
+        X : DataFrame, Series or ndarray, shape (n_samples, n_inputs)
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+        record : label, optional
+            Which record of a (record, time) index; the first by default.
+        validation_span : (float, float), optional
+            Seconds; rows not used for the fit.
+        span : (float, float), optional
+            Seconds to draw; the fit is that of all rows all the same.
+        show_inputs : bool, default=True
+        units : dict, optional
+            Unit of each signal, for the labels.
+        ax : Axes or array of Axes, optional
+
+        Returns
+        -------
+        display : ResponseDisplay
+
+        Raises
+        ------
+        TypeError
+            If the estimator does not end in a model step.
+        NotFittedError
+            If it has not been fitted.
+        ValueError
+            If no rows of the record can be scored.
+        """
+        estimators = by_label(estimator, "simulated")
+        runs = {label: _simulate(model, X, y, cls.__name__) for label, model in estimators.items()}
+        step = next(iter(runs.values()))[0]
+        reading = None if step.basis_ is None else step.basis_.reading
+        whole = Record(X, record, reading)
+        rows = _rows_of_all([run[-1] for run in runs.values()], whole)
+        harmonics = step.predicts_harmonics_  # the signals that they make up are compared
+        names = list(dict(step.basis_.outputs)) if harmonics else list(step.target_names_)
+        time = np.full(len(whole.rows), np.nan)
+        time[whole.rows] = whole.time
+        index = pd.Index(time[rows], name="time")
+        tables = [
+            pd.DataFrame(values[np.searchsorted(own, rows)], index, names)
+            for _, truth, simulated, own in runs.values()
+            for values in (truth, simulated)
+        ]
+        inputs = None
+        if show_inputs:
+            azimuth = None if reading is None else reading.azimuth
+            inputs = _table(X, "X", "x", whole).drop(columns=[azimuth], errors="ignore")
+        display = cls(
+            tables[0],
+            dict(zip(runs, tables[1::2], strict=True)),
+            inputs=inputs,
+            segments=_runs(rows),
+            validation_span=validation_span,
+            axis=whole.axis,
+            title=None if whole.label is None else f"record {whole.label}",
+        )
+        return display.plot(ax=ax, span=span, units=units)
+
+    @classmethod
+    def from_data(
+        cls,
+        measured,
+        simulated,
+        *,
+        inputs=None,
+        record=None,
+        validation_span=None,
+        span=None,
+        units=None,
+        measured_name="measured",
+        ax=None,
+    ):
+        """Draw outputs that are at hand.
+
+        Parameters
+        ----------
+        measured : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+        simulated : the same, or a dict of them by label
+            On the same rows.
+        inputs : DataFrame, Series or ndarray, optional
+            On the same rows, drawn above the outputs.
+        record, validation_span, span, units, ax
+            As in :meth:`from_estimator`.
+        measured_name : str, default="measured"
+
+        Returns
+        -------
+        display : ResponseDisplay
+
+        Raises
+        ------
+        ValueError
+            If rows or outputs differ.
+        """
+        whole = Record(measured, record)
+        truth = _table(measured, "measured", "y", whole)
+        models = {}
+        for label, values in by_label(simulated, "simulated").items():
+            _check_alike(measured, values, label)
+            models[label] = _table(values, f"simulated {label!r}", "y", whole)
+            models[label].columns = truth.columns
+        if inputs is not None:
+            _check_alike(measured, inputs, "inputs", columns=False)
+            inputs = _table(inputs, "inputs", "x", whole)
+        display = cls(
+            truth,
+            models,
+            inputs=inputs,
+            segments=whole.segments,
+            validation_span=validation_span,
+            axis=whole.axis,
+            title=None if whole.label is None else f"record {whole.label}",
+            measured_name=measured_name,
+        )
+        return display.plot(ax=ax, span=span, units=units)
+
+    def plot(self, ax=None, *, span=None, units=None):
+        """Draw, on a new figure by default.
+
+        Parameters
+        ----------
+        ax : Axes or array of Axes, optional
+            One Axes for each input and output, or one that is divided.
+        span : (float, float), optional
+            Seconds to draw.
+        units : dict, optional
+            Unit of each signal, for the labels.
+
+        Returns
+        -------
+        display : ResponseDisplay
+        """
+        self._score()
+        inputs = [] if self.inputs is None else list(self.inputs)
+        outputs = list(self.measured)
+        panels, bottom = self._panels(ax, len(inputs), len(outputs))
+        self.axes_, self.figure_ = panels.axes, panels.figure
+        self.input_lines_, self.measured_lines_, self.simulated_lines_ = {}, {}, {}
+        self.spans_ = []
+        for name, axis in zip(inputs, self.axes_[: len(inputs)], strict=True):
+            table = _within(self.inputs[[name]], span)
+            style = {"color": BLACK, "lw": 1.2, "drawstyle": "steps-post"}
+            t = table.index.to_numpy()
+            self.input_lines_ |= {name: axis.plot(t, table[name].to_numpy(), **style)[0]}
+            dress(axis, y=with_unit(name, units))
+        for name, axis in zip(outputs, self.axes_[len(inputs) :], strict=True):
+            self._draw(name, axis, span, units)
+        for axis in self.axes_:
+            self._shade(axis, span)
+        for k in bottom:
+            self.axes_[k].set_xlabel(self.axis)
+        if self.title is not None:
+            first = self.axes_[0]
+            first.set_title(
+                "  ".join(filter(None, (self.title, first.get_title("left")))), loc="left"
+            )
+        handles = self.axes_[len(inputs)].get_legend_handles_labels()[0]
+        self.legend_ = panels.legend(handles, fallback=len(inputs))
+        return self
+
+    def _panels(self, ax, n_inputs, n_outputs):
+        """Panels of inputs and outputs, and which of them stand at the bottom."""
+        rows, columns = grid_of(n_outputs)
+        above = -(-n_inputs // columns)
+        cells = places(n_inputs, columns)
+        cells += [(r + above, c) for r, c in places(n_outputs, columns)]
+        panels = Panels(
+            ax,
+            cells,
+            size=(max(7.0, 4.3 * columns), 0.9 + 0.9 * above + max(1.5, 2.4 - 0.3 * rows) * rows),
+            heights=[0.5] * above + [1.0] * rows,
+            share_x="all",
+            names="the inputs, then the outputs",
+        )
+        lowest = {c: max(r for r, other in cells if other == c) for _, c in cells}
+        return panels, [k for k, (r, c) in enumerate(cells) if lowest[c] == r]
+
+    def _score(self):
+        """Fit in percent of each model and output, within and outside the validation span."""
+        index, names = list(self.simulated), list(self.measured)
+        inside = np.zeros(len(self.measured), dtype=bool)
+        if self.validation_span is not None:
+            start, stop = check_span("validation_span", self.validation_span)
+            time = self.measured.index.to_numpy()
+            inside = (time >= start) & (time < stop)
+            if not inside.any():
+                raise ValueError(
+                    f"validation_span=({start:g}, {stop:g}) holds none of the rows drawn, from "
+                    f"t = {time[0]:.6g} s to {time[-1]:.6g} s; give times within"
+                )
+
+        def fits(rows):
+            y = self.measured.to_numpy()[rows]
+            values = [fit_percent(y, table.to_numpy()[rows]) for table in self.simulated.values()]
+            return pd.DataFrame(values, index, names)
+
+        self.fit_ = fits(~inside) if not inside.all() else fits(inside)
+        self.validation_fit_ = fits(inside) if inside.any() else None
+
+    def _draw(self, name, axis, span, units):
+        time = self.measured.index.to_numpy()
+
+        def line(table, style):
+            t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
+            return axis.plot(t, values, **style)[0]
+
+        style = REFERENCE | {"lw": 2.6, "label": self.measured_name}
+        self.measured_lines_[name] = line(self.measured, style)
+        styles = looks(LINES, len(self.simulated))
+        for (label, table), look in zip(self.simulated.items(), styles, strict=True):
+            style = look | {"lw": 1.2, "label": label}
+            self.simulated_lines_[label, name] = line(table, style)
+        small = len(self.measured.columns) > MANY
+        dress(axis, y=with_unit(name, units), title=self._words(name), small=small)
+
+    def _words(self, name):
+        """Fit of an output in words, models in the order of the legend."""
+        words = "fit " + " / ".join(f"{value:.1f}" for value in self.fit_[name]) + " %"
+        if self.validation_fit_ is None:
+            return words
+        new = " / ".join(f"{value:.1f}" for value in self.validation_fit_[name])
+        return f"{words}, validation {new} %"
+
+    def _shade(self, axis, span):
+        if self.validation_span is None:
+            return
+        start, stop = self.validation_span
+        if span is not None:
+            start, stop = max(start, span[0]), min(stop, span[1])
+        if start < stop:
+            style = {"color": ORANGE, "alpha": 0.15, "lw": 0, "zorder": 0}
+            self.spans_.append(axis.axvspan(start, stop, label="validation", **style))
+
+
+def _simulate(estimator, X, y, display):
+    """Last model step; measured and simulated outputs on the rows scored; those rows."""
+    fitted_step(estimator, ModelStep, display)
+    step, handed = last_model_step(estimator, X)
+    return step, *scored_simulation(step, handed, y)
+
+
+def _rows_of_all(rows, record):
+    """Rows of a record that every model answers for."""
+    common = rows[0]
+    for others in rows[1:]:
+        common = np.intersect1d(common, others)
+    common = common[record.rows[common]]
+    if len(common) == 0:
+        raise ValueError(
+            f"no rows of record {record.label!r} can be scored: it is shorter than one analysis "
+            f"window and the warm-up; give a longer record or a smaller warmup"
+        )
+    return common
+
+
+def _runs(rows):
+    """Slices of consecutive rows."""
+    edges = np.flatnonzero(np.diff(rows) != 1) + 1
+    return [slice(a, b) for a, b in zip([0, *edges], [*edges, len(rows)], strict=True)]
+
+
+def _table(data, what, prefix, record):
+    """Values of one record as floats, indexed by seconds."""
+    values = to_float(data, what)
+    values = values.reshape(len(values), -1)[record.rows]
+    index = pd.Index(record.time, name="time")
+    return pd.DataFrame(values, index, list(signal_names(data, prefix)))
+
+
+def _within(table, span):
+    if span is None:
+        return table
+    time = table.index.to_numpy()
+    return table[(time >= span[0]) & (time <= span[1])]
+
+
+def _check_alike(measured, values, label, columns=True):
+    shape, expected = np.shape(values), np.shape(measured)
+    if shape[:1] != expected[:1] or (columns and shape != expected):
+        raise ValueError(
+            f"{label!r} has shape {shape}, the measured outputs {expected}; give the same rows"
+            f"{' and outputs' if columns else ''}"
+        )
+    indices = [getattr(data, "index", None) for data in (measured, values)]
+    if all(isinstance(index, pd.Index) for index in indices) and not indices[0].equals(indices[1]):
+        raise ValueError(
+            f"{label!r} and the measured outputs have different indices; align them first"
+        )
