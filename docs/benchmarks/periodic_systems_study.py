@@ -261,7 +261,7 @@ def errors_under_noise(match, system):
     if len(table) != system.n_states:
         return {"order": len(table)}
     gap = match.ltp_.harmonic_decomposition(1).A - system.harmonic_decomposition(1).A
-    harmonics = {part: match.periodic_.highest(part) for part in "FG"}
+    harmonics = {part: getattr(match.ltp_, part).n_harmonics for part in "FG"}
     truth = true_parameters(system, harmonics)[1]
     rows, exponents = nearest_exponents(table["eigenvalue"], system)
     exponents = np.column_stack([exponents.real, exponents.imag])
