@@ -4,31 +4,36 @@ Each block Hankel column holds 2i consecutive rows of the data, arranged
 
     Z = [U_f; U_p; Y_p; Y_f],    Z = L Q,  L lower triangular,
 
-and only R = Lᵀ is needed afterwards (Verhaegen, 1994). It is built block by
-block, so that the Hankel matrices never stand in memory as a whole, and no
-column straddles two segments.
+and only R = Lᵀ is needed afterwards (Verhaegen, 1994). The Hankel matrices never stand in
+memory as a whole, and no column straddles two segments. Three ways lead to R, each taken
+where the one before it would not do:
+
+1. Cholesky factor of the Gram matrix Z Zᵀ, which follows from lagged products of the data
+   (:mod:`~sklearn_hd.algorithms.lag_products`). Sums in double perturb the columns of R,
+   brought to equal length, by about ε ‖R⁻¹‖² beside each other. Noise makes ‖R⁻¹‖ small:
+   then this is far less than what noise does, 1/√n. Without noise R is singular, and the
+   loss total, without a sign of it in the result.
+2. The same from exact sums, in double-double, where there are many columns. Its errors are
+   those of orthogonal transformations: ε beside the length of each column of R.
+3. Orthogonal transformations of the Hankel columns, block by block, where there are few.
 """
 
 import numpy as np
 from scipy import linalg
 
-__all__ = ["hankel_factor", "n_hankel_columns"]
+from sklearn_hd.algorithms.double_double import cholesky
+from sklearn_hd.algorithms.lag_products import lag_products
+
+__all__ = ["factor_of_products", "hankel_factor", "n_hankel_columns"]
+
+EPS = np.finfo(float).eps
+TOLERATED_LOSS = 1e-7  # far below what noise does to so many rows as fit into a machine
+FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
 
 def n_hankel_columns(lengths, block_rows):
     """Number of block Hankel columns that segments of some lengths give."""
     return int(sum(max(0, length - 2 * block_rows + 1) for length in lengths))
-
-
-def _columns(u, y, block_rows, start, stop):
-    """Block Hankel columns start … stop − 1 of one segment, one a row."""
-
-    def windows(signal, shift):
-        rows = signal[start + shift : stop + shift + block_rows - 1]
-        view = np.lib.stride_tricks.sliding_window_view(rows, block_rows, axis=0)
-        return view.transpose(0, 2, 1).reshape(stop - start, -1)
-
-    return np.hstack([windows(u, block_rows), windows(u, 0), windows(y, 0), windows(y, block_rows)])
 
 
 def hankel_factor(inputs, outputs, block_rows):
@@ -47,10 +52,68 @@ def hankel_factor(inputs, outputs, block_rows):
     R : ndarray, shape (2 i (m + l), 2 i (m + l))
         Upper triangular; RᵀR = Z Zᵀ.
     """
-    width = 2 * block_rows * (inputs[0].shape[1] + outputs[0].shape[1])
+    n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
+    width = n_lags * (n_inputs + outputs[0].shape[1])
+    n_columns = n_hankel_columns([len(u) for u in inputs], block_rows)
+    records = list(zip(inputs, outputs, strict=True))
+    if n_columns >= width:
+        R = factor_of_products(lag_products(records, n_lags, exact=False), n_inputs)
+        if R is not None:
+            return R
+    if n_columns >= FEW_COLUMNS * width:
+        return factor_of_products(lag_products(records, n_lags, exact=True), n_inputs)
+    return _orthogonal_factor(records, block_rows)
+
+
+def factor_of_products(products, n_inputs):
+    """R factor from lag products.
+
+    Parameters
+    ----------
+    products : LagProducts
+        Of the inputs and outputs, in 2i lags.
+    n_inputs : int
+        The first of the channels.
+
+    Returns
+    -------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l)), or None
+        None where plain sums have lost what R should say; exact ones never have.
+    """
+    G = products.gram()
+    order = _block_order(len(products.lags), len(products.exponents), n_inputs)
+    exponents = np.tile(products.exponents, len(products.lags))[order]
+    G = G.map(lambda half: np.triu(half) + np.triu(half, 1).T)[np.ix_(order, order)]
+    R = cholesky(G.high, G.low) if products.exact else _safe_cholesky(G.high)
+    return None if R is None else np.ldexp(R, exponents)
+
+
+def _block_order(n_lags, n_channels, n_inputs):
+    """Where the rows U_f, U_p, Y_p, Y_f stand among rows ordered by time."""
+    rows = np.arange(n_lags * n_channels).reshape(n_lags, n_channels)
+    past, future = np.split(rows, 2)
+    parts = future[:, :n_inputs], past[:, :n_inputs], past[:, n_inputs:], future[:, n_inputs:]
+    return np.concatenate([part.reshape(-1) for part in parts])
+
+
+def _safe_cholesky(G):
+    """Cholesky factor in double, or None where rounding would be seen in it."""
+    size = np.sqrt(np.diagonal(G))
+    if not np.all(size > 0.0):
+        return None
+    R, fault = linalg.lapack.dpotrf(G / size / size[:, None], lower=0, clean=1, overwrite_a=1)
+    if fault:
+        return None
+    inverse, _ = linalg.lapack.dtrtri(R, lower=0)
+    return R * size if EPS * np.sum(inverse**2) <= TOLERATED_LOSS else None
+
+
+def _orthogonal_factor(records, block_rows):
+    """R factor by blocked QR factorisations."""
+    width = 2 * block_rows * sum(signal.shape[1] for signal in records[0])
     R = np.zeros((0, width))
     chunk = max(4 * width, 512)
-    for u, y in zip(inputs, outputs, strict=True):
+    for u, y in records:
         n_columns = len(u) - 2 * block_rows + 1
         for start in range(0, n_columns, chunk):
             block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
@@ -58,3 +121,14 @@ def hankel_factor(inputs, outputs, block_rows):
     square = np.zeros((width, width))
     square[: len(R)] = R
     return square
+
+
+def _columns(u, y, block_rows, start, stop):
+    """Block Hankel columns start … stop − 1 of one segment, one a row."""
+
+    def windows(signal, shift):
+        rows = signal[start + shift : stop + shift + block_rows - 1]
+        view = np.lib.stride_tricks.sliding_window_view(rows, block_rows, axis=0)
+        return view.transpose(0, 2, 1).reshape(stop - start, -1)
+
+    return np.hstack([windows(u, block_rows), windows(u, 0), windows(y, 0), windows(y, block_rows)])
