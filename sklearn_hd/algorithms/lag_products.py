@@ -334,7 +334,7 @@ def _lag_sums(records, n_lags, exponents, exact):
             size = min(chunk, -(-(n - start) // period) * period)
             rows = _fill(buffer[: size + span], signals, start, factor)
             if exact:
-                rows = slices(rows, N_SLICES).transpose(1, 0, 2).reshape(len(rows), width)
+                rows = np.stack(slices(rows, N_SLICES), axis=1).reshape(len(rows), width)
             sums = _overlapping(rows, size, together, span, period)
             sums = sum(sums[a, :, a : a + n_lags] for a in range(together))
             total = total + _by_lag(sums, p, exact)
