@@ -24,10 +24,10 @@ from sklearn_hd._validation import (
     signal_names,
 )
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
+from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.moesp import (
-    input_matrices,
     noise_floor,
     observability_subspace,
     order_by_gap,

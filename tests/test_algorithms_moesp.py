@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from conftest import random_stable, same_poles
 
-from sklearn_hd.algorithms import moesp as kernel
+from sklearn_hd.algorithms import input_matrices as kernel
 from sklearn_hd.algorithms.hankel import _columns, hankel_factor, n_hankel_columns
+from sklearn_hd.algorithms.input_matrices import input_matrices, response_regressors
 from sklearn_hd.algorithms.moesp import (
-    input_matrices,
     noise_floor,
     observability_subspace,
     order_by_gap,
     release_idle_directions,
-    response_regressors,
     state_matrices,
 )
 from sklearn_hd.algorithms.simulation import frequency_response, propagate

@@ -19,15 +19,13 @@ where the one before it would not do:
 """
 
 import numpy as np
-from scipy import linalg
 
 from sklearn_hd.algorithms.double_double import cholesky
 from sklearn_hd.algorithms.lag_products import lag_products
+from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
 __all__ = ["factor_of_products", "hankel_factor", "n_hankel_columns"]
 
-EPS = np.finfo(float).eps
-TOLERATED_LOSS = 1e-7  # far below what noise does to so many rows as fit into a machine
 FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
 
@@ -84,7 +82,7 @@ def factor_of_products(products, n_inputs):
     order = _block_order(len(products.lags), len(products.exponents), n_inputs)
     exponents = np.tile(products.exponents, len(products.lags))[order]
     G = G.map(lambda half: np.triu(half) + np.triu(half, 1).T)[np.ix_(order, order)]
-    R = cholesky(G.high, G.low) if products.exact else _safe_cholesky(G.high)
+    R = cholesky(G.high, G.low) if products.exact else safe_cholesky(G.high)
     return None if R is None else np.ldexp(R, exponents)
 
 
@@ -96,18 +94,6 @@ def _block_order(n_lags, n_channels, n_inputs):
     return np.concatenate([part.reshape(-1) for part in parts])
 
 
-def _safe_cholesky(G):
-    """Cholesky factor in double, or None where rounding would be seen in it."""
-    size = np.sqrt(np.diagonal(G))
-    if not np.all(size > 0.0):
-        return None
-    R, fault = linalg.lapack.dpotrf(G / size / size[:, None], lower=0, clean=1, overwrite_a=1)
-    if fault:
-        return None
-    inverse, _ = linalg.lapack.dtrtri(R, lower=0)
-    return R * size if EPS * np.sum(inverse**2) <= TOLERATED_LOSS else None
-
-
 def _orthogonal_factor(records, block_rows):
     """R factor by blocked QR factorisations."""
     width = 2 * block_rows * sum(signal.shape[1] for signal in records[0])
@@ -117,7 +103,7 @@ def _orthogonal_factor(records, block_rows):
         n_columns = len(u) - 2 * block_rows + 1
         for start in range(0, n_columns, chunk):
             block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
-            R = linalg.qr(np.vstack([R, block]), mode="r", overwrite_a=True)[0][:width]
+            R = triangle(R, block)
     square = np.zeros((width, width))
     square[: len(R)] = R
     return square
