@@ -105,15 +105,17 @@ def _block_numbers(block):
     size = np.linalg.norm(N)
     if size == 0.0:
         return np.array([[centre]]), np.ones(1), np.eye(k)[None]
+    N /= size
     powers = [np.eye(k)]
     for _ in range(1, k):
-        powers.append(powers[-1] @ N / size)
+        powers.append(powers[-1] @ N)
     F = centre * np.eye(k) + size * np.eye(k, k=-1)
-    F[:, -1] -= size * np.poly(N / size)[:0:-1]  # N^k by Cayley and Hamilton
+    # N^k by Cayley and Hamilton
+    F[:, -1] -= size * (np.array([linalg.det(N), 0.0]) if k == 2 else np.poly(N)[:0:-1])
     return F, np.eye(k)[0], np.stack(powers)
 
 
-def compressed_equations(basis, u, y, feedthrough):
+def compressed_equations(basis, u, y, feedthrough, scales):
     """Triangular factor of the equations of one record.
 
     Parameters
@@ -122,13 +124,15 @@ def compressed_equations(basis, u, y, feedthrough):
     u, y : ndarray, shapes (n_samples, m), (n_samples, l)
     feedthrough : bool
         Whether D is free.
+    scales : tuple of ndarray, shapes (m,), (l,)
+        What inputs and outputs are divided by.
 
     Returns
     -------
     R : ndarray, shape (c, n + n m [+ l m] + 1)
         Columns: the initial state, B (row by row), D, and the outputs.
     """
-    record = _Record(basis, u, y)
+    record = _Record(basis, u, y, np.concatenate(scales))
     maps = _equation_maps(basis, u.shape[1], feedthrough)
     factor = _by_products(record, maps)
     if factor is None:
@@ -177,10 +181,12 @@ class _Record:
     ----------
     basis : ResponseBasis
     u, y : ndarray, shapes (n_samples, m), (n_samples, l)
+    scale : ndarray, shape (m + l,)
+        What the channels, inputs and outputs, are divided by.
     """
 
-    def __init__(self, basis, u, y):
-        self.basis, self.channels = basis, [*u.T, *y.T]
+    def __init__(self, basis, u, y, scale):
+        self.basis, self.channels, self.scale = basis, [*u.T, *y.T], scale
         self.n_inputs, self.n_rows = u.shape[1], len(u)
         self.width = basis.width(u.shape[1])
         powers = _powers(basis)
@@ -211,7 +217,8 @@ class _Record:
     def _fill(self, samples, start):
         for c, channel in enumerate(self.channels):
             part = channel[start * BLOCK : (start + len(samples)) * BLOCK]
-            samples[:, c * BLOCK : (c + 1) * BLOCK] = part.reshape(-1, BLOCK)
+            out = samples[:, c * BLOCK : (c + 1) * BLOCK]
+            np.divide(part.reshape(-1, BLOCK), self.scale[c], out=out)
 
     def left_over(self):
         """The row z of the samples after the last whole block, and how many there are."""
@@ -219,7 +226,8 @@ class _Record:
         z = np.zeros((1, self.width))
         z[0, : self.state.size] = self.state.ravel()
         samples = z[0, self.state.size :].reshape(-1, BLOCK)
-        samples[:, : self.n_rows - whole] = [channel[whole:] for channel in self.channels]
+        rest = np.stack([channel[whole:] for channel in self.channels])
+        samples[:, : self.n_rows - whole] = rest / self.scale[:, None]
         return z, self.n_rows - whole
 
 

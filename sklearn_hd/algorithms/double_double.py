@@ -51,6 +51,10 @@ class Pair:
     def __sub__(self, other):
         return self + (-other)
 
+    def halves(self):
+        """The arrays that there are."""
+        return [self.high] if self.low is None else [self.high, self.low]
+
     def map(self, change, *others):
         """The same exact change of both halves: of shape, sign or scale."""
         highs = (other.high for other in others)

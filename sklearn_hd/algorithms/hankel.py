@@ -34,7 +34,7 @@ def n_hankel_columns(lengths, block_rows):
     return int(sum(max(0, length - 2 * block_rows + 1) for length in lengths))
 
 
-def hankel_factor(inputs, outputs, block_rows):
+def hankel_factor(inputs, outputs, block_rows, scale=None):
     """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
 
     Parameters
@@ -44,12 +44,23 @@ def hankel_factor(inputs, outputs, block_rows):
     outputs : list of ndarray, shapes (n_rows_s, l)
     block_rows : int
         Block rows i of the past, and as many of the future.
+    scale : ndarray, shape (m + l,), optional
+        What the channels, inputs and outputs, are divided by.
 
     Returns
     -------
     R : ndarray, shape (2 i (m + l), 2 i (m + l))
         Upper triangular; RᵀR = Z Zᵀ.
     """
+    R = _factor(inputs, outputs, block_rows)
+    if scale is None:
+        return R
+    order = _block_order(2 * block_rows, len(scale), inputs[0].shape[1])
+    return R / np.tile(scale, 2 * block_rows)[order]
+
+
+def _factor(inputs, outputs, block_rows):
+    """R of the channels as they are, by the first way that is safe, or else the faster one."""
     n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
     width = n_lags * (n_inputs + outputs[0].shape[1])
     n_columns = n_hankel_columns([len(u) for u in inputs], block_rows)

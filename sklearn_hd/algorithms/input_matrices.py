@@ -89,7 +89,9 @@ def _forced_responses(A, C, u, free):
     return np.einsum("ptj,lj->tlp", states, C)
 
 
-def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_residual=False):
+def input_matrices(
+    A, C, inputs, outputs, feedthrough, observe=None, *, scales=None, return_residual=False
+):
     """B, D and the initial states that fit the outputs best, by linear least squares.
 
     Parameters
@@ -105,6 +107,8 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_r
     observe : list of ndarray, shapes (n_samples_s, q, l), optional
         What is measured of the model's outputs at each sample, such as the
         recomposition of Eq. 7.
+    scales : tuple of ndarray, shapes (m,), (q,), optional
+        What inputs and outputs are divided by.
     return_residual : bool, default=False
 
     Returns
@@ -116,6 +120,7 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_r
         Sum of squares left, only with ``return_residual``.
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
+    scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
     pieces, firsts = _pieces(A, [len(u) for u in inputs])
     basis = response_basis(A, C) if observe is None else None
     starts, shared = [], np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
@@ -123,9 +128,9 @@ def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_r
         seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
         if basis is not None and basis.pays(len(u), m):
-            R = compressed_equations(basis, u, y, feedthrough)
+            R = compressed_equations(basis, u, y, feedthrough, scales)
         else:
-            R = _record_factor(A, C, u, y, feedthrough, seen)
+            R = _record_factor(A, C, u, y, feedthrough, seen, scales)
         start, left = _without_start(R, n)
         starts.append(start)
         shared = triangle(shared, left)
@@ -210,7 +215,7 @@ def _without_start(R, n):
     return start, np.vstack([turned[r:], R[n:, n:]])
 
 
-def _record_factor(A, C, u, y, feedthrough, observe):
+def _record_factor(A, C, u, y, feedthrough, observe, scales):
     """Triangular factor of the equations [x_0, B, D, y] of one record, chunk by chunk."""
     n, m = len(A), u.shape[1]
     n_columns = n + m * (n + feedthrough * len(C)) + 1
@@ -218,17 +223,18 @@ def _record_factor(A, C, u, y, feedthrough, observe):
     R, carried = np.zeros((0, n_columns)), None
     for start in range(0, max(len(u), 1), chunk):
         rows = slice(start, start + chunk)
-        free, forced = response_regressors(A, C, u[rows], feedthrough)
+        u_now, y_now = u[rows] / scales[0], y[rows] / scales[1]
+        free, forced = response_regressors(A, C, u_now, feedthrough)
         if carried is not None:
             power, forced_states = carried
             forced[..., : n * m] += free @ forced_states
             free = free @ power
         if observe is not None:
             free, forced = observe[rows] @ free, observe[rows] @ forced
-        equations = np.concatenate([free, forced, y[rows, :, None]], axis=-1)
+        equations = np.concatenate([free, forced, y_now[:, :, None]], axis=-1)
         R = triangle(R, equations.reshape(-1, n_columns))
         if rows.stop < len(u):
-            carried = _carry(A, u[rows], carried)
+            carried = _carry(A, u_now, carried)
     return R
 
 
