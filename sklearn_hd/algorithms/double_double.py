@@ -17,7 +17,7 @@ __all__ = ["Pair", "add", "cholesky", "product", "slices", "sum_of_slices", "two
 
 SLICE_BITS = 18
 N_SLICES = 3  # of a double: 54 bits
-FACTOR_SLICES = 6  # of a pair: 108 bits
+PAIR_SLICES = 6  # of a pair: 108 bits
 RANK_TOLERANCE = 2.0**-98  # of a diagonal entry: what 106 bits and the sums leave of nothing
 
 
@@ -113,18 +113,18 @@ def slices(values, count):
 def sum_of_slices(products):
     """Products of slices, [slice, slice, …], as one pair.
 
-    Those of equal size add up in doubles without rounding.
+    Those of equal size add up in doubles without rounding; those below 108 bits are left out.
     """
     count = len(products)
     total = None
-    for order in range(2 * count - 1):
+    for order in range(min(2 * count - 1, PAIR_SLICES)):
         pairs = range(max(0, order - count + 1), min(order + 1, count))
         exact = sum(products[q][order - q] for q in pairs)
         total = (exact, np.zeros_like(exact)) if total is None else add(*total, exact)
     return Pair(*total)
 
 
-def product(left, right, exact):
+def product(left, right, exact, count=N_SLICES):
     """leftᵀ right over common rows, of entries up to one in size.
 
     Parameters
@@ -132,7 +132,9 @@ def product(left, right, exact):
     left, right : ndarray, shapes (n, r), (n, s)
         n up to 2¹⁷.
     exact : bool
-        In double-double, sums without rounding; of the entries 54 bits count, from one.
+        In double-double, sums without rounding.
+    count : int, default=3
+        Slices of the entries that count, from one on: 54 bits.
 
     Returns
     -------
@@ -140,7 +142,7 @@ def product(left, right, exact):
     """
     if not exact:
         return Pair(left.T @ right)
-    left, right = slices(left, N_SLICES), slices(right, N_SLICES)
+    left, right = slices(left, count), slices(right, count)
     return sum_of_slices([[a.T @ b for b in right] for a in left])
 
 
@@ -195,7 +197,7 @@ def cholesky(high, low):
     shift = -exponent[:, None] - exponent
     high, low = np.ldexp(high, shift), np.ldexp(low, shift)
     R = np.zeros((n, n))
-    parts = np.zeros((FACTOR_SLICES, n, n))  # of the rows found, [slice, row, column]
+    parts = np.zeros((PAIR_SLICES, n, n))  # of the rows found, [slice, row, column]
     for j in range(n):
         row = add(high[j, j:], low[j, j:], *_minus_products(parts, j))
         if row[0][0] <= RANK_TOLERANCE * high[j, j]:
@@ -222,7 +224,7 @@ def _minus_products(parts, j):
     One product gives the sums of all orders s: row s of the left side holds, beside
     slice r of R[t, j:], slice s − r of R[t, j].
     """
-    q, n = FACTOR_SLICES, parts.shape[1]
+    q, n = PAIR_SLICES, parts.shape[1]
     if j == 0:
         return 0.0, 0.0
     left = np.zeros((q, q, j))

@@ -37,7 +37,14 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from sklearn_hd._arithmetic import extremes
-from sklearn_hd.algorithms.double_double import N_SLICES, Pair, product, slices, sum_of_slices
+from sklearn_hd.algorithms.double_double import (
+    N_SLICES,
+    PAIR_SLICES,
+    Pair,
+    product,
+    slices,
+    sum_of_slices,
+)
 
 __all__ = ["LagProducts", "Stretch", "lag_products", "power_exponents", "stretch"]
 
@@ -179,7 +186,8 @@ class Stretch:
     lags : Pair, shape (n_lags, p, p)
         Of channels divided by 2 to the power of ``exponents``.
     first, last : ndarray, shapes (min(n_rows, n_lags - 1), p)
-        Rows at both ends, as they were multiplied.
+        Rows at both ends, as they were multiplied: rounded beside the largest value of
+        their own chunk, which may be smaller than that of others.
     exponents : ndarray of int, shape (p,)
     n_rows : int
     """
@@ -211,7 +219,7 @@ class Stretch:
         if self.n_rows < n_lags:
             return _nothing(n_lags, self.exponents, exact, (self.first,))
         ends = [np.ldexp(rows, -self.exponents).reshape(1, -1) for rows in (self.first, self.last)]
-        ends = [product(rows, rows, exact) for rows in ends]
+        ends = [product(rows, rows, exact, PAIR_SLICES) for rows in ends]
         return LagProducts(self.lags, *ends, self.exponents, self.n_rows, 1)
 
 
@@ -225,7 +233,7 @@ def _seam(earlier, later):
         start = max(0, n_before - lag)
         stop = max(start, min(n_before, n_before + n_after - lag))
         to = slice(start + lag - n_before, stop + lag - n_before)
-        lags.append(product(before[start:stop], after[to], exact))
+        lags.append(product(before[start:stop], after[to], exact, PAIR_SLICES))
     return lags[0].map(lambda *halves: np.stack(halves), *lags[1:])
 
 
