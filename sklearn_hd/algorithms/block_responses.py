@@ -74,11 +74,12 @@ def response_basis(A, C):
     Returns
     -------
     basis : ResponseBasis or None
-        None where no coordinates of good condition part the eigenvalues far enough.
+        None where no coordinates of good condition part the eigenvalues far enough, or there
+        are none.
     """
     n = len(A)
     if n == 0:
-        return ResponseBasis(np.zeros((0, 0)), np.zeros(0), np.zeros((len(C), 0, 0)))
+        return None
     T, Z = linalg.schur(A)
     T, X, sizes, _ = slycot.mb03rd(n, T, Z, sort="S", pmax=LARGEST_TRANSFORMATION)
     if np.linalg.cond(X) > CONDITION or max(sizes) > LARGEST_BLOCK:
