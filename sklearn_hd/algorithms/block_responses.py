@@ -154,17 +154,17 @@ def _by_products(record, maps):
     q = len(record.basis.g)
     head, G = np.zeros((0, record.width)), np.zeros((record.width - q,) * 2)
     for Z in record.rounds():
-        if np.max(np.abs(Z[0, :q]), initial=0.0) > PULSE_OVER:
-            head = triangle(head, Z)
-        else:
-            G += Z[:, q:].T @ Z[:, q:]
-    parts = [_apply(head, maps)]
+        lasting = np.flatnonzero(np.max(np.abs(Z[:, :q]), axis=1, initial=0.0) > PULSE_OVER)
+        split = int(lasting[-1]) + 1 if lasting.size else 0
+        if split:
+            head = triangle(head, Z[:split])
+        G += Z[split:, q:].T @ Z[split:, q:]
     if G.any():
         rest = safe_cholesky(G)
         if rest is None:
             return None
-        parts.append(_apply(rest, maps[q:]))
-    equations = np.vstack(parts)
+        head = triangle(head, np.pad(rest, ((0, 0), (q, 0))))
+    equations = _apply(head, maps)
     return safe_cholesky(equations.T @ equations)
 
 

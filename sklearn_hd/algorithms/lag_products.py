@@ -150,17 +150,12 @@ class LagProducts:
             their powers of two.
         """
         p = len(self.exponents)
-        width = len(self.lags) * p
-        change = self.tail - self.head
-        row = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, width))
-        row = row - _diagonal_sums(self.tail, p)
-        G = row.map(lambda half: np.zeros((width, width)))
-        for a in range(0, width, p):
-            for whole, part in zip(G.halves(), row.halves(), strict=True):
-                whole[a : a + p, a:] = part
-            if a + p < width:
-                row = row[:, :-p] + change[a : a + p, a:]
-        return G
+        tail = self.tail.map(lambda half: _block_diagonals(half, p))
+        head = self.head.map(lambda half: _block_diagonals(half, p))
+        first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1))
+        first = first - _running_sums(tail[:1], tail[1:])[-1]
+        rows = _running_sums(first[None], tail - head)
+        return rows.map(_from_block_diagonals)
 
 
 def _times_powers(products, exponents):
@@ -168,13 +163,42 @@ def _times_powers(products, exponents):
     return products.map(lambda half: np.ldexp(half, shift))
 
 
-def _diagonal_sums(products, p):
-    """Sums along block diagonals, side by side, and zeros for the lag after the last."""
-    total = products[:p, :0]
-    for a in reversed(range(0, len(products), p)):
-        row, n = products[a : a + p, a:], total.high.shape[1]
-        total = (row[:, :n] + total).map(lambda *parts: np.hstack(parts), row[:, n:])
-    return total.map(lambda half: np.hstack([half, np.zeros((p, p))]))
+def _block_diagonals(products, p):
+    """Block rows from the diagonal on, the last n_lags − 1, side by side and zeros after them.
+
+    Returns
+    -------
+    rows : ndarray, shape (n_lags - 1, p, n_lags p)
+    """
+    size = len(products)
+    padded = np.zeros((size, 2 * size + p))
+    padded[:, :size] = products
+    return _sheared(padded, p, size + p)
+
+
+def _from_block_diagonals(rows):
+    """The upper triangle of blocks whose rows from the diagonal on are given."""
+    n, p, width = rows.shape
+    padded = np.zeros((width, 2 * width))
+    _sheared(padded, p, width)[...] = rows
+    return padded[:, :width]
+
+
+def _sheared(padded, p, width):
+    """View of block rows, each from its diagonal on."""
+    down, right = padded.strides
+    shape = (len(padded) // p, p, width)
+    return as_strided(padded, shape, (p * (down + right), down, right))
+
+
+def _running_sums(first, changes):
+    """first, first + changes[0], first + changes[0] + changes[1], …"""
+    if first.low is None or changes.low is None:
+        return Pair(np.cumsum(np.concatenate([first.high, changes.high]), axis=0))
+    sums = [first[0]]
+    for k in range(len(changes)):
+        sums.append(sums[-1] + changes[k])
+    return sums[0].map(lambda *halves: np.stack(halves), *sums[1:])
 
 
 @dataclass(frozen=True)

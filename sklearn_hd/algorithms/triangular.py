@@ -26,8 +26,13 @@ def triangle(*stacked):
     >>> np.abs(R).round(12).tolist()
     [[5.0, 0.0], [0.0, 2.0]]
     """
-    X = np.vstack(stacked)
-    return linalg.qr(X, mode="r", overwrite_a=True)[0][: X.shape[1]]
+    n_columns = stacked[0].shape[1]
+    X = np.empty((sum(map(len, stacked)), n_columns), order="F")
+    np.concatenate(stacked, out=X)
+    if X.size == 0:
+        return X[:n_columns]
+    n_work = int(linalg.lapack.dgeqrf_lwork(*X.shape)[0])
+    return np.triu(linalg.lapack.dgeqrf(X, lwork=n_work, overwrite_a=1)[0][:n_columns])
 
 
 def safe_cholesky(G):
