@@ -31,7 +31,7 @@ import time
 from datetime import date
 from pathlib import Path
 
-THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 os.environ.update(THREADS)  # before NumPy is imported
 
 import numpy as np  # noqa: E402
@@ -96,9 +96,7 @@ def kernel(u, y, n, block_rows):
 
     def identify():
         R = hankel_factor([u], [y], block_rows)
-        A, C = state_matrices(
-            *observability_subspace(R, block_rows, u.shape[1]), n, y.shape[1]
-        )
+        A, C = state_matrices(*observability_subspace(R, block_rows, u.shape[1]), n, y.shape[1])
         input_matrices(A, C, [u], [y], True)
         return A
 
@@ -329,7 +327,17 @@ def save(rows, folder):
     from matplotlib import pyplot as plt
 
     folder.mkdir(parents=True, exist_ok=True)
-    names = ["data", "n_samples", "peer", "seconds", "runs", "memory", "data_bytes", "error", "failure"]
+    names = [
+        "data",
+        "n_samples",
+        "peer",
+        "seconds",
+        "runs",
+        "memory",
+        "data_bytes",
+        "error",
+        "failure",
+    ]
     with open(folder / "moesp.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names, extrasaction="ignore")
         writer.writeheader()

@@ -28,8 +28,8 @@ from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
 __all__ = ["ResponseBasis", "compressed_equations", "response_basis"]
 
-BLOCK = 8  # samples
-ROUND = 8192  # blocks, whose states are found together
+BLOCK = 12  # samples
+ROUND = 2048  # blocks, whose states are found together
 GROUP = 1024  # blocks, multiplied together
 STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
 PULSE_OVER = 1e-18
@@ -60,7 +60,7 @@ class ResponseBasis:
 
     def pays(self, n_rows, n_inputs):
         """Whether a record is long enough to gain from compression."""
-        return n_rows // BLOCK >= 2 * self.width(n_inputs)
+        return n_rows // BLOCK >= self.width(n_inputs)
 
 
 def response_basis(A, C):
@@ -154,8 +154,7 @@ def _by_products(record, maps):
     q = len(record.basis.g)
     head, G = np.zeros((0, record.width)), np.zeros((record.width - q,) * 2)
     for Z in record.rounds():
-        lasting = np.flatnonzero(np.max(np.abs(Z[:, :q]), axis=1, initial=0.0) > PULSE_OVER)
-        split = int(lasting[-1]) + 1 if lasting.size else 0
+        split = _pulse_length(Z[:, :q])
         if split:
             head = triangle(head, Z[:split])
         G += Z[split:, q:].T @ Z[split:, q:]
@@ -166,6 +165,14 @@ def _by_products(record, maps):
         head = triangle(head, np.pad(rest, ((0, 0), (q, 0))))
     equations = _apply(head, maps)
     return safe_cholesky(equations.T @ equations)
+
+
+def _pulse_length(pulse):
+    """Number of blocks after which a pulse is over."""
+    if np.max(np.abs(pulse[0]), initial=0.0) <= PULSE_OVER:
+        return 0
+    lasting = np.any(np.abs(pulse) > PULSE_OVER, axis=1)
+    return int(np.flatnonzero(lasting)[-1]) + 1
 
 
 def _apply(Z, maps):
@@ -197,13 +204,14 @@ class _Record:
         self.state = None
 
     def rounds(self):
-        """Rows z, a group of blocks at a time; ``state`` is that after them."""
+        """Rows z, a group of blocks at a time, in memory used again; then ``state`` is the last."""
         q, n_blocks = len(self.basis.g), self.n_rows // BLOCK
         n_states = (self.n_inputs + 1) * q
         self.state = np.zeros((self.n_inputs + 1, q))
         self.state[0] = self.basis.g
+        whole = np.empty((min(ROUND, n_blocks), self.width))
         for start in range(0, n_blocks, ROUND):
-            Z = np.empty((min(ROUND, n_blocks - start), self.width))
+            Z = whole[: n_blocks - start]
             for first in range(0, len(Z), GROUP):
                 rows = Z[first : first + GROUP]
                 self._fill(rows[:, n_states:], start + first)

@@ -49,6 +49,7 @@ from sklearn_hd.algorithms.double_double import (
 __all__ = ["LagProducts", "Stretch", "lag_products", "power_exponents", "stretch"]
 
 CHUNK = 8192  # rows: they fit into a cache, the sums of their slices' products into 53 bits
+LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
 TOGETHER = 24  # channels times rows on the left side of one product
 
 
@@ -178,7 +179,7 @@ def _block_diagonals(products, p):
 
 def _from_block_diagonals(rows):
     """The upper triangle of blocks whose rows from the diagonal on are given."""
-    n, p, width = rows.shape
+    _, p, width = rows.shape
     padded = np.zeros((width, 2 * width))
     _sheared(padded, p, width)[...] = rows
     return padded[:, :width]
@@ -309,19 +310,32 @@ def lag_products(records, n_lags, exact):
     >>> (64 * products.gram().high).tolist()
     [[14.0, 20.0], [0.0, 29.0]]
     """
-    exponents = power_exponents(records)
+    exponents = power_exponents(records) if exact else np.zeros(_n_channels(records[0]), int)
     short = tuple(np.hstack(signals) for signals in records if len(signals[0]) < n_lags)
-    records = [signals for signals in records if len(signals[0]) >= n_lags]
-    if not records:
+    long = [signals for signals in records if len(signals[0]) >= n_lags]
+    if not long:
         return _nothing(n_lags, exponents, exact, short)
+    lags = _lag_sums(long, n_lags, exponents, exact)
+    if not exact and not _within_range(lags.high[0]):
+        exponents = power_exponents(records)
+        lags = _lag_sums(long, n_lags, exponents, exact)
     ends = []
     for part in _ends(n_lags):
-        rows = [np.hstack([z[part] for z in signals]) for signals in records]
-        rows = np.ldexp(np.stack(rows), -exponents).reshape(len(records), -1)
+        rows = [np.hstack([z[part] for z in signals]) for signals in long]
+        rows = np.ldexp(np.stack(rows), -exponents).reshape(len(long), -1)
         ends.append(product(rows, rows, exact))
-    lags = _lag_sums(records, n_lags, exponents, exact)
-    n_rows = sum(len(signals[0]) for signals in records)
-    return LagProducts(lags, *ends, exponents, n_rows, len(records), short)
+    n_rows = sum(len(signals[0]) for signals in long)
+    return LagProducts(lags, *ends, exponents, n_rows, len(long), short)
+
+
+def _within_range(products):
+    """Whether squares have neither over- nor underflown."""
+    squares = np.diagonal(products)
+    return np.all((squares > LEAST_SQUARE) & (squares < 1.0 / LEAST_SQUARE))
+
+
+def _n_channels(signals):
+    return sum(z.shape[1] for z in signals)
 
 
 def power_exponents(records):
@@ -356,6 +370,7 @@ def _lag_sums(records, n_lags, exponents, exact):
     period = -(-span // together) * together
     chunk = max(CHUNK // period, 1) * period
     factor, buffer = np.ldexp(1.0, -exponents), np.empty((chunk + span, p))
+    factor = factor if exponents.any() else None
     zeros = np.zeros((n_lags, p, p))
     total = Pair(zeros, zeros if exact else None)
     for signals in records:
@@ -365,7 +380,8 @@ def _lag_sums(records, n_lags, exponents, exact):
             rows = _fill(buffer[: size + span], signals, start, factor)
             if exact:
                 rows = np.stack(slices(rows, N_SLICES), axis=1).reshape(len(rows), width)
-            sums = _overlapping(rows, size, together, span, period)
+            with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # seen to after
+                sums = _overlapping(rows, size, together, span, period)
             sums = sum(sums[a, :, a : a + n_lags] for a in range(together))
             total = total + _by_lag(sums, p, exact)
     return total
@@ -376,7 +392,9 @@ def _fill(buffer, signals, start, factor):
     rows = min(len(buffer), len(signals[0]) - start)
     channels = [channel for z in signals for channel in z.T]  # each by itself: 5 × faster
     for c, channel in enumerate(channels):
-        np.multiply(channel[start : start + rows], factor[c], out=buffer[:rows, c])
+        buffer[:rows, c] = channel[start : start + rows]
+        if factor is not None:
+            buffer[:rows, c] *= factor[c]
     buffer[rows:] = 0.0
     return buffer
 
