@@ -55,8 +55,8 @@ def test_compressed_records_give_the_least_squares_solution(rng, A, feedthrough)
     """Long records, whole blocks or not, beside short ones; noise, so that all weights count."""
     A, B, C, D = model(rng, A, feedthrough)
     inputs = [rng.standard_normal((n, 2)) for n in (3003, 40, 2000)]
-    assert response_basis(A, C).pays(2000, 2)
-    assert not response_basis(A, C).pays(40, 2)
+    assert response_basis(A, C).block(2000, 2) > 1
+    assert response_basis(A, C).block(40, 2) == 0
     starts = rng.standard_normal((3, 5))
     outputs = [simulate(A, B, C, D, u, x) for u, x in zip(inputs, starts, strict=True)]
     outputs = [y + 0.1 * rng.standard_normal(y.shape) for y in outputs]
@@ -75,6 +75,17 @@ def test_compressed_records_without_noise_give_the_model_back(rng, A):
     np.testing.assert_allclose(responses[0], y[:300], atol=1e-9 * np.abs(y).max())
     np.testing.assert_allclose(found[1], D, atol=1e-9)
     assert found[3] < (1e-10 * linalg.norm(y)) ** 2
+
+
+@pytest.mark.parametrize("block", block_responses.BLOCKS)
+def test_blocks_of_any_length_give_the_same(rng, monkeypatch, block):
+    A, B, C, D = model(rng, JORDAN, True)
+    u = rng.standard_normal((3001, 2))
+    y = simulate(A, B, C, D, u, rng.standard_normal(5)) + 0.1 * rng.standard_normal((3001, 3))
+    monkeypatch.setattr(block_responses, "BLOCKS", (block,))
+    found = input_matrices(A, C, [u], [y], True, return_residual=True)
+    for one, other in zip(found, dense(A, C, [u], [y], True), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
 
 
 def test_powers_are_those_of_the_basis(rng):
@@ -110,7 +121,7 @@ def test_chunks_give_the_same_as_all_rows_at_once(rng, monkeypatch, observed):
         observe = [rng.standard_normal((900, 1, 3))]
         y = np.einsum("kqo,ko->kq", observe[0], y)
     y = y + 0.1 * rng.standard_normal(y.shape)
-    monkeypatch.setattr(block_responses.ResponseBasis, "pays", lambda *_: False)
+    monkeypatch.setattr(block_responses.ResponseBasis, "block", lambda *_: 0)
     whole = input_matrices(A, C, [u], [y], True, observe, return_residual=True)
     monkeypatch.setattr(module, "CHUNK_BYTES", 0)
     for one, other in zip(

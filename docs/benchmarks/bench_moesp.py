@@ -40,7 +40,8 @@ from scipy import linalg, optimize, signal  # noqa: E402
 SIZES = {"easy": (10, 3, 3, 15), "noisy": (10, 3, 3, 15), "hard": (10, 3, 3, 15)}
 SIZES["large"] = (30, 5, 7, 31)  # states, inputs, outputs, block rows
 LENGTHS = (2_000, 20_000, 200_000, 2_000_000)
-LONGEST = 120.0  # seconds that a peer may take for the next length, by its slope so far
+LONGEST = 20.0  # seconds that a peer may be expected to take for ten times the length
+GROWTH = 15.0  # of the cost from one length to the next
 MEGABYTE = 1e6
 
 
@@ -140,7 +141,10 @@ def slicot(algorithm):
             R = ib01ad(
                 "M", algorithm, "N", "O", "N", "N", block_rows, m, n_outputs, u, y, 0.0, -1.0
             )[1]
-            return ib01bd("C", "A", "N", block_rows, n, m, n_outputs, len(u), R, 0.0)[0]
+            shape = block_rows, n, m, n_outputs, len(u)
+            if n + m < 20:
+                return ib01bd("C", "A", "N", *shape, R, 0.0)[0]
+            return ib01bd("M", "A", "N", *shape, R, 0.0)[0]  # "C" refuses its own workspace
 
         return identify
 
@@ -303,7 +307,7 @@ def study(options):
                     found = measure(peer, folder, kind, options)
                     rows.append({"data": kind, "n_samples": n_samples, "peer": peer, **found})
                     print(line(rows[-1]), flush=True)
-                    if "failure" in found or 10.0 * found["seconds"] > LONGEST:
+                    if "failure" in found or GROWTH * found["seconds"] > LONGEST:
                         given_up.add((peer, kind))
     return rows
 

@@ -28,11 +28,12 @@ from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
 __all__ = ["ResponseBasis", "compressed_equations", "response_basis"]
 
-BLOCK = 12  # samples
+BLOCKS = (2, 3, 4, 6, 8, 12, 16)  # samples
 ROUND = 2048  # blocks, whose states are found together
 GROUP = 1024  # blocks, multiplied together
 STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
-PULSE_OVER = 1e-18
+STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
+PULSE_OVER = 1e-18  # of its first size
 LARGEST_TRANSFORMATION = 100.0
 CONDITION = 1e6
 LARGEST_BLOCK = 6  # powers of larger ones are too much alike
@@ -54,13 +55,22 @@ class ResponseBasis:
     g: np.ndarray
     seen: np.ndarray
 
-    def width(self, n_inputs):
+    def width(self, n_inputs, block):
         """Number of entries of z."""
-        return len(self.g) * (n_inputs + 1) + BLOCK * (n_inputs + len(self.seen))
+        return len(self.g) * (n_inputs + 1) + block * (n_inputs + len(self.seen))
 
-    def pays(self, n_rows, n_inputs):
-        """Whether a record is long enough to gain from compression."""
-        return n_rows // BLOCK >= self.width(n_inputs)
+    def block(self, n_rows, n_inputs):
+        """Samples in a block, for the least work; 0 where a record is too short to gain."""
+
+        def work(block):
+            width, n_equations = self.width(n_inputs, block), block * len(self.seen)
+            unknown = len(self.g) * (n_inputs + 1) + n_inputs * len(self.seen)
+            small = width * n_equations * unknown * (2 * width + unknown)
+            recursion = STEP_WORK * len(self.g) ** 2 * (n_inputs + 1)
+            return n_rows // block * (width**2 + recursion) + small
+
+        blocks = [block for block in BLOCKS if n_rows // block >= self.width(n_inputs, block)]
+        return min(blocks, key=work, default=0)
 
 
 def response_basis(A, C):
@@ -134,7 +144,7 @@ def compressed_equations(basis, u, y, feedthrough, scales):
         Columns: the initial state, B (row by row), D, and the outputs.
     """
     record = _Record(basis, u, y, np.concatenate(scales))
-    maps = _equation_maps(basis, u.shape[1], feedthrough)
+    maps = _equation_maps(basis, u.shape[1], feedthrough, record.block)
     factor = _by_products(record, maps)
     if factor is None:
         R = np.zeros((0, record.width))
@@ -196,16 +206,17 @@ class _Record:
     def __init__(self, basis, u, y, scale):
         self.basis, self.channels, self.scale = basis, [*u.T, *y.T], scale
         self.n_inputs, self.n_rows = u.shape[1], len(u)
-        self.width = basis.width(u.shape[1])
-        powers = _powers(basis)
-        forced = np.stack([power @ basis.g for power in powers[BLOCK - 1 :: -1]])
+        self.block = block = basis.block(len(u), u.shape[1])
+        self.width = basis.width(u.shape[1], block)
+        powers = _powers(basis, block)
+        forced = np.stack([power @ basis.g for power in powers[block - 1 :: -1]])
         self.forced = linalg.block_diag(*[forced] * self.n_inputs)
-        self.step = powers[BLOCK]
+        self.step = powers[block]
         self.state = None
 
     def rounds(self):
         """Rows z, a group of blocks at a time, in memory used again; then ``state`` is the last."""
-        q, n_blocks = len(self.basis.g), self.n_rows // BLOCK
+        q, n_blocks = len(self.basis.g), self.n_rows // self.block
         n_states = (self.n_inputs + 1) * q
         self.state = np.zeros((self.n_inputs + 1, q))
         self.state[0] = self.basis.g
@@ -215,7 +226,7 @@ class _Record:
             for first in range(0, len(Z), GROUP):
                 rows = Z[first : first + GROUP]
                 self._fill(rows[:, n_states:], start + first)
-                inputs = rows[:, n_states : n_states + self.n_inputs * BLOCK]
+                inputs = rows[:, n_states : n_states + self.n_inputs * self.block]
                 rows[:, :q] = 0.0
                 np.matmul(inputs, self.forced, out=rows[:, q:n_states])
             states = Z[:, :n_states].reshape(len(Z), self.n_inputs + 1, q)
@@ -225,16 +236,16 @@ class _Record:
 
     def _fill(self, samples, start):
         for c, channel in enumerate(self.channels):
-            part = channel[start * BLOCK : (start + len(samples)) * BLOCK]
-            out = samples[:, c * BLOCK : (c + 1) * BLOCK]
-            np.divide(part.reshape(-1, BLOCK), self.scale[c], out=out)
+            part = channel[start * self.block : (start + len(samples)) * self.block]
+            out = samples[:, c * self.block : (c + 1) * self.block]
+            np.divide(part.reshape(-1, self.block), self.scale[c], out=out)
 
     def left_over(self):
         """The row z of the samples after the last whole block, and how many there are."""
-        whole = self.n_rows // BLOCK * BLOCK
+        whole = self.n_rows // self.block * self.block
         z = np.zeros((1, self.width))
         z[0, : self.state.size] = self.state.ravel()
-        samples = z[0, self.state.size :].reshape(-1, BLOCK)
+        samples = z[0, self.state.size :].reshape(-1, self.block)
         rest = np.stack([channel[whole:] for channel in self.channels])
         samples[:, : self.n_rows - whole] = rest / self.scale[:, None]
         return z, self.n_rows - whole
@@ -279,15 +290,15 @@ def _advance(F, states):
     return (states.reshape(-1, len(F)) @ F.T).reshape(states.shape)
 
 
-def _powers(basis):
+def _powers(basis, block):
     """F⁰ … F^L."""
     powers = [np.eye(len(basis.g))]
-    for _ in range(BLOCK):
+    for _ in range(block):
         powers.append(basis.F @ powers[-1])
     return powers
 
 
-def _equation_maps(basis, n_inputs, feedthrough):
+def _equation_maps(basis, n_inputs, feedthrough, block):
     """What each entry of z gives to the equations of the L samples.
 
     Returns
@@ -295,18 +306,20 @@ def _equation_maps(basis, n_inputs, feedthrough):
     maps : ndarray, shape (width, L, l, n + n m [+ l m] + 1)
     """
     n_outputs, n, q = basis.seen.shape
-    m, powers = n_inputs, np.stack(_powers(basis)[:BLOCK])
-    maps = np.zeros((basis.width(m), BLOCK, n_outputs, n + m * (n + feedthrough * n_outputs) + 1))
+    m, powers = n_inputs, np.stack(_powers(basis, block)[:block])
+    maps = np.zeros(
+        (basis.width(m, block), block, n_outputs, n + m * (n + feedthrough * n_outputs) + 1)
+    )
     from_state = np.einsum("ois,tsr->rtoi", basis.seen, powers)
     from_input = np.einsum("roti,r->toi", from_state.transpose(0, 2, 1, 3), basis.g)
-    inputs = maps[(m + 1) * q :].reshape(m + n_outputs, BLOCK, *maps.shape[1:])
+    inputs = maps[(m + 1) * q :].reshape(m + n_outputs, block, *maps.shape[1:])
     maps[:q, :, :, :n] = from_state
     for j in range(m):
         columns = slice(n + j, n + n * m, m)
         maps[(j + 1) * q : (j + 2) * q, :, :, columns] = from_state
-        for t in range(1, BLOCK):
+        for t in range(1, block):
             inputs[j, :t, t, :, columns] = from_input[t - 1 :: -1]
-    sample, output = np.arange(BLOCK)[:, None], np.arange(n_outputs)
+    sample, output = np.arange(block)[:, None], np.arange(n_outputs)
     for j in range(m if feedthrough else 0):
         inputs[j, sample, sample, output, n + n * m + output * m + j] = 1.0
     inputs[m + output, sample, sample, output, -1] = 1.0

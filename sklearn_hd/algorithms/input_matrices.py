@@ -127,7 +127,7 @@ def input_matrices(
     for s, rows in pieces:
         seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
-        if basis is not None and basis.pays(len(u), m):
+        if basis is not None and basis.block(len(u), m):
             R = compressed_equations(basis, u, y, feedthrough, scales)
         else:
             R = _record_factor(A, C, u, y, feedthrough, seen, scales)

@@ -194,8 +194,6 @@ def _sheared(padded, p, width):
 
 def _running_sums(first, changes):
     """first, first + changes[0], first + changes[0] + changes[1], …"""
-    if first.low is None or changes.low is None:
-        return Pair(np.cumsum(np.concatenate([first.high, changes.high]), axis=0))
     sums = [first[0]]
     for k in range(len(changes)):
         sums.append(sums[-1] + changes[k])
