@@ -50,6 +50,7 @@ __all__ = ["LagProducts", "Stretch", "lag_products", "power_exponents", "stretch
 
 CHUNK = 8192  # rows: they fit into a cache, the sums of their slices' products into 53 bits
 LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
+MOST_EXPONENT = 300  # of two
 TOGETHER = 24  # channels times rows on the left side of one product
 
 
@@ -316,7 +317,10 @@ def lag_products(records, n_lags, exact):
     lags = _lag_sums(long, n_lags, exponents, exact)
     if not exact and not _within_range(lags.high[0]):
         exponents = power_exponents(records)
-        lags = _lag_sums(long, n_lags, exponents, exact)
+        if np.max(np.abs(exponents)) > MOST_EXPONENT:  # else a channel is at rest
+            lags = _lag_sums(long, n_lags, exponents, exact)
+        else:
+            exponents = np.zeros_like(exponents)
     ends = []
     for part in _ends(n_lags):
         rows = [np.hstack([z[part] for z in signals]) for signals in long]
