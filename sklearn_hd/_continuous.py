@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.moesp import input_matrices
+from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, discrete_to_continuous
 
 

@@ -149,7 +149,7 @@ def check_size(values, names, what):
 
     Raises ValueError naming a signal that is too large.
     """
-    largest = np.fmax.reduce(np.abs(values), axis=0, initial=0.0)
+    largest = np.array([np.fmax.reduce(np.abs(column), initial=0.0) for column in values.T])
     for name, size in zip(names, largest, strict=True):
         if size > 1.0 / SMALLEST:
             raise ValueError(

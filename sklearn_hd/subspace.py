@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import within_range
+from sklearn_hd._arithmetic import extremes, within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
@@ -24,10 +24,10 @@ from sklearn_hd._validation import (
     signal_names,
 )
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
+from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.moesp import (
-    input_matrices,
     noise_floor,
     observability_subspace,
     order_by_gap,
@@ -189,20 +189,20 @@ class MOESPRegressor(ModelStep):
             _scales(signals) if scale else np.ones(signals[0].shape[1])
             for signals in (inputs, outputs)
         )
-        inputs = [u / u_scale for u in inputs]
-        outputs = [y_s / y_scale for y_s in outputs]
-        excitation = inputs if raw else excitation
+        scale = np.concatenate([u_scale if raw else np.ones(n_inputs), y_scale])
         n_moving = int(moving.sum()) if raw else n_inputs
-        U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
+        U, values = self._decompose(excitation, outputs, n_moving, experiment, scale)
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
-            U, values = self._decompose(excitation, outputs, n_moving, experiment, y_scale)
+            U, values = self._decompose(excitation, outputs, n_moving, experiment, scale)
         if self.block_rows is None and self.order == "auto" and _sliding(experiment):
-            U, values = self._exact_map(U, values, experiment, excitation, outputs, y_scale)
+            U, values = self._exact_map(U, values, experiment, excitation, outputs, scale)
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = feedthrough or (basis is not None and basis.synchronous)
-        B, D, self.x0_ = input_matrices(A, C, inputs, outputs, feedthrough)
+        B, D, self.x0_ = input_matrices(
+            A, C, inputs, outputs, feedthrough, scales=(u_scale, y_scale)
+        )
         model = LTIModel(
             A=A,
             B=B / u_scale,
@@ -254,15 +254,16 @@ class MOESPRegressor(ModelStep):
             directions = [np.hstack([w, np.ones((len(w), 1))]) for w in directions]
         return directions
 
-    def _decompose(self, inputs, outputs, n_moving, experiment, y_scale):
+    def _decompose(self, inputs, outputs, n_moving, experiment, scale):
         """Project the future outputs, look at the singular values and settle the order."""
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
-        R = hankel_factor(inputs, outputs, i)
+        R = hankel_factor(inputs, outputs, i, scale)
         self._warn_excitation(R, n_inputs, n_moving, experiment)
         if not _lifted(experiment):
             R = release_idle_directions(R, i * n_inputs)
         U, values = observability_subspace(R, i, n_inputs)
         floor = noise_floor(R, i, n_inputs, n_hankel_columns([len(u) for u in inputs], i))
+        y_scale = scale[n_inputs:]
         unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
         self.singular_values_, self.noise_floor_ = values * unit, floor * unit
         self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
@@ -282,7 +283,7 @@ class MOESPRegressor(ModelStep):
         room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
         return self.order_ >= (i - 1) * n_outputs and room
 
-    def _exact_map(self, U, values, experiment, excitation, outputs, y_scale):
+    def _exact_map(self, U, values, experiment, excitation, outputs, scale):
         """The model without noise in which most modes have copies that agree.
 
         Inputs that move within a hop at many phases ask for many inputs, more than noise
@@ -304,7 +305,8 @@ class MOESPRegressor(ModelStep):
             if i == 0:
                 continue
             self.block_rows_ = i
-            U, values = self._decompose(inputs, outputs, m, experiment, y_scale)
+            own = scale if one_phase else np.append(np.ones(m), scale[-n_outputs:])
+            U, values = self._decompose(inputs, outputs, m, experiment, own)
             if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
                 agreeing = self._n_agreeing(U, values, basis, n_outputs)
                 if agreeing > most:
@@ -471,11 +473,12 @@ class MOESPRegressor(ModelStep):
 
 def _scales(signals):
     """Root mean square of each channel over all segments; one where a channel is zero."""
-    stacked = np.vstack(signals)
-    largest = np.max(np.abs(stacked), axis=0, initial=0.0)
-    largest[largest == 0.0] = 1.0
-    scale = largest * np.sqrt(np.mean((stacked / largest) ** 2, axis=0))
-    scale[scale == 0.0] = 1.0
+    scale = np.ones(signals[0].shape[1])
+    n_samples = sum(map(len, signals))
+    for c, largest in enumerate(np.max(np.abs([extremes(z) for z in signals]), axis=(0, 1))):
+        if largest > 0.0:
+            squares = (np.sum((z[:, c] / largest) ** 2) for z in signals)
+            scale[c] = largest * np.sqrt(sum(squares) / n_samples)
     return scale
 
 
@@ -521,12 +524,11 @@ def _warn_idle(moving, experiment):
 
 def _check_outputs_move(experiment):
     """Raise ValueError if no output moves within any segment; warn of one that rests off zero."""
-    size = np.fmax.reduce(np.abs(experiment.measured), axis=0, initial=0.0)
+    size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
     moves, off = np.zeros(len(size), dtype=bool), np.zeros(len(size), dtype=bool)
-    for y in experiment.outputs:
-        if len(y):
-            moves |= y.max(axis=0) - y.min(axis=0) > DUST * size
-            off |= np.abs(y).max(axis=0) > DUST * size
+    for smallest, largest in map(extremes, experiment.outputs):
+        moves |= largest - smallest > DUST * size
+        off |= np.maximum(largest, -smallest) > DUST * size
     if not moves.any():
         raise ValueError(
             f"all outputs are {'constant' if off.any() else 'zero'} in the {experiment.span()} "
@@ -547,13 +549,12 @@ def _check_outputs_move(experiment):
 def _moving_inputs(inputs, experiment):
     """Which inputs move within some segment; ValueError where a measured signal never does."""
     moving = np.zeros(inputs[0].shape[1], dtype=bool)
-    for u in inputs:
-        if len(u):
-            moving |= u.max(axis=0) > u.min(axis=0)
+    for smallest, largest in map(extremes, inputs):
+        moving |= largest > smallest
     signals, seen = experiment.drive_signals(), moving
     if _lifted(experiment):  # what has no mean over any period may move within it all the same
         signals = tuple(signal for signal, _ in experiment.basis.inputs)
-        seen = np.any([u.max(axis=0) > u.min(axis=0) for u in experiment.inputs], axis=0)
+        seen = np.any([np.greater(*extremes(u)[::-1]) for u in experiment.inputs], axis=0)
     for name in dict.fromkeys(signals):
         if not any(m for m, signal in zip(seen, signals, strict=True) if signal == name):
             raise ValueError(

@@ -28,6 +28,25 @@ def test_propagation_is_the_recursion(n, steps, seed):
         x = x @ A.T + forcing[:, k]
 
 
+@pytest.mark.parametrize("steps", [127, 128, 129, 300, 2049, 40_003])
+def test_blocks_propagate_as_the_recursion_does(rng, steps):
+    """Short, whole and broken blocks; blocks of blocks; a defective pole."""
+    A = linalg.block_diag([[0.98, 1.0], [0.0, 0.98]], -0.5)
+    forcing, x0 = rng.standard_normal((2, steps, 3)), rng.standard_normal((2, 3))
+    found = propagate(A, forcing, x0)
+    x = np.empty_like(forcing)
+    x[:, 0] = x0
+    for k in range(1, steps):
+        x[:, k] = x[:, k - 1] @ A.T + forcing[:, k - 1]
+    np.testing.assert_allclose(found, x, rtol=1e-9, atol=1e-11 * np.abs(x).max())
+
+
+def test_unstable_states_end_in_infinities_not_in_numbers(rng):
+    states = propagate(2.0 * np.eye(1), np.zeros((5000, 1)), np.ones(1))[:, 0]
+    np.testing.assert_array_equal(states[:1000], 2.0 ** np.arange(1000))
+    assert not np.isfinite(states[1100:]).any()
+
+
 def test_nilpotent_states_vanish_exactly():
     states = propagate(np.array([[0.0, 1.0], [0.0, 0.0]]), np.zeros((40, 2)), np.array([1.0, 1.0]))
     assert np.all(states[2:] == 0.0)

@@ -4,20 +4,120 @@ Each block Hankel column holds 2i consecutive rows of the data, arranged
 
     Z = [U_f; U_p; Y_p; Y_f],    Z = L Q,  L lower triangular,
 
-and only R = Lᵀ is needed afterwards (Verhaegen, 1994). It is built block by
-block, so that the Hankel matrices never stand in memory as a whole, and no
-column straddles two segments.
+and only R = Lᵀ is needed afterwards (Verhaegen, 1994). The Hankel matrices never stand in
+memory as a whole, and no column straddles two segments. Three ways lead to R, each taken
+where the one before it would not do:
+
+1. Cholesky factor of the Gram matrix Z Zᵀ, which follows from lagged products of the data
+   (:mod:`~sklearn_hd.algorithms.lag_products`). Sums in double perturb the columns of R,
+   brought to equal length, by about ε ‖R⁻¹‖² beside each other. Noise makes ‖R⁻¹‖ small:
+   then this is far less than what noise does, 1/√n. Without noise R is singular, and the
+   loss total, without a sign of it in the result.
+2. The same from exact sums, in double-double, where there are many columns. Its errors are
+   those of orthogonal transformations: ε beside the length of each column of R.
+3. Orthogonal transformations of the Hankel columns, block by block, where there are few.
 """
 
 import numpy as np
-from scipy import linalg
 
-__all__ = ["hankel_factor", "n_hankel_columns"]
+from sklearn_hd.algorithms.double_double import cholesky
+from sklearn_hd.algorithms.lag_products import lag_products
+from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
+
+__all__ = ["factor_of_products", "hankel_factor", "n_hankel_columns"]
+
+FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
 
 def n_hankel_columns(lengths, block_rows):
     """Number of block Hankel columns that segments of some lengths give."""
     return int(sum(max(0, length - 2 * block_rows + 1) for length in lengths))
+
+
+def hankel_factor(inputs, outputs, block_rows, scale=None):
+    """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
+
+    Parameters
+    ----------
+    inputs : list of ndarray, shapes (n_rows_s, m)
+        One array a segment.
+    outputs : list of ndarray, shapes (n_rows_s, l)
+    block_rows : int
+        Block rows i of the past, and as many of the future.
+    scale : ndarray, shape (m + l,), optional
+        What the channels, inputs and outputs, are divided by.
+
+    Returns
+    -------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+        Upper triangular; RᵀR = Z Zᵀ.
+    """
+    R = _factor(inputs, outputs, block_rows)
+    if scale is None:
+        return R
+    order = _block_order(2 * block_rows, len(scale), inputs[0].shape[1])
+    return R / np.tile(scale, 2 * block_rows)[order]
+
+
+def _factor(inputs, outputs, block_rows):
+    """R of the channels as they are, by the first way that is safe, or else the faster one."""
+    n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
+    width = n_lags * (n_inputs + outputs[0].shape[1])
+    n_columns = n_hankel_columns([len(u) for u in inputs], block_rows)
+    records = list(zip(inputs, outputs, strict=True))
+    if n_columns >= width:
+        R = factor_of_products(lag_products(records, n_lags, exact=False), n_inputs)
+        if R is not None:
+            return R
+    if n_columns >= FEW_COLUMNS * width:
+        return factor_of_products(lag_products(records, n_lags, exact=True), n_inputs)
+    return _orthogonal_factor(records, block_rows)
+
+
+def factor_of_products(products, n_inputs):
+    """R factor from lag products.
+
+    Parameters
+    ----------
+    products : LagProducts
+        Of the inputs and outputs, in 2i lags.
+    n_inputs : int
+        The first of the channels.
+
+    Returns
+    -------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l)), or None
+        None where plain sums have lost what R should say; exact ones never have.
+    """
+    G = products.gram()
+    order = _block_order(len(products.lags), len(products.exponents), n_inputs)
+    exponents = np.tile(products.exponents, len(products.lags))[order]
+    G = G.map(lambda half: np.triu(half) + np.triu(half, 1).T)[np.ix_(order, order)]
+    R = cholesky(G.high, G.low) if products.exact else safe_cholesky(G.high)
+    return None if R is None else np.ldexp(R, exponents)
+
+
+def _block_order(n_lags, n_channels, n_inputs):
+    """Where the rows U_f, U_p, Y_p, Y_f stand among rows ordered by time."""
+    rows = np.arange(n_lags * n_channels).reshape(n_lags, n_channels)
+    past, future = np.split(rows, 2)
+    parts = future[:, :n_inputs], past[:, :n_inputs], past[:, n_inputs:], future[:, n_inputs:]
+    return np.concatenate([part.reshape(-1) for part in parts])
+
+
+def _orthogonal_factor(records, block_rows):
+    """R factor by blocked QR factorisations."""
+    width = 2 * block_rows * sum(signal.shape[1] for signal in records[0])
+    R = np.zeros((0, width))
+    chunk = max(4 * width, 512)
+    for u, y in records:
+        n_columns = len(u) - 2 * block_rows + 1
+        for start in range(0, n_columns, chunk):
+            block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
+            R = triangle(R, block)
+    square = np.zeros((width, width))
+    square[: len(R)] = R
+    return square
 
 
 def _columns(u, y, block_rows, start, stop):
@@ -29,32 +129,3 @@ def _columns(u, y, block_rows, start, stop):
         return view.transpose(0, 2, 1).reshape(stop - start, -1)
 
     return np.hstack([windows(u, block_rows), windows(u, 0), windows(y, 0), windows(y, block_rows)])
-
-
-def hankel_factor(inputs, outputs, block_rows):
-    """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
-
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_rows_s, m)
-        One array a segment.
-    outputs : list of ndarray, shapes (n_rows_s, l)
-    block_rows : int
-        Block rows i of the past, and as many of the future.
-
-    Returns
-    -------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        Upper triangular; RᵀR = Z Zᵀ.
-    """
-    width = 2 * block_rows * (inputs[0].shape[1] + outputs[0].shape[1])
-    R = np.zeros((0, width))
-    chunk = max(4 * width, 512)
-    for u, y in zip(inputs, outputs, strict=True):
-        n_columns = len(u) - 2 * block_rows + 1
-        for start in range(0, n_columns, chunk):
-            block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
-            R = linalg.qr(np.vstack([R, block]), mode="r", overwrite_a=True)[0][:width]
-    square = np.zeros((width, width))
-    square[: len(R)] = R
-    return square

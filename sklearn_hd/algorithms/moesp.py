@@ -5,33 +5,26 @@ From the triangular factor of [U_f; U_p; Y_p; Y_f] = L Q,
     L_32 = U S Vᵀ      (future outputs on past data, future inputs projected out)
     Γ_i  = U_n S_n^½   (Eq. 13),   C = Γ_i[:l],   Γ_i[:-l] A = Γ_i[l:]
 
-and with A and C known, y is linear in B, D and the initial states.
+With A and C known, y is linear in B, D and the initial states
+(:mod:`~sklearn_hd.algorithms.input_matrices`).
 """
 
 import numpy as np
 from scipy import linalg
-from scipy.signal import fftconvolve
-
-from sklearn_hd.algorithms.simulation import propagate
 
 __all__ = [
-    "input_matrices",
     "noise_floor",
     "observability_subspace",
     "order_by_gap",
     "order_by_wide_gap",
     "release_idle_directions",
-    "response_regressors",
     "state_matrices",
 ]
 
 EPS = np.finfo(float).eps
-MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
 IDLE_SHARE = 1e-11  # of the largest direction: rounding
-OVERFLOW_GROWTH = 300.0  # e-folds whose squares are numbers still
 GAP_REACH = np.sqrt(10.0)
 CLEAR_GAP = 2.0
-CONVOLVED_ORDER = 40
 WIDE_GAP = 1e3
 
 
@@ -177,144 +170,3 @@ def state_matrices(U, singular_values, order, n_outputs):
     observability = U[:, :order] * np.sqrt(singular_values[:order])
     A = linalg.lstsq(observability[:-n_outputs], observability[n_outputs:])[0]
     return A, observability[:n_outputs]
-
-
-def response_regressors(A, C, u, feedthrough):
-    """Outputs of x[k+1] = A x + B u, y = C x + D u as a linear map of x[0], B and D.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    u : ndarray, shape (n_samples, m)
-    feedthrough : bool
-        Whether D is free.
-
-    Returns
-    -------
-    free : ndarray, shape (n_samples, l, n)
-        Response to each entry of x[0].
-    forced : ndarray, shape (n_samples, l, n m [+ l m])
-        Response to each entry of B (row by row), then of D.
-    """
-    n, n_outputs = len(A), len(C)
-    if n > CONVOLVED_ORDER:
-        free = np.empty((len(u), n_outputs, n))
-        free[:1] = C
-        for k in range(1, len(u)):
-            free[k] = free[k - 1] @ A
-    else:
-        states = propagate(A, np.zeros((n, len(u), n)), np.eye(n))
-        free = np.einsum("ptj,lj->tlp", states, C)
-    blocks = [_forced_responses(A, C, u, free)]
-    if feedthrough:
-        direct = np.einsum("ab,tk->tbak", np.eye(n_outputs), u)
-        blocks.append(direct.reshape(len(u), n_outputs, -1))
-    return free, np.concatenate(blocks, axis=-1)
-
-
-def _forced_responses(A, C, u, free):
-    """Responses to each entry of B: by recursion, or for high orders by convolution.
-
-    The response to entry (i, j) is the free one from unit state i, convolved with input j
-    and a sample later. A recursion over n m states of n entries each takes n³ m
-    operations a sample (27 s for n = 138, m = 2 and 1500 rows; 0.6 s by convolution).
-    """
-    n, m = len(A), u.shape[1]
-    if n > CONVOLVED_ORDER:
-        forced = fftconvolve(free[..., None], u[:, None, None, :], axes=0)[: len(u) - 1]
-        forced = np.concatenate([np.zeros((1, *forced.shape[1:])), forced])
-        return forced.reshape(len(u), len(C), n * m)
-    unit = np.einsum("ij,tk->iktj", np.eye(n), u).reshape(n * m, len(u), n)
-    states = propagate(A, unit, np.zeros((n * m, n)))
-    return np.einsum("ptj,lj->tlp", states, C)
-
-
-def input_matrices(A, C, inputs, outputs, feedthrough, observe=None, *, return_residual=False):
-    """B, D and the initial states that fit the outputs best, by linear least squares.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    inputs : list of ndarray, shapes (n_samples_s, m)
-        One array a segment.
-    outputs : list of ndarray, shapes (n_samples_s, q)
-        Measured signals; q = l where ``observe`` is None.
-    feedthrough : bool
-        Whether D is free (else zero).
-    observe : list of ndarray, shapes (n_samples_s, q, l), optional
-        What is measured of the model's outputs at each sample, such as the
-        recomposition of Eq. 7.
-    return_residual : bool, default=False
-
-    Returns
-    -------
-    B : ndarray, shape (n, m)
-    D : ndarray, shape (l, m)
-    x0 : ndarray, shape (n_segments, n)
-    residual : float
-        Sum of squares left, only with ``return_residual``.
-    """
-    n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
-    pieces, firsts = _pieces(A, [len(u) for u in inputs])
-    inputs = [inputs[s][rows] for s, rows in pieces]
-    outputs = [outputs[s][rows] for s, rows in pieces]
-    observe = None if observe is None else [observe[s][rows] for s, rows in pieces]
-    n_forced = n * m + (n_outputs * m if feedthrough else 0)
-    size = n_forced + n * len(inputs)
-    R = np.zeros((0, size + 1))
-    for s, (u, y) in enumerate(zip(inputs, outputs, strict=True)):
-        free, forced = response_regressors(A, C, u, feedthrough)
-        if observe is not None:
-            free, forced = observe[s] @ free, observe[s] @ forced
-        rows = np.zeros((y.size, size + 1))
-        rows[:, :n_forced] = forced.reshape(y.size, n_forced)
-        rows[:, n_forced + n * s : n_forced + n * (s + 1)] = free.reshape(y.size, n)
-        rows[:, -1] = y.reshape(-1)
-        R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: size + 1]
-    solution = _scaled_lstsq(R[:, :-1], R[:, -1])
-    B = solution[: n * m].reshape(n, m)
-    D = (
-        solution[n * m : n_forced].reshape(n_outputs, m)
-        if feedthrough
-        else np.zeros((n_outputs, m))
-    )
-    x0 = solution[n_forced:].reshape(len(inputs), n)[firsts]
-    if not return_residual:
-        return B, D, x0
-    return B, D, x0, float(np.sum((R[:, -1] - R[:, :-1] @ solution) ** 2))
-
-
-def _pieces(A, lengths):
-    """Rows of each segment in pieces over which an unstable A does not overflow.
-
-    Each piece gets an initial state of its own; a stable A leaves segments whole.
-
-    Returns
-    -------
-    pieces : list of (int, slice)
-        Segment and rows.
-    firsts : list of int
-        The first piece of each segment.
-    """
-    radius = np.max(np.abs(linalg.eigvals(A)), initial=0.0)
-    longest = max(lengths, default=0)
-    if radius > 1.0:
-        longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))
-        longest = max(2, min(longest, int(OVERFLOW_GROWTH / np.log(radius))))
-    pieces, firsts = [], []
-    for s, length in enumerate(lengths):
-        firsts.append(len(pieces))
-        starts = range(0, length, longest) if length else [0]
-        pieces += [(s, slice(start, min(start + longest, length))) for start in starts]
-    return pieces, firsts
-
-
-def _scaled_lstsq(regressors, target):
-    """Least squares with columns of equal length, so that units do not decide the rank."""
-    if regressors.shape[1] == 0:
-        return np.zeros(0)
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
-    return linalg.lstsq(regressors / scale, target)[0] / scale

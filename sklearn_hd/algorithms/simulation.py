@@ -18,13 +18,17 @@ __all__ = [
 ]
 
 LOGARITHM_TOLERANCE = 1e-6
+BLOCK_STEPS = 16
+LEAST_BLOCKS = 8
+GROUP = 1024  # blocks whose states fit into a cache
 
 
 def propagate(A, forcing, x0):
     """States of x[k+1] = A x[k] + v[k] from x[0] = x0.
 
-    Recursive doubling (Kogge and Stone, 1973): log2(n_samples) matrix products
-    instead of one small product a sample.
+    In blocks of some steps: their responses from rest take one matrix product a step for
+    all blocks at once, and the states at their starts follow from the same recursion with
+    a power of A. Few samples go by recursive doubling (Kogge and Stone, 1973).
 
     Parameters
     ----------
@@ -43,22 +47,51 @@ def propagate(A, forcing, x0):
     >>> propagate(np.array([[0.5]]), np.ones((4, 1)), np.zeros(1)).ravel().tolist()
     [0.0, 1.0, 1.5, 1.75]
     """
-    forcing = np.asarray(forcing)
-    A = np.asarray(A)
-    x0 = np.asarray(x0)
+    A, forcing, x0 = np.asarray(A), np.asarray(forcing), np.asarray(x0)
     x = np.empty(forcing.shape, dtype=np.result_type(A, forcing, x0, float))
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        _propagate(A, forcing, x0, x)
+    return x
+
+
+def _propagate(A, forcing, x0, x):
+    """Write the states into x."""
+    *batch, n_samples, n = x.shape
+    n_blocks = n_samples // BLOCK_STEPS
+    if n_blocks < LEAST_BLOCKS:
+        return _double(A, forcing, x0, x)
+    whole = n_blocks * BLOCK_STEPS
+    split = (*batch, n_blocks, BLOCK_STEPS, n)
+    v, out = forcing[..., :whole, :].reshape(split), x[..., :whole, :].reshape(split)
+    ends, starts = np.zeros((2, *batch, n_blocks + 1, n), dtype=x.dtype)
+    groups = [slice(b, min(b + GROUP, n_blocks)) for b in range(0, n_blocks, GROUP)]
+    for blocks in groups:
+        end = v[..., blocks, 0, :]
+        for k in range(1, BLOCK_STEPS):
+            end = end @ A.T + v[..., blocks, k, :]
+        ends[..., blocks, :] = end
+    _propagate(np.linalg.matrix_power(A, BLOCK_STEPS), ends, x0, starts)
+    for blocks in groups:
+        out[..., blocks, 0, :] = state = starts[..., blocks, :]
+        for k in range(1, BLOCK_STEPS):
+            state = state @ A.T + v[..., blocks, k - 1, :]
+            out[..., blocks, k, :] = state
+    if whole < n_samples:
+        _double(A, forcing[..., whole:, :], starts[..., n_blocks, :], x[..., whole:, :])
+
+
+def _double(A, forcing, x0, x):
+    """Recursive doubling: log2(n_samples) products of everything."""
     if x.shape[-2] == 0:
-        return x
+        return
     x[..., 0, :] = x0
     x[..., 1:, :] = forcing[..., :-1, :]
     power, step = A.T.copy(), 1
-    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        while step < x.shape[-2]:
-            if not np.any(power):
-                break  # nilpotent, or decayed below the smallest number
-            x[..., step:, :] += x[..., :-step, :] @ power
-            power, step = power @ power, 2 * step
-    return x
+    while step < x.shape[-2]:
+        if not np.any(power):
+            break  # nilpotent, or decayed below the smallest number
+        x[..., step:, :] += x[..., :-step, :] @ power
+        power, step = power @ power, 2 * step
 
 
 def continuous_to_discrete(A, B, dt):

@@ -1,0 +1,425 @@
+"""Lagged products of records: all that block Hankel matrices leave behind in RᵀR.
+
+With the channels z_k of row k (inputs, then outputs), the product of the Hankel matrix
+of 2i block rows and j columns with itself has the p × p blocks
+
+    G[a, b] = Σ_{k=0}^{j-1} z_{k+a} z_{k+b}ᵀ,    0 ≤ a ≤ b < 2i,   j = n − 2i + 1
+
+which is constant along block diagonals but for the ends of the record:
+
+    G[0, b]     = T[b] − Σ_{k=j}^{n-1-b} z_k z_{k+b}ᵀ,     T[b] = Σ_{k=0}^{n-1-b} z_k z_{k+b}ᵀ
+    G[a+1, b+1] = G[a, b] − z_a z_bᵀ + z_{j+a} z_{j+b}ᵀ
+
+So it takes the lag products T, n · 2i · p² products instead of n · (2i p)² / 2, and the
+products of the first and of the last 2i − 1 rows of each record among themselves. All
+three are sums over records: they add up in any order, and for fewer block rows they are
+parts of the same arrays. Records too short for all lags are kept as they are.
+
+Chunks of one record
+    Each row belongs to one chunk (a ``Stretch``), which is rounded once and on its own.
+    It takes its first and last 2i − 1 rows along; from these come the products across the
+    seam with the next chunk: ``join`` is associative, and ``closed`` turns the chunks of a
+    record into a summand.
+
+Sums in double are enough where noise keeps the columns of the factor apart. Exact sums,
+for data where these almost coincide, cut each channel into three slices of 18 bits beside
+its largest value, so that BLAS rounds nothing, and add up in double-double; what is left
+is one rounding of the data, 2⁻⁵⁴ of the channel's largest value.
+
+Work is done in chunks of some thousand rows, each seen by BLAS as matrices of overlapping
+rows in place: samples from row r, r + s, r + 2 s, … on do not overlap for s ≥ 2i. Products
+of several rows at a time keep a processor busier than those of one.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+
+from sklearn_hd._arithmetic import extremes
+from sklearn_hd.algorithms.double_double import (
+    N_SLICES,
+    PAIR_SLICES,
+    Pair,
+    product,
+    slices,
+    sum_of_slices,
+)
+
+__all__ = ["LagProducts", "Stretch", "lag_products", "power_exponents", "stretch"]
+
+CHUNK = 8192  # rows: they fit into a cache, the sums of their slices' products into 53 bits
+LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
+MOST_EXPONENT = 300  # of two
+TOGETHER = 24  # channels times rows on the left side of one product
+
+
+@dataclass(frozen=True)
+class LagProducts:
+    """Summed lag products of whole records.
+
+    Attributes
+    ----------
+    lags : Pair, shape (n_lags, p, p)
+        T[b], of channels divided by 2 to the power of ``exponents``.
+    head, tail : Pair, shape ((n_lags - 1) p, (n_lags - 1) p)
+        Products of the first, and of the last, n_lags − 1 rows of each record.
+    exponents : ndarray of int, shape (p,)
+    n_rows, n_records : int
+        Of the records summed.
+    short : tuple of ndarray, shapes (n_rows_s, p)
+        Records of fewer rows than lags, as they are.
+    """
+
+    lags: Pair
+    head: Pair
+    tail: Pair
+    exponents: np.ndarray
+    n_rows: int
+    n_records: int
+    short: tuple = ()
+
+    @property
+    def exact(self):
+        """Whether nothing but one rounding of the data was lost."""
+        return self.lags.low is not None
+
+    def __add__(self, other):
+        """Sum over the records of both, in any order."""
+        e = np.maximum(self.exponents, other.exponents)
+        a, b = self._with_exponents(e), other._with_exponents(e)
+        return LagProducts(
+            lags=a.lags + b.lags,
+            head=a.head + b.head,
+            tail=a.tail + b.tail,
+            exponents=e,
+            n_rows=a.n_rows + b.n_rows,
+            n_records=a.n_records + b.n_records,
+            short=a.short + b.short,
+        )
+
+    def _with_exponents(self, exponents):
+        change = self.exponents - exponents
+        if not change.any():
+            return self
+        return replace(
+            self,
+            lags=_times_powers(self.lags, change),
+            head=_times_powers(self.head, np.tile(change, len(self.lags) - 1)),
+            tail=_times_powers(self.tail, np.tile(change, len(self.lags) - 1)),
+            exponents=exponents,
+        )
+
+    def n_columns(self, n_block_rows):
+        """Number of Hankel columns that 2i block rows leave."""
+        short = sum(max(0, len(z) - n_block_rows + 1) for z in self.short)
+        return self.n_rows - self.n_records * (n_block_rows - 1) + short
+
+    def fewer(self, n_lags):
+        """The same for fewer lags, for which short records may be long enough.
+
+        Raises
+        ------
+        ValueError
+            If there are not so many lags.
+        """
+        if n_lags > len(self.lags):
+            raise ValueError(
+                f"products of {len(self.lags)} lags give no Hankel matrix of {n_lags} block rows; "
+                f"make them with n_lags={n_lags} or more"
+            )
+        if n_lags == len(self.lags):
+            return self
+        w = (n_lags - 1) * len(self.exponents)
+        first = len(self.tail) - w
+        kept = replace(
+            self,
+            lags=self.lags[:n_lags],
+            head=self.head[:w, :w],
+            tail=self.tail[first:, first:],
+            short=tuple(z for z in self.short if len(z) < n_lags),
+        )
+        longer = [(z,) for z in self.short if len(z) >= n_lags]
+        return kept + lag_products(longer, n_lags, self.exact) if longer else kept
+
+    def gram(self):
+        """Product of the Hankel matrix with itself.
+
+        Returns
+        -------
+        G : Pair, shape (n_lags p, n_lags p)
+            Upper triangle of blocks; (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by
+            their powers of two.
+        """
+        p = len(self.exponents)
+        tail = self.tail.map(lambda half: _block_diagonals(half, p))
+        head = self.head.map(lambda half: _block_diagonals(half, p))
+        first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1))
+        first = first - _running_sums(tail[:1], tail[1:])[-1]
+        rows = _running_sums(first[None], tail - head)
+        return rows.map(_from_block_diagonals)
+
+
+def _times_powers(products, exponents):
+    shift = exponents[:, None] + exponents
+    return products.map(lambda half: np.ldexp(half, shift))
+
+
+def _block_diagonals(products, p):
+    """Block rows from the diagonal on, the last n_lags − 1, side by side and zeros after them.
+
+    Returns
+    -------
+    rows : ndarray, shape (n_lags - 1, p, n_lags p)
+    """
+    size = len(products)
+    padded = np.zeros((size, 2 * size + p))
+    padded[:, :size] = products
+    return _sheared(padded, p, size + p)
+
+
+def _from_block_diagonals(rows):
+    """The upper triangle of blocks whose rows from the diagonal on are given."""
+    _, p, width = rows.shape
+    padded = np.zeros((width, 2 * width))
+    _sheared(padded, p, width)[...] = rows
+    return padded[:, :width]
+
+
+def _sheared(padded, p, width):
+    """View of block rows, each from its diagonal on."""
+    down, right = padded.strides
+    shape = (len(padded) // p, p, width)
+    return as_strided(padded, shape, (p * (down + right), down, right))
+
+
+def _running_sums(first, changes):
+    """first, first + changes[0], first + changes[0] + changes[1], …"""
+    sums = [first[0]]
+    for k in range(len(changes)):
+        sums.append(sums[-1] + changes[k])
+    return sums[0].map(lambda *halves: np.stack(halves), *sums[1:])
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Lag products of consecutive rows of a record, that others may follow.
+
+    Attributes
+    ----------
+    lags : Pair, shape (n_lags, p, p)
+        Of channels divided by 2 to the power of ``exponents``.
+    first, last : ndarray, shapes (min(n_rows, n_lags - 1), p)
+        Rows at both ends, as they were multiplied: rounded beside the largest value of
+        their own chunk, which may be smaller than that of others.
+    exponents : ndarray of int, shape (p,)
+    n_rows : int
+    """
+
+    lags: Pair
+    first: np.ndarray
+    last: np.ndarray
+    exponents: np.ndarray
+    n_rows: int
+
+    def join(self, later):
+        """This stretch and the rows right after it, as one."""
+        e = np.maximum(self.exponents, later.exponents)
+        kept, changes = len(self.lags) - 1, (self.exponents - e, later.exponents - e)
+        lags = _times_powers(self.lags, changes[0]) + _times_powers(later.lags, changes[1])
+        shift = changes[0][:, None] + changes[1]
+        seam = _seam(self, later).map(lambda half: np.ldexp(half, shift))
+        return Stretch(
+            lags=lags + seam,
+            first=np.vstack([self.first, later.first])[:kept],
+            last=np.vstack([self.last, later.last])[-kept:],
+            exponents=e,
+            n_rows=self.n_rows + later.n_rows,
+        )
+
+    def closed(self):
+        """The whole record as a summand."""
+        n_lags, exact = len(self.lags), self.lags.low is not None
+        if self.n_rows < n_lags:
+            return _nothing(n_lags, self.exponents, exact, (self.first,))
+        ends = [np.ldexp(rows, -self.exponents).reshape(1, -1) for rows in (self.first, self.last)]
+        ends = [product(rows, rows, exact, PAIR_SLICES) for rows in ends]
+        return LagProducts(self.lags, *ends, self.exponents, self.n_rows, 1)
+
+
+def _seam(earlier, later):
+    """Lag products of rows before the seam with rows after it, shape (n_lags, p, p)."""
+    before = np.ldexp(earlier.last, -earlier.exponents)
+    after = np.ldexp(later.first, -later.exponents)
+    n_before, n_after, exact = len(before), len(after), later.lags.low is not None
+    lags = []
+    for lag in range(len(earlier.lags)):
+        start = max(0, n_before - lag)
+        stop = max(start, min(n_before, n_before + n_after - lag))
+        to = slice(start + lag - n_before, stop + lag - n_before)
+        lags.append(product(before[start:stop], after[to], exact, PAIR_SLICES))
+    return lags[0].map(lambda *halves: np.stack(halves), *lags[1:])
+
+
+def stretch(signals, n_lags, exact):
+    """Lag products of consecutive rows of one record.
+
+    Parameters
+    ----------
+    signals : tuple of ndarray, shapes (n_rows, p_s)
+        Side by side they are the channels.
+    n_lags : int
+        Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
+    exact : bool
+        Exact sums instead of sums in double.
+
+    Returns
+    -------
+    stretch : Stretch
+    """
+    exponents = power_exponents([signals])
+    ends = [np.hstack([z[part] for z in signals]) for part in _ends(n_lags)]
+    if exact:
+        ends = [slices(np.ldexp(rows, -exponents), N_SLICES).sum(axis=0) for rows in ends]
+        ends = [np.ldexp(rows, exponents) for rows in ends]
+    lags = _lag_sums([signals], n_lags, exponents, exact)
+    return Stretch(lags, *ends, exponents, len(signals[0]))
+
+
+def lag_products(records, n_lags, exact):
+    """Lag products of whole records.
+
+    Parameters
+    ----------
+    records : list of tuple of ndarray, shapes (n_rows_s, p_s)
+        The arrays of a record, side by side, are its channels.
+    n_lags : int
+        Block rows 2i, past and future, of the Hankel matrix to come; at least 2.
+    exact : bool
+        Exact sums instead of sums in double.
+
+    Returns
+    -------
+    products : LagProducts
+
+    Examples
+    --------
+    >>> z = np.array([[1.0], [2.0], [3.0], [4.0]])
+    >>> products = lag_products([(z,)], 2, exact=True)  # of 1, 2, 3 and 4 in parts of 8
+    >>> (64 * products.gram().high).tolist()
+    [[14.0, 20.0], [0.0, 29.0]]
+    """
+    exponents = power_exponents(records) if exact else np.zeros(_n_channels(records[0]), int)
+    short = tuple(np.hstack(signals) for signals in records if len(signals[0]) < n_lags)
+    long = [signals for signals in records if len(signals[0]) >= n_lags]
+    if not long:
+        return _nothing(n_lags, exponents, exact, short)
+    lags = _lag_sums(long, n_lags, exponents, exact)
+    if not exact and not _within_range(lags.high[0]):
+        exponents = power_exponents(records)
+        if np.max(np.abs(exponents)) > MOST_EXPONENT:  # else a channel is at rest
+            lags = _lag_sums(long, n_lags, exponents, exact)
+        else:
+            exponents = np.zeros_like(exponents)
+    ends = []
+    for part in _ends(n_lags):
+        rows = [np.hstack([z[part] for z in signals]) for signals in long]
+        rows = np.ldexp(np.stack(rows), -exponents).reshape(len(long), -1)
+        ends.append(product(rows, rows, exact))
+    n_rows = sum(len(signals[0]) for signals in long)
+    return LagProducts(lags, *ends, exponents, n_rows, len(long), short)
+
+
+def _within_range(products):
+    """Whether squares have neither over- nor underflown."""
+    squares = np.diagonal(products)
+    return np.all((squares > LEAST_SQUARE) & (squares < 1.0 / LEAST_SQUARE))
+
+
+def _n_channels(signals):
+    return sum(z.shape[1] for z in signals)
+
+
+def power_exponents(records):
+    """Whole powers of two just above the largest value of each channel."""
+    ends = [np.hstack([extremes(z) for z in signals]) for signals in records]
+    largest = np.max(np.abs(ends), axis=(0, 1))
+    return np.where(largest > 0.0, np.frexp(largest)[1], 0)
+
+
+def _ends(n_lags):
+    return slice(0, n_lags - 1), slice(-(n_lags - 1), None)
+
+
+def _nothing(n_lags, exponents, exact, short):
+    """The sum over no record of all lags."""
+
+    def zeros(*shape):
+        return Pair(np.zeros(shape), np.zeros(shape) if exact else None)
+
+    p = len(exponents)
+    width = (n_lags - 1) * p
+    ends = zeros(width, width), zeros(width, width)
+    return LagProducts(zeros(n_lags, p, p), *ends, exponents, 0, 0, short)
+
+
+def _lag_sums(records, n_lags, exponents, exact):
+    """Σ_k z_k z_{k+b}ᵀ within each record, b = 0 … n_lags − 1."""
+    p = len(exponents)
+    width = p * N_SLICES if exact else p
+    together = max(4, min(TOGETHER // width, n_lags // 4))
+    span = n_lags + together - 1
+    period = -(-span // together) * together
+    chunk = max(CHUNK // period, 1) * period
+    factor, buffer = np.ldexp(1.0, -exponents), np.empty((chunk + span, p))
+    factor = factor if exponents.any() else None
+    zeros = np.zeros((n_lags, p, p))
+    total = Pair(zeros, zeros if exact else None)
+    for signals in records:
+        n = len(signals[0])
+        for start in range(0, n, chunk):
+            size = min(chunk, -(-(n - start) // period) * period)
+            rows = _fill(buffer[: size + span], signals, start, factor)
+            if exact:
+                rows = np.stack(slices(rows, N_SLICES), axis=1).reshape(len(rows), width)
+            with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # seen to after
+                sums = _overlapping(rows, size, together, span, period)
+            sums = sum(sums[a, :, a : a + n_lags] for a in range(together))
+            total = total + _by_lag(sums, p, exact)
+    return total
+
+
+def _fill(buffer, signals, start, factor):
+    """Rows of all signals from one on, zeros after the last."""
+    rows = min(len(buffer), len(signals[0]) - start)
+    channels = [channel for z in signals for channel in z.T]  # each by itself: 5 × faster
+    for c, channel in enumerate(channels):
+        buffer[:rows, c] = channel[start : start + rows]
+        if factor is not None:
+            buffer[:rows, c] *= factor[c]
+    buffer[rows:] = 0.0
+    return buffer
+
+
+def _overlapping(rows, size, together, span, period):
+    """Sums of the products of each ``together`` rows with the ``span`` rows from there on.
+
+    Returns
+    -------
+    sums : ndarray, shape (together, width, span, width)
+    """
+    width, item = rows.shape[1], rows.itemsize
+    shape = (period // together, size // period, span * width)
+    strides = (together * width * item, period * width * item, item)
+    windows = as_strided(rows, shape, strides)
+    left = windows[:, :, : together * width].transpose(0, 2, 1)
+    return np.matmul(left, windows).sum(axis=0).reshape(together, width, span, width)
+
+
+def _by_lag(sums, p, exact):
+    """[channel, lag, channel] as [lag, channel, channel], slices put together."""
+    sums = sums.transpose(1, 0, 2)
+    if not exact:
+        return Pair(sums)
+    parts = sums.reshape(len(sums), N_SLICES, p, N_SLICES, p).transpose(1, 3, 0, 2, 4)
+    return sum_of_slices(parts)

@@ -1,0 +1,164 @@
+"""Laws of the least squares for B, D and the initial states."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from conftest import random_stable
+from scipy import linalg
+
+from sklearn_hd.algorithms import block_responses
+from sklearn_hd.algorithms import input_matrices as module
+from sklearn_hd.algorithms.block_responses import response_basis
+from sklearn_hd.algorithms.input_matrices import input_matrices, response_regressors
+from sklearn_hd.algorithms.simulation import propagate
+
+JORDAN = linalg.block_diag([[0.98, 1.0], [0.0, 0.98]], [[0.6, 0.4], [-0.4, 0.6]], -0.3)
+SPLIT = JORDAN + np.diag([0.0, 1e-7, 0.0, 0.0, 0.0])
+TWINS = np.diag([0.9, 0.9, 0.5, 0.5, -0.2])
+SLOW = np.diag([0.99999, 0.9, 0.2, -0.7, 0.4])
+INTEGRATOR = np.diag([1.0, 0.9, 0.2, -0.7, 0.4])
+
+
+def model(rng, A, feedthrough, m=2, n_outputs=3):
+    n = len(A)
+    T = linalg.qr(rng.standard_normal((n, n)))[0]
+    D = rng.standard_normal((n_outputs, m)) * feedthrough
+    return T @ A @ T.T, rng.standard_normal((n, m)), rng.standard_normal((n_outputs, n)), D
+
+
+def simulate(A, B, C, D, u, x0):
+    return propagate(A, u @ B.T, x0) @ C.T + u @ D.T
+
+
+def dense(A, C, inputs, outputs, feedthrough):
+    """The whole least-squares problem at once: B, D and every initial state."""
+    n, m, count = len(A), inputs[0].shape[1], len(inputs)
+    rows = []
+    for s, u in enumerate(inputs):
+        free, forced = response_regressors(A, C, u, feedthrough)
+        own = np.zeros((*free.shape[:2], n * count))
+        own[..., n * s : n * (s + 1)] = free
+        rows.append(
+            np.concatenate([forced, own], axis=-1).reshape(-1, forced.shape[-1] + n * count)
+        )
+    X, y = np.vstack(rows), np.concatenate([y.reshape(-1) for y in outputs])
+    theta, rest = linalg.lstsq(X, y)[:2]
+    n_forced = X.shape[1] - n * count
+    D = theta[n * m : n_forced].reshape(-1, m) if feedthrough else np.zeros((len(C), m))
+    return theta[: n * m].reshape(n, m), D, theta[n_forced:].reshape(count, n), float(rest)
+
+
+@pytest.mark.parametrize("feedthrough", [False, True])
+@pytest.mark.parametrize("A", [JORDAN, SPLIT, TWINS, SLOW, INTEGRATOR], ids=str)
+def test_compressed_records_give_the_least_squares_solution(rng, A, feedthrough):
+    """Long records, whole blocks or not, beside short ones; noise, so that all weights count."""
+    A, B, C, D = model(rng, A, feedthrough)
+    inputs = [rng.standard_normal((n, 2)) for n in (3003, 40, 2000)]
+    assert response_basis(A, C).block(2000, 2) > 1
+    assert response_basis(A, C).block(40, 2) == 0
+    starts = rng.standard_normal((3, 5))
+    outputs = [simulate(A, B, C, D, u, x) for u, x in zip(inputs, starts, strict=True)]
+    outputs = [y + 0.1 * rng.standard_normal(y.shape) for y in outputs]
+    found = input_matrices(A, C, inputs, outputs, feedthrough, return_residual=True)
+    for one, other in zip(found, dense(A, C, inputs, outputs, feedthrough), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("A", [JORDAN, TWINS, SLOW], ids=str)
+def test_compressed_records_without_noise_give_the_model_back(rng, A):
+    A, B, C, D = model(rng, A, True)
+    u, x0 = rng.standard_normal((4000, 2)), rng.standard_normal(5)
+    y = simulate(A, B, C, D, u, x0)
+    found = input_matrices(A, C, [u], [y], True, return_residual=True)
+    responses = [simulate(A, b, C, d, u[:300], x[0]) for b, d, x in [found[:3]]]
+    np.testing.assert_allclose(responses[0], y[:300], atol=1e-9 * np.abs(y).max())
+    np.testing.assert_allclose(found[1], D, atol=1e-9)
+    assert found[3] < (1e-10 * linalg.norm(y)) ** 2
+
+
+@pytest.mark.parametrize("block", block_responses.BLOCKS)
+def test_blocks_of_any_length_give_the_same(rng, monkeypatch, block):
+    A, B, C, D = model(rng, JORDAN, True)
+    u = rng.standard_normal((3001, 2))
+    y = simulate(A, B, C, D, u, rng.standard_normal(5)) + 0.1 * rng.standard_normal((3001, 3))
+    monkeypatch.setattr(block_responses, "BLOCKS", (block,))
+    found = input_matrices(A, C, [u], [y], True, return_residual=True)
+    for one, other in zip(found, dense(A, C, [u], [y], True), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
+
+
+def test_powers_are_those_of_the_basis(rng):
+    """A^k in the numbers of the basis: F^k g, for eigenvalues that no diagonal form parts."""
+    A, _, _, _ = model(rng, JORDAN, False)
+    basis = response_basis(A, np.eye(5))
+    assert len(basis.g) == 5
+    for k in (0, 1, 7, 60):
+        numbers = np.linalg.matrix_power(basis.F, k) @ basis.g
+        np.testing.assert_allclose(basis.seen @ numbers, np.linalg.matrix_power(A, k), atol=1e-9)
+
+
+def test_eigenvalues_too_many_to_part_have_no_basis():
+    assert response_basis(np.eye(8, k=1) + 0.5 * np.eye(8), np.ones((1, 8))) is None
+
+
+def test_a_static_gain_needs_no_states(rng):
+    u = rng.standard_normal((2000, 2))
+    D = rng.standard_normal((1, 2))
+    B, found, x0 = input_matrices(np.zeros((0, 0)), np.zeros((1, 0)), [u], [u @ D.T], True)
+    np.testing.assert_allclose(found, D, atol=1e-12)
+    assert B.shape == (0, 2)
+    assert x0.shape == (1, 0)
+
+
+@pytest.mark.parametrize("observed", [False, True])
+def test_chunks_give_the_same_as_all_rows_at_once(rng, monkeypatch, observed):
+    A, B, C = random_stable(rng, 4, 2, 3)
+    u = rng.standard_normal((900, 2))
+    y = simulate(A, B, C, np.zeros((3, 2)), u, rng.standard_normal(4))
+    observe = None
+    if observed:
+        observe = [rng.standard_normal((900, 1, 3))]
+        y = np.einsum("kqo,ko->kq", observe[0], y)
+    y = y + 0.1 * rng.standard_normal(y.shape)
+    monkeypatch.setattr(block_responses.ResponseBasis, "block", lambda *_: 0)
+    whole = input_matrices(A, C, [u], [y], True, observe, return_residual=True)
+    monkeypatch.setattr(module, "CHUNK_BYTES", 0)
+    for one, other in zip(
+        input_matrices(A, C, [u], [y], True, observe, return_residual=True), whole, strict=True
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
+
+
+def test_scales_weigh_outputs_and_units_of_inputs_alike(rng):
+    A, B, C = random_stable(rng, 4, 2, 3)
+    for n in (300, 3000):
+        u = rng.standard_normal((n, 2))
+        y = simulate(A, B, C, np.zeros((3, 2)), u, np.zeros(4)) + rng.standard_normal((n, 3))
+        scales = np.array([1e-3, 7.0]), np.array([1e3, 1.0, 0.3])
+        expected = input_matrices(A, C, [u / scales[0]], [y / scales[1]], True)
+        for one, other in zip(
+            input_matrices(A, C, [u], [y], True, scales=scales), expected, strict=True
+        ):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_a_start_that_one_sample_cannot_tell_is_the_smallest(rng):
+    A, B, C = random_stable(rng, 4, 1, 2)
+    inputs = [rng.standard_normal((200, 1)), np.zeros((1, 1))]
+    outputs = [simulate(A, B, C, np.zeros((2, 1)), inputs[0], np.ones(4)), np.ones((1, 2))]
+    B_found, _, x0 = input_matrices(A, C, inputs, outputs, False)
+    np.testing.assert_allclose(B_found, B, atol=1e-9)
+    np.testing.assert_allclose(C @ x0[1], np.ones(2), atol=1e-9)
+    assert linalg.norm(x0[1]) < 10 * linalg.norm(linalg.pinv(C) @ np.ones(2))
+
+
+def test_no_equation_as_long_as_the_record_is_kept(rng):
+    A, B, C = random_stable(rng, 6, 2, 2)
+    u = rng.standard_normal((100_000, 2))
+    y = simulate(A, B, C, np.zeros((2, 2)), u, np.zeros(6)) + rng.standard_normal((100_000, 2))
+    tracemalloc.start()
+    input_matrices(A, C, [u], [y], True)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * y.size * (6 * 2 + 2 * 2 + 6) / 5
