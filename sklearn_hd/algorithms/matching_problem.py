@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.hinf import hinf_norm
+from sklearn_hd.algorithms.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
 from sklearn_hd.algorithms.weighting import Weighting, fixed_model
 
@@ -22,6 +22,7 @@ __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
+_RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _ROUNDING = 1e-13  # of a pole, relative to the largest
 _RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
 # structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
@@ -165,7 +166,18 @@ class MatchingProblem:
         """Exact relative norm of the error and its frequency; (inf, nan) if G_s is unstable."""
         if self.abscissa(theta) >= 0:
             return np.inf, np.nan
-        return hinf_norm(*self.error_model(theta))
+        value, peak = hinf_norm(*self.error_model(theta))
+        gains = self.gains(theta, self.grid)
+        low, high = self._brackets(gains, _RIVAL * value)
+        if len(low) == 0:
+            return value, peak
+        frequencies, values = refine_peaks(lambda w: self.gains(theta, w), low, high)
+        frequencies, values = np.append(frequencies, np.inf), np.append(values, gains[-1])
+        if np.isfinite(peak):
+            frequencies = np.append(frequencies, peak)
+            values = np.append(values, self.gains(theta, [peak]))
+        best = np.argmax(values)
+        return float(values[best]), float(frequencies[best])
 
     def abscissa(self, theta):
         """Largest real part among the poles of G_s(θ), plus what rounding may hide of it."""
@@ -209,20 +221,21 @@ class MatchingProblem:
     def active_frequencies(self, theta, value, extra=()):
         """Frequencies where the gain of E is within a factor 2 of F, local peaks resolved."""
         gains = self.gains(theta, self.grid)
+        low, high = self._brackets(gains, 0.0)
+        peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high)
+        width = 0.02 * (high - low)
+        peaks = np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
+        near = self.grid[gains >= 0.5 * value]
+        return np.unique(np.concatenate([near, peaks, extra]))
+
+    def _brackets(self, gains, least):
+        """Between what neighbours on the grid its local maxima above some gain lie."""
         padded = np.concatenate([[-np.inf], gains, [-np.inf]])
-        tops = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
+        tops = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]) & (gains >= least))
         low = self.grid[np.maximum(tops - 1, 0)]
         high = self.grid[np.minimum(tops + 1, len(self.grid) - 1)]
         high = np.where(np.isfinite(high), high, 10.0 * self.grid[-2])
-        low = np.minimum(low, high)
-        for _ in range(3):
-            points = np.linspace(low, high, 9, axis=1)
-            best = np.argmax(self.gains(theta, points), axis=1)
-            rows = np.arange(len(points))
-            low, high = points[rows, np.maximum(best - 1, 0)], points[rows, np.minimum(best + 1, 8)]
-        peaks = np.concatenate([points[rows, best], low, high])
-        near = self.grid[gains >= 0.5 * value]
-        return np.unique(np.concatenate([near, peaks, extra]))
+        return np.minimum(low, high), high
 
     def orthonormal_directions(self, theta):
         """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long."""
