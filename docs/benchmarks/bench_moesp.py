@@ -353,6 +353,8 @@ def save(rows, folder):
         writer.writeheader()
         writer.writerows(rows)
     kinds = [kind for kind in ("easy", "noisy", "hard") if any(r["data"] == kind for r in rows)]
+    if not kinds:
+        return
     figure, axes = plt.subplots(
         1, len(kinds), figsize=(4 * len(kinds) + 1, 4), sharey=True, squeeze=False
     )

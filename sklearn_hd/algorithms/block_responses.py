@@ -29,7 +29,7 @@ from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 __all__ = ["ResponseBasis", "compressed_equations", "response_basis"]
 
 BLOCKS = (2, 3, 4, 6, 8, 12, 16)  # samples
-ROUND = 2048  # blocks, whose states are found together
+ROUND = 1024  # blocks, whose states are found together
 GROUP = 1024  # blocks, multiplied together
 STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
 STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
