@@ -22,6 +22,7 @@ import csv
 import json
 import os
 import platform
+import re
 import resource
 import shutil
 import subprocess
@@ -239,7 +240,12 @@ OURS = ("kernel", "kernel, A and C", "MOESPRegressor")
 
 def peak_memory():
     """Largest resident size of this process so far, bytes."""
-    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    status = Path("/proc/self/status")
+    if status.exists():  # there ru_maxrss begins with the size of the process that started this one
+        found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text(encoding="utf-8"))
+        return 1024 * int(found.group(1))
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def work(peer, folder, kind, repeats):
@@ -347,6 +353,8 @@ def save(rows, folder):
         writer.writeheader()
         writer.writerows(rows)
     kinds = [kind for kind in ("easy", "noisy", "hard") if any(r["data"] == kind for r in rows)]
+    if not kinds:
+        return
     figure, axes = plt.subplots(
         1, len(kinds), figsize=(4 * len(kinds) + 1, 4), sharey=True, squeeze=False
     )

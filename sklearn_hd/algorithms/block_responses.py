@@ -29,7 +29,7 @@ from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 __all__ = ["ResponseBasis", "compressed_equations", "response_basis"]
 
 BLOCKS = (2, 3, 4, 6, 8, 12, 16)  # samples
-ROUND = 2048  # blocks, whose states are found together
+ROUND = 1024  # blocks, whose states are found together
 GROUP = 1024  # blocks, multiplied together
 STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
 STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
@@ -229,8 +229,11 @@ class _Record:
                 inputs = rows[:, n_states : n_states + self.n_inputs * self.block]
                 rows[:, :q] = 0.0
                 np.matmul(inputs, self.forced, out=rows[:, q:n_states])
-            states = Z[:, :n_states].reshape(len(Z), self.n_inputs + 1, q)
-            self.state = _run(self.step, states, self.state)
+            if np.max(np.abs(self.state[0]), initial=0.0) <= PULSE_OVER:
+                self.state[0] = 0.0
+            begin = 0 if self.state[0].any() else 1
+            states = Z[:, begin * q : n_states].reshape(len(Z), -1, q)
+            self.state[begin:] = _run(self.step, states, self.state[begin:])
             for first in range(0, len(Z), GROUP):
                 yield Z[first : first + GROUP]
 
