@@ -137,14 +137,21 @@ class NormReport:
     @property
     def sensitivity_(self):
         """Singular values of the response's sensitivity to the parameters, as a Series."""
-        check_is_fitted(self)
-        return pd.Series(self._singular_values, name="singular_value")
+        return pd.Series(self._sizes("sensitivity_"), name="singular_value")
 
     @property
     def rank_(self):
         """Number of independent combinations of parameters that the outputs determine."""
+        return numerical_rank(self._sizes("rank_"))
+
+    def _sizes(self, what):
         check_is_fitted(self)
-        return numerical_rank(self._singular_values)
+        if len(self._singular_values) == 0:
+            raise AttributeError(
+                f"{what} is there after a match in a norm only; fit with a structure and "
+                f"criterion='hinf', 'h2' or 'least_squares'"
+            )
+        return self._singular_values
 
 
 class ParameterReport:

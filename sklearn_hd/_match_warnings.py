@@ -63,7 +63,7 @@ def warn_matched(result, settings, n_found, n_wanted):
     if not result.converged:
         name = {"hinf": "H-infinity", "h2": "H2", "least_squares": "least-squares"}
         _warn(
-            f"the {name[settings.criterion]} match stopped after {result.n_iter} iterations at a "
+            f"the {name[settings.criterion]} match stopped after {result.n_iter} steps at a "
             f"relative error of {result.relative_error:.3g}; it could still fall by "
             f"{result.predicted_decrease:.2g} of itself where tol={settings.search['tol']:g} was "
             f"asked for; raise max_iter or n_starts",

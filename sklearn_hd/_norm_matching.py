@@ -52,6 +52,7 @@ class NormSettings:
             bounds=bounds,
             output_weights=scales[0] * outputs.constants,
             input_weights=scales[1] * inputs.constants,
+            emphasis=(outputs.constants, inputs.constants),
             output_filter=outputs.filter,
             input_filter=inputs.filter,
             **self.search,

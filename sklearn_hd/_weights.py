@@ -6,6 +6,7 @@ from numbers import Real
 
 import control
 import numpy as np
+import pandas as pd
 from scipy import linalg, signal
 
 _ALLOWED = (
@@ -46,8 +47,8 @@ def read_weights(name, given, channels):
     """
     if given is None:
         return ChannelWeights(np.ones(len(channels)))
-    if isinstance(given, Mapping):
-        return _by_channel(name, given, list(channels))
+    if isinstance(given, Mapping | pd.Series):
+        return _by_channel(name, dict(given), list(channels))
     if isinstance(given, Real) and not isinstance(given, bool):
         given = [given] * len(channels)
     if _is_system(given):
@@ -97,7 +98,8 @@ _ONE = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
 
 def _is_system(given):
     known = control.StateSpace | control.TransferFunction | signal.lti | signal.dlti
-    return isinstance(given, known) or (isinstance(given, tuple) and len(given) == 4)
+    four = isinstance(given, tuple) and len(given) == 4
+    return isinstance(given, known) or (four and not all(isinstance(each, Real) for each in given))
 
 
 def _matrices(name, system):
@@ -121,6 +123,14 @@ def _matrices(name, system):
         ) from error
     if A.size == 0:
         A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0))
+    shapes = [matrix.shape for matrix in (A, B, C, D)]
+    n, channels = len(A), len(D)
+    fitting = shapes == [(n, n), (n, channels), (channels, n), (channels, channels)]
+    if not (fitting and all(np.all(np.isfinite(matrix)) for matrix in (A, B, C, D))):
+        raise ValueError(
+            f"{name} has matrices of shapes {shapes}, which must be finite and those of a square "
+            f"system; give {_ALLOWED}"
+        )
     poles = linalg.eigvals(A) if len(A) else np.empty(0)
     if np.any(poles.real >= 0):
         worst = np.real_if_close(poles[np.argmax(poles.real)])
@@ -133,14 +143,4 @@ def _matrices(name, system):
 
 def _together(systems):
     """Side by side, each on channels of its own."""
-    parts = zip(*systems, strict=True)
-    return tuple(_block_diagonal(matrices) for matrices in parts)
-
-
-def _block_diagonal(matrices):
-    """As scipy.linalg.block_diag, and right for matrices without rows or columns."""
-    rows, columns = (np.cumsum([0, *(M.shape[k] for M in matrices)]) for k in (0, 1))
-    whole = np.zeros((rows[-1], columns[-1]))
-    for k, M in enumerate(matrices):
-        whole[rows[k] : rows[k + 1], columns[k] : columns[k + 1]] = M
-    return whole
+    return tuple(linalg.block_diag(*matrices) for matrices in zip(*systems, strict=True))

@@ -68,7 +68,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     scale : bool, default=True
         Whether to scale the channels beside these weights, each output by the size of its
         row of G_c, each input by that of its column; without, the units of the model
-        decide which channel is matched.
+        decide which channel is matched. In the mean square channels always count alike,
+        but for the numbers given as weights.
     n_starts : int, default=6
         Largest number of starts tried where no exact match is found.
     n_jobs : int or None, default=None
@@ -283,6 +284,11 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         ).by(result)
 
     def _match_affine(self, model, affine, initial=None, bounds=None):
+        if affine.n_parameters == 0:
+            raise ValueError(
+                f"the structure has no free parameter, so there is nothing to match: let entries "
+                f"be NaN or names, or free some of those fixed, {list(self.structure.fixed)}"
+            )
         settings = NormSettings(
             criterion="least_squares" if self.criterion == "output_error" else self.criterion,
             scale=self.scale,
@@ -404,11 +410,6 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     def _checked_structure(self, model):
         """The structure, after checking that it fits the model."""
         structure = self.structure
-        if structure.n_parameters == 0:
-            raise ValueError(
-                f"the structure has no free parameter, so there is nothing to match: let entries "
-                f"be NaN or names, or free some of those fixed, {list(structure.fixed)}"
-            )
         for what, given, there in (
             ("inputs", structure.n_inputs, model.input_names),
             ("outputs", structure.n_outputs, model.output_names),

@@ -51,6 +51,14 @@ def test_second_order_resonance(damping):
     assert frequency == pytest.approx(7.0 * np.sqrt(1 - 2 * damping**2), rel=1e-5)
 
 
+@pytest.mark.parametrize("frequency", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("damping", [1e-9, 1e-12])
+def test_pole_next_to_the_axis(frequency, damping):
+    norm, peak = hinf_norm(*oscillator(frequency, damping))
+    assert norm == pytest.approx(1 / (2 * damping), rel=1e-3)  # the pole itself is rounded
+    assert peak == pytest.approx(frequency, rel=1e-6)
+
+
 def test_static_gain_has_the_norm_of_its_matrix():
     D = np.array([[3.0, 0.0], [0.0, -4.0], [0.0, 0.0]])
     norm, frequency = hinf_norm(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), D)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, optimize
 
 from sklearn_hd.algorithms.h2_matching import h2_error, quadrature
 from sklearn_hd.algorithms.hinf import h2_norm, hinf_norm
@@ -222,6 +222,25 @@ def test_feedthrough_is_that_of_the_model_or_refused():
         match("h2", model, free, theta0=[0.3, 2.0, 0.2, 0.1], bounds=bounds)
 
 
+def test_feedthrough_is_free_under_weights_that_vanish_at_infinity():
+    """Against a search in the norm by Gramians, which knows nothing of the constraint."""
+    model = np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.eye(2, 1), np.eye(1, 2), np.zeros((1, 1))
+    structure = MatrixStructure([["-a"]], [["b"]], [[1.0]], [["d"]])
+    options = {"output_filter": lag(2.0, 1), "theta0": [1.0, 1.0, 0.0]}
+    result = match("h2", model, structure, **options)
+    problem = MatchingProblem.build(
+        *model, structure.affine, {"output_filter": options["output_filter"]}
+    )
+    rival = optimize.minimize(
+        lambda theta: h2_norm(*problem.error_model(theta)) if theta[0] > 0 else 1e3,
+        [1.0, 1.0, 0.0],
+        method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000},
+    )
+    assert result.h2_error == pytest.approx(rival.fun * problem.unit, rel=1e-7)
+    assert abs(result.theta[2]) > 1e-3
+
+
 def test_h2_error_is_infinite_where_feedthrough_is_left():
     A, B, C, _ = OSCILLATORS
     result = match("hinf", (A, B, C, 0.3 * np.eye(2)))
@@ -258,6 +277,34 @@ def test_certificate_refuses_a_point_that_is_not_stationary():
     problem = MatchingProblem.build(*OSCILLATORS, SECOND_ORDER.affine)
     certificate = certify(problem, START, problem.peak(START)[0])
     assert certificate.distance + certificate.predicted_decrease > 1e-2
+
+
+def test_a_search_that_is_cut_short_is_not_called_converged():
+    for seed in range(10):
+        start = START * np.random.default_rng(seed).uniform(0.7, 1.3, 5)
+        result = match(theta0=start, max_iter=1, n_starts=0)
+        assert result.converged == (result.certificate.predicted_decrease <= 1e-4)
+
+
+def test_static_gain_without_a_start():
+    """|1/(1 + jω) − d| is least for d = 1/2."""
+    structure = MatrixStructure(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [["d"]])
+    result = match("hinf", ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), structure, theta0=None)
+    assert result.theta[0] == pytest.approx(0.5, abs=1e-7)
+
+
+def test_every_parameter_that_is_not_determined_is_named():
+    """A change of state that C does not see moves all of A and B, large entries or small."""
+    A, B, _, D = OSCILLATORS
+    A = A * np.array([[1.0, 1e-3, 1.0], [1e3, 1.0, 1e3], [1.0, 1e-3, 1.0]])
+    structure = MatrixStructure(np.full((3, 3), NAN), np.full((3, 2), NAN), np.eye(2, 3))
+    model = A, B, np.eye(2, 3), D
+    start = np.concatenate([A.ravel(), B.ravel()])
+    result = match("least_squares", model, structure, theta0=start)
+    # the third state is free up to x3 → a x1 + b x2 + c x3: rows one and two of B are seen
+    assert set(structure.parameter_names) - set(result.unidentified) == {
+        "B[0,0]", "B[0,1]", "B[1,0]", "B[1,1]"
+    }  # fmt: skip
 
 
 def test_starts_in_parallel_give_the_same_match():

@@ -67,7 +67,7 @@ def test_what_a_match_reports(identified, record, criterion):
     top = linalg.norm(gap(matcher, matcher.peak_frequency_)[0], 2)
     assert top == pytest.approx(largest, rel=1e-6)
     assert np.isfinite(matcher.h2_error_)
-    assert matcher.optimality_ < 1e-5
+    assert matcher.optimality_ < 1e-4
     assert matcher.rank_ == len(matcher.sensitivity_) == 5
     history = matcher.history_
     assert list(history.columns) == ["stage", "error"]
@@ -116,12 +116,15 @@ def test_weights_in_every_form_are_the_same_weight(identified, record, weight):
     assert at_rest[0] < at_rest[1]
 
 
-@pytest.mark.parametrize("weight", [{"v": 50.0}, [1.0, 50.0]])
-def test_a_channel_that_weighs_more_is_matched_better(identified, record, weight):
+@pytest.mark.parametrize("criterion", ["hinf", "h2", "least_squares"])
+@pytest.mark.parametrize(
+    "weight", [{"v": 50.0}, [1.0, 50.0], pd.Series({"v": 50.0, "x": 1.0})], ids=type
+)
+def test_a_channel_that_weighs_more_is_matched_better(identified, record, weight, criterion):
     frequencies = np.geomspace(1e-2, 1e2, 500)
     errors = {}
     for name, weights in {"plain": None, "weighed": weight}.items():
-        matcher = match(identified, record, output_weights=weights)
+        matcher = match(identified, record, output_weights=weights, criterion=criterion)
         errors[name] = np.abs(gap(matcher, frequencies)).max(axis=(0, 2))
     assert errors["weighed"][1] < errors["plain"][1]
     assert errors["weighed"][0] > errors["plain"][0]
@@ -147,6 +150,11 @@ def test_one_number_for_all_channels_changes_no_parameter(identified, record):
         ({"output_weights": control.tf([1, 0, 0], [1, 1])}, "has no state-space form"),
         ({"output_weights": control.ss(-1, [[1, 1, 1]], np.ones((3, 1)), 0)}, "has 3 inputs and 3"),
         ({"output_weights": {"x": control.ss(-1, [[1, 1]], np.ones((2, 1)), 0)}}, "one of each"),
+        (
+            {"output_weights": (np.eye(2), np.ones((3, 1)), [[1]], [[1]])},
+            "must be finite and those",
+        ),
+        ({"output_weights": (1.0, 2.0, 3.0, 4.0)}, r"is not understood for \['x', 'v'\]"),
         ({"criterion": "H_2"}, "criterion='H_2'"),
         ({"n_jobs": "many"}, "n_jobs"),
     ],
@@ -174,11 +182,20 @@ def test_a_structure_without_parameters_is_refused(identified, record):
         match(identified, record, structure)
 
 
+def test_rounding_in_the_feedthrough_is_no_feedthrough(record):
+    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(*record))
+    assert 0.0 < np.abs(model.estimator.system_.D).max() < 1e-12
+    assert np.isfinite(match(model, record, criterion="h2").h2_error_)
+
+
 def test_feedthrough_that_decides_the_error_is_named(record):
     u, y = record
     y = y + 5.0 * u.to_numpy()
     model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(u, y))
-    with pytest.warns(IdentifiabilityWarning, match="entries of D that are fixed leave"):
+    with (  # the best parameters lie at infinity
+        pytest.warns(ConvergenceWarning, match="it could still fall by"),
+        pytest.warns(IdentifiabilityWarning, match="entries of D that are fixed leave"),
+    ):
         match(model, (u, y), tol=1e-6)
     with pytest.raises(ValueError, match="the H2 norm is infinite: the model's D = "):
         match(model, (u, y), criterion="h2")
@@ -208,7 +225,8 @@ def test_structure_none_reports_nothing_in_a_norm(identified, record):
     assert np.isnan(matcher.hinf_error_)
     assert matcher.history_.empty
     assert matcher.peaks_.empty
-    assert matcher.rank_ == 0
+    with pytest.raises(AttributeError, match="rank_ is there after a match in a norm only"):
+        _ = matcher.rank_
 
 
 def test_weights_have_no_part_in_the_closed_form():

@@ -22,7 +22,7 @@ __all__ = ["H2Fit", "h2_error", "minimise_h2", "quadrature"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _ELLIPSE = 2.2  # size of the Bernstein ellipse that holds no pole: the error is its power −32
 _FAR = 1e-9  # of 1 + (ω/ω₀)²: below it a pole is far from the path, at φ = ±j∞
-_EQUAL = 1e-12  # feedthrough of the error, relative to those of its parts, that counts as zero
+_EQUAL = 1e-10  # weighted feedthrough, relative to ‖W_o G_c W_i‖_∞, that counts as zero
 _STARTS = 4  # least-squares matches to go on from
 _ROUNDS = 6  # times that the nodes follow the poles
 _SETTLED = 1e-9  # relative change of the norm from round to round at which they have
@@ -100,9 +100,7 @@ def h2_error(problem, theta):
     By quadrature, which keeps the digits of a small difference where a Gramian of both
     models loses half of them.
     """
-    D = problem.error_model(theta)[3]
-    given = problem.weighting.realize(*problem.model.matrices(np.empty(0)))[3]
-    if linalg.norm(D) > _EQUAL * max(linalg.norm(given), 1e-300):
+    if linalg.norm(problem.error_model(theta)[3]) > _EQUAL:
         return np.inf
     return linalg.norm(_on_quadrature(problem, theta).residual_and_jacobian(theta)[0])
 
@@ -175,11 +173,10 @@ class _EqualFeedthrough:
     def build(cls, problem):
         structure, n = problem.structure, problem.structure.n_states
         D_c = problem.model.matrices(np.empty(0))[3]
-        gap = (D_c - structure.constant[n:, n:]).ravel()
-        columns = structure.basis[:, n:, n:].reshape(structure.n_parameters, -1).T
+        columns = _at_infinity(problem, structure.basis[:, n:, n:]).T
+        gap = _at_infinity(problem, (D_c - structure.constant[n:, n:])[None])[0]
         offset = linalg.lstsq(columns, gap)[0] if columns.size else np.zeros(columns.shape[1])
-        left = problem.weighting.apply((gap - columns @ offset).reshape(1, *D_c.shape), _INFINITY)
-        if linalg.norm(left) > _EQUAL * max(linalg.norm(D_c), linalg.norm(gap)):
+        if linalg.norm(gap - columns @ offset) > _EQUAL:
             raise ValueError(
                 f"the H2 norm is infinite: the model's D = {D_c.tolist()} cannot be that of the "
                 f"structure; let those entries of D be free, or use criterion='hinf' or "
@@ -199,9 +196,9 @@ class _EqualFeedthrough:
                     "other here, and their bounds cannot be kept; leave the bounds out, or give "
                     "each entry of D a name of its own"
                 )
-        beyond = tied & (problem.inside(offset) != offset)
-        if beyond.any():
-            names = [structure.parameter_names[k] for k in np.flatnonzero(beyond)]
+        free, offset = offset, np.where(tied, problem.inside(offset), offset)
+        if linalg.norm(gap - columns @ offset) > _EQUAL:
+            names = [structure.parameter_names[k] for k in np.flatnonzero(offset != free)]
             raise ValueError(
                 f"the H2 norm is infinite: the bounds of {names} exclude the model's D = "
                 f"{D_c.tolist()}; widen them, or use criterion='hinf' or 'least_squares'"
@@ -222,4 +219,7 @@ class _EqualFeedthrough:
         return self.offset + self.directions @ zeta
 
 
-_INFINITY = line([np.inf])
+def _at_infinity(problem, feedthroughs):
+    """Feedthroughs, shape (k, l, m), as the weights let them through, one a row."""
+    s = line(np.full(len(feedthroughs), np.inf))
+    return problem.weighting.apply(feedthroughs, s).real.reshape(len(feedthroughs), -1)

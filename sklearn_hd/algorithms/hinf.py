@@ -75,10 +75,14 @@ def hinf_norm(A, B, C, D, dt=None):
     check_stable(A, dt)
     n, m, p = len(A), B.shape[1], len(C)
     domain = "C" if sample_time is None else "D"
+    rate = 1.0  # of time, so that poles are of size one
+    if sample_time is None:
+        rate = np.exp(np.mean(np.log(np.abs(linalg.eigvals(A)))))
+        A, B = A / rate, B / rate
     norm, peak = slycot.ab13dd(domain, "I", "S", "D", n, m, p, A, np.eye(n), B, C, D)
-    peak = float(peak)
+    peak, unit = float(peak), rate / (sample_time or 1.0)
     if not 0.0 < peak < (np.inf if sample_time is None else np.pi):
-        return float(norm), peak / (sample_time or 1.0)
+        return float(norm), peak * unit
 
     def gains(frequencies):
         s = 1j * frequencies.ravel() if sample_time is None else np.exp(1j * frequencies.ravel())
@@ -87,9 +91,9 @@ def hinf_norm(A, B, C, D, dt=None):
 
     reach = np.array([peak * (1.0 - _BRACKET)]), np.array([peak * (1.0 + _BRACKET)])
     peaks, values = refine_peaks(gains, *reach)
-    if values[0] > norm * (1.0 - _BRACKET):
+    if values[0] > norm * (1.0 - _BRACKET) or not np.isfinite(norm):
         norm, peak = values[0], peaks[0]
-    return float(norm), float(peak) / (sample_time or 1.0)
+    return float(norm), float(peak) * unit
 
 
 _BRACKET = 1e-3  # how far AB13DD's peak may lie from the top, relative

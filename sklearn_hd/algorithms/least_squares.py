@@ -219,7 +219,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
             break
     if not fits:
         raise UnstableModelError(
-            f"no stable model of this structure was found from {n_starts} starts; give theta0 "
-            f"near a stable one, or free entries that hold the poles where they are"
+            f"no stable model of this structure was found from {n_starts} starts; give "
+            f"initial values near a stable one, within the bounds, or free entries that hold the "
+            f"poles where they are"
         )
     return fits

@@ -67,7 +67,7 @@ class MatchResult:
         First-order conditions of the least H∞ norm; None for other criteria and for exact
         matches.
     n_iter : int
-        Steps of all stages and starts together.
+        Steps of the least-squares matches kept and of the search in the norm.
     history : tuple of (str, float)
         Stage and its measure after each step on the way here: ``"least squares"`` (length
         of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
@@ -115,6 +115,7 @@ def match_structure(
     input_weights=None,
     output_filter=None,
     input_filter=None,
+    emphasis=None,
     closed_form=True,
     n_starts=6,
     n_jobs=None,
@@ -148,6 +149,9 @@ def match_structure(
         otherwise the largest decides.
     output_filter, input_filter : tuple of four array_like, optional
         A, B, C, D of the frequency-dependent parts of W_o (l × l) and W_i (m × m), stable.
+    emphasis : pair of array_like, shapes (l,) and (m,), optional
+        Factors of the outputs and inputs in the mean square, in which they otherwise count
+        alike.
     closed_form : bool
         False leaves the closed form out where theta0 is given (for studies of the search).
     n_starts : int
@@ -200,7 +204,7 @@ def match_structure(
     """
     weights = {"outputs": output_weights, "inputs": input_weights}
     weights |= {"output_filter": output_filter, "input_filter": input_filter}
-    problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds)
+    problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
     theta0 = _check_theta(theta0, problem)
     starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
     fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR, n_jobs=n_jobs)
@@ -211,7 +215,8 @@ def match_structure(
     if criterion == "h2":
         best = minimise_h2(problem, [each.theta for each in fits], max_iter=max_iter, tol=tol)
         found = _Found.by_least_squares(fits[best.start], False, tol)
-        found = found.further("h2", best.theta, best.predicted_decrease, tol, best.history)
+        predicted = best.predicted_decrease
+        found = found.further("h2", best.theta, predicted, predicted <= tol, best.history)
         return _result(problem, fit, found, fits, exact)
     found = minimax_from_fits(problem, fits, max_iter, tol, n_jobs)
     last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
@@ -240,10 +245,9 @@ class _Found:
         converged = exact or fit.promised <= tol
         return cls(fit.theta, 0.0 if exact else fit.promised, converged, history, 0)
 
-    def further(self, stage, theta, predicted, tol, values):
+    def further(self, stage, theta, predicted, converged, values):
         """The same with another stage."""
         history = self.history + tuple((stage, value) for value in values)
-        converged = abs(predicted) <= tol
         return _Found(theta, predicted, converged, history, self.n_iter + len(values))
 
 
@@ -273,11 +277,13 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
     )
     best = min(range(len(runs)), key=lambda k: runs[k].value)
     run, found = runs[best], _Found.by_least_squares(ranked[best], False, tol)
-    found = found.further("minimax", run.theta, run.predicted_decrease, tol, run.history)
+    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, run.history)
     if run.converged or short == max_iter:
         return found
     run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol)
-    return found.further("minimax", run.theta, run.predicted_decrease, tol, run.history[1:])
+    return found.further(
+        "minimax", run.theta, run.predicted_decrease, run.converged, run.history[1:]
+    )
 
 
 _SCREENING = 20  # convex steps of a short run
@@ -286,6 +292,8 @@ _SCREENING = 20  # convex steps of a short run
 def _result(problem, fit, found, fits, exact, certified=False):
     """The result in the user's units."""
     unit, (value, peak) = problem.unit, problem.peak(found.theta)
+    certificate = certify(problem, found.theta, value) if certified and value > 0 else None
+    predicted = found.predicted_decrease if certificate is None else certificate.predicted_decrease
     singular_values, unidentified = problem.identifiability(found.theta)
     return MatchResult(
         found.theta,
@@ -299,8 +307,8 @@ def _result(problem, fit, found, fits, exact, certified=False):
         feedthrough_floor=problem.feedthrough_floor() * unit,
         exact=exact,
         converged=bool(found.converged),
-        predicted_decrease=float(found.predicted_decrease),
-        certificate=certify(problem, found.theta, value) if certified and value > 0 else None,
+        predicted_decrease=float(predicted),
+        certificate=certificate,
         n_iter=sum(each.n_iter for each in fits) + found.n_iter,
         history=found.history,
         singular_values=singular_values,
@@ -327,6 +335,8 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
     if theta0 is not None:
         yield Start(theta0, near=False)
         yield Start(theta0, near=True)
+    if first is None:
+        yield Start(problem.inside(_plain_start(problem)), near=False)
     random = np.random.default_rng(random_state)
     for k in range(n_starts):
         transformation = draw_transformation(problem, theta0, random, spread=float(k > 0))
@@ -336,6 +346,15 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
         elif first is not None:
             shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
             yield Start(problem.inside(shaken), near=k % 2 == 1)
+
+
+def _plain_start(problem):
+    """The structure's parameters nearest to states that decay fast and move nothing."""
+    structure, n = problem.structure, problem.structure.n_states
+    plain = np.zeros_like(structure.constant)
+    plain[:n, :n] = -problem.fastest * np.eye(n)
+    plain[n:, n:] = problem.model.matrices(np.empty(0))[3]
+    return structure.project(plain)[0]
 
 
 def _check_theta(theta0, problem):

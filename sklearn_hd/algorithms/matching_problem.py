@@ -22,6 +22,7 @@ __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
+_NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _ROUNDING = 1e-13  # of a pole, relative to the largest
 _RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
@@ -113,7 +114,7 @@ class MatchingProblem:
     grid_weights: np.ndarray | float = 1.0
 
     @classmethod
-    def build(cls, A, B, C, D, structure, weighting=None, bounds=None):
+    def build(cls, A, B, C, D, structure, weighting=None, bounds=None, emphasis=None):
         """Problem for G_c = (A, B, C, D); raises where the parts do not fit."""
         A, B, C, D = (np.asarray(matrix, dtype=float) for matrix in (A, B, C, D))
         hinf_norm(A, B, C, D)  # checks shapes and stability, in its own words
@@ -126,6 +127,8 @@ class MatchingProblem:
         ones = weighting.with_constants(np.ones(len(D)), np.ones(D.shape[1]))
         response = ones.apply(model.response(np.empty(0), line(grid)), line(grid))
         outputs, inputs = channel_scales(response)
+        if emphasis is not None:
+            outputs, inputs = outputs * emphasis[0], inputs * emphasis[1]
         length = np.linalg.norm(outputs[:, None] * response * inputs) or 1.0
         return cls(
             model,
@@ -156,7 +159,7 @@ class MatchingProblem:
         A, B, C, D = self.structure.matrices(theta)
         A_c, B_c, C_c, D_c = self.model.matrices(np.empty(0))
         return self.weighting.realize(
-            linalg.block_diag(A_c, A) if len(A_c) and len(A) else (A_c if len(A_c) else A),
+            linalg.block_diag(A_c, A),
             np.vstack([B_c, B]),
             np.hstack([C_c, -C]),
             D_c - D,
@@ -253,7 +256,7 @@ class MatchingProblem:
         _, singular, adjoint = linalg.svd(jacobian / column_sizes(jacobian))
         singular = np.pad(singular, (0, len(adjoint) - len(singular)))
         null = adjoint[numerical_rank(singular) :]
-        undetermined = np.flatnonzero(np.any(np.abs(null) > 1e-3, axis=0))
+        undetermined = np.flatnonzero(np.any(np.abs(null) > _NULL, axis=0))
         return singular, tuple(self.structure.parameter_names[k] for k in undetermined)
 
     def feedthrough_floor(self):

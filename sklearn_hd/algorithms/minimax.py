@@ -37,9 +37,11 @@ class MinimaxResult:
     value : float
         F(θ).
     predicted_decrease : float
-        By how much the last convex model could still be lowered, relative to F. Zero
-        certifies a stationary point: no direction lowers all active peaks at first order.
+        By how much the last convex model, curvature included, could still be lowered,
+        relative to F.
     converged : bool
+        Whether that is within tol, and what the linearised peaks promise in a region of
+        size one within √tol: a step that is second order in the distance.
     history : tuple of float
         F after each step that was accepted, the start first.
     n_iter : int
@@ -76,7 +78,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
     value, peak = problem.peak(theta)
     directions = problem.orthonormal_directions(theta)
     history, memory = [value], [peak]
-    radius, n_iter, predicted, moved = 1.0, 0, np.inf, True
+    radius, n_iter, predicted, moved, converged, n_again = 1.0, 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
         if moved:
@@ -87,8 +89,14 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
         cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
         n_iter += 1
         predicted = 1.0 - level
-        if predicted <= tol:
-            break
+        if predicted <= tol or radius < _LEAST_RADIUS:
+            flat = np.zeros_like(curvature)
+            remaining = 1.0 - _convex_step(model, problem, theta, flat, 1.0, cuts)[1]
+            converged = remaining <= np.sqrt(tol)
+            if converged or n_again == _AGAIN:
+                break
+            radius, curvature, n_again = 1.0, flat, n_again + 1  # the region had shrunk too far
+            continue
         trial = problem.inside(theta + directions @ step)
         trial_value, trial_peak = problem.peak(trial)
         gain = (value - trial_value) / (value * predicted)
@@ -107,15 +115,13 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
         if moved:
             theta, value = trial, trial_value
             history.append(value)
-        elif radius < _LEAST_RADIUS:
-            break
         if np.isfinite(trial_value):
             memory.append(trial_peak)
             if not moved:
                 added = _linearise(problem, theta, [trial_peak], directions, value)
                 model = model.join(added)
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)
-    return MinimaxResult(theta, value, predicted, abs(predicted) <= tol, tuple(history), n_iter)
+    return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter)
 
 
 def certify(problem, theta, value):
@@ -140,13 +146,14 @@ def certify(problem, theta, value):
     _, level, (which, duals, _), pull = _convex_step(model, problem, theta, flat, 1.0)
     weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))
     active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
-    return Certificate(
-        frequencies[active],
-        problem.gains(theta, frequencies[active]),
-        weights[active] / weights[active].sum(),
-        float(pull),
-        float(1.0 - level),
+    frequencies, weights = frequencies[active], weights[active] / weights[active].sum()
+    errors = problem.gains(theta, frequencies)
+    peaks = np.split(
+        np.arange(len(active)), 1 + np.flatnonzero(np.diff(frequencies) > _SAME * frequencies[:-1])
     )
+    tops = [each[np.argmax(errors[each])] for each in peaks]
+    weights = np.array([weights[each].sum() for each in peaks])
+    return Certificate(frequencies[tops], errors[tops], weights, float(pull), float(1.0 - level))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,11 +170,12 @@ class Certificate:
         Of their gradients in the convex combination nearest to zero; they sum to 1.
     distance : float
         Length of that combination, in units of F, where θ is counted in moves of the
-        response as long as the residual; bounds that are touched take their share.
-        0 at a stationary point.
+        response as long as the residual; bounds that are touched take their share. The
+        gradients are those of all peaks within ``predicted_decrease`` of the top (the
+        ε-subdifferential of F), so that both numbers together certify.
     predicted_decrease : float
         Largest decrease, relative to F, that the linearised peaks promise within one such
-        move.
+        move. 0 at a stationary point.
     """
 
     frequencies: np.ndarray
@@ -177,9 +185,11 @@ class Certificate:
     predicted_decrease: float
 
 
-_LEAST_WEIGHT = 1e-6  # of a gradient that takes part in the combination
+_SAME = 1e-3  # distance of frequencies, relative, of one and the same peak
+_LEAST_WEIGHT = 1e-4  # of a gradient that takes part in the combination
 _MEMORY = 12  # peaks of earlier trials kept among the active frequencies
 _LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
+_AGAIN = 3  # times that a search begins anew with a region of size one
 _LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
 _SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass; so is
 # a tenth of the decrease predicted, for the next step starts from new singular vectors
