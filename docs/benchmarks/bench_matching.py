@@ -206,12 +206,13 @@ def best_known(model, structure, theta, seed, n_starts=10):
     values = []
     for k in range(n_starts):
         start = theta * (1 + (k > 0) * random.uniform(-0.5, 0.5, len(theta)))
+        found = match_structure(*model, structure, theta0=start, random_state=k, max_iter=400)
+        values.append(found.relative_error)
         try:
-            found = match_structure(*model, structure, theta0=start, random_state=k, max_iter=400)
             fit = local_fits(problem, [Start(start, near=False)])[0].theta
-        except UnstableModelError:
-            continue
-        values += [found.relative_error, descend(problem, fit)]
+        except UnstableModelError:  # a search from this start alone
+            fit = found.theta_least_squares
+        values.append(descend(problem, fit))
         if k == 0:
             values.append(descend(problem, found.theta))
             if len(theta) <= 10:
