@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import slycot
 from scipy import linalg
 
 from sklearn_hd.algorithms.hinf import h2_norm, hinf_norm
@@ -175,3 +176,12 @@ def test_difference_of_equal_models_is_small_but_not_zero():
         linalg.block_diag(A, A), np.vstack([B, B]), np.hstack([C, -C]), np.zeros_like(D)
     )
     assert norm <= 1e-8 * hinf_norm(A, B, C, D)[0]
+
+
+def test_eigenvalues_that_do_not_converge_are_said(monkeypatch):
+    def failing(*args):
+        raise slycot.exceptions.SlycotArithmeticError("did not converge", 3)
+
+    monkeypatch.setattr(slycot, "ab13dd", failing)
+    with pytest.raises(ArithmeticError, match="is out of reach: .* scale its states"):
+        hinf_norm(*oscillator(1.0, 0.1))

@@ -44,6 +44,8 @@ def hinf_norm(A, B, C, D, dt=None):
     UnstableModelError
         If a pole lies on or outside the stability boundary, hidden (uncontrollable
         or unobservable) poles included.
+    ArithmeticError
+        If the entries span so many decades that eigenvalues do not converge.
 
     Notes
     -----
@@ -77,9 +79,15 @@ def hinf_norm(A, B, C, D, dt=None):
     domain = "C" if sample_time is None else "D"
     rate = 1.0  # of time, so that poles are of size one
     if sample_time is None:
-        rate = np.exp(np.mean(np.log(np.abs(linalg.eigvals(A)))))
+        rate = float(np.exp(np.mean(np.log(np.abs(linalg.eigvals(A))))))
         A, B = A / rate, B / rate
-    norm, peak = slycot.ab13dd(domain, "I", "S", "D", n, m, p, A, np.eye(n), B, C, D)
+    try:
+        norm, peak = slycot.ab13dd(domain, "I", "S", "D", n, m, p, A, np.eye(n), B, C, D)
+    except slycot.exceptions.SlycotArithmeticError as error:
+        raise ArithmeticError(
+            "the H∞ norm of this model is out of reach: the eigenvalues of its Hamiltonian matrix "
+            "do not converge; its entries may span too many decades, so scale its states"
+        ) from error
     peak, unit = float(peak), rate / (sample_time or 1.0)
     if not 0.0 < peak < (np.inf if sample_time is None else np.pi):
         return float(norm), peak * unit

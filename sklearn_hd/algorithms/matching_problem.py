@@ -166,10 +166,16 @@ class MatchingProblem:
         )
 
     def peak(self, theta):
-        """Exact relative norm of the error and its frequency; (inf, nan) if G_s is unstable."""
+        """Exact relative norm of the error and its frequency; (inf, nan) if G_s is unstable.
+
+        The same where G_s is so far off that the norm cannot be computed.
+        """
         if self.abscissa(theta) >= 0:
             return np.inf, np.nan
-        value, peak = hinf_norm(*self.error_model(theta))
+        try:
+            value, peak = hinf_norm(*self.error_model(theta))
+        except ArithmeticError:
+            return np.inf, np.nan
         gains = self.gains(theta, self.grid)
         low, high = self._brackets(gains, _RIVAL * value)
         if len(low) == 0:
