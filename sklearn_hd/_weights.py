@@ -117,7 +117,7 @@ def _matrices(name, system):
         if not isinstance(system, tuple):
             system = system.A, system.B, system.C, system.D
         A, B, C, D = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in system)
-    except (ValueError, TypeError, NotImplementedError) as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(
             f"{name}={system!r} has no state-space form ({error}); give {_ALLOWED}"
         ) from error

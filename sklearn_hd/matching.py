@@ -225,12 +225,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         lifted = experiment.basis is not None and experiment.basis.synchronous and model.dt > 0.0
         periodic = isinstance(structure, HarmonicStructure) or (lifted and structure is None)
         noise = self._input_noise(experiment, periodic)
-        if periodic and lifted and not (self.output_weights is None and self.input_weights is None):
-            raise ValueError(
-                "a model identified period by period is brought to periodic form in closed form, "
-                "where nothing is weighed; leave output_weights and input_weights None, or use "
-                "criterion='output_error', which weighs each output by its noise"
-            )
+        self._check_weights(closed_form=periodic and lifted)
         if periodic:
             match = self._match_periodic(model, experiment, lifted)
         else:
@@ -256,6 +251,23 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
                 check_positive("input_noise", value, "units of the input", hint)
         if self.random_state is not None:
             check_count("random_state", self.random_state, 0, "it is the seed of the starts")
+
+    def _check_weights(self, closed_form):
+        """Refuse weights where no norm is minimised."""
+        if self.output_weights is None and self.input_weights is None:
+            return
+        if self.criterion == "output_error":
+            raise ValueError(
+                "criterion='output_error' weighs each output by its noise; output_weights and "
+                "input_weights are those of a norm, so leave them None, or use criterion='hinf', "
+                "'h2' or 'least_squares'"
+            )
+        if closed_form:
+            raise ValueError(
+                "a model identified period by period is brought to periodic form in closed form, "
+                "where nothing is weighed; leave output_weights and input_weights None, or use "
+                "criterion='output_error', which weighs each output by its noise"
+            )
 
     def _store(self, match):
         self._periodic = match.periodic

@@ -155,6 +155,7 @@ def test_one_number_for_all_channels_changes_no_parameter(identified, record):
             "must be finite and those",
         ),
         ({"output_weights": (1.0, 2.0, 3.0, 4.0)}, r"is not understood for \['x', 'v'\]"),
+        ({"output_weights": 2.0, "criterion": "output_error"}, "weighs each output by its noise"),
         ({"criterion": "H_2"}, "criterion='H_2'"),
         ({"n_jobs": "many"}, "n_jobs"),
     ],

@@ -371,9 +371,9 @@ def save(rows, folder):
         axis.set(title=kind, xlabel="samples")
         axis.grid(alpha=0.3)
     axes[0, 0].set_ylabel("processor time, s")
-    axes[0, -1].legend(fontsize=7)
+    axes[0, -1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.tight_layout()
-    figure.savefig(folder / "moesp.png", dpi=150)
+    figure.savefig(folder / "moesp.png", dpi=150, bbox_inches="tight")
 
 
 def main():
