@@ -7,10 +7,12 @@ import pytest
 from conftest import random_stable
 from scipy import linalg
 
-from sklearn_hd.algorithms import block_responses
+from sklearn_hd.algorithms import block_responses, response_products
 from sklearn_hd.algorithms import input_matrices as module
-from sklearn_hd.algorithms.block_responses import response_basis
+from sklearn_hd.algorithms.block_responses import best_block
 from sklearn_hd.algorithms.input_matrices import input_matrices, response_regressors
+from sklearn_hd.algorithms.response_basis import response_basis
+from sklearn_hd.algorithms.response_products import output_normal, products_factor
 from sklearn_hd.algorithms.simulation import propagate
 
 JORDAN = linalg.block_diag([[0.98, 1.0], [0.0, 0.98]], [[0.6, 0.4], [-0.4, 0.6]], -0.3)
@@ -49,14 +51,21 @@ def dense(A, C, inputs, outputs, feedthrough):
     return theta[: n * m].reshape(n, m), D, theta[n_forced:].reshape(count, n), float(rest)
 
 
+def orthogonal_only(monkeypatch):
+    monkeypatch.setattr(module, "products_factor", lambda *_: None)
+
+
+@pytest.mark.parametrize("ways", ["products", "orthogonal"])
 @pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize("A", [JORDAN, SPLIT, TWINS, SLOW, INTEGRATOR], ids=str)
-def test_compressed_records_give_the_least_squares_solution(rng, A, feedthrough):
+def test_records_give_the_least_squares_solution(rng, monkeypatch, A, feedthrough, ways):
     """Long records, whole blocks or not, beside short ones; noise, so that all weights count."""
+    if ways == "orthogonal":
+        orthogonal_only(monkeypatch)
     A, B, C, D = model(rng, A, feedthrough)
     inputs = [rng.standard_normal((n, 2)) for n in (3003, 40, 2000)]
-    assert response_basis(A, C).block(2000, 2) > 1
-    assert response_basis(A, C).block(40, 2) == 0
+    assert best_block(2000, 5, 2, 3) > 1
+    assert best_block(40, 5, 2, 3) == 0
     starts = rng.standard_normal((3, 5))
     outputs = [simulate(A, B, C, D, u, x) for u, x in zip(inputs, starts, strict=True)]
     outputs = [y + 0.1 * rng.standard_normal(y.shape) for y in outputs]
@@ -83,6 +92,7 @@ def test_blocks_of_any_length_give_the_same(rng, monkeypatch, block):
     u = rng.standard_normal((3001, 2))
     y = simulate(A, B, C, D, u, rng.standard_normal(5)) + 0.1 * rng.standard_normal((3001, 3))
     monkeypatch.setattr(block_responses, "BLOCKS", (block,))
+    orthogonal_only(monkeypatch)
     found = input_matrices(A, C, [u], [y], True, return_residual=True)
     for one, other in zip(found, dense(A, C, [u], [y], True), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
@@ -91,15 +101,17 @@ def test_blocks_of_any_length_give_the_same(rng, monkeypatch, block):
 def test_powers_are_those_of_the_basis(rng):
     """A^k in the numbers of the basis: F^k g, for eigenvalues that no diagonal form parts."""
     A, _, _, _ = model(rng, JORDAN, False)
-    basis = response_basis(A, np.eye(5))
+    basis = response_basis(A)
     assert len(basis.g) == 5
     for k in (0, 1, 7, 60):
         numbers = np.linalg.matrix_power(basis.F, k) @ basis.g
-        np.testing.assert_allclose(basis.seen @ numbers, np.linalg.matrix_power(A, k), atol=1e-9)
+        np.testing.assert_allclose(
+            basis.seen(np.eye(5)) @ numbers, np.linalg.matrix_power(A, k), atol=1e-9
+        )
 
 
 def test_eigenvalues_too_many_to_part_have_no_basis():
-    assert response_basis(np.eye(8, k=1) + 0.5 * np.eye(8), np.ones((1, 8))) is None
+    assert response_basis(np.eye(8, k=1) + 0.5 * np.eye(8)) is None
 
 
 def test_a_static_gain_needs_no_states(rng):
@@ -121,7 +133,8 @@ def test_chunks_give_the_same_as_all_rows_at_once(rng, monkeypatch, observed):
         observe = [rng.standard_normal((900, 1, 3))]
         y = np.einsum("kqo,ko->kq", observe[0], y)
     y = y + 0.1 * rng.standard_normal(y.shape)
-    monkeypatch.setattr(block_responses.ResponseBasis, "block", lambda *_: 0)
+    orthogonal_only(monkeypatch)
+    monkeypatch.setattr(module, "best_block", lambda *_: 0)
     whole = input_matrices(A, C, [u], [y], True, observe, return_residual=True)
     monkeypatch.setattr(module, "CHUNK_BYTES", 0)
     for one, other in zip(
@@ -162,3 +175,42 @@ def test_no_equation_as_long_as_the_record_is_kept(rng):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 8 * y.size * (6 * 2 + 2 * 2 + 6) / 5
+
+
+@pytest.mark.parametrize("n_samples", [2, 7, 300, 3001])
+@pytest.mark.parametrize("A", [JORDAN, TWINS, SLOW], ids=str)
+def test_normal_equations_are_those_of_all_rows(rng, A, n_samples):
+    """To the last digits beside the lengths of columns, for any length of record."""
+    A, _, C, _ = model(rng, A, True)
+    u, y = rng.standard_normal((n_samples, 2)), rng.standard_normal((n_samples, 3))
+    scales = np.array([2.0, 0.1]), np.array([1.0, 3.0, 0.5])
+    normal = output_normal(A, C)
+    products = response_products.response_products(normal.basis, u, y, scales)
+    G, rounding = response_products.normal_equations(normal, products, True)
+    free, forced = response_regressors(normal.A, normal.C, u / scales[0], True)
+    rows = np.concatenate([free, forced, (y / scales[1])[..., None]], axis=-1)
+    rows = rows.reshape(-1, rows.shape[-1])
+    expected = rows.T @ rows
+    size = np.sqrt(np.diagonal(expected))
+    off = np.triu(G - expected) / np.outer(size, size)
+    assert np.max(np.abs(off)) < max(rounding, 1e-13)
+
+
+@pytest.mark.parametrize("A", [INTEGRATOR, 1.01 * INTEGRATOR], ids=str)
+def test_models_that_keep_everything_have_no_output_normal_coordinates(rng, A):
+    assert output_normal(A, rng.standard_normal((2, 5))) is None
+
+
+def test_models_that_show_less_than_all_states_have_no_output_normal_coordinates():
+    assert output_normal(np.diag([0.5, 0.2]), np.array([[1.0, 0.0]])) is None
+
+
+def test_records_without_noise_are_not_squared(rng):
+    """Their last column is zero but for rounding: products in double would not show it."""
+    A, B, C, D = model(rng, JORDAN, True)
+    u = rng.standard_normal((3000, 2))
+    y = simulate(A, B, C, D, u, np.zeros(5))
+    scales = np.ones(2), np.ones(3)
+    normal = output_normal(A, C)
+    assert products_factor(normal, u, y, True, scales) is None
+    assert products_factor(normal, u, y + rng.standard_normal(y.shape), True, scales) is not None

@@ -51,6 +51,12 @@ class Pair:
     def __sub__(self, other):
         return self + (-other)
 
+    def add(self, key, other):
+        """Add to a part, in place."""
+        part = self[key] + other
+        for half, new in zip(self.halves(), part.halves(), strict=True):
+            half[key] = new
+
     def halves(self):
         """The arrays that there are."""
         return [self.high] if self.low is None else [self.high, self.low]

@@ -92,9 +92,9 @@ def factor_of_products(products, n_inputs):
     G = products.gram()
     order = _block_order(len(products.lags), len(products.exponents), n_inputs)
     exponents = np.tile(products.exponents, len(products.lags))[order]
-    G = G.map(lambda half: np.triu(half) + np.triu(half, 1).T)[np.ix_(order, order)]
+    G = G.map(lambda half: half[order].take(order, axis=1))
     R = cholesky(G.high, G.low) if products.exact else safe_cholesky(G.high)
-    return None if R is None else np.ldexp(R, exponents)
+    return None if R is None else R * np.ldexp(1.0, exponents)
 
 
 def _block_order(n_lags, n_channels, n_inputs):

@@ -11,19 +11,29 @@ by themselves, x_0 first:
 and only these small factors are kept: those of B and D are stacked and factored again,
 in any order and grouping, and each x_0 follows from its own rows once B and D are known.
 
-The equations never stand in memory as a whole. Those of short records, or of outputs seen
-through a matrix that varies (Eq. 7), are made some thousand rows at a time; what goes
-from chunk to chunk is the response of the states so far, A^k and Σ_t A^{k-1-t} u_t. Long
-records go by :mod:`~sklearn_hd.algorithms.block_responses`.
+The equations never stand in memory as a whole. Three ways lead to the factor, each taken
+where the one before it would not do:
+
+1. Cholesky factor of the normal equations
+   (:mod:`~sklearn_hd.algorithms.response_products`), of stable models where noise makes it
+   safe.
+2. Orthogonal transformations of long records, compressed in blocks
+   (:mod:`~sklearn_hd.algorithms.block_responses`).
+3. The same of equations made some thousand rows at a time, for short records, or outputs seen
+   through a matrix that varies (Eq. 7). What goes from chunk to chunk is the response of the
+   states so far, A^k and Σ_t A^{k-1-t} u_t.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 from scipy.signal import fftconvolve
 
-from sklearn_hd.algorithms.block_responses import compressed_equations, response_basis
+from sklearn_hd.algorithms.block_responses import best_block, compressed_equations
+from sklearn_hd.algorithms.response_basis import response_basis
+from sklearn_hd.algorithms.response_products import output_normal, products_factor
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import triangle
 
@@ -122,15 +132,12 @@ def input_matrices(
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
     pieces, firsts = _pieces(A, [len(u) for u in inputs])
-    basis = response_basis(A, C) if observe is None else None
+    factor = _RecordFactors(A, C, feedthrough, scales)
     starts, shared = [], np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
     for s, rows in pieces:
         seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
-        if basis is not None and basis.block(len(u), m):
-            R = compressed_equations(basis, u, y, feedthrough, scales)
-        else:
-            R = _record_factor(A, C, u, y, feedthrough, seen, scales)
+        R = factor.of(u, y) if observe is None else factor.of_observed(u, y, seen)
         start, left = _without_start(R, n)
         starts.append(start)
         shared = triangle(shared, left)
@@ -142,6 +149,42 @@ def input_matrices(
     if not return_residual:
         return B, D, x0
     return B, D, x0, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
+
+
+class _RecordFactors:
+    """Triangular factors of the equations [x_0, B, D, y] of records, by the first way that does.
+
+    Parameters
+    ----------
+    A, C, feedthrough, scales
+        As for ``input_matrices``.
+    """
+
+    def __init__(self, A, C, feedthrough, scales):
+        self.A, self.C, self.feedthrough, self.scales = A, C, feedthrough, scales
+
+    @cached_property
+    def _normal(self):
+        return output_normal(self.A, self.C)
+
+    @cached_property
+    def _basis(self):
+        return response_basis(self.A)
+
+    def of(self, u, y):
+        """Of one record."""
+        if self._normal is not None:
+            R = products_factor(self._normal, u, y, self.feedthrough, self.scales)
+            if R is not None:
+                return R
+        n, m, n_outputs = len(self.A), u.shape[1], len(self.C)
+        if self._basis is not None and best_block(len(u), n, m, n_outputs):
+            return compressed_equations(self._basis, self.C, u, y, self.feedthrough, self.scales)
+        return self.of_observed(u, y, None)
+
+    def of_observed(self, u, y, observe):
+        """Of one record, whose outputs are perhaps seen through a matrix that varies."""
+        return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
 
 
 def _pieces(A, lengths):
@@ -175,7 +218,7 @@ def _scaled_lstsq(regressors, target):
         return np.zeros(0)
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
-    return linalg.lstsq(regressors / scale, target)[0] / scale
+    return linalg.lstsq(regressors / scale, target, lapack_driver="gelsy")[0] / scale
 
 
 @dataclass(frozen=True)

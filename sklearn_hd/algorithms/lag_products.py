@@ -148,57 +148,31 @@ class LagProducts:
         Returns
         -------
         G : Pair, shape (n_lags p, n_lags p)
-            Upper triangle of blocks; (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by
-            their powers of two.
+            Block (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by their powers of two.
         """
         p = len(self.exponents)
-        tail = self.tail.map(lambda half: _block_diagonals(half, p))
-        head = self.head.map(lambda half: _block_diagonals(half, p))
-        first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1))
-        first = first - _running_sums(tail[:1], tail[1:])[-1]
-        rows = _running_sums(first[None], tail - head)
-        return rows.map(_from_block_diagonals)
+        n_rows = len(self.lags) * p
+        ends = self._zeros(p, n_rows)
+        for a in range(0, n_rows - p, p):
+            ends.add(np.s_[:, : n_rows - p - a], self.tail[a : a + p, a:])
+        row = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1)) - ends
+        G = self._zeros(n_rows, n_rows)
+        for a in range(0, n_rows, p):
+            here, later = slice(a, a + p), slice(a + p, n_rows)
+            for half, new in zip(G.halves(), row.halves(), strict=True):
+                half[here, a:] = new
+                half[later, here] = new[:, p:].T
+            if later.start < n_rows:
+                row = row[:, :-p] + (self.tail[here, a:] - self.head[here, a:])
+        return G
+
+    def _zeros(self, *shape):
+        return Pair(np.zeros(shape), np.zeros(shape) if self.exact else None)
 
 
 def _times_powers(products, exponents):
     shift = exponents[:, None] + exponents
     return products.map(lambda half: np.ldexp(half, shift))
-
-
-def _block_diagonals(products, p):
-    """Block rows from the diagonal on, the last n_lags − 1, side by side and zeros after them.
-
-    Returns
-    -------
-    rows : ndarray, shape (n_lags - 1, p, n_lags p)
-    """
-    size = len(products)
-    padded = np.zeros((size, 2 * size + p))
-    padded[:, :size] = products
-    return _sheared(padded, p, size + p)
-
-
-def _from_block_diagonals(rows):
-    """The upper triangle of blocks whose rows from the diagonal on are given."""
-    _, p, width = rows.shape
-    padded = np.zeros((width, 2 * width))
-    _sheared(padded, p, width)[...] = rows
-    return padded[:, :width]
-
-
-def _sheared(padded, p, width):
-    """View of block rows, each from its diagonal on."""
-    down, right = padded.strides
-    shape = (len(padded) // p, p, width)
-    return as_strided(padded, shape, (p * (down + right), down, right))
-
-
-def _running_sums(first, changes):
-    """first, first + changes[0], first + changes[0] + changes[1], …"""
-    sums = [first[0]]
-    for k in range(len(changes)):
-        sums.append(sums[-1] + changes[k])
-    return sums[0].map(lambda *halves: np.stack(halves), *sums[1:])
 
 
 @dataclass(frozen=True)

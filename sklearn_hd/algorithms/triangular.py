@@ -35,16 +35,18 @@ def triangle(*stacked):
     return np.triu(linalg.lapack.dgeqrf(X, lwork=n_work, overwrite_a=1)[0][:n_columns])
 
 
-def safe_cholesky(G):
+def safe_cholesky(G, rounding=EPS):
     """R factor from a product XᵀX in double, or None where rounding would be seen in it.
 
-    With columns brought to equal length, rounding of G perturbs them by about ε ‖R⁻¹‖²
+    With columns brought to equal length, rounding of G by ε perturbs them by about ε ‖R⁻¹‖²
     beside each other, squared Frobenius norm.
 
     Parameters
     ----------
     G : ndarray, shape (r, r)
         The upper triangle is read.
+    rounding : float, default=machine epsilon
+        Of its entries, beside the lengths of columns.
 
     Returns
     -------
@@ -53,8 +55,9 @@ def safe_cholesky(G):
     size = np.sqrt(np.diagonal(G))
     if not np.all(size > 0.0):
         return None
-    R, fault = linalg.lapack.dpotrf(G / size / size[:, None], lower=0, clean=1)
+    scaled = G / size / size[:, None]
+    L, fault = linalg.lapack.dpotrf(scaled.T, lower=1, clean=1, overwrite_a=1)
     if fault:
         return None
-    inverse, _ = linalg.lapack.dtrtri(R, lower=0)
-    return R * size if EPS * np.sum(inverse**2) <= TOLERATED_LOSS else None
+    inverse, _ = linalg.lapack.dtrtri(L, lower=1)
+    return L.T * size if rounding * np.linalg.norm(inverse) ** 2 <= TOLERATED_LOSS else None

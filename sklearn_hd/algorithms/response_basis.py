@@ -1,0 +1,148 @@
+"""Numbers that the responses of a linear model are made of, one recursion for any B.
+
+The response to an entry of B is that of a matrix Ξ_k = Σ_{t<k} A^{k-1-t} u_t, one for each
+input: with A of n states, n² numbers a sample. But Ξ_k is a polynomial in A, and in
+coordinates in which A is block diagonal (eigenvalues that almost coincide in one block;
+Bavely and Stewart, 1979) it is block diagonal with
+
+    Ξ = w_1 I + w_2 N + … + w_k N^{k-1},   N = A − mean eigenvalue,   for k eigenvalues
+
+of a block: n numbers w_k in all, with w_{k+1} = F w_k + g u_k, and Ξ_k = Σ_s w_{k,s} N_s. That
+of the initial state, A^k, is the response to a pulse just before the record.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import slycot
+from scipy import linalg
+
+from sklearn_hd.algorithms.simulation import propagate
+
+__all__ = ["ResponseBasis", "response_basis", "run"]
+
+STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
+LARGEST_TRANSFORMATION = 100.0
+CONDITION = 1e6
+LARGEST_BLOCK = 6  # powers of larger ones are too much alike
+
+
+@dataclass(frozen=True)
+class ResponseBasis:
+    """Recursion of the numbers w that responses are made of, and what they stand for.
+
+    Attributes
+    ----------
+    F : ndarray, shape (q, q)
+    g : ndarray, shape (q,)
+    units : ndarray, shape (q, n, n)
+        The matrix N_s that each w belongs to.
+    """
+
+    F: np.ndarray
+    g: np.ndarray
+    units: np.ndarray
+
+    def seen(self, C):
+        """Outputs of each w for each entry of a column of B, shape (l, n, q)."""
+        return np.einsum("oi,sij->ojs", C, self.units)
+
+    def powers(self, last):
+        """F⁰ … F^last, shape (last + 1, q, q)."""
+        powers = [np.eye(len(self.g))]
+        for _ in range(last):
+            powers.append(self.F @ powers[-1])
+        return np.stack(powers)
+
+
+def response_basis(A):
+    """Basis of the responses of x[k+1] = A x + B u, y = C x, to any B.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+
+    Returns
+    -------
+    basis : ResponseBasis or None
+        None where no coordinates of good condition part the eigenvalues far enough, or there
+        are none.
+    """
+    n = len(A)
+    if n == 0:
+        return None
+    T, Z = linalg.schur(A)
+    T, X, sizes, _ = slycot.mb03rd(n, T, Z, sort="S", pmax=LARGEST_TRANSFORMATION)
+    if np.linalg.cond(X) > CONDITION or max(sizes) > LARGEST_BLOCK:
+        return None
+    inverse = linalg.inv(X)
+    steps, pulses, units, first = [], [], [], 0
+    for size in sizes:
+        block = slice(first, first + size)
+        step, pulse, own = _block_numbers(T[block, block])
+        steps.append(step)
+        pulses.append(pulse)
+        units.append(X[:, block] @ own @ inverse[block])
+        first += size
+    return ResponseBasis(linalg.block_diag(*steps), np.concatenate(pulses), np.concatenate(units))
+
+
+def _block_numbers(block):
+    """F, g and the matrices N_s of one diagonal block."""
+    k = len(block)
+    if k == 1:
+        return block, np.ones(1), np.ones((1, 1, 1))
+    centre = np.trace(block) / k
+    N = block - centre * np.eye(k)
+    size = np.linalg.norm(N)
+    if size == 0.0:
+        return np.array([[centre]]), np.ones(1), np.eye(k)[None]
+    N /= size
+    powers = [np.eye(k)]
+    for _ in range(1, k):
+        powers.append(powers[-1] @ N)
+    F = centre * np.eye(k) + size * np.eye(k, k=-1)
+    if k == 2:  # N^k by Cayley and Hamilton
+        F[0, 1] += size * (N[0, 1] * N[1, 0] - N[0, 0] * N[1, 1])
+    else:
+        F[:, -1] -= size * np.poly(N)[:0:-1]
+    return F, np.eye(k)[0], np.stack(powers)
+
+
+def run(F, x, state):
+    """Turn forcing v into states of x[k+1] = F x[k] + v[k], in place.
+
+    Parameters
+    ----------
+    F : ndarray, shape (q, q)
+    x : ndarray, shape (n_steps, channels, q)
+    state : ndarray, shape (channels, q)
+        The first.
+
+    Returns
+    -------
+    state : ndarray, shape (channels, q)
+        That after the last step.
+    """
+    whole = len(x) // STEPS * STEPS
+    if whole:
+        parts = x[:whole].reshape(-1, STEPS, *state.shape)
+        ends = parts[:, 0].copy()
+        for k in range(1, STEPS):
+            ends = _advance(F, ends)
+            ends += parts[:, k]
+        ends = np.concatenate([ends, np.zeros((1, *state.shape))]).transpose(1, 0, 2)
+        starts = propagate(np.linalg.matrix_power(F, STEPS), ends, state).transpose(1, 0, 2)
+        state, now = starts[-1], np.ascontiguousarray(starts[:-1])
+        for k in range(STEPS):
+            then = _advance(F, now)
+            then += parts[:, k]
+            parts[:, k], now = now, then
+    for k in range(whole, len(x)):
+        x[k], state = state, _advance(F, state) + x[k]
+    return state
+
+
+def _advance(F, states):
+    """F x for each state, as one product."""
+    return (states.reshape(-1, len(F)) @ F.T).reshape(states.shape)
