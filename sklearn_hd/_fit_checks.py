@@ -1,14 +1,29 @@
-"""What the data of a fit say against it: another fundamental frequency, growth."""
+"""What the data of a fit say against it: no motion, another fundamental frequency, growth."""
 
 import warnings
 
 import numpy as np
 
+from sklearn_hd._arithmetic import extremes
+from sklearn_hd._validation import SMALLEST
 from sklearn_hd.algorithms.fundamental import omega_mismatch
-from sklearn_hd.exceptions import FrequencyMismatchWarning, InstabilityWarning
+from sklearn_hd.exceptions import (
+    ExcitationWarning,
+    FrequencyMismatchWarning,
+    IdentifiabilityWarning,
+    InstabilityWarning,
+)
 
-__all__ = ["warn_of_growing_data", "warn_of_growth", "warn_of_mismatch"]
+__all__ = [
+    "check_outputs_move",
+    "moving_inputs",
+    "warn_idle",
+    "warn_of_growing_data",
+    "warn_of_growth",
+    "warn_of_mismatch",
+]
 
+DUST = 1e-13  # share of an output's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -105,3 +120,64 @@ def warn_of_growth(model, experiment, stacklevel=4):
             InstabilityWarning,
             stacklevel=stacklevel,
         )
+
+
+def warn_idle(moving, experiment):
+    """Warn of inputs at rest."""
+    idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
+    if idle:
+        effect = "their effect is not identified, and their columns of B are zero"
+        if experiment.basis is not None and experiment.basis.synchronous:
+            effect = (
+                "their columns of B are zero; StructuredMatcher fits what inputs do within the "
+                "period"
+            )
+        warnings.warn(
+            f"the inputs {idle} are at rest in the {experiment.span()}: {effect}",
+            ExcitationWarning,
+            stacklevel=5,
+        )
+
+
+def check_outputs_move(experiment):
+    """Raise ValueError if no output moves within any segment; warn of one that rests off zero."""
+    size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
+    moves, off = np.zeros(len(size), dtype=bool), np.zeros(len(size), dtype=bool)
+    for smallest, largest in map(extremes, experiment.outputs):
+        moves |= largest - smallest > DUST * size
+        off |= np.maximum(largest, -smallest) > DUST * size
+    if not moves.any():
+        raise ValueError(
+            f"all outputs are {'constant' if off.any() else 'zero'} in the {experiment.span()} "
+            f"(trim subtracted, less than {SMALLEST:g} being zero): there is no response to "
+            f"identify; check the columns of y, their units and trim_span"
+        )
+    names = experiment.output_names
+    resting = [n for n, m, o in zip(names, moves, off, strict=True) if o and not m]
+    if resting:
+        warnings.warn(
+            f"the outputs {resting} are constant, but not zero, in the {experiment.span()}: no "
+            f"input explains them; subtract what they rest at (trim_span), or drop them",
+            IdentifiabilityWarning,
+            stacklevel=5,
+        )
+
+
+def moving_inputs(inputs, experiment):
+    """Which inputs move within some segment; ValueError where a measured signal never does."""
+    moving = np.zeros(inputs[0].shape[1], dtype=bool)
+    for smallest, largest in map(extremes, inputs):
+        moving |= largest > smallest
+    signals, seen = experiment.drive_signals(), moving
+    if experiment.basis is not None and experiment.basis.synchronous:
+        # what has no mean over any period may move within it all the same
+        signals = tuple(signal for signal, _ in experiment.basis.inputs)
+        seen = np.any([np.greater(*extremes(u)[::-1]) for u in experiment.inputs], axis=0)
+    for name in dict.fromkeys(signals):
+        if not any(m for m, signal in zip(seen, signals, strict=True) if signal == name):
+            raise ValueError(
+                f"input {name!r} is constant in the {experiment.span()} (less than {SMALLEST:g} "
+                f"being zero): nothing excites the system; choose a span in which it moves, or "
+                f"drop that input"
+            )
+    return moving

@@ -20,55 +20,94 @@ from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.hankel import n_hankel_columns
 from sklearn_hd.algorithms.lifting import input_directions
 
-__all__ = ["changes_at_one_phase", "inputs_by_phase", "modulated_inputs"]
+__all__ = [
+    "changes_at_one_phase",
+    "inputs_by_phase",
+    "largest_changes",
+    "modulated",
+    "modulated_inputs",
+    "n_modulating_harmonics",
+    "steps_at_one_phase",
+]
 
 STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
 
 
 def changes_at_one_phase(experiment):
     """Whether all steps of the inputs fall on one sample of the period."""
-    changes = [np.abs(np.diff(u, axis=0)) for u in experiment.drive]
-    largest = np.max([np.max(change, axis=0, initial=0.0) for change in changes], axis=0)
-    phases = set()
-    for change, time in zip(changes, experiment.times(), strict=True):
-        stepped = np.any((change > STEP_SHARE * largest) & (change > 0.0), axis=1)
-        phases.update(experiment.basis.phase_index(time)[1:][stepped].tolist())
-    return len(phases) <= 1
+    changes = [
+        largest_changes(experiment.basis, drive, time)
+        for drive, time in zip(experiment.drive, experiment.times(), strict=True)
+    ]
+    return steps_at_one_phase(np.max(changes, axis=0))
 
 
-def modulated_inputs(experiment, lengths, n_outputs):
-    """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices.
+def largest_changes(basis, drive, time):
+    """Largest change of each input from one sample to the next, by the phase of the latter.
+
+    Returns
+    -------
+    changes : ndarray, shape (samples_per_period, m)
+    """
+    changes = np.zeros((basis.samples_per_period, drive.shape[1]))
+    np.maximum.at(changes, basis.phase_index(time)[1:], np.abs(np.diff(drive, axis=0)))
+    return changes
+
+
+def steps_at_one_phase(changes):
+    """Whether the largest changes at each phase hold steps at one phase alone."""
+    steps = (changes > STEP_SHARE * np.max(changes, axis=0)) & (changes > 0.0)
+    return int(np.sum(np.any(steps, axis=1))) <= 1
+
+
+def n_modulating_harmonics(basis, lengths, n_inputs):
+    """Harmonics that inputs are multiplied by, as many as the record tells apart; 0 for none.
 
     Half as many harmonics as rows in a period resolve all phases. Fewer are taken where the
     record is too short for all.
     """
-    basis = experiment.basis
-    if basis is None or basis.synchronous or changes_at_one_phase(experiment):
-        return None
-    n_inputs, kept = (
-        experiment.drive[0].shape[1],
-        max(k for _, orders in basis.outputs for k in orders),
-    )
+    n_outputs = len(basis.output_labels)
+    kept = max(k for _, orders in basis.outputs for k in orders)
     resolved = basis.rows_per_period // 2
     needed = min(2 * kept, resolved)  # what a harmonic decomposition asks for
     tries = [(2 * basis.window_rows + 2, h) for h in range(resolved, needed - 1, -1)]
     tries += [(basis.window_rows + 2, h) for h in range(needed, 0, -1)]
-    choices = [
-        (block_rows, highest)
+    choices = (
+        highest
         for block_rows, highest in tries
         if n_hankel_columns(lengths, block_rows)
         >= 2 * block_rows * ((2 * highest + 1) * n_inputs + n_outputs)
-    ]
-    if not choices:
+    )
+    return next(choices, 0)
+
+
+def modulated(basis, drive, time, rows, highest):
+    """One segment's inputs times the harmonic functions of ψ, as seen in the rows.
+
+    Returns
+    -------
+    modulated : ndarray, shape (n_rows, m (2 highest + 1))
+    """
+    psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
+    waves = harmonic_functions(psi, range(highest + 1))
+    products = (drive[:, :, None] * waves[:, None, :]).reshape(len(drive), -1)
+    return hop_means(products, basis, rows)
+
+
+def modulated_inputs(experiment, lengths):
+    """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices."""
+    basis = experiment.basis
+    if basis is None or basis.synchronous or changes_at_one_phase(experiment):
         return None
-    highest = choices[0][1]
-    modulated = []
-    for u, time in zip(experiment.drive, experiment.times(), strict=True):
-        psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
-        waves = harmonic_functions(psi, range(highest + 1))
-        products = (u[:, :, None] * waves[:, None, :]).reshape(len(u), -1)
-        modulated.append(hop_means(products, basis, basis.rows_read(time)))
-    return unit_size(modulated)
+    highest = n_modulating_harmonics(basis, lengths, experiment.drive[0].shape[1])
+    if highest == 0:
+        return None
+    return unit_size(
+        [
+            modulated(basis, u, time, basis.rows_read(time), highest)
+            for u, time in zip(experiment.drive, experiment.times(), strict=True)
+        ]
+    )
 
 
 def inputs_by_phase(experiment):

@@ -10,19 +10,22 @@ from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
-from sklearn_hd._fit_checks import warn_of_growing_data, warn_of_growth, warn_of_mismatch
+from sklearn_hd._fit_checks import (
+    check_outputs_move,
+    moving_inputs,
+    warn_idle,
+    warn_of_growing_data,
+    warn_of_growth,
+    warn_of_mismatch,
+)
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._products_cache import cached_lag_products
 from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
+from sklearn_hd._streamed_fit import StreamedFit
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short
-from sklearn_hd._validation import (
-    SMALLEST,
-    check_count,
-    check_flag,
-    check_outputs_given,
-    signal_names,
-)
+from sklearn_hd._validation import check_count, check_flag, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
@@ -36,7 +39,7 @@ from sklearn_hd.algorithms.moesp import (
     state_matrices,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["MOESPRegressor"]
 
@@ -44,12 +47,11 @@ DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
-DUST = 1e-13  # share of an output's size that is rounding
 LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
 EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
-class MOESPRegressor(ModelStep):
+class MOESPRegressor(StreamedFit, ModelStep):
     """Past-output MOESP identification of a linear time-invariant model.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
@@ -80,6 +82,10 @@ class MOESPRegressor(ModelStep):
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data, and
         never more than a quarter of the segment.
+    memory : str, joblib.Memory or None, default=None
+        Folder in which lag products of the data are kept: one for all orders and for all
+        block rows up to the next power of two, so that a search over both goes through
+        each of its folds once or twice.
 
     Attributes
     ----------
@@ -138,13 +144,21 @@ class MOESPRegressor(ModelStep):
     """
 
     def __init__(
-        self, order="auto", *, block_rows=None, feedthrough=False, scale=True, warmup=None
+        self,
+        order="auto",
+        *,
+        block_rows=None,
+        feedthrough=False,
+        scale=True,
+        warmup=None,
+        memory=None,
     ):
         self.order = order
         self.block_rows = block_rows
         self.feedthrough = feedthrough
         self.scale = scale
         self.warmup = warmup
+        self.memory = memory
 
     @one_blas_thread
     @within_range
@@ -163,26 +177,19 @@ class MOESPRegressor(ModelStep):
         self : MOESPRegressor
         """
         check_outputs_given(y)
-        self._check_warmup()
-        scale, feedthrough = (
-            check_flag("scale", self.scale),
-            check_flag("feedthrough", self.feedthrough),
-        )
-        self._check_order()
-        if self.block_rows is not None:
-            check_count("block_rows", self.block_rows, 2, "None chooses them")
+        scale, feedthrough = self._check_parameters()
         experiment = read_for_fit(X, y)
         warn_of_mismatch(experiment)
         warn_of_growing_data(experiment)
         inputs, outputs = rows_read(experiment)
-        excitation = self._excitation(experiment, inputs, outputs[0].shape[1])
+        excitation = self._excitation(experiment, inputs)
         raw = excitation is inputs
         n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
         lengths = [len(u) for u in inputs]
         self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
-        moving = _moving_inputs(inputs, experiment)
-        _check_outputs_move(experiment)
-        _warn_idle(moving, experiment)
+        moving = moving_inputs(inputs, experiment)
+        check_outputs_move(experiment)
+        warn_idle(moving, experiment)
         if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
             return self._remember(self._static_model(experiment, y), experiment, X, y)
         u_scale, y_scale = (
@@ -203,7 +210,16 @@ class MOESPRegressor(ModelStep):
         B, D, self.x0_ = input_matrices(
             A, C, inputs, outputs, feedthrough, scales=(u_scale, y_scale)
         )
-        model = LTIModel(
+        model = self._model((A, B, C, D), (u_scale, y_scale), experiment, y, feedthrough)
+        if basis is not None and basis.synchronous:  # else the window's own poles may grow
+            warn_of_growth(model, experiment)
+        self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
+        return self._remember(model, experiment, X, y)
+
+    def _model(self, matrices, scales, experiment, y, feedthrough):
+        """The model in the units of the signals."""
+        (A, B, C, D), (u_scale, y_scale), basis = matrices, scales, experiment.basis
+        return LTIModel(
             A=A,
             B=B / u_scale,
             C=C * y_scale[:, None],
@@ -214,11 +230,8 @@ class MOESPRegressor(ModelStep):
             feedthrough=feedthrough,
             windowed=basis is not None,
         )
-        if basis is not None and basis.synchronous:  # else the window's own poles may grow
-            warn_of_growth(model, experiment)
-        return self._remember(model, experiment, X, y)
 
-    def _excitation(self, experiment, inputs, n_outputs):
+    def _excitation(self, experiment, inputs):
         """What is projected out of the future: the inputs, as they move within each period.
 
         Period by period the outputs answer to every sample of the inputs, whatever
@@ -226,7 +239,7 @@ class MOESPRegressor(ModelStep):
         another way, which matters where inputs change at more than one.
         """
         if not _lifted(experiment):
-            modulated = modulated_inputs(experiment, [len(u) for u in inputs], n_outputs)
+            modulated = modulated_inputs(experiment, [len(u) for u in inputs])
             return inputs if modulated is None else modulated
         lifted = lifted_periods(experiment, experiment.inputs)
         rows = 2 if self.block_rows is None else self.block_rows
@@ -257,17 +270,24 @@ class MOESPRegressor(ModelStep):
     def _decompose(self, inputs, outputs, n_moving, experiment, scale):
         """Project the future outputs, look at the singular values and settle the order."""
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
-        R = hankel_factor(inputs, outputs, i, scale)
+        R = hankel_factor(inputs, outputs, i, scale, cached_lag_products(self.memory))
+        columns = n_hankel_columns([len(u) for u in inputs], i)
+        U, values, floor = self._look_at(R, columns, n_moving, experiment, scale[n_inputs:])
+        self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
+        return U, values
+
+    def _look_at(self, R, n_columns, n_moving, experiment, y_scale):
+        """Singular values of the future outputs with the future inputs projected out."""
+        i = self.block_rows_
+        n_inputs = len(R) // (2 * i) - len(y_scale)
         self._warn_excitation(R, n_inputs, n_moving, experiment)
         if not _lifted(experiment):
             R = release_idle_directions(R, i * n_inputs)
         U, values = observability_subspace(R, i, n_inputs)
-        floor = noise_floor(R, i, n_inputs, n_hankel_columns([len(u) for u in inputs], i))
-        y_scale = scale[n_inputs:]
+        floor = noise_floor(R, i, n_inputs, n_columns)
         unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
         self.singular_values_, self.noise_floor_ = values * unit, floor * unit
-        self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
-        return U, values
+        return U, values, floor
 
     def _wants_more_rows(self, experiment, lengths, n_inputs, n_outputs):
         """Whether the order chosen fills the rank that default block rows allow, and more fit.
@@ -377,24 +397,38 @@ class MOESPRegressor(ModelStep):
         check_is_fitted(self)
         return np.linalg.eigvals(self.model_.A)
 
+    def _block_rows_asked(self, basis):
+        """Block rows given, or the default, which must exceed the window."""
+        sliding = basis is not None and not basis.synchronous
+        if self.block_rows is None:
+            return DEFAULT_BLOCK_ROWS if basis is None else 2 * basis.window_rows + 2
+        i = int(self.block_rows)
+        if sliding and i <= basis.window_rows + 1:
+            raise ValueError(
+                f"block_rows={i} must exceed the {basis.window_rows} rows in the analysis window "
+                f"plus one, or the window's own memory is mistaken for dynamics; use block_rows="
+                f"{basis.window_rows + 2} or more, or a larger hop"
+            )
+        return i
+
+    def _fewer_block_rows(self, asked, basis, lengths, n_inputs, n_outputs):
+        """Block rows asked for, or fewer by default where the record is short."""
+        sliding = basis is not None and not basis.synchronous
+        least, i = (max(2, basis.window_rows + 2) if sliding else 2), asked
+        while (
+            self.block_rows is None
+            and i > least
+            and n_hankel_columns(lengths, i) < 2 * i * (n_inputs + n_outputs)
+        ):
+            i -= 1
+        return i
+
     def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
         """Block rows that the window, the order and the record allow."""
         basis = experiment.basis
         sliding = basis is not None and not basis.synchronous
-        window = basis.window_rows if sliding else 0
-        if self.block_rows is None:
-            i = DEFAULT_BLOCK_ROWS if basis is None else 2 * basis.window_rows + 2
-            comfortable = 2 * (n_inputs + n_outputs)
-            while i > max(2, window + 2) and n_hankel_columns(lengths, i) < i * comfortable:
-                i -= 1
-        else:
-            i = int(self.block_rows)
-        if i <= window + 1 and sliding:
-            raise ValueError(
-                f"block_rows={i} must exceed the {window} rows in the analysis window plus one, or "
-                f"the window's own memory is mistaken for dynamics; use block_rows={window + 2} or "
-                f"more, or a larger hop"
-            )
+        asked = self._block_rows_asked(basis)
+        i = self._fewer_block_rows(asked, basis, lengths, n_inputs, n_outputs)
         self._check_rank_bound(i, n_outputs)
         # the future inputs, i m rows, are projected out of j = n_rows − 2 i + 1 columns
         if sliding:
@@ -425,6 +459,14 @@ class MOESPRegressor(ModelStep):
                 f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
                 f"most {most}, or hop='period'"
             )
+
+    def _check_parameters(self):
+        """Scale and feedthrough as flags, once all parameters are checked."""
+        self._check_warmup()
+        self._check_order()
+        if self.block_rows is not None:
+            check_count("block_rows", self.block_rows, 2, "None chooses them")
+        return check_flag("scale", self.scale), check_flag("feedthrough", self.feedthrough)
 
     def _check_order(self):
         if isinstance(self.order, str):
@@ -503,63 +545,3 @@ def _fits(lengths, block_rows, n_inputs, n_outputs):
     left = columns - block_rows * n_inputs
     work = columns * (2.0 * block_rows * (n_inputs + n_outputs)) ** 2
     return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY
-
-
-def _warn_idle(moving, experiment):
-    """Warn of inputs at rest."""
-    idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
-    if idle:
-        effect = "their effect is not identified, and their columns of B are zero"
-        if _lifted(experiment):
-            effect = (
-                "their columns of B are zero; StructuredMatcher fits what inputs do within the "
-                "period"
-            )
-        warnings.warn(
-            f"the inputs {idle} are at rest in the {experiment.span()}: {effect}",
-            ExcitationWarning,
-            stacklevel=5,
-        )
-
-
-def _check_outputs_move(experiment):
-    """Raise ValueError if no output moves within any segment; warn of one that rests off zero."""
-    size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
-    moves, off = np.zeros(len(size), dtype=bool), np.zeros(len(size), dtype=bool)
-    for smallest, largest in map(extremes, experiment.outputs):
-        moves |= largest - smallest > DUST * size
-        off |= np.maximum(largest, -smallest) > DUST * size
-    if not moves.any():
-        raise ValueError(
-            f"all outputs are {'constant' if off.any() else 'zero'} in the {experiment.span()} "
-            f"(trim subtracted, less than {SMALLEST:g} being zero): there is no response to "
-            f"identify; check the columns of y, their units and trim_span"
-        )
-    names = experiment.output_names
-    resting = [n for n, m, o in zip(names, moves, off, strict=True) if o and not m]
-    if resting:
-        warnings.warn(
-            f"the outputs {resting} are constant, but not zero, in the {experiment.span()}: no "
-            f"input explains them; subtract what they rest at (trim_span), or drop them",
-            IdentifiabilityWarning,
-            stacklevel=5,
-        )
-
-
-def _moving_inputs(inputs, experiment):
-    """Which inputs move within some segment; ValueError where a measured signal never does."""
-    moving = np.zeros(inputs[0].shape[1], dtype=bool)
-    for smallest, largest in map(extremes, inputs):
-        moving |= largest > smallest
-    signals, seen = experiment.drive_signals(), moving
-    if _lifted(experiment):  # what has no mean over any period may move within it all the same
-        signals = tuple(signal for signal, _ in experiment.basis.inputs)
-        seen = np.any([np.greater(*extremes(u)[::-1]) for u in experiment.inputs], axis=0)
-    for name in dict.fromkeys(signals):
-        if not any(m for m, signal in zip(seen, signals, strict=True) if signal == name):
-            raise ValueError(
-                f"input {name!r} is constant in the {experiment.span()} (less than {SMALLEST:g} "
-                f"being zero): nothing excites the system; choose a span in which it moves, or "
-                f"drop that input"
-            )
-    return moving

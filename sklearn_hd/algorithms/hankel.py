@@ -34,7 +34,7 @@ def n_hankel_columns(lengths, block_rows):
     return int(sum(max(0, length - 2 * block_rows + 1) for length in lengths))
 
 
-def hankel_factor(inputs, outputs, block_rows, scale=None):
+def hankel_factor(inputs, outputs, block_rows, scale=None, products=lag_products):
     """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
 
     Parameters
@@ -46,35 +46,28 @@ def hankel_factor(inputs, outputs, block_rows, scale=None):
         Block rows i of the past, and as many of the future.
     scale : ndarray, shape (m + l,), optional
         What the channels, inputs and outputs, are divided by.
+    products : callable, default=lag_products
+        Lag products of records, perhaps from a cache.
 
     Returns
     -------
     R : ndarray, shape (2 i (m + l), 2 i (m + l))
         Upper triangular; RᵀR = Z Zᵀ.
     """
-    R = _factor(inputs, outputs, block_rows)
-    if scale is None:
-        return R
-    order = _block_order(2 * block_rows, len(scale), inputs[0].shape[1])
-    return R / np.tile(scale, 2 * block_rows)[order]
-
-
-def _factor(inputs, outputs, block_rows):
-    """R of the channels as they are, by the first way that is safe, or else the faster one."""
     n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
     width = n_lags * (n_inputs + outputs[0].shape[1])
     n_columns = n_hankel_columns([len(u) for u in inputs], block_rows)
     records = list(zip(inputs, outputs, strict=True))
     if n_columns >= width:
-        R = factor_of_products(lag_products(records, n_lags, exact=False), n_inputs)
+        R = factor_of_products(products(records, n_lags, exact=False), n_inputs, scale)
         if R is not None:
             return R
     if n_columns >= FEW_COLUMNS * width:
-        return factor_of_products(lag_products(records, n_lags, exact=True), n_inputs)
-    return _orthogonal_factor(records, block_rows)
+        return factor_of_products(products(records, n_lags, exact=True), n_inputs, scale)
+    return _orthogonal_factor(records, block_rows) / _lengths(scale, n_lags, n_inputs)
 
 
-def factor_of_products(products, n_inputs):
+def factor_of_products(products, n_inputs, scale=None):
     """R factor from lag products.
 
     Parameters
@@ -83,6 +76,8 @@ def factor_of_products(products, n_inputs):
         Of the inputs and outputs, in 2i lags.
     n_inputs : int
         The first of the channels.
+    scale : ndarray, shape (m + l,), optional
+        What the channels are divided by.
 
     Returns
     -------
@@ -93,8 +88,19 @@ def factor_of_products(products, n_inputs):
     order = _block_order(len(products.lags), len(products.exponents), n_inputs)
     exponents = np.tile(products.exponents, len(products.lags))[order]
     G = G.map(lambda half: half[order].take(order, axis=1))
-    R = cholesky(G.high, G.low) if products.exact else safe_cholesky(G.high)
-    return None if R is None else R * np.ldexp(1.0, exponents)
+    R = safe_cholesky(G.high)
+    if R is None and products.exact:
+        R = cholesky(G.high, G.low)
+    if R is None:
+        return None
+    return R * np.ldexp(1.0, exponents) / _lengths(scale, len(products.lags), n_inputs)
+
+
+def _lengths(scale, n_lags, n_inputs):
+    """What the columns of R are divided by, where channels are divided by a scale."""
+    if scale is None:
+        return 1.0
+    return np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
 
 
 def _block_order(n_lags, n_channels, n_inputs):

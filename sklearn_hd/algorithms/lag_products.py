@@ -142,6 +142,33 @@ class LagProducts:
         longer = [(z,) for z in self.short if len(z) >= n_lags]
         return kept + lag_products(longer, n_lags, self.exact) if longer else kept
 
+    def channels(self, which):
+        """The same for some of the channels.
+
+        Parameters
+        ----------
+        which : ndarray of int
+        """
+        rows = np.arange(len(self.exponents) * (len(self.lags) - 1))
+        rows = rows.reshape(-1, len(self.exponents))[:, which].ravel()
+        return replace(
+            self,
+            lags=self.lags.map(lambda half: half[:, which][:, :, which]),
+            head=self.head.map(lambda half: half[rows][:, rows]),
+            tail=self.tail.map(lambda half: half[rows][:, rows]),
+            exponents=self.exponents[which],
+            short=tuple(z[:, which] for z in self.short),
+        )
+
+    def root_mean_squares(self):
+        """Of each channel over all rows; one where a channel is zero."""
+        n_rows = self.n_rows + sum(map(len, self.short))
+        squares = np.diagonal(self.lags.high[0]).copy()
+        for z in self.short:
+            squares += np.sum(np.ldexp(z, -self.exponents) ** 2, axis=0)
+        size = np.ldexp(np.sqrt(squares / max(n_rows, 1)), self.exponents)
+        return np.where(size > 0.0, size, 1.0)
+
     def gram(self):
         """Product of the Hankel matrix with itself.
 

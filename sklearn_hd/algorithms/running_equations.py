@@ -10,12 +10,14 @@ from sklearn_hd.algorithms.response_products import (
     normal_equations,
     output_normal,
 )
+from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import safe_cholesky
 
-__all__ = ["input_matrices_of_factor", "input_matrices_of_sums"]
+__all__ = ["initial_states_of_heads", "input_matrices_of_factor", "input_matrices_of_sums"]
 
 FORGOTTEN = 1e-13  # of a response, K rows later
 UNSEEN = 1e-12  # share of an initial state's outputs that is rounding
+FIRST_ROWS = 256  # that a slow model's initial state is found from
 
 
 def input_matrices_of_sums(A, C, sums, feedthrough, scales):
@@ -157,3 +159,27 @@ def input_matrices_of_factor(A, C, R, U, block_rows, n_inputs, feedthrough):
     theta = theta[0].reshape(width, m)
     D = theta[:n_outputs] if feedthrough else np.zeros((n_outputs, m))
     return theta[width - n :], D
+
+
+def initial_states_of_heads(A, B, C, D, ends, scales):
+    """Initial states by least squares over the first rows of each record.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray
+        In the units that ``scales`` make.
+    ends : tuple of RecordEnds
+    scales : tuple of ndarray, shapes (m,), (l,)
+
+    Returns
+    -------
+    x0 : ndarray, shape (n_records, n)
+    """
+    n, m, starts = len(A), B.shape[1], []
+    for record in ends:
+        head = record.head[:FIRST_ROWS] / np.concatenate(scales)
+        u, y = head[:, :m], head[:, m:]
+        free = propagate(A, np.zeros((n, len(u), n)), np.eye(n)) @ C.T
+        forced = propagate(A, u @ B.T, np.zeros(n)) @ C.T + u @ D.T
+        starts.append(linalg.lstsq(free.reshape(n, -1).T, (y - forced).ravel())[0])
+    return np.array(starts)

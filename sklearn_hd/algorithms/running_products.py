@@ -69,6 +69,18 @@ class RunningSums:
     squares: np.ndarray
     ends: tuple
 
+    def of_inputs(self, which):
+        """T and ends for some of the inputs, and all outputs.
+
+        Parameters
+        ----------
+        which : ndarray of int
+        """
+        n_inputs, n_signals = self.lags.shape[1:]
+        signals = np.concatenate([which, np.arange(n_inputs, n_signals)])
+        ends = (replace(e, head=e.head[:, signals], tail=e.tail[:, which]) for e in self.ends)
+        return replace(self, lags=self.lags[:, which][:, :, signals], ends=tuple(ends))
+
     def __add__(self, other):
         return RunningSums(
             self.products + other.products,

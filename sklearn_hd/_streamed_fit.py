@@ -1,0 +1,158 @@
+"""``partial_fit`` of MOESPRegressor: a model of all chunks so far."""
+
+import copy
+import warnings
+
+import numpy as np
+
+from sklearn_hd._arithmetic import within_range
+from sklearn_hd._data import check_features
+from sklearn_hd._stream import Stream, read_chunk
+from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._validation import check_outputs_given
+from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
+from sklearn_hd.algorithms.moesp import order_by_gap, state_matrices
+from sklearn_hd.algorithms.running_equations import (
+    initial_states_of_heads,
+    input_matrices_of_factor,
+    input_matrices_of_sums,
+)
+from sklearn_hd.exceptions import ExcitationWarning
+
+__all__ = ["StreamedFit"]
+
+
+class StreamedFit:
+    """What a subspace method adds to identify from chunks."""
+
+    @one_blas_thread
+    @within_range
+    def partial_fit(self, X, y):
+        """Identify the model from all chunks so far and this one.
+
+        Chunks are consecutive rows of a record, in order, or whole records. What they leave
+        behind are sums; memory does not grow with the rows of a record (it does by some
+        thousand rows with each record). The model is that of ``fit`` on all rows with the same
+        ``order`` and ``block_rows``, but that a sliding window's block rows stay where they
+        began. It is there once there are rows enough; ``fit`` forgets all chunks.
+
+        Where a mode outlasts some thousand rows, B and D come from the triangular factor
+        alone, and are less certain than those of ``fit``.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs, with a harmonic basis riding on them (from ``HarmonicAnalyzer.transform``;
+            not period by period) or plain. Rows whose index counts from 0 go on where the
+            last chunk ended; others follow it by one sample time, or a gap lies between.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Outputs in time.
+
+        Returns
+        -------
+        self : MOESPRegressor
+
+        Raises
+        ------
+        ValueError
+            If a chunk has other columns, another sample time or basis than the first, or
+            begins before the end of the last. What was read before is kept.
+
+        References
+        ----------
+        Verhaegen (1994), Automatica 30(1), 61-74 (B and D from the factor).
+
+        Examples
+        --------
+        >>> from sklearn_hd import MOESPRegressor
+        >>> u = np.random.default_rng(0).standard_normal((900, 1))
+        >>> y = np.zeros((900, 1))
+        >>> for k in range(899):
+        ...     y[k + 1] = 0.8 * y[k] + u[k]
+        >>> model = MOESPRegressor(order=1, block_rows=5)
+        >>> for rows in np.split(np.arange(900), 3):
+        ...     model = model.partial_fit(u[rows], y[rows])
+        >>> round(float(model.eigenvalues_[0].real), 6)
+        0.8
+        """
+        check_outputs_given(y)
+        scale, feedthrough = self._check_parameters()
+        experiment = read_chunk(X, y)
+        stream = getattr(self, "_stream", None)
+        check_features(self, X, reset=stream is None)
+        asked = self._block_rows_asked(experiment.basis)
+        self._check_rank_bound(asked, len(self._output_names(experiment.basis, y)))
+        if stream is None:
+            stream = Stream.begin(experiment, asked)
+        elif asked > stream.block_rows:
+            raise ValueError(
+                f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
+                f"chunk was read with; begin anew with a clone of the estimator"
+            )
+        result = copy.copy(self)
+        result._stream = stream.with_chunk(experiment)
+        model = result._model_of(result._stream, asked, y, scale, feedthrough)
+        if model is not None:
+            result._remember(model, experiment, X, y)
+        self.__dict__.update(result.__dict__)  # at once: an interrupted call changes nothing
+        return self
+
+    def _model_of(self, stream, asked, y, scale, feedthrough):
+        """The model of all chunks so far; None where they do not suffice."""
+        sums = stream.sums()
+        moving = _moving(stream)
+        if sums is None or moving is None:
+            return None
+        wide, alone, outputs = stream.channels(sums, moving)
+        n_inputs, n_outputs = len(wide), len(outputs)
+        lengths = [ends.n_rows for ends in sums.ends]
+        i = self._fewer_block_rows(asked, stream.basis, lengths, n_inputs, n_outputs)
+        columns = n_hankel_columns(lengths, i)
+        least_order = 1 if self.order == "auto" else int(self.order)
+        if columns < i * (n_inputs + n_outputs) + least_order:
+            return None
+        self.block_rows_ = i
+        products = sums.products.fewer(2 * i).channels(np.concatenate([wide, outputs]))
+        size = products.root_mean_squares() if scale else np.ones(n_inputs + n_outputs)
+        place = np.searchsorted(wide, alone)
+        scales = u_scale, y_scale = size[place], size[n_inputs:]
+        R = factor_of_products(products, n_inputs, size)
+        U, values, floor = self._look_at(R, columns, n_inputs, stream, y_scale)
+        bound = (i - 1) * n_outputs
+        self.order_ = order_by_gap(values, floor, bound) if self.order == "auto" else self.order
+        A, C = state_matrices(U, values, self.order_, n_outputs)
+        sums = sums.of_inputs(np.flatnonzero(moving))
+        found = input_matrices_of_sums(A, C, sums, feedthrough, scales)
+        if found is None:
+            B, D = input_matrices_of_factor(A, C, R, U, i, n_inputs, feedthrough)
+            B, D = B[:, place], D[:, place]
+            found = B, D, initial_states_of_heads(A, B, C, D, sums.ends, scales)
+        (B, D), self.x0_ = (_with_idle(M / u_scale, moving) for M in found[:2]), found[2]
+        scales = np.ones(len(moving)), y_scale
+        return self._model((A, B, C, D), scales, stream, y, feedthrough)
+
+
+def _with_idle(M, moving):
+    """A matrix with zeros in the columns of inputs that have not moved."""
+    whole = np.zeros((len(M), len(moving)))
+    whole[:, moving] = M
+    return whole
+
+
+def _moving(stream):
+    """Which of the drive has moved so far; None, which is said, where a signal has not."""
+    moving, answered = stream.moving()
+    signals = dict(zip(stream.drive_signals(), moving, strict=True))
+    for signal, moves in zip(stream.drive_signals(), moving, strict=True):
+        signals[signal] |= moves
+    idle = [signal for signal, moves in signals.items() if not moves]
+    if not idle and answered:
+        return moving
+    what = f"the inputs {idle} are" if idle else "all outputs are"
+    warnings.warn(
+        f"{what} at rest in the {stream.span()}: there is no model until a chunk comes in which "
+        f"they move",
+        ExcitationWarning,
+        stacklevel=6,
+    )
+    return None

@@ -1,0 +1,122 @@
+"""memory=: lag products kept for all orders and many block rows."""
+
+import os
+import sys
+
+import joblib
+import numpy as np
+import pytest
+from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
+
+from sklearn_hd import MOESPRegressor, _products_cache
+from sklearn_hd._products_cache import cached_lag_products
+from sklearn_hd.algorithms.lag_products import lag_products
+
+
+@pytest.fixture
+def data(rng):
+    u = rng.standard_normal((1500, 2))
+    y = np.zeros((1500, 2))
+    for k in range(1499):
+        y[k + 1] = [0.8 * y[k, 0] - 0.3 * y[k, 1] + u[k, 0], 0.5 * y[k, 1] + u[k].sum()]
+    return u, y + 0.01 * rng.standard_normal(y.shape)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Calls of lag_products that really multiply."""
+    calls = []
+
+    def count(records, n_lags, exact):
+        calls.append(n_lags)
+        return lag_products(records, n_lags, exact)
+
+    monkeypatch.setattr(_products_cache, "lag_products", count)
+    return calls
+
+
+def same_model(one, other):
+    for name in "ABCD":
+        np.testing.assert_allclose(
+            getattr(one.model_, name), getattr(other.model_, name), atol=1e-10
+        )
+
+
+def test_block_rows_in_any_order_share_their_products(tmp_path, data, counted):
+    grid = [(order, block_rows) for block_rows in (7, 3, 16, 5, 20, 18) for order in (2, 3)]
+    plain = [MOESPRegressor(order, block_rows=i).fit(*data) for order, i in grid]
+    counted.clear()
+    for (order, i), model in zip(grid, plain, strict=True):
+        same_model(MOESPRegressor(order, block_rows=i, memory=str(tmp_path)).fit(*data), model)
+    assert counted == [32, 64]  # 16 block rows and fewer; more
+
+
+def test_a_search_goes_through_each_fold_once_or_twice(tmp_path, data, counted):
+    grid = {"order": [1, 2, 3, 4], "block_rows": [5, 8, 12, 18]}
+    search = GridSearchCV(MOESPRegressor(memory=tmp_path), grid, cv=TimeSeriesSplit(3)).fit(*data)
+    assert len(counted) <= 2 * 3 + 2
+    plain = GridSearchCV(MOESPRegressor(), grid, cv=TimeSeriesSplit(3)).fit(*data)
+    assert search.best_params_ == plain.best_params_
+    np.testing.assert_allclose(
+        search.cv_results_["mean_test_score"], plain.cv_results_["mean_test_score"], atol=1e-10
+    )
+
+
+def test_two_processes_may_share_a_folder(tmp_path, data):
+    grid = {"order": [2, 3], "block_rows": [5, 20]}
+    model = MOESPRegressor(memory=joblib.Memory(tmp_path, verbose=0))
+    search = GridSearchCV(model, grid, cv=TimeSeriesSplit(2), n_jobs=2).fit(*data)
+    plain = GridSearchCV(MOESPRegressor(), grid, cv=TimeSeriesSplit(2)).fit(*data)
+    np.testing.assert_allclose(
+        search.cv_results_["mean_test_score"], plain.cv_results_["mean_test_score"], atol=1e-10
+    )
+
+
+@pytest.mark.parametrize("change", ["value", "shape", "order", "seam"])
+def test_other_data_have_other_products(tmp_path, rng, change):
+    z = rng.standard_normal((40, 4))
+    records = [(z[:20, :2], z[:20, 2:]), (z[20:, :2], z[20:, 2:])]
+    other = {
+        "value": [(z[:20, :2], z[:20, 2:]), (z[20:, :2], np.nextafter(z[20:, 2:], 9.0))],
+        "shape": [(z[:20, :3], z[:20, 3:]), (z[20:, :2], z[20:, 2:])][:1],
+        "order": records[::-1],
+        "seam": [(z[:, :2], z[:, 2:])],
+    }[change]
+    products = cached_lag_products(str(tmp_path))
+    for each in (records, other):
+        found, expected = products(each, 6, True), lag_products(each, 6, True)
+        np.testing.assert_array_equal(found.lags.high, expected.lags.high)
+        np.testing.assert_allclose(found.gram().high, expected.gram().high, rtol=1e-14)
+
+
+def test_very_many_lags_are_not_kept(tmp_path, rng, counted):
+    records = [(rng.standard_normal((600, 1)),)]
+    products = cached_lag_products(str(tmp_path))
+    for _ in range(2):
+        products(records, 300, False)
+    assert counted == [300, 300]
+
+
+def test_a_search_without_noise_keeps_exact_products(tmp_path, rng, counted):
+    u = rng.standard_normal((9000, 1))
+    y = np.zeros((9000, 1))
+    for k in range(8999):
+        y[k + 1] = 0.8 * y[k] + u[k]
+    for order in (1, 2):
+        MOESPRegressor(order, block_rows=4, memory=str(tmp_path)).fit(u, y)
+    assert counted == [32, 32]  # in double, which does not do, and exactly
+
+
+@pytest.mark.skipif(sys.platform == "win32" or os.getuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_is_named(tmp_path, data):
+    tmp_path.chmod(0o500)
+    with pytest.raises(ValueError, match=r"cannot be written; give a folder that can"):
+        MOESPRegressor(memory=str(tmp_path)).fit(*data)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, data):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ValueError, match=r"file.inside' cannot be written"):
+        MOESPRegressor(memory=str(tmp_path / "file" / "inside")).fit(*data)
+    with pytest.raises(ValueError, match="memory"):
+        MOESPRegressor(memory=3).fit(*data)
