@@ -214,3 +214,12 @@ def test_records_without_noise_are_not_squared(rng):
     normal = output_normal(A, C)
     assert products_factor(normal, u, y, True, scales) is None
     assert products_factor(normal, u, y + rng.standard_normal(y.shape), True, scales) is not None
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_coordinates_are_output_normal_for_more_outputs_than_states_and_fewer(rng, n):
+    A, _, C = random_stable(rng, n, 1, 3)
+    model = output_normal(A, C)
+    np.testing.assert_allclose(model.A.T @ model.A + model.C.T @ model.C, np.eye(n), atol=1e-14)
+    np.testing.assert_allclose(model.A @ model.T, model.T @ A, atol=1e-12 * linalg.norm(model.T))
+    np.testing.assert_allclose(model.C @ model.T, C, atol=1e-12 * linalg.norm(C))

@@ -23,7 +23,7 @@ import slycot
 from scipy import linalg
 
 from sklearn_hd.algorithms.response_basis import response_basis, run
-from sklearn_hd.algorithms.triangular import safe_cholesky
+from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
 __all__ = ["OutputNormal", "output_normal", "products_factor"]
 
@@ -78,9 +78,9 @@ def output_normal(A, C):
     radius = np.max(np.abs(linalg.eigvals(A)))
     if radius > MOST_RADIUS:
         return None
-    padded = np.zeros((max(n, len(C)), n))
-    padded[: len(C)] = C
-    T, scale, _ = slycot.sb03od(n, len(C), A, np.eye(n), padded, "D")
+    shown, padded = triangle(C), np.zeros((n, n))  # no more rows than states
+    padded[: len(shown)] = shown
+    T, scale, _ = slycot.sb03od(n, len(shown), A, np.eye(n), padded, "D")
     T = np.triu(T) / scale
     size = np.abs(np.diagonal(T))
     if not size.min() > size.max() / LARGEST_CONDITION:
