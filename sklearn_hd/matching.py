@@ -213,6 +213,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         Returns
         -------
         self : StructuredMatcher
+            Fitted.
         """
         self._check_settings()
         experiment, model = upstream(self, X, y)

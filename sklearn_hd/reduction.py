@@ -160,10 +160,12 @@ class SpuriousModeReducer(ModelStep):
         X : DataFrame or ndarray, shape (n_samples, n_features)
             With a model riding on it, unless ``estimator`` is given.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Outputs in time.
 
         Returns
         -------
         self : SpuriousModeReducer
+            Fitted.
         """
         method = check_choice("method", self.method, METHODS)
         if self.n_states is not None:

@@ -161,6 +161,7 @@ class MOESPRegressor(ModelStep):
         Returns
         -------
         self : MOESPRegressor
+            Fitted.
         """
         check_outputs_given(y)
         self._check_warmup()

@@ -74,14 +74,20 @@ class StabilizationDisplay:
         X : DataFrame or ndarray, shape (n_samples, n_features)
             Inputs, plain or as HarmonicAnalyzer hands them on.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-        orders, tol, ax
-            As in :meth:`from_estimator`.
+            Outputs in time.
+        orders : sequence of int, optional
+            From 1 to four beyond the order found at first by default.
+        tol : float, default=0.02
+            Share of its size by which a steady mode may differ from the order before.
+        ax : Axes or array of Axes, optional
+            Two Axes, or one that is divided.
         **parameters
             Of MOESPRegressor.
 
         Returns
         -------
         display : StabilizationDisplay
+            Drawn; what it draws stands in its attributes.
         """
         estimator = MOESPRegressor(**parameters)
         return cls.from_estimator(estimator, X, y, orders=orders, tol=tol, ax=ax)
@@ -96,7 +102,9 @@ class StabilizationDisplay:
             Fitted or not. A clone is fitted once as it is, for its order and block rows;
             warnings are those of this fit.
         X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs, as the estimator takes them.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Outputs in time.
         orders : sequence of int, optional
             From 1 to four beyond the order of the estimator by default.
         tol : float, default=0.02
@@ -107,6 +115,7 @@ class StabilizationDisplay:
         Returns
         -------
         display : StabilizationDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -140,6 +149,7 @@ class StabilizationDisplay:
         Returns
         -------
         display : StabilizationDisplay
+            Drawn; what it draws stands in its attributes.
         """
         orders = sorted(set(self.modes["order"]))
         height = min(8.0, max(3.6, 1.6 + 0.22 * len(orders)))
