@@ -183,10 +183,19 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs as at fit, with the harmonic basis riding on them or plain.
 
         Returns
         -------
         frame : HarmonicFrame, shape (n_samples, n_features)
+            The values unchanged.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If X differs from that at fit in its columns, or is not finite.
         """
         check_is_fitted(self)
         frame = self._upstream_frame(check_features(self, X, reset=False))
@@ -206,10 +215,17 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         input_features : array_like of str, optional
+            Names to give the columns of an array; x0, x1, … by default.
 
         Returns
         -------
         names : ndarray of str
+            Those of the columns at fit, where they had names.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
         """
         check_is_fitted(self)
         default = [f"x{i}" for i in range(self.n_features_in_)]
@@ -224,8 +240,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs as at fit, with the harmonic basis riding on them or plain.
         x0 : array_like or dict, optional
-            State at the start of each segment: one vector of n_states for all,
+            State at the start of each segment: one vector, shape (n_states,), for all,
             one row a segment, or a dict (or a DataFrame's rows) by record, whose
             label is a tuple where several levels stand above the time; zero
             where not given.
@@ -234,6 +251,15 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         -------
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Harmonics instead, trim left out, if y was a HarmonicFrame at fit.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        UnstableModelError
+            If the simulation overflows.
+        ValueError
+            If X was analysed or sampled in another way than at fit, or x0 does not fit.
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
@@ -261,12 +287,23 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs as at fit, with the harmonic basis riding on them or plain.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs on the rows of X.
         sample_weight : array_like, shape (n_samples,), optional
+            Weight of each row; rows that are left out count for nothing.
 
         Returns
         -------
         score : float
+            1 for a perfect model, 0 for one no better than the mean.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If no rows are left to score, or X and y do not fit the model.
         """
         check_is_fitted(self)
         check_outputs_given(y)

@@ -346,12 +346,22 @@ class HarmonicFrame(pd.DataFrame):
     ``u_0, u_1c, u_1s, …``, on the user's own index. Slicing, copying and
     pickling keep both attributes; concatenation and joins drop them.
 
+    Parameters
+    ----------
+    data, index, columns, dtype, copy : optional
+        As for ``pandas.DataFrame``. Such a frame carries nothing yet: frames with a
+        basis come from :class:`HarmonicAnalyzer`, with a model from the model steps.
+
     Attributes
     ----------
     basis : HarmonicBasis or None
         How the coefficients were made.
     model : LTIModel or None
         The model identified so far.
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eq. 7 (the coefficients).
 
     Examples
     --------
@@ -370,7 +380,22 @@ class HarmonicFrame(pd.DataFrame):
 
     @classmethod
     def attach(cls, data, basis, model):
-        """A frame of some data, with a basis and a model riding on it."""
+        """A frame of some data, with a basis and a model riding on it.
+
+        Parameters
+        ----------
+        data : DataFrame
+            Taken as it is, not copied.
+        basis : HarmonicBasis or None
+            How its coefficients were made.
+        model : LTIModel or None
+            The model identified so far.
+
+        Returns
+        -------
+        frame : HarmonicFrame
+            The same rows and columns.
+        """
         frame = cls(data, copy=False)
         frame.basis, frame.model = basis, model
         return frame
@@ -390,6 +415,12 @@ class FrameTransformer(TransformerMixin):
         Returns
         -------
         self : estimator
+            As it was.
+
+        Raises
+        ------
+        ValueError
+            If another container is asked for.
         """
         if transform not in (None, "default", "pandas"):
             raise ValueError(

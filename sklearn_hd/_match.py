@@ -211,11 +211,21 @@ class ParameterReport:
         Parameters
         ----------
         level : float, default=0.95
+            That probability, between 0 and 1.
 
         Returns
         -------
         interval : DataFrame, shape (n_parameters, 2)
             Columns ``lower`` and ``upper``.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If ``level`` is no probability.
+        AttributeError
+            Without ``criterion="output_error"``.
         """
         level = check_fraction("level", level, "it is a probability, such as 0.95")
         self._bounds("confidence_interval")
@@ -228,13 +238,21 @@ class ParameterReport:
         Parameters
         ----------
         frequencies : array_like, shape (n_frequencies,)
-            rad/s.
+            In rad/s.
 
         Returns
         -------
         response : complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
+            G(jΩ) between the signals of ``system_``.
         std : complex ndarray, of the same shape
             Standard deviation of the real part + j times that of the imaginary part.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        AttributeError
+            Without ``criterion="output_error"``.
         """
         found = self._bounds("frequency_response")
         return found.frequency_response(self._theta, frequencies)

@@ -248,6 +248,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Returns
         -------
         self : HarmonicAnalyzer
+            Fitted.
         """
         window = check_choice("window", self.window, WINDOWS)
         reading = self._reading()
@@ -374,11 +375,19 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Parameters
         ----------
         X : DataFrame, Series or ndarray, shape (n_samples, n_inputs)
+            Inputs of the names at fit, with the azimuth where there is one.
 
         Returns
         -------
         frame : HarmonicFrame, shape (n_samples, n_inputs + n_coefficients)
             The raw inputs, then ``u_0, u_1c, u_1s, …``.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If a segment is shorter than the window, or the inputs are not those of fit.
         """
         check_is_fitted(self)
         basis = self.basis_
@@ -425,6 +434,14 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Returns
         -------
         signals : DataFrame, shape (n_samples, n_inputs_kept)
+            In the units of the inputs.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If X lacks a column of coefficients, or the azimuth.
         """
         check_is_fitted(self)
         basis = self.basis_
@@ -468,6 +485,12 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Returns
         -------
         names : ndarray of str
+            Such as ``u, u_0, u_1c, u_1s``.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
         """
         check_is_fitted(self)
         return np.asarray([*self.basis_.measured, *self.basis_.drive_labels], dtype=object)

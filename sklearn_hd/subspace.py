@@ -175,6 +175,7 @@ class MOESPRegressor(StreamedFit, ModelStep):
         Returns
         -------
         self : MOESPRegressor
+            Fitted.
         """
         check_outputs_given(y)
         scale, feedthrough = self._check_parameters()

@@ -46,7 +46,9 @@ DEGREE = 5
 class FundamentalEstimate(NamedTuple):
     """What a record says of its fundamental frequency.
 
-    Attributes
+    Made by :func:`estimate_omega`; each parameter is an attribute.
+
+    Parameters
     ----------
     omega : float
         Estimate, rad/s.
@@ -55,6 +57,17 @@ class FundamentalEstimate(NamedTuple):
         frequency given.
     n_values : int
         Samples of all outputs that were used.
+
+    References
+    ----------
+    Golub, Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least
+    squares problems whose variables separate, SIAM J. Numerical Analysis 10(2), 413-432.
+
+    Examples
+    --------
+    >>> estimate = FundamentalEstimate(165.2, 0.01, 0.2, 4000)
+    >>> estimate.residual < estimate.residual_given
+    True
     """
 
     omega: float
@@ -82,12 +95,18 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN):
     Returns
     -------
     estimate : FundamentalEstimate
+        Where least is left unexplained.
 
     Raises
     ------
     ValueError
         If the inputs nowhere rest for some periods, or there is no minimum
         within the span.
+
+    References
+    ----------
+    Golub, Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least
+    squares problems whose variables separate, SIAM J. Numerical Analysis 10(2), 413-432.
 
     Examples
     --------

@@ -26,7 +26,7 @@ def hinf_norm(A, B, C, D, dt=None):
     Parameters
     ----------
     A, B, C, D : array_like, shapes (n, n), (n, m), (l, n), (l, m)
-        n = 0 (a static gain) is allowed.
+        State-space matrices; n = 0 (a static gain) is allowed.
     dt : float, True or None
         Sample time in seconds; None or 0 for continuous time, True for a
         discrete model whose sample time is not stated (taken as 1).
@@ -34,8 +34,9 @@ def hinf_norm(A, B, C, D, dt=None):
     Returns
     -------
     norm : float
+        Largest gain in the units of the outputs over those of the inputs.
     peak_frequency : float
-        rad/s, ≥ 0, and at most π/dt in discrete time. ``inf`` where the supremum
+        In rad/s, ≥ 0, and at most π/dt in discrete time. ``inf`` where the supremum
         is only approached at high frequency; 0 for a static gain. Of several
         frequencies with the same gain, one.
 
@@ -146,6 +147,7 @@ def h2_norm(A, B, C, D, dt=None):
     Parameters
     ----------
     A, B, C, D : array_like, shapes (n, n), (n, m), (l, n), (l, m)
+        State-space matrices.
     dt : float, True or None
         Sample time in seconds; None or 0 for continuous time. The discrete norm is
         that of the pulse response, with no factor dt.
@@ -153,13 +155,17 @@ def h2_norm(A, B, C, D, dt=None):
     Returns
     -------
     norm : float
-        ``inf`` for a continuous model with D ≠ 0. The Lyapunov solution loses half of
+        Infinite (``inf``) for a continuous model with D ≠ 0. The Lyapunov solution loses half of
         its digits when squares cancel: a norm below 1e-8 of ‖B‖ ‖C‖ is not resolved.
 
     Raises
     ------
     UnstableModelError
         If a pole lies on or outside the stability boundary.
+
+    References
+    ----------
+    Zhou, Doyle, Glover (1996), Robust and Optimal Control, section 4.5.
 
     Examples
     --------

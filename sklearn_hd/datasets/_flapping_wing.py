@@ -81,6 +81,7 @@ def make_flapping_wing(
     n_periods : int, default=220
         Length of each record.
     samples_per_period : int, default=64
+        Rows of one flapping period.
     start : float, default=132
         Period in which a doublet begins (132 are the paper's 5 s).
     width : float, default=10
@@ -107,6 +108,7 @@ def make_flapping_wing(
         records) to that of the white Gaussian noise added to it, plain or in decibels
         (20 log₁₀). Without either, no noise.
     noise_on : {"outputs", "both"}, default="outputs"
+        Where the noise is added; ``"both"`` is inputs and outputs.
     subsystem : {"heave", "flap"}, default="heave"
         ``"heave"``: ΔU is the amplitude itself, U₀; outputs w₀, φ̇_1c, φ̇_1s.
         ``"flap"``: ΔU is U_1c, so that the input is U_1c cos ψ; outputs φ̇₀, w_1c, w_1s.
@@ -117,6 +119,8 @@ def make_flapping_wing(
     Returns
     -------
     data : Bunch
+        With these attributes:
+
         inputs : DataFrame, (n_samples, 1)
             Column U, indexed by time in seconds. Perturbations, except for "nltp"; with
             kind "lti" and subsystem "flap" the column holds U_1c.

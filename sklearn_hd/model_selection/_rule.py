@@ -38,10 +38,10 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
         a size were searched (a window, a method), the best score is taken.
     metric : str, default="score"
         With several metrics, the one to decide by. (Like every callable
-        ``refit``, the rule leaves a search without ``best_score_``; read
-        ``cv_results_["mean_test_score"][search.best_index_]``.)
+        ``refit``, the rule leaves a search without ``best_score_``, which is
+        ``cv_results_["mean_test_score"][search.best_index_]``).
     test_share : float or None, default=None
-        q. None is 1/(k − 1), as in k folds of equal size.
+        Rows tested over rows trained on, q. None is 1/(k − 1), as in k folds of equal size.
 
     Returns
     -------

@@ -39,6 +39,15 @@ def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
         estimator is a model step, or a Pipeline, search or FrozenEstimator
         that ends in one.
 
+    Raises
+    ------
+    ValueError
+        If ``metric`` is not callable.
+
+    References
+    ----------
+    Ljung (1999), System Identification, section 16.5 (models judged by simulation).
+
     Examples
     --------
     >>> from sklearn.metrics import mean_absolute_error
@@ -134,6 +143,7 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
     Parameters
     ----------
     y_true, y_pred : DataFrame, Series or ndarray, shape (n_samples, n_outputs) or (n_samples,)
+        Measured and simulated outputs, on the same rows.
     sample_weight : array_like, shape (n_samples,), optional
         Weights of the squares in both norms.
 
@@ -223,6 +233,10 @@ def fit_percent_scorer(output=None):
     --------
     fit_percent : The same number, per output, of any two signals.
     simulation_scorer : The same simulation, for other metrics.
+
+    References
+    ----------
+    Ljung (1999), System Identification, section 16.4.
 
     Examples
     --------

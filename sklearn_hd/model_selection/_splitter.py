@@ -53,6 +53,11 @@ class PeriodBlockSplit(BaseCrossValidator):
     sklearn.model_selection.TimeSeriesSplit : Trains on the past alone.
     sklearn.model_selection.GroupKFold : Whole records, by the record level of the index.
 
+    References
+    ----------
+    Burman, Chow, Nolan (1994), A cross-validatory method for dependent data, Biometrika
+    81(2), 351-358 (blocks, and a gap on either side).
+
     Examples
     --------
     >>> import numpy as np, pandas as pd
@@ -95,6 +100,12 @@ class PeriodBlockSplit(BaseCrossValidator):
         Returns
         -------
         n_splits : int
+            As given.
+
+        Raises
+        ------
+        ValueError
+            If ``n_splits`` is no whole number of at least 2.
         """
         return check_count("n_splits", self.n_splits, 2, "a single block leaves nothing to train")
 

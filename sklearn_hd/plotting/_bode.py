@@ -28,10 +28,11 @@ class BodeDisplay:
     Parameters
     ----------
     frequencies : ndarray, shape (n_frequencies,)
-        rad/s.
+        In rad/s.
     responses : dict of complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
         By label.
     input_names, output_names : sequence of str
+        In the order of the responses' last axes.
     std : dict of complex ndarray, of the same shape, optional
         Standard deviation of the real part + j times that of the imaginary part.
     reference : str, optional
@@ -79,17 +80,19 @@ class BodeDisplay:
         ----------
         estimator : model step of sklearn_hd, or Pipeline or search that holds one
             Fitted. Several, in a dict by label, are drawn together.
-        frequencies : array_like, optional
-            rad/s; a decade beyond the poles by default.
+        frequencies : array_like, shape (n_frequencies,), optional
+            In rad/s; a decade beyond the poles by default.
         true : control.StateSpace, optional
             The truth, between the same signals.
         ax : Axes or array of Axes, optional
+            One Axes a panel, or one that is divided; a new figure by default.
         **plotted
             ``inputs``, ``outputs``, ``units``: see :meth:`plot`.
 
         Returns
         -------
         display : BodeDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -121,12 +124,26 @@ class BodeDisplay:
         ----------
         systems : control.StateSpace, or a dict of them by label
             Between the same signals, continuous or discrete.
-        frequencies, true, ax, **plotted
-            As in :meth:`from_estimator`.
+        frequencies : array_like, shape (n_frequencies,), optional
+            In rad/s; a decade beyond the poles by default.
+        true : control.StateSpace, optional
+            The truth, between the same signals.
+        ax : Axes or array of Axes, optional
+            Two Axes for each pair of signals, or one that is divided.
+        **plotted
+            ``inputs``, ``outputs``, ``units``: see :meth:`plot`.
 
         Returns
         -------
         display : BodeDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        TypeError
+            If a system is no ``control.StateSpace``.
+        ValueError
+            If systems have different signals, or a frequency is not positive.
         """
         return cls._of(by_label(systems, "model"), frequencies, true).plot(ax=ax, **plotted)
 
@@ -181,6 +198,12 @@ class BodeDisplay:
         Returns
         -------
         display : BodeDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        ValueError
+            If a signal asked for is not there.
         """
         pairs = [
             (o, i)

@@ -33,6 +33,11 @@ class ConvergenceDisplay:
     end_ : Text
         Says the last error.
 
+    Raises
+    ------
+    ValueError
+        If a column is missing, or the history is empty.
+
     References
     ----------
     Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eq. 22.
@@ -71,10 +76,12 @@ class ConvergenceDisplay:
         estimator : StructuredMatcher, or Pipeline or search that holds one
             Fitted.
         ax : Axes, optional
+            Those of a new figure by default.
 
         Returns
         -------
         display : ConvergenceDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -93,10 +100,12 @@ class ConvergenceDisplay:
         Parameters
         ----------
         ax : Axes, optional
+            Those of a new figure by default.
 
         Returns
         -------
         display : ConvergenceDisplay
+            Drawn; what it draws stands in its attributes.
         """
         panels = one_axes(ax, (6.4, 4.0))
         self.figure_, self.ax_ = panels.figure, panels.axes[0]

@@ -50,14 +50,15 @@ class EigenvalueDisplay:
     ----------
     modes : DataFrame, optional
         ``modes_`` of a SpuriousModeReducer: the columns eigenvalue, family, verdict.
-    model : DataFrame or array_like, optional
+    model : DataFrame or array_like, shape (n_states,), optional
         Eigenvalues of the model in use, 1/s; a DataFrame has the columns eigenvalue and,
         where they are known, the standard deviations std_real and std_imag.
-    true : array_like, optional
-        1/s.
+    true : array_like, shape (n_states,), optional
+        Eigenvalues of the truth, 1/s.
     omega : float, optional
-        rad/s; the strip of width ω in which Floquet exponents are told apart is marked.
+        In rad/s; the strip of width ω in which Floquet exponents are told apart is marked.
     model_name : str, default="identified"
+        What the legend calls the model.
 
     Attributes
     ----------
@@ -109,15 +110,17 @@ class EigenvalueDisplay:
             Fitted. The modes are those of its SpuriousModeReducer, the model is that of
             its StructuredMatcher, or of the last model step where there is no reducer.
         true : array_like, LTPSystem or control.StateSpace, optional
-            The truth: eigenvalues in 1/s, or a system (an LTPSystem by its Floquet
-            exponents).
+            The truth: eigenvalues in 1/s, shape (n_states,), or a system (an LTPSystem by
+            its Floquet exponents).
         level : float, default=0.95
             Probability with which an ellipse holds the eigenvalue.
         ax : Axes, optional
+            Those of a new figure by default.
 
         Returns
         -------
         display : EigenvalueDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -153,15 +156,23 @@ class EigenvalueDisplay:
         Parameters
         ----------
         ax : Axes, optional
+            Those of a new figure by default.
         level : float, default=0.95
             Probability with which an ellipse holds the eigenvalue.
         families : bool, default=True
             Whether to join the modes of a family.
         legend : bool, default=True
+            Whether to draw a legend.
 
         Returns
         -------
         display : EigenvalueDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        ValueError
+            If ``level`` is no probability, or there is nothing to draw.
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level={level!r} must be a probability between 0 and 1, such as 0.95")

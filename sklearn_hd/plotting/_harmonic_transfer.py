@@ -36,7 +36,7 @@ class HarmonicTransferFunctionDisplay:
 
     Attributes
     ----------
-    axes_ : ndarray of Axes
+    axes_ : ndarray of Axes, shape (n_rows * (2 N + 1),)
         One row for each output and input, and one with the coherence of each output
         where something was measured; one column a harmonic, from −N to N.
     figure_ : Figure
@@ -47,6 +47,13 @@ class HarmonicTransferFunctionDisplay:
     coherence_lines_ : dict of Line2D
         By label, output and harmonic.
     legend_ : Legend
+
+    Raises
+    ------
+    TypeError
+        If a response is no HarmonicTransferFunction.
+    ValueError
+        If responses are between different signals.
 
     References
     ----------
@@ -90,16 +97,18 @@ class HarmonicTransferFunctionDisplay:
             A record from which the response is estimated without a model, best one that
             the model was not fitted to; the periodic trim is taken from it.
         n_harmonics : int, default=1
-            N.
-        frequencies : array_like, optional
-            rad/s; without a record, up to N + 2 times ω by default. With one, its own.
+            Highest harmonic N of the response.
+        frequencies : array_like, shape (n_frequencies,), optional
+            In rad/s; without a record, up to N + 2 times ω by default. With one, its own.
         ax : Axes or array of Axes, optional
+            One Axes a panel, or one that is divided; a new figure by default.
         **plotted
             ``inputs``, ``outputs``, ``units``, ``xscale``: see :meth:`plot`.
 
         Returns
         -------
         display : HarmonicTransferFunctionDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -127,12 +136,26 @@ class HarmonicTransferFunctionDisplay:
         ----------
         systems : LTPSystem, or a dict of them by label
             Between the same signals.
-        n_harmonics, frequencies, ax, **plotted
-            As in :meth:`from_estimator`.
+        n_harmonics : int, default=1
+            Highest harmonic N of the response.
+        frequencies : array_like, shape (n_frequencies,), optional
+            In rad/s; up to N + 2 times ω by default.
+        ax : Axes or array of Axes, optional
+            One Axes a panel, row by row, or one that is divided.
+        **plotted
+            ``inputs``, ``outputs``, ``units``, ``xscale``: see :meth:`plot`.
 
         Returns
         -------
         display : HarmonicTransferFunctionDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        TypeError
+            If a system is no LTPSystem.
+        ValueError
+            If systems have different signals.
         """
         systems = by_label(systems, "model")
         for label, system in systems.items():
@@ -152,14 +175,16 @@ class HarmonicTransferFunctionDisplay:
 
         Parameters
         ----------
-        u, y : DataFrame, Series or ndarray
+        u, y : DataFrame, Series or ndarray, shapes (n_samples, n_inputs or n_outputs)
             Inputs and outputs, the periodic trim subtracted.
         omega : float
-            rad/s.
+            Fundamental frequency, rad/s.
         n_harmonics : int, default=1
+            Highest harmonic N of the response.
         systems : LTPSystem, or a dict of them by label, optional
             Models to compare with, for inputs held from sample to sample.
         ax : Axes or array of Axes, optional
+            One Axes a panel, or one that is divided; a new figure by default.
         plotted : dict, optional
             Parameters of :meth:`plot`.
         **kw
@@ -168,6 +193,14 @@ class HarmonicTransferFunctionDisplay:
         Returns
         -------
         display : HarmonicTransferFunctionDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        TypeError
+            If a system is no LTPSystem.
+        ValueError
+            If the record is too short, or systems have other signals than it.
         """
         measured = estimate_harmonic_transfer_function(u, y, omega, n_harmonics, **kw)
         responses = {"measured": measured}
@@ -191,10 +224,12 @@ class HarmonicTransferFunctionDisplay:
         units : dict, optional
             Unit of each signal, for the labels.
         xscale : {"linear", "log"}, default="linear"
+            Of the frequencies.
 
         Returns
         -------
         display : HarmonicTransferFunctionDisplay
+            Drawn; what it draws stands in its attributes.
         """
         first = next(iter(self.responses.values()))
         inputs = chosen(inputs, first.input_names, "inputs")

@@ -44,6 +44,7 @@ class HarmonicsDisplay:
     axis : str, default="time (s)"
         Label of the time axis.
     title : str, optional
+        Above the first panel.
     about_trim : bool, default=False
         Whether the periodic trim has been subtracted from the coefficients.
 
@@ -108,6 +109,7 @@ class HarmonicsDisplay:
         Parameters
         ----------
         signals : DataFrame or Series, shape (n_samples, n_signals)
+            As measured, indexed by seconds.
         omega : float
             Fundamental frequency, rad/s.
         harmonics : int or dict, default=1
@@ -117,6 +119,7 @@ class HarmonicsDisplay:
         span : (float, float), optional
             Seconds to draw.
         ax : Axes or array of Axes, optional
+            One Axes a panel, or one that is divided; a new figure by default.
         units : dict, optional
             Unit of each signal, for the labels.
         **kw
@@ -125,6 +128,7 @@ class HarmonicsDisplay:
         Returns
         -------
         display : HarmonicsDisplay
+            Drawn; what it draws stands in its attributes.
         """
         analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, **kw).fit(signals)
         return cls.from_estimator(analyzer, signals, record=record, span=span, ax=ax, units=units)
@@ -147,14 +151,13 @@ class HarmonicsDisplay:
             Seconds to draw.
         ax : Axes or array of Axes, optional
             Two Axes a signal, or one that is divided.
-        span : (float, float), optional
-            Seconds to draw.
         units : dict, optional
             Unit of each signal, for the labels.
 
         Returns
         -------
         display : HarmonicsDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -199,6 +202,7 @@ class HarmonicsDisplay:
         Returns
         -------
         display : HarmonicsDisplay
+            Drawn; what it draws stands in its attributes.
         """
         count = len(self.harmonics)
         rows, columns = grid_of(count, most=2 if count == 4 else 3)

@@ -82,12 +82,14 @@ class OrderSelectionDisplay:
         misfit : bool, default=False
             Draw 1 − score on a logarithmic axis, which tells scores near one apart.
         ax : Axes, optional
+            Those of a new figure by default.
         **names
             ``order``, ``block_rows``: see :meth:`from_cv_results`.
 
         Returns
         -------
         display : OrderSelectionDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -129,22 +131,27 @@ class OrderSelectionDisplay:
         Parameters
         ----------
         cv_results : dict or DataFrame
+            What a search leaves: parameters and scores of the candidates, fold by fold.
         order, block_rows : str
             Names of the parameters, alone or with their steps (``"identify__order"``).
             ``block_rows`` need not have been searched. Of candidates that differ in
             further parameters alone the best is drawn.
         metric : str, default="score"
+            With several metrics, which.
         chosen : int, optional
             Index of the candidate that the search took.
         test_share : float, optional
-            q; None is 1/(k − 1), as in k folds of equal size.
+            Rows tested over rows trained on, q; None is 1/(k − 1), as in k folds of equal
+            size.
         misfit : bool, default=False
             Draw 1 − score on a logarithmic axis.
         ax : Axes, optional
+            Those of a new figure by default.
 
         Returns
         -------
         display : OrderSelectionDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -182,12 +189,19 @@ class OrderSelectionDisplay:
         Parameters
         ----------
         ax : Axes, optional
+            Those of a new figure by default.
         misfit : bool, default=False
             Draw 1 − score on a logarithmic axis, which tells scores near one apart.
 
         Returns
         -------
         display : OrderSelectionDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        ValueError
+            If every candidate failed on some fold.
         """
         good = self.results[np.isfinite(self.results["score"])]
         if len(good) == 0:

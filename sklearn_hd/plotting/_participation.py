@@ -59,12 +59,14 @@ class ParticipationDisplay:
         n_harmonics : int, default=1
             Harmonics kept of the states.
         mode_names : sequence of str, optional
+            Of the modes drawn, from the rightmost leftwards.
         ax : Axes or array of Axes, optional
             One Axes a state, or one that is divided.
 
         Returns
         -------
         display : ParticipationDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -85,12 +87,25 @@ class ParticipationDisplay:
         Parameters
         ----------
         system : LTPSystem
-        n_harmonics, mode_names, ax
-            As in :meth:`from_estimator`.
+            Whose modes to draw.
+        n_harmonics : int, default=1
+            Harmonics kept of the states.
+        mode_names : sequence of str, optional
+            Of the modes drawn, from the rightmost leftwards.
+        ax : Axes or array of Axes, optional
+            One Axes a state, or one that is divided.
 
         Returns
         -------
         display : ParticipationDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        TypeError
+            If the system is no LTPSystem.
+        ValueError
+            If the names are not as many as the modes drawn.
         """
         check_periodic(system, cls.__name__)
         return cls(system.modal_participation(n_harmonics), mode_names=mode_names).plot(ax=ax)
@@ -108,6 +123,7 @@ class ParticipationDisplay:
         Returns
         -------
         display : ParticipationDisplay
+            Drawn; what it draws stands in its attributes.
         """
         states = list(dict.fromkeys(self.shares.index.get_level_values("state")))
         known = set(self.shares.columns)

@@ -29,7 +29,9 @@ class PeriodicMatrixDisplay:
     values : dict of ndarray, shape (n_points, rows, columns)
         By label.
     row_names, column_names : sequence of str
+        Names of what the rows and columns stand for.
     matrix : str, default="F"
+        What the matrix is called.
     reference : str, optional
         Label of the matrix drawn broad and grey: the truth.
 
@@ -71,6 +73,7 @@ class PeriodicMatrixDisplay:
         estimator : StructuredMatcher, or Pipeline or search that holds one
             Fitted with a periodic structure.
         matrix : {"F", "G", "P", "Q"}, default="F"
+            Which to draw.
         true : LTPSystem, optional
             The truth, of the same states and signals.
         ax : Axes or array of Axes, optional
@@ -79,6 +82,7 @@ class PeriodicMatrixDisplay:
         Returns
         -------
         display : PeriodicMatrixDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -100,12 +104,24 @@ class PeriodicMatrixDisplay:
         ----------
         systems : LTPSystem, or a dict of them by label
             Of the same states and signals, which may be in another order.
-        matrix, true, ax
-            As in :meth:`from_estimator`.
+        matrix : {"F", "G", "P", "Q"}, default="F"
+            Which to draw.
+        true : LTPSystem, optional
+            The truth, of the same states and signals.
+        ax : Axes or array of Axes, optional
+            One Axes an entry, or one that is divided.
 
         Returns
         -------
         display : PeriodicMatrixDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        TypeError
+            If a system is no LTPSystem.
+        ValueError
+            If there is no such matrix, or systems have different states or signals.
         """
         check_choice("matrix", matrix, MATRICES)
         systems = by_label(systems, "model")
@@ -140,6 +156,7 @@ class PeriodicMatrixDisplay:
         Returns
         -------
         display : PeriodicMatrixDisplay
+            Drawn; what it draws stands in its attributes.
         """
         shape = len(self.row_names), len(self.column_names)
         small = max(shape) >= SMALL

@@ -45,8 +45,11 @@ class ResponseDisplay:
     validation_span : (float, float), optional
         Seconds; rows not used for the fit, shaded, with a fit of their own.
     axis : str, default="time (s)"
+        Label of the time axis.
     title : str, optional
+        Above the first panel.
     measured_name : str, default="measured"
+        What the legend calls the measured outputs.
 
     Attributes
     ----------
@@ -54,7 +57,7 @@ class ResponseDisplay:
         Percent, of all rows drawn outside the validation span.
     validation_fit_ : DataFrame or None
         The same within the validation span.
-    axes_ : ndarray of Axes
+    axes_ : ndarray of Axes, shape (n_inputs + n_outputs,)
         Of the inputs, then of the outputs.
     figure_ : Figure
     measured_lines_ : dict of Line2D
@@ -125,7 +128,9 @@ class ResponseDisplay:
         estimator : model step of sklearn_hd, or Pipeline or search that ends in one
             Fitted. Several, in a dict by label, are drawn together.
         X : DataFrame, Series or ndarray, shape (n_samples, n_inputs)
+            Inputs.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs, on the same rows.
         record : label, optional
             Which record of a (record, time) index; the first by default.
         validation_span : (float, float), optional
@@ -133,13 +138,16 @@ class ResponseDisplay:
         span : (float, float), optional
             Seconds to draw; the fit is that of all rows all the same.
         show_inputs : bool, default=True
+            Whether to draw the inputs above the outputs.
         units : dict, optional
             Unit of each signal, for the labels.
         ax : Axes or array of Axes, optional
+            One Axes a panel, or one that is divided; a new figure by default.
 
         Returns
         -------
         display : ResponseDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -200,17 +208,28 @@ class ResponseDisplay:
         Parameters
         ----------
         measured : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            In time, one record or several.
         simulated : the same, or a dict of them by label
             On the same rows.
-        inputs : DataFrame, Series or ndarray, optional
+        inputs : DataFrame, Series or ndarray, shape (n_samples, n_inputs), optional
             On the same rows, drawn above the outputs.
-        record, validation_span, span, units, ax
-            As in :meth:`from_estimator`.
+        record : label, optional
+            Which record of a (record, time) index; the first by default.
+        validation_span : (float, float), optional
+            Seconds; rows not used for the fit.
+        span : (float, float), optional
+            Seconds to draw; the fit is that of all rows all the same.
+        units : dict, optional
+            Unit of each signal, for the labels.
         measured_name : str, default="measured"
+            What the legend calls the measured outputs.
+        ax : Axes or array of Axes, optional
+            One Axes for each input and output, or one that is divided.
 
         Returns
         -------
         display : ResponseDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -254,6 +273,7 @@ class ResponseDisplay:
         Returns
         -------
         display : ResponseDisplay
+            Drawn; what it draws stands in its attributes.
         """
         self._score()
         inputs = [] if self.inputs is None else list(self.inputs)

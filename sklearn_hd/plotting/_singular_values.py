@@ -73,10 +73,12 @@ class SingularValueDisplay:
         marks : dict, optional
             Further orders to mark, by label: ``{"paper": 7}``.
         ax : Axes, optional
+            Those of a new figure by default.
 
         Returns
         -------
         display : SingularValueDisplay
+            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -97,13 +99,21 @@ class SingularValueDisplay:
         Parameters
         ----------
         ax : Axes, optional
+            Those of a new figure by default.
         count : int, default=30
+            Largest number of values drawn; the one after the order always is.
         marks : dict, optional
             Further orders to mark, by label.
 
         Returns
         -------
         display : SingularValueDisplay
+            Drawn; what it draws stands in its attributes.
+
+        Raises
+        ------
+        ValueError
+            If no singular value is positive.
         """
         values = self.singular_values[: max(count, self.order + 1)]
         if not np.any(values > 0.0):

@@ -131,17 +131,35 @@ class HarmonicStructure:
 
     @property
     def fixed(self):
+        """Value of each parameter that is fixed, by name."""
         return dict(self._fixed)
 
     def given_entries(self):
-        """Those of F, G, P and Q of which entries are given, not a number of harmonics alone."""
+        """Those of F, G, P and Q of which entries are given, not a number of harmonics alone.
+
+        Returns
+        -------
+        names : list of str
+            Among ``"F"``, ``"G"``, ``"P"`` and ``"Q"``.
+        """
         fixed = {place["matrix"] for place in map(_PLACE.fullmatch, self._fixed) if place}
         return [
             name for name, spec in self._specs.items() if isinstance(spec, dict) or name in fixed
         ]
 
     def n_harmonics(self, name):
-        """Highest harmonic of F, G, P or Q; None if the data decide."""
+        """Highest harmonic of F, G, P or Q; None if the data decide.
+
+        Parameters
+        ----------
+        name : {"F", "G", "P", "Q"}
+            Which matrix.
+
+        Returns
+        -------
+        n_harmonics : int or None
+            K, of coefficients 0, 1c, 1s, … Kc, Ks.
+        """
         spec = self._specs[name]
         if isinstance(spec, dict):
             return max(order_of(label) for label in spec)
@@ -150,7 +168,19 @@ class HarmonicStructure:
     def parameter_names(self, states, inputs, outputs=None, **n_harmonics):
         """Names of the parameters for some states, inputs and outputs.
 
-        ``F=``, ``G=``, ``P=`` give the number of harmonics where the data decide.
+        Parameters
+        ----------
+        states, inputs : sequence of str
+            Their names.
+        outputs : sequence of str, optional
+            The states by default.
+        **n_harmonics : int
+            Of ``F``, ``G`` and ``P``, where the structure leaves it to the data.
+
+        Returns
+        -------
+        names : tuple of str
+            In the order of ``theta_``; without those fixed.
         """
         outputs = states if outputs is None else outputs
         return self.resolve(states, inputs, outputs, n_harmonics).parameter_names
@@ -161,10 +191,17 @@ class HarmonicStructure:
         Parameters
         ----------
         values : mapping of str to float
+            Values by the name of the parameter.
 
         Returns
         -------
         structure : HarmonicStructure
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a name is no parameter, or a value is no finite number.
         """
         values = read_fixed(values)
         self._check_fixed("fix", values)
@@ -181,6 +218,12 @@ class HarmonicStructure:
         Returns
         -------
         structure : HarmonicStructure
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a name is not that of a fixed parameter.
         """
         names = freed(self._fixed, names)
         return self._with_fixed({k: x for k, x in self._fixed.items() if k not in names})
@@ -232,6 +275,12 @@ class HarmonicStructure:
         Returns
         -------
         structure : PeriodicStructure
+            The coefficients of F, G, P and Q, affine in the parameters.
+
+        Raises
+        ------
+        ValueError
+            If shapes or labels do not fit the signals.
         """
         sides = {"F": (states, states), "G": (states, inputs)}
         sides |= {"P": (outputs, states), "Q": (outputs, inputs)}

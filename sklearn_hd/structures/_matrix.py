@@ -41,7 +41,9 @@ class MatrixStructure:
     Parameters
     ----------
     A : array_like or DataFrame, shape (n, n)
+        State matrix, in 1/s where x and its derivative have one unit.
     B : array_like or DataFrame, shape (n, m)
+        Input matrix.
     C : array_like or DataFrame, shape (l, n), optional
         The identity by default: every state is an output.
     D : array_like or DataFrame, shape (l, m), optional
@@ -80,6 +82,11 @@ class MatrixStructure:
     ValueError
         If shapes or labels do not fit together, an entry is no number, NaN or affine text,
         or values by name contradict each other.
+
+    References
+    ----------
+    Bellman, Åström (1970), On structural identifiability, Mathematical Biosciences 7,
+    329-339 (which structures the outputs determine).
 
     Examples
     --------
@@ -160,46 +167,57 @@ class MatrixStructure:
 
     @property
     def parameter_names(self):
+        """Names of the parameters, without those fixed, in the order of θ."""
         return tuple(name for name in parameter_names(self._cells) if name not in self._fixed)
 
     @property
     def n_parameters(self):
+        """Number k of parameters, without those fixed."""
         return len(self.parameter_names)
 
     @property
     def n_states(self):
+        """Number n of states."""
         return self._shape[0]
 
     @property
     def n_inputs(self):
+        """Number m of inputs."""
         return self._shape[1]
 
     @property
     def n_outputs(self):
+        """Number l of outputs."""
         return self._shape[2]
 
     @property
     def initial(self):
+        """Where a search may start, shape (k,); None where nothing was said."""
         return None if self._initial is None else np.array(list(self._initial.values()))
 
     @property
     def bounds(self):
+        """Bounds by name as given, those of fixed parameters too."""
         return dict(self._bounds)
 
     @property
     def lower(self):
+        """Lower bounds of the parameters, shape (k,); −inf where open."""
         return bound_array(self._bounds, self.parameter_names, 0, -np.inf)
 
     @property
     def upper(self):
+        """Upper bounds of the parameters, shape (k,); inf where open."""
         return bound_array(self._bounds, self.parameter_names, 1, np.inf)
 
     @property
     def fixed(self):
+        """Value of each parameter that is fixed, by name."""
         return dict(self._fixed)
 
     @cached_property
     def affine(self):
+        """The matrices as an AffineStructure: the form that the algorithms work on."""
         return _affine(self._filled(), *self._shape)
 
     def _filled(self):
@@ -207,7 +225,23 @@ class MatrixStructure:
         return [fill_all(cells, self._fixed) for cells in self._cells]
 
     def matrices(self, theta):
-        """(A, B, C, D) at the parameters θ, shape (k,) in the order of parameter_names."""
+        """A, B, C and D at some values of the parameters.
+
+        Parameters
+        ----------
+        theta : array_like, shape (k,)
+            In the order of ``parameter_names``.
+
+        Returns
+        -------
+        A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
+            Of their own, to be changed at will.
+
+        Raises
+        ------
+        ValueError
+            If θ does not hold one finite number for each parameter.
+        """
         theta = read_numbers("theta", theta, self.parameter_names)
         return tuple(matrix.copy() for matrix in self.affine.matrices(theta))
 
@@ -217,10 +251,17 @@ class MatrixStructure:
         Parameters
         ----------
         values : mapping of str to float
+            Values by the name of the parameter.
 
         Returns
         -------
         structure : MatrixStructure
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a name is no parameter, or a value is no finite number within its bounds.
         """
         values = read_fixed(values)
         check_known("fix", values, parameter_names(self._cells))
@@ -239,6 +280,11 @@ class MatrixStructure:
         -------
         structure : MatrixStructure
             Where it has initial values, those freed start at the value they had.
+
+        Raises
+        ------
+        ValueError
+            If a name is not that of a fixed parameter.
         """
         names = freed(self._fixed, names)
         initial = self._initial

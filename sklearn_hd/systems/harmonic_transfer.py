@@ -47,9 +47,9 @@ class HarmonicTransferFunction:
         u(t) = u e^{jΩt}   →   y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
 
     Made by :meth:`LTPSystem.harmonic_transfer_function` and
-    :func:`estimate_harmonic_transfer_function`.
+    :func:`estimate_harmonic_transfer_function`; each parameter is an attribute.
 
-    Attributes
+    Parameters
     ----------
     omega : float
         Fundamental frequency, rad/s.
@@ -58,6 +58,7 @@ class HarmonicTransferFunction:
     response : complex ndarray, shape (n_frequencies, 2 N + 1, n_outputs, n_inputs)
         H_n(jΩ), n from −N to N. H_n(−jΩ) is the conjugate of H_−n(jΩ).
     input_names, output_names : tuple of str
+        In the order of the response's last axes.
     blocks : complex ndarray, shape (n_frequencies, 2 N + 1, 2 N + 1, n_outputs, n_inputs)
         Of models: H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)) from input harmonic q to output
         harmonic p, both from −N to N. None for estimates.
@@ -68,6 +69,20 @@ class HarmonicTransferFunction:
         for, by all their harmonics together. None for models.
     n_averages : float
         Of estimates: independent segments averaged. None for models.
+
+    References
+    ----------
+    N. M. Wereley, S. R. Hall, "Frequency response of linear time periodic
+    systems", 29th IEEE Conference on Decision and Control (1990).
+
+    Examples
+    --------
+    >>> from sklearn_hd.systems import mathieu
+    >>> response = mathieu().harmonic_transfer_function([0.5, 1.0], 1)
+    >>> response.n_harmonics, response.response.shape
+    (1, (2, 3, 2, 1))
+    >>> response.to_frame().columns.names
+    FrozenList(['output', 'input', 'harmonic'])
     """
 
     omega: float
@@ -86,7 +101,23 @@ class HarmonicTransferFunction:
         return self.response.shape[1] // 2
 
     def harmonic(self, n):
-        """H_n(jΩ), shape (n_frequencies, n_outputs, n_inputs), for one n from −N to N."""
+        """H_n(jΩ) of one harmonic.
+
+        Parameters
+        ----------
+        n : int
+            From −N to N.
+
+        Returns
+        -------
+        response : complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
+            From the input at Ω to the output at Ω + nω.
+
+        Raises
+        ------
+        ValueError
+            If n is not whole, or beyond N.
+        """
         whole = isinstance(n, numbers.Integral) and not isinstance(n, bool)
         if not whole or abs(n) > self.n_harmonics:
             way = f"ask for n_harmonics={abs(n)} or more" if whole else "give a whole number"
@@ -96,12 +127,22 @@ class HarmonicTransferFunction:
         return self.response[:, self.n_harmonics + n]
 
     def to_frame(self, what="response"):
-        """The response, or its ``"std"``, as a table.
+        """The response, or its standard deviation, as a table.
+
+        Parameters
+        ----------
+        what : {"response", "std"}, default="response"
+            Models have no ``"std"``.
 
         Returns
         -------
         table : DataFrame
             Index: frequency in rad/s; columns: (output, input, harmonic).
+
+        Raises
+        ------
+        ValueError
+            If what is asked for is not there.
         """
         if what not in ("response", "std") or getattr(self, what) is None:
             raise ValueError(f"what={what!r} is not here; use 'response', or 'std' of an estimate")
@@ -127,6 +168,13 @@ class HarmonicTransferFunction:
         Returns
         -------
         misfit : DataFrame, n_outputs · n_inputs rows by 2 N + 1 harmonics
+            In standard deviations; NaN where nothing was excited.
+
+        Raises
+        ------
+        ValueError
+            If this is no estimate, or the model differs in signals, harmonics or
+            frequencies.
         """
         if self.std is None:
             raise ValueError("a misfit needs standard deviations: call misfit of the estimate")
@@ -251,7 +299,7 @@ def estimate_harmonic_transfer_function(
 
     Parameters
     ----------
-    u, y : DataFrame, Series or ndarray
+    u, y : DataFrame, Series or ndarray, shapes (n_samples, n_inputs or n_outputs)
         Inputs and outputs with the same rows. The index is the time, ψ = ωt, in
         seconds; a (record, time) MultiIndex holds several records. Gaps start a new
         segment.

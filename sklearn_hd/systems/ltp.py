@@ -113,6 +113,7 @@ class LTPSystem(NamedSignals):
 
     @property
     def period(self):
+        """Period T = 2π / ω in seconds."""
         return 2.0 * np.pi / self.omega
 
     def __repr__(self):
@@ -130,12 +131,35 @@ class LTPSystem(NamedSignals):
         -------
         F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
             In the order 0, 1c, 1s, …; jumps within the period cost no accuracy.
+
+        Raises
+        ------
+        ValueError
+            If ``n_harmonics`` is negative or not whole.
         """
         K = _check_harmonics("n_harmonics", n_harmonics)
         return tuple(matrix_coefficients(M, K) for M in (self.F, self.G, self.P, self.Q))
 
     def monodromy(self, start=0.0):
-        """Transition matrix over one period that begins at azimuth ``start`` (radians)."""
+        """Transition matrix Φ over one period.
+
+            x(t + T) = Φ x(t)   for u = 0,   ψ(t) = start
+
+        Parameters
+        ----------
+        start : float, default=0.0
+            Azimuth ψ at which the period begins, radians.
+
+        Returns
+        -------
+        monodromy : ndarray, shape (n_states, n_states)
+            Its eigenvalues are the Floquet multipliers e^{λT}, whatever ``start``.
+
+        Raises
+        ------
+        ValueError
+            If ``start`` is not finite.
+        """
         check_numbers("finite", "it is the azimuth ψ in radians", start=start)
         tolerance = max(1e-14, precision(self.F))
         return floquet.monodromy_matrix(self.F, self.omega, start=start, tolerance=tolerance)
@@ -232,6 +256,11 @@ class LTPSystem(NamedSignals):
         response : HarmonicTransferFunction
             With ``response`` H_n(jΩ) and ``blocks`` H_{p,q}(jΩ).
 
+        Raises
+        ------
+        ValueError
+            If a parameter is out of its range, or a period holds no whole number of samples.
+
         References
         ----------
         N. M. Wereley, S. R. Hall, "Frequency response of linear time periodic
@@ -265,6 +294,11 @@ class LTPSystem(NamedSignals):
         factors : DataFrame, n (2N + 1) rows by as many modes
             Index: names of the HD states (w_0, …); columns: eigenvalues in 1/s, from
             the rightmost leftwards. Each column sums to one.
+
+        Raises
+        ------
+        ValueError
+            If ``n_harmonics`` is negative or not whole.
         """
         N = _check_harmonics("n_harmonics", n_harmonics)
         eigenvalues, _, factors = floquet.participation_factors(self._hd_matrix(N))
@@ -292,6 +326,11 @@ class LTPSystem(NamedSignals):
         shares : DataFrame, n (N + 1) rows by n modes
             Index: (state, harmonic); columns: eigenvalues of the HD model in 1/s, in
             the order of :meth:`floquet_exponents`.
+
+        Raises
+        ------
+        ValueError
+            If ``n_harmonics`` is negative or not whole.
 
         References
         ----------
@@ -327,10 +366,12 @@ class LTPSystem(NamedSignals):
         x0 : array_like, shape (n,) or (..., n), optional
             State at ``t[0]``; zero by default.
         return_states : bool, default=False
+            Whether to return the states too.
 
         Returns
         -------
         y : ndarray, shape (..., n_samples, l)
+            Outputs.
         x : ndarray, shape (..., n_samples, n)
             Only with ``return_states=True``.
 

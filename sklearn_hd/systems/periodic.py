@@ -41,13 +41,16 @@ SHOOTING_START_HARMONICS = 32  # harmonic balance that shooting starts from
 class Trim:
     """Periodic solution x*(t) = x*(t + T) of a system under constant inputs.
 
-    Attributes
+    Made by :meth:`PeriodicSystem.trim`; each parameter is an attribute.
+
+    Parameters
     ----------
     omega : float
         Fundamental frequency, rad/s.
     coefficients : ndarray, shape (2 N + 1, n)
         Fourier coefficients of the states in the order 0, 1c, 1s, ….
     inputs : ndarray, shape (m,)
+        Constant values u*.
     initial_state : ndarray, shape (n,)
         State at ψ = 0: of the Fourier series (harmonic balance), or on the exact
         orbit (shooting).
@@ -56,6 +59,21 @@ class Trim:
     method : str
         ``"harmonic_balance"`` or ``"shooting"``.
     state_names, input_names : tuple of str
+        As the system has them.
+
+    References
+    ----------
+    Urabe (1965), Galerkin's procedure for nonlinear periodic systems, Archive for
+    Rational Mechanics and Analysis 20.
+
+    Examples
+    --------
+    >>> from sklearn_hd.systems import duffing
+    >>> trim = duffing().trim(5)
+    >>> trim.n_harmonics, trim.state_names
+    (5, ('x', 'x_dot'))
+    >>> trim.states([0.0, np.pi]).shape
+    (2, 2)
     """
 
     omega: float
@@ -75,14 +93,32 @@ class Trim:
 
     @property
     def n_harmonics(self):
+        """Highest harmonic N of the states."""
         return (len(self.coefficients) - 1) // 2
 
     @property
     def period(self):
+        """Period T = 2π / ω in seconds."""
         return 2.0 * np.pi / self.omega
 
     def states(self, psi):
-        """States at azimuths psi (radians), shape (...,) -> (..., n)."""
+        """States x*(ψ) at some azimuths.
+
+        Parameters
+        ----------
+        psi : array_like, shape (...,)
+            Radians.
+
+        Returns
+        -------
+        states : ndarray, shape (..., n)
+            Sum of the Fourier series.
+
+        Raises
+        ------
+        ValueError
+            If an azimuth is no finite number.
+        """
         psi = real_array("psi", psi, "azimuths in radians")
         return evaluate_harmonics(self.coefficients, psi)
 
@@ -95,19 +131,20 @@ class PeriodicSystem(NamedSignals):
     Parameters
     ----------
     f : callable
-        f(x, u, t) -> dx/dt of the shape of x. It must take one point, x (n,), u (m,)
-        and t a number in seconds, and many, x (n, k), u (m, k), t (k,). To be pickled
-        with the system, f must be a function of a module or an object of a class.
+        Right-hand side f(x, u, t) -> dx/dt of the shape of x. It must take one point,
+        x (n,), u (m,) and t a number in seconds, and many, x (n, k), u (m, k), t (k,). To be
+        pickled with the system, f must be a function of a module or an object of a class.
     g : callable, optional
-        g(x, u, t) -> y, of shape (l,) or (l, k) alike. None measures the states.
+        Outputs g(x, u, t) -> y, of shape (l,) or (l, k) alike. None measures the states.
     period : float
         T in seconds.
     state_names, input_names : sequence of str
+        One name each; they say how many there are.
     output_names : sequence of str, optional
         By default the states' names without g, and y1, y2, … with it.
     jacobian : callable, optional
-        jacobian(x, u, t) -> (F, G, P, Q), for many points: F of shape (k, n, n), G
-        (k, n, m), P (k, l, n), Q (k, l, m). By default central differences.
+        Derivatives jacobian(x, u, t) -> (F, G, P, Q), for many points: F of shape
+        (k, n, n), G (k, n, m), P (k, l, n), Q (k, l, m). By default central differences.
     trim_guess : tuple of array_like, optional
         (coefficients, inputs) to start :meth:`trim` from, of shapes (2 K + 1, n) in
         the order 0, 1c, 1s, …, any K, and (m,). Zero by default.
@@ -124,6 +161,10 @@ class PeriodicSystem(NamedSignals):
     ------
     ValueError
         If the period is not positive, or names and shapes do not fit.
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eqs. 1 to 6.
 
     Examples
     --------
@@ -170,6 +211,7 @@ class PeriodicSystem(NamedSignals):
 
     @property
     def omega(self):
+        """Fundamental frequency ω = 2π / T in rad/s."""
         return 2.0 * np.pi / self.period
 
     def __repr__(self):
@@ -201,7 +243,7 @@ class PeriodicSystem(NamedSignals):
             Values of inputs that are held, by name. With targets, the inputs not named
             are free, as many as there are targets; without, they stay at the guess.
         guess : Trim or tuple of array_like, optional
-            Where to start, as ``trim_guess``. By default the system's own.
+            Where to start, in the shapes of ``trim_guess``. By default the system's own.
         n_points : int, optional
             Points a period of the Galerkin integrals; by default 4096 or 128 a
             harmonic, whichever is more.
@@ -209,6 +251,7 @@ class PeriodicSystem(NamedSignals):
         Returns
         -------
         trim : Trim
+            The solution, with the residual it was left at.
 
         Raises
         ------
@@ -242,12 +285,22 @@ class PeriodicSystem(NamedSignals):
         return Trim(self.omega, X, u, x0, residual, method, self.state_names, self.input_names)
 
     def periodicity_defect(self, trim):
-        """x(T) − x(0) of a trim's initial state, integrated over one period.
+        """Defect x(T) − x(0) of a trim's initial state, integrated over one period.
+
+        Parameters
+        ----------
+        trim : Trim
+            Of this system.
 
         Returns
         -------
         defect : ndarray, shape (n,)
             In the units of the states; zero for an exact periodic solution.
+
+        Raises
+        ------
+        ValueError
+            If the trim is not one of such a system.
         """
         self._check_trim(trim)
         t = np.linspace(0.0, self.period, STEPS_PER_PERIOD + 1)
@@ -261,12 +314,18 @@ class PeriodicSystem(NamedSignals):
         Parameters
         ----------
         trim : Trim
+            Of this system.
 
         Returns
         -------
         system : LTPSystem
             Perturbations of states, inputs and outputs; F, G, P, Q are the
             derivatives of f and g along x*(ψ), u*.
+
+        Raises
+        ------
+        ValueError
+            If the trim is not one of such a system.
         """
         self._check_trim(trim)
         jacobian = self.jacobian
@@ -299,10 +358,12 @@ class PeriodicSystem(NamedSignals):
         rtol, atol : float
             Error allowed for each step of the integrator.
         return_states : bool, default=False
+            Whether to return the states too.
 
         Returns
         -------
         y : ndarray, shape (n_samples, l)
+            Outputs.
         x : ndarray, shape (n_samples, n)
             Only with ``return_states=True``.
 

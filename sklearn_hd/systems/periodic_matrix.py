@@ -17,6 +17,15 @@ class FourierMatrix:
     coefficients : array_like, shape (2 K + 1, rows, columns)
         Real coefficients in the order 0, 1c, 1s, ….
 
+    Raises
+    ------
+    ValueError
+        If the coefficients are of another shape, or not finite.
+
+    References
+    ----------
+    Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, Eq. 9.
+
     Examples
     --------
     >>> M = FourierMatrix(np.array([1.0, 0.5, 0.0]).reshape(3, 1, 1))

@@ -10,14 +10,17 @@ class NamedSignals:
 
     @property
     def n_states(self):
+        """Number n of states."""
         return len(self.state_names)
 
     @property
     def n_inputs(self):
+        """Number m of inputs."""
         return len(self.input_names)
 
     @property
     def n_outputs(self):
+        """Number l of outputs."""
         return len(self.output_names)
 
     def _names(self):

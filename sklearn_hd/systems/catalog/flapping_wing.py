@@ -44,6 +44,12 @@ def flapping_wing(
     Returns
     -------
     system : PeriodicSystem
+        With its derivatives, and the guess and the target of its trim.
+
+    Raises
+    ------
+    ValueError
+        If a coefficient is out of its range.
 
     Notes
     -----

@@ -25,11 +25,17 @@ def mathieu(a=2.0, q=0.5, *, damping=0.1):
     a, q : float
         Mean stiffness and half the amplitude of its change.
     damping : float, default=0.1
-        d in 1/s; 0 gives Mathieu's own equation, and a negative number growth.
+        Damping d in 1/s; 0 gives Mathieu's own equation, and a negative number growth.
 
     Returns
     -------
     system : LTPSystem
+        States y and y_dot, of period π s.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
 
     References
     ----------
@@ -61,17 +67,23 @@ def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, da
     Parameters
     ----------
     stiffness, modulation : float
-        s and m in 1/s².
+        Mean stiffness s and half the jump m, in 1/s².
     share : float, default=1/3
-        p, the part of the period with the lower stiffness, in (0, 1).
+        Part p of the period with the lower stiffness, in (0, 1).
     period : float
         T in seconds.
     damping : float, default=0.0
-        d in 1/s; a negative number gives growth.
+        Damping d in 1/s; a negative number gives growth.
 
     Returns
     -------
     system : LTPSystem
+        Of the given period; F jumps twice within it.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, the share is not in (0, 1) or the period not positive.
 
     References
     ----------
@@ -118,15 +130,21 @@ def coupled_oscillators(
     frequencies : pair of float
         Natural frequencies ω_1 and ω_2 in rad/s, positive.
     damping_ratios : pair of float
-        ζ_1 and ζ_2; a negative number gives growth.
+        Shares ζ_1 and ζ_2 of the critical damping; a negative number gives growth.
     coupling : array_like, shape (2, 2)
-        e_ij in 1/s².
+        Amplitudes e_ij of the coupling in 1/s².
     omega : float
         Frequency of the excitation in rad/s.
 
     Returns
     -------
     system : LTPSystem
+        With ω that of the excitation.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ from those above, or a frequency is not positive.
 
     References
     ----------
@@ -179,17 +197,23 @@ def duffing(*, damping=0.2, stiffness=1.0, hardening=1.0, amplitude=1.0, omega=1
     Parameters
     ----------
     damping : float
-        δ, not negative: no oscillation would be stable.
+        Damping δ in 1/s, not negative: no oscillation would be stable.
     stiffness, hardening : float
-        α and β, of either sign (two wells, softening).
+        Coefficients α and β, of either sign (two wells, softening).
     amplitude : float
-        Γ, amplitude of the periodic force.
+        Amplitude Γ of the periodic force.
     omega : float
-        ω in rad/s.
+        Frequency ω of the periodic force in rad/s.
 
     Returns
     -------
     system : PeriodicSystem
+        With the guess of its trim.
+
+    Raises
+    ------
+    ValueError
+        If the damping is negative, a number is not finite, or ω is not positive.
 
     Notes
     -----

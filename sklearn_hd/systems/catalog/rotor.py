@@ -36,6 +36,12 @@ def flapping_blade(*, gamma=8.0, mu=0.3, nu=1.0, omega=1.0):
     Returns
     -------
     system : LTPSystem
+        Of period 2π / Ω.
+
+    Raises
+    ------
+    ValueError
+        If γ, μ or ν is negative, or Ω not positive.
 
     Notes
     -----
