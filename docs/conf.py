@@ -23,6 +23,7 @@ extensions = [
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
 exclude_patterns = ["_build"]
+html_title = "sklearn_hd"  # short: it stands beside buttons on a phone
 html_theme = "pydata_sphinx_theme"
 html_theme_options = {"navigation_with_keys": False}
 
@@ -43,6 +44,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "download_all_examples": False,
     "remove_config_comments": True,
+    "capture_repr": ("_repr_html_",),
     "doc_module": ("sklearn_hd",),
     "backreferences_dir": BACKREFERENCES,
     "inspect_global_variables": False,
@@ -78,7 +80,14 @@ def examples_that_use_it(app, what, name, obj, options, lines):
         lines += ["", ".. rubric:: In the gallery", "", f".. minigallery:: {name}", ""]
 
 
+def room_for_code(app, pagename, templatename, context, doctree):
+    """Examples have no column on the right: their lines are long."""
+    if pagename.startswith("auto_examples/plot_"):
+        context["theme_secondary_sidebar_items"] = []
+
+
 def setup(app):
-    """The one runs before numpydoc, which rewrites the sections; the other after it."""
+    """Equations are kept before numpydoc rewrites the sections, examples are added after."""
     app.connect("autodoc-process-docstring", equations_as_they_stand, priority=100)
     app.connect("autodoc-process-docstring", examples_that_use_it, priority=900)
+    app.connect("html-page-context", room_for_code, priority=100)

@@ -9,6 +9,8 @@ the vertical speed *w* (positive down) and the flapping speed *φ̇*. Its input 
 amplitude of the flapping torque.
 """
 
+# sphinx_gallery_thumbnail_number = 5
+
 # %%
 # Look at it first
 # ----------------
@@ -70,8 +72,8 @@ hd = ltp.harmonic_decomposition(1)
 pd.DataFrame(hd.A, hd.state_labels, hd.state_labels).round(1)
 
 # %%
-# Its eigenvalues are the Floquet exponents of the periodic system, each with copies shifted up
-# and down by the flapping frequency ω. With one harmonic kept, they agree nearly.
+# Its eigenvalues are the Floquet exponents of the periodic system, each with copies shifted up and
+# down by the flapping frequency ω. With one harmonic kept, they agree nearly.
 
 print("Floquet exponents:  ", ltp.floquet_exponents().real.round(2))
 print("on the real axis:   ", np.sort(hd.poles()[abs(hd.poles().imag) < 1].real)[::-1].round(2))

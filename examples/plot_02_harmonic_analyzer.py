@@ -5,6 +5,8 @@ What a harmonic analyzer does to a signal
 What is slow in a signal that repeats itself with every wingbeat?
 """
 
+# sphinx_gallery_thumbnail_number = 2
+
 # %%
 # The signals
 # -----------
@@ -13,7 +15,6 @@ What is slow in a signal that repeats itself with every wingbeat?
 # analyzer makes of them: the mean of *w*, and the cosine and sine parts of *φ̇*.
 
 import numpy as np
-import pandas as pd
 
 from sklearn_hd import HarmonicAnalyzer
 from sklearn_hd.datasets import make_flapping_wing
@@ -34,9 +35,9 @@ HarmonicsDisplay.from_data(y, omega, kept, units=units)
 #
 # How good are they?
 # ------------------
-# These signals were put together from coefficients that are known, so the analyzer can be
-# checked. ``"boxcar"`` looks back over one period, ``"hann"`` over two; ``"centred-boxcar"`` looks
-# to both sides and has no delay.
+# These signals were put together from coefficients that are known, so the analyzer can be checked.
+# ``"boxcar"`` looks back over one period, ``"hann"`` over two; ``"centred-boxcar"`` looks to both
+# sides and has no delay.
 
 exact = make_flapping_wing("lti", **options).outputs
 analyzed = {
@@ -61,8 +62,8 @@ HarmonicsDisplay.from_data(y["w"], omega, 1, span=(1.0, 1.4), units=units)
 
 # %%
 # While *w* decays, the average of w cos ψ over a period is not quite zero. What is left turns with
-# the wingbeat: the mode λ shows up again at λ ± jω. Such *copies* are no modes of the wing. Their size follows
-# from the window:
+# the wingbeat: the mode λ shows up again at λ ± jω. Such *copies* are no modes of the wing. Their
+# size follows from the window:
 #
 # .. math:: \frac{|w_1|}{|w|} = \frac{2\,|1 - e^{-\lambda T}|}{|\lambda - j\omega|\,T}
 
@@ -89,8 +90,8 @@ for hop, harmonics in ((None, 1), (None, 32), ("period", 1), ("period", 32)):
 # %%
 # What was learned
 # ----------------
-# An analyzer turns fast signals into slow ones. It also brings in copies of every mode and
-# a memory as long as its window; both will be found in the identified model.
+# An analyzer turns fast signals into slow ones. It also brings in copies of every mode and a
+# memory as long as its window; both will be found in the identified model.
 #
 # * Every choice of window, hop and harmonics: :class:`~sklearn_hd.HarmonicAnalyzer`.
 # * Which to take: :doc:`/data`.

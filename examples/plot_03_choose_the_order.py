@@ -5,6 +5,8 @@ Identify a model and choose its order
 How many states does a model need, when all there is to go by is a noisy record?
 """
 
+# sphinx_gallery_thumbnail_number = 3
+
 # %%
 # The record
 # ----------
@@ -51,9 +53,9 @@ SingularValueDisplay.from_estimator(pipe)
 # %%
 # Cross-validation
 # ----------------
-# That was one fit, and the gap is narrow. The sharper test is data that a model has not seen: blocks
-# of whole wingbeats are left out in turn, and every candidate simulates them. Of those that are
-# as good as the best, within its standard error, the smallest is taken.
+# That was one fit, and the gap is narrow. The sharper test is data that a model has not seen:
+# blocks of whole wingbeats are left out in turn, and every candidate simulates them. Of those that
+# are as good as the best, within its standard error, the smallest is taken.
 
 search = GridSearchCV(
     pipe,
@@ -94,8 +96,8 @@ ResponseDisplay.from_estimator(
 # %%
 # What was learned
 # ----------------
-# The true wing has two states, and two were found without being told. The fit is the same on
-# data that the model has not seen; what is missing is the noise.
+# The true wing has two states, and two were found without being told. The fit is the same on data
+# that the model has not seen; what is missing is the noise.
 #
 # * Cross-validation by periods, records and azimuth: :doc:`/order_selection`.
 # * The rule: :func:`~sklearn_hd.model_selection.smallest_within_one_standard_error`.

@@ -6,6 +6,8 @@ Why does a system of three states come back from identification with ten, and wh
 its own?
 """
 
+# sphinx_gallery_thumbnail_number = 3
+
 # %%
 # The record
 # ----------
@@ -53,9 +55,9 @@ SingularValueDisplay.from_estimator(pipe)
 # %%
 # Three are the system's own
 # --------------------------
-# A window adds two kinds of modes. *Copies* stand straight above and below a genuine mode, at
-# λ + jpω. The *memory* of the window dies within its length, so it lies far to the left, out of
-# view here. ``SpuriousModeReducer`` tells them apart by this. It knows nothing of the machine.
+# A window adds two kinds of modes. *Copies* stand straight above and below a genuine mode, at λ +
+# jpω. The *memory* of the window dies within its length, so it lies far to the left, out of view
+# here. ``SpuriousModeReducer`` tells them apart by this. It knows nothing of the machine.
 
 true = np.linalg.eigvals(data.A_exact)
 EigenvalueDisplay.from_estimator(pipe, true=true)
@@ -91,8 +93,8 @@ pd.DataFrame(rows).T
 # %%
 # What it costs to keep them
 # --------------------------
-# The model with all ten states answers for the coefficients as the window shows them, one row at
-# a time. The three genuine ones answer for the raw signals.
+# The model with all ten states answers for the coefficients as the window shows them, one row at a
+# time. The three genuine ones answer for the raw signals.
 
 ResponseDisplay.from_estimator(
     {"all ten states": pipe[:2], "three genuine": pipe},
@@ -105,9 +107,9 @@ ResponseDisplay.from_estimator(
 # %%
 # What was learned
 # ----------------
-# The analyzer's copies and memory can be told from the modes of the machine by where
-# they lie, and what is kept is as exact as if there had been no analyzer. Under noise the choice
-# is harder, and the verdict may be *ambiguous*.
+# The analyzer's copies and memory can be told from the modes of the machine by where they lie, and
+# what is kept is as exact as if there had been no analyzer. Under noise the choice is harder, and
+# the verdict may be *ambiguous*.
 #
 # * The formula, and how often the choice is right on random systems: :doc:`/spurious_modes`.
 # * The step itself: :class:`~sklearn_hd.SpuriousModeReducer`.

@@ -5,11 +5,13 @@ Match a model to the structure of the physics
 What is knowledge of the physics worth, once a model has been identified from a noisy record?
 """
 
+# sphinx_gallery_thumbnail_number = 3
+
 # %%
 # The record
 # ----------
-# A flapping wing with three states, *w* and the two parts of *φ̇*, answers a doublet. White noise of
-# a twentieth of each output's standard deviation lies on top.
+# A flapping wing with three states, *w* and the two parts of *φ̇*, answers a doublet. White noise
+# of a twentieth of each output's standard deviation lies on top.
 
 import numpy as np
 import pandas as pd
@@ -41,15 +43,16 @@ HarmonicsDisplay.from_data(data.outputs, omega, kept, span=(0.2, 2.0), units=uni
 # Two structures
 # --------------
 # What identification finds has states without meaning. A structure gives them one: here the
-# outputs are the states (C is the identity unless given). With nothing else known, every entry of A and B is free;
-# NaN says so.
+# outputs are the states (C is the identity unless given). With nothing else known, every entry of
+# A and B is free; NaN says so.
 
 states = ["w_0", "phi_dot_1c", "phi_dot_1s"]
 free = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan), state_names=states)
 
 # %%
-# The physics say more. The torque drives the cosine part of *φ̇* alone. And *φ̇* is one signal seen in
-# a turning frame, so that its two parts are coupled by ω. A name in two cells is one parameter.
+# The physics say more. The torque drives the cosine part of *φ̇* alone. And *φ̇* is one signal
+# seen in a turning frame, so that its two parts are coupled by ω. A name in two cells is one
+# parameter.
 
 A = pd.DataFrame(
     [
@@ -86,8 +89,8 @@ norm = identify(data, physics, "hinf")
 ConvergenceDisplay.from_estimator(norm)
 
 # %%
-# An error remains: no choice of eight parameters gives just what identification found, for
-# noise does not keep to the physics. ``"output_error"`` goes back to the raw record instead, and looks
+# An error remains: no choice of the parameters gives just what identification found, for noise
+# does not keep to the physics. ``"output_error"`` goes back to the raw record instead, and looks
 # for the parameters of largest likelihood.
 
 likely = identify(data, physics, "output_error")
@@ -119,10 +122,10 @@ table.round(2)
 # %%
 # What was learned
 # ----------------
-# Physics and likelihood together are nearest to the truth. Physics and a norm are
-# further off than no physics: the norm makes up for the noise in entries that are fixed by bending
-# those that are free. Match in a norm where the model is exact, or where the
-# largest error is what counts, as it does for a controller; else take the likelihood.
+# Physics and likelihood together are nearest to the truth. Physics and a norm are further off than
+# no physics: the norm makes up for the noise in entries that are fixed by bending those that are
+# free. Match in a norm where the model is exact, or where the largest error is what counts, as it
+# does for a controller; else take the likelihood.
 #
 # * Criteria, weights, and how to trust a match: :doc:`/matching`.
 # * Everything that a cell may say: :doc:`/structures`.

@@ -5,6 +5,8 @@ Back to the periodic system
 Can the time-periodic system itself be read off a record, and not only a model of its harmonics?
 """
 
+# sphinx_gallery_thumbnail_number = 3
+
 # %%
 # The record
 # ----------
@@ -68,9 +70,9 @@ PeriodicMatrixDisplay.from_estimator(clean, "F", true=wing)
 # %%
 # With noise
 # ----------
-# White noise of a twentieth of each output's standard deviation carries fewer details. Say how many
-# harmonics *F* may have, and that the torque drives *φ̇* through one harmonic, and look for the parameters
-# of largest likelihood.
+# White noise of a twentieth of each output's standard deviation carries fewer details. Say how
+# many harmonics *F* may have, and that the torque drives *φ̇* through one harmonic, and look for
+# the parameters of largest likelihood.
 
 noisy = make_flapping_wing(**record, snr=20, random_state=0)
 structure = HarmonicStructure(F=4, G={"1c": [[0.0], ["gain"]]})

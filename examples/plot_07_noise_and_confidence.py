@@ -5,6 +5,8 @@ Noise, confidence and the Cramér-Rao bound
 How far may an identified model be trusted when there is but one noisy record?
 """
 
+# sphinx_gallery_thumbnail_number = 3
+
 # %%
 # The record
 # ----------
@@ -41,8 +43,8 @@ HarmonicsDisplay.from_data(data.outputs, data.omega, kept, span=(0.1, 2.0), unit
 # %%
 # Parameters and their intervals
 # ------------------------------
-# ``criterion="output_error"`` looks for the parameters under which the record is most likely.
-# How flat the likelihood is about them says how sure they are.
+# ``criterion="output_error"`` looks for the parameters under which the record is most likely. How
+# flat the likelihood is about them says how sure they are.
 
 B = [[0.0], ["gain"], [0.0]]  # the torque drives the cosine part of φ̇
 structure = MatrixStructure(np.full((3, 3), np.nan), B, state_names=states, input_names=["U_0"])
@@ -105,8 +107,8 @@ display.ax_.set(xlim=(-82, -70), ylim=(156, 168))
 # %%
 # What was learned
 # ----------------
-# One record gives the model and how far it may be trusted, and twenty more agree. This holds if the
-# noise is white and the structure true: standard deviations know nothing of a wrong model.
+# One record gives the model and how far it may be trusted, and twenty more agree. This holds if
+# the noise is white and the structure true: standard deviations know nothing of a wrong model.
 #
 # * How often intervals hold, over hundreds of records: :doc:`/periodic_models`.
 # * Noise on the inputs: ``input_noise`` of :class:`~sklearn_hd.StructuredMatcher`.

@@ -6,6 +6,8 @@ What has to be done to flight records with lost samples, a dropout and the trim 
 before a model can be identified?
 """
 
+# sphinx_gallery_thumbnail_number = 3
+
 # %%
 # The records
 # -----------
@@ -61,9 +63,9 @@ except ValueError as error:
     print(error)
 
 # %%
-# So say it: bridge what is shorter than 3 ms, and make a gap of the rest. A gap, like a new flight,
-# starts a new segment; nothing is averaged across it. And say where the wing was in trim: the
-# waveforms over that span are averaged, phase by phase, and taken off.
+# So say it: bridge what is shorter than 3 ms, and make a gap of the rest. A gap, like a new
+# flight, starts a new segment; nothing is averaged across it. And say where the wing was in trim:
+# the waveforms over that span are averaged, phase by phase, and taken off.
 
 analyzer.set_params(missing=0.003, trim_span=data.trim_span).fit(u, y)
 print(f"trim from {data.trim_span[0]:g} to {data.trim_span[1]:.2f} s of each flight")
@@ -97,8 +99,8 @@ for name, model in {"with holes": pipe, "without": whole}.items():
 EigenvalueDisplay.from_estimator(pipe, true=np.linalg.eigvals(data.A_exact))
 
 # %%
-# ``predict`` answers in the units of the record, with the trim put back, and wherever the input is known:
-# in the dropout, too.
+# ``predict`` answers in the units of the record, with the trim put back, and wherever the input is
+# known: in the dropout, too.
 
 predicted = pipe.predict(u)
 print(f"rows of y with holes: {y.isna().any(axis=1).sum()}")
