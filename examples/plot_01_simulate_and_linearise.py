@@ -9,8 +9,6 @@ the vertical speed *w* (positive down) and the flapping speed *φ̇*. Its input 
 amplitude of the flapping torque.
 """
 
-# sphinx_gallery_thumbnail_number = 5
-
 # %%
 # Look at it first
 # ----------------
@@ -18,6 +16,7 @@ amplitude of the flapping torque.
 # carries the weight. Then the torque is raised for ten wingbeats and lowered for ten more: a
 # doublet.
 
+# sphinx_gallery_thumbnail_number = 5
 import numpy as np
 import pandas as pd
 

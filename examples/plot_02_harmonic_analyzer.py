@@ -5,8 +5,6 @@ What a harmonic analyzer does to a signal
 What is slow in a signal that repeats itself with every wingbeat?
 """
 
-# sphinx_gallery_thumbnail_number = 2
-
 # %%
 # The signals
 # -----------
@@ -14,6 +12,7 @@ What is slow in a signal that repeats itself with every wingbeat?
 # speed, and *φ̇*, the flapping speed, which swings with each wingbeat. Below, in colour, what the
 # analyzer makes of them: the mean of *w*, and the cosine and sine parts of *φ̇*.
 
+# sphinx_gallery_thumbnail_number = 2
 import numpy as np
 
 from sklearn_hd import HarmonicAnalyzer

@@ -5,14 +5,13 @@ Identify a model and choose its order
 How many states does a model need, when all there is to go by is a noisy record?
 """
 
-# sphinx_gallery_thumbnail_number = 3
-
 # %%
 # The record
 # ----------
 # A flapping wing under a repeated 3-2-1-1 input. White noise of a twentieth of each output's
 # standard deviation lies on top. The last part is kept for the end.
 
+# sphinx_gallery_thumbnail_number = 3
 import warnings
 
 from sklearn.model_selection import GridSearchCV

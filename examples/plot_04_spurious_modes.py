@@ -6,14 +6,13 @@ Why does a system of three states come back from identification with ten, and wh
 its own?
 """
 
-# sphinx_gallery_thumbnail_number = 3
-
 # %%
 # The record
 # ----------
 # Signals of a model with three states: the mean of *w*, and the cosine and sine parts of *φ̇*.
 # There is no noise, so nothing here is an accident.
 
+# sphinx_gallery_thumbnail_number = 3
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
@@ -65,6 +64,7 @@ EigenvalueDisplay.from_estimator(pipe, true=true)
 # %%
 # Every mode has a verdict, and the reason for it:
 
+pd.options.display.max_colwidth = 80
 modes = pipe["reduce"].modes_
 modes.assign(eigenvalue=modes["eigenvalue"].map("{:.2f}".format))
 

@@ -5,14 +5,13 @@ Match a model to the structure of the physics
 What is knowledge of the physics worth, once a model has been identified from a noisy record?
 """
 
-# sphinx_gallery_thumbnail_number = 3
-
 # %%
 # The record
 # ----------
 # A flapping wing with three states, *w* and the two parts of *φ̇*, answers a doublet. White noise
 # of a twentieth of each output's standard deviation lies on top.
 
+# sphinx_gallery_thumbnail_number = 3
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline

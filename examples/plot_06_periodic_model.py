@@ -5,13 +5,12 @@ Back to the periodic system
 Can the time-periodic system itself be read off a record, and not only a model of its harmonics?
 """
 
-# sphinx_gallery_thumbnail_number = 3
-
 # %%
 # The record
 # ----------
 # The linear time-periodic flapping wing under a repeated 3-2-1-1 input, first without noise.
 
+# sphinx_gallery_thumbnail_number = 3
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline

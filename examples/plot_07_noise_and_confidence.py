@@ -5,14 +5,13 @@ Noise, confidence and the Cramér-Rao bound
 How far may an identified model be trusted when there is but one noisy record?
 """
 
-# sphinx_gallery_thumbnail_number = 3
-
 # %%
 # The record
 # ----------
 # A flapping wing answers a doublet; white noise of a twentieth of each output's standard deviation
 # lies on top.
 
+# sphinx_gallery_thumbnail_number = 3
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
@@ -84,18 +83,18 @@ BodeDisplay.from_estimator(match, frequencies, true=hd, units=units)
 # %%
 # Do they hold?
 # -------------
-# Fly again, twenty times, and see. The *Cramér-Rao bound* says how small the deviation of an
+# Fly again, twelve times, and see. The *Cramér-Rao bound* says how small the deviation of an
 # unbiased estimate can be at best. ``theta_std_`` is that bound, taken at the estimate. An
 # estimator that reaches it has errors of one such deviation, root mean square.
 
-others = [identify(fly(seed)) for seed in range(1, 21)]
+others = [identify(fly(seed)) for seed in range(1, 13)]
 z = pd.DataFrame([(one.theta_ - true) / one.theta_std_ for one in others])
 inside = z.abs() < 1.96
 print(f"errors over the bound, root mean square: {np.sqrt((z**2).to_numpy().mean()):.2f}")
 print(f"95 % intervals that hold the truth: {100 * inside.to_numpy().mean():.0f} %")
 
 # %%
-# The fast eigenvalue as the twenty gave it (dots), and the ellipse that the first record alone
+# The fast eigenvalue as the twelve gave it (dots), and the ellipse that the first record alone
 # gave:
 
 eigenvalues = np.concatenate([one.system_.poles() for one in others])
@@ -107,7 +106,7 @@ display.ax_.set(xlim=(-82, -70), ylim=(156, 168))
 # %%
 # What was learned
 # ----------------
-# One record gives the model and how far it may be trusted, and twenty more agree. This holds if
+# One record gives the model and how far it may be trusted, and twelve more agree. This holds if
 # the noise is white and the structure true: standard deviations know nothing of a wrong model.
 #
 # * How often intervals hold, over hundreds of records: :doc:`/periodic_models`.

@@ -6,13 +6,14 @@ What has to be done to flight records with lost samples, a dropout and the trim 
 before a model can be identified?
 """
 
-# sphinx_gallery_thumbnail_number = 3
-
 # %%
 # The records
 # -----------
 # Three flights of the nonlinear wing, as a logger leaves them: raw signals with the periodic trim
 # inside, a little noise, one table for all flights. The index says which flight and what time.
+
+# sphinx_gallery_thumbnail_number = 3
+import textwrap
 
 import numpy as np
 from sklearn.base import clone
@@ -60,7 +61,7 @@ analyzer = HarmonicAnalyzer(data.omega, output_harmonics={"w": [0], "phi_dot": [
 try:
     analyzer.fit(u, y)
 except ValueError as error:
-    print(error)
+    print(textwrap.fill(str(error), 90))
 
 # %%
 # So say it: bridge what is shorter than 3 ms, and make a gap of the rest. A gap, like a new
@@ -69,7 +70,7 @@ except ValueError as error:
 
 analyzer.set_params(missing=0.003, trim_span=data.trim_span).fit(u, y)
 print(f"trim from {data.trim_span[0]:g} to {data.trim_span[1]:.2f} s of each flight")
-display = HarmonicsDisplay.from_estimator(analyzer, u, y, record=1, units=units)
+HarmonicsDisplay.from_estimator(analyzer, u, y, record=1, units=units)
 
 # %%
 # Identify from two flights
