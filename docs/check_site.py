@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from contextlib import suppress
 from functools import partial
 from html.parser import HTMLParser
@@ -189,10 +190,13 @@ class Handler(SimpleHTTPRequestHandler):
 
 
 def seen(site, browser, width=PHONE, words=WORDS):
-    """What a browser sees: width of each page, blank images, hits of the search."""
+    """What a browser sees: width of each page, blank images, hits of the search.
+
+    Nothing if it ends before it has answered, as one does that cannot run on this machine.
+    """
     pages = [path.relative_to(site).as_posix() for path in pages_of(site)]
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=site))
-    server.reported = threading.Event()
+    server.report, server.reported = None, threading.Event()
     threading.Thread(target=server.serve_forever, daemon=True).start()
     asked = json.dumps({"pages": pages, "words": words, "width": width})
     url = f"http://127.0.0.1:{server.server_port}/reader#{asked}"
@@ -200,11 +204,13 @@ def seen(site, browser, width=PHONE, words=WORDS):
         command = [browser, *FLAGS, f"--user-data-dir={profile}", url]
         silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         with subprocess.Popen(command, **silent) as process:
-            answered = server.reported.wait(SECONDS)
+            last = time.monotonic() + SECONDS
+            while not server.reported.wait(0.2) and process.poll() is None:
+                if time.monotonic() > last:
+                    process.kill()
+                    raise TimeoutError(f"{browser} has not answered within {SECONDS} s")
             process.terminate()
     server.shutdown()
-    if not answered:
-        raise TimeoutError(f"{browser} has not answered within {SECONDS} s")
     return server.report
 
 
@@ -231,12 +237,13 @@ def main():
     site = arguments.site.resolve()
     wrong = broken_links(site) + missing_thumbnails(site) + missing_words(site)
     browser = arguments.browser or next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        print("skipped: phone width, images as shown, search as typed (no Chromium found)")
-    else:
-        report = seen(site, browser)
+    report = browser and seen(site, browser)
+    if report:
         print(f"{len(report['pages'])} pages opened at {PHONE} px; hits: {report['hits']}")
         wrong += wrong_to_the_eye(report)
+    else:
+        why = f"{browser} does not run" if browser else "no Chromium found"
+        print(f"skipped, as {why}: phone width, images as shown, search as typed")
     print("\n".join(wrong) or "nothing is wrong with the site")
     return 1 if wrong else 0
 
