@@ -1,18 +1,59 @@
-"""Sphinx configuration: sphinx-build -W docs docs/_build/html."""
+"""Sphinx configuration: make -C docs html, or sphinx-build -W -b html docs docs/_build/html."""
+
+import warnings
+from pathlib import Path
+
+import matplotlib as mpl
 
 import sklearn_hd
+from sklearn_hd import exceptions
 
 project = "sklearn_hd"
 author = "The sklearn_hd developers"
 copyright = "2026, The sklearn_hd developers"
 version = release = sklearn_hd.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "numpydoc",
+    "sphinx.ext.mathjax",
+    "sphinx_gallery.gen_gallery",
+]
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
 exclude_patterns = ["_build"]
+html_title = "sklearn_hd"  # short: it stands beside buttons on a phone
 html_theme = "pydata_sphinx_theme"
 html_theme_options = {"navigation_with_keys": False}
+
+BACKREFERENCES = "gallery_backreferences"
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "auto_examples",
+    "filename_pattern": r"/plot_",
+    "ignore_pattern": r"^(?!plot_)",  # reproduce_paper.py is run by itself
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "reset_modules": ("matplotlib",),
+    "matplotlib_animations": False,
+    "image_srcset": ["2x"],
+    "thumbnail_size": (400, 280),
+    "min_reported_time": 1,
+    "show_memory": False,
+    "show_signature": False,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "capture_repr": ("_repr_html_",),
+    "doc_module": ("sklearn_hd",),
+    "backreferences_dir": BACKREFERENCES,
+    "inspect_global_variables": False,
+}
+
+mpl.use("agg")
+for category in vars(exceptions).values():  # an example that warns must say so itself
+    if isinstance(category, type) and issubclass(category, Warning):
+        warnings.simplefilter("error", category)
 
 
 def equations_as_they_stand(app, what, name, obj, options, lines):
@@ -32,6 +73,21 @@ def equations_as_they_stand(app, what, name, obj, options, lines):
     lines[:] = shown
 
 
+def examples_that_use_it(app, what, name, obj, options, lines):
+    """Thumbnails of the examples below the docstring of what they use."""
+    found = Path(app.srcdir, BACKREFERENCES, f"{name}.examples")
+    if what in ("class", "function") and found.exists() and found.stat().st_size:
+        lines += ["", ".. rubric:: In the gallery", "", f".. minigallery:: {name}", ""]
+
+
+def room_for_code(app, pagename, templatename, context, doctree):
+    """Examples have no column on the right: their lines are long."""
+    if pagename.startswith("auto_examples/plot_"):
+        context["theme_secondary_sidebar_items"] = []
+
+
 def setup(app):
-    """Run before numpydoc, which rewrites the sections."""
+    """Equations are kept before numpydoc rewrites the sections, examples are added after."""
     app.connect("autodoc-process-docstring", equations_as_they_stand, priority=100)
+    app.connect("autodoc-process-docstring", examples_that_use_it, priority=900)
+    app.connect("html-page-context", room_for_code, priority=100)

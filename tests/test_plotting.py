@@ -162,6 +162,15 @@ def test_nothing_is_told_by_colour_alone(name):
         assert len(looks) == len(set(looks))
 
 
+def test_a_legend_below_is_no_wider_than_its_figure():
+    name = "identified from the second flight of Tuesday, in calm air, at 2 % of the trim torque"
+    display = EigenvalueDisplay(model=[-1.0], true=[-1.1], model_name=name).plot()
+    display.figure_.draw_without_rendering()
+    check_texts(display.figure_)
+    assert len(display.legend_.get_texts()) == 2
+    assert display.figure_.legends == [display.legend_]
+
+
 def of_signals(count):
     signals = cases.many_signals(count)
     yield HarmonicsDisplay.from_data(signals, 2 * np.pi)

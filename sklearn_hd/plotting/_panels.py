@@ -95,10 +95,13 @@ class Panels:
         if not handles:
             return None
         options = {"handles": handles, **LEGEND}
-        if self.own:
-            count = min(columns, len(handles))
-            return self.figure.legend(loc="outside lower center", ncols=count, **options)
-        return self.axes[fallback].legend(**options)
+        if not self.own:
+            return self.axes[fallback].legend(**options)
+        for count in range(min(columns, len(handles)), 0, -1):  # as many as the figure is wide
+            legend = self.figure.legend(loc="outside lower center", ncols=count, **options)
+            if count == 1 or legend.get_window_extent().width <= self.figure.bbox.width:
+                return legend
+            legend.remove()
 
 
 def _partner(share, place, cells, axes):
