@@ -8,6 +8,8 @@ copyright = "2026, The sklearn_hd developers"
 version = release = sklearn_hd.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
+extensions += ["sphinxcontrib.bibtex"]
+bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
 exclude_patterns = ["_build"]
