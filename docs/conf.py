@@ -8,8 +8,6 @@ copyright = "2026, The sklearn_hd developers"
 version = release = sklearn_hd.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
-extensions += ["sphinxcontrib.bibtex"]
-bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
 exclude_patterns = ["_build"]
@@ -32,6 +30,13 @@ def equations_as_they_stand(app, what, name, obj, options, lines):
         inside = equation or (inside and not line)
         shown.append(line)
     lines[:] = shown
+
+
+extensions += ["sphinxcontrib.bibtex"]
+bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
+ALONE = ("get_started", "api", "choosing", "faq", "coming_from_*", "theory", "bibliography")
+html_title = "sklearn_hd"
+html_sidebars = dict.fromkeys((*ALONE, "developing", "changelog"), [])  # pages without a section
 
 
 def setup(app):
