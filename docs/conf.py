@@ -36,7 +36,7 @@ extensions += ["sphinxcontrib.bibtex"]
 bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 ALONE = ("get_started", "api", "choosing", "faq", "coming_from_*", "theory", "bibliography")
 html_title = "sklearn_hd"
-html_sidebars = dict.fromkeys((*ALONE, "developing", "changelog"), [])  # pages without a section
+html_sidebars = {page: [] for page in (*ALONE, "developing", "changelog")}  # no section around them
 
 
 def setup(app):
