@@ -75,7 +75,7 @@ def templates(node):
 
 
 def test_messages_quoted_are_those_of_the_code():
-    quoted = [text.strip() for kind, text in blocks("docs/faq.md") if kind == "text"]
+    quoted = [" ".join(text.split()) for kind, text in blocks("docs/faq.md") if kind == "text"]
     assert len(quoted) > 30
     sources = (ROOT / "sklearn_hd").rglob("*.py")
     worded = [
