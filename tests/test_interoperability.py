@@ -254,7 +254,7 @@ def test_skops_keeps_a_structure(tmp_path, short):
 
 
 def test_all_records_from_one_csv_file(tmp_path, short, fitted):
-    """The one line of docs/data.md, for several records."""
+    """The one line of docs/guide/1_data.md, for several records."""
     pd.concat([short.inputs, short.outputs], axis=1).to_csv(tmp_path / "flights.csv")
     flights = pd.read_csv(tmp_path / "flights.csv", index_col=["record", "time"])
     u, y = flights[["U"]], flights[["w", "phi_dot"]]

@@ -1,0 +1,86 @@
+"""Every page runs, shows what its code prints, and quotes messages that the code gives."""
+
+import ast
+import re
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def blocks(page):
+    """(language, text) of the fenced blocks of a page, in order."""
+    return BLOCK.findall((ROOT / page).read_text(encoding="utf-8"))
+
+
+def pages():
+    """Pages that hold Python."""
+    files = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    names = [path.relative_to(ROOT).as_posix() for path in files if "_build" not in path.parts]
+    return [name for name in names if any(kind == "python" for kind, _ in blocks(name))]
+
+
+def run(page, capsys):
+    """Names that the Python blocks of a page define, and what each block prints and says."""
+    namespace, shown = {"__name__": "__main__"}, []
+    for kind, text in blocks(page):
+        if kind == "python":
+            exec(compile(text, page, "exec"), namespace)
+            shown.append([capsys.readouterr().out, None])
+        elif kind == "text" and shown and shown[-1][1] is None and shown[-1][0]:
+            shown[-1][1] = text
+    return namespace, shown
+
+
+def assert_same_output(shown, stated):
+    """Equal words; numbers may differ by machine in their last digits."""
+    words, numbers = (
+        [find(text) for text in (shown, stated)]
+        for find in (lambda text: NUMBER.sub("#", text).split(), NUMBER.findall)
+    )
+    assert words[0] == words[1], f"the page states\n{stated}\nand its code prints\n{shown}"
+    for here, there in zip(*numbers, strict=True):
+        last = 10.0 ** -len(there.partition("e")[0].partition(".")[2])
+        here, there = (float(number.replace("−", "-")) for number in (here, there))
+        assert abs(here - there) <= 0.02 * abs(there) + last
+
+
+@pytest.mark.parametrize("page", pages())
+def test_page_runs_and_prints_what_it_states(page, capsys, tmp_path, monkeypatch):
+    mpl.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    namespace, shown = run(page, capsys)
+    plt.close("all")
+    for printed, stated in shown:
+        if stated is not None:
+            assert_same_output(printed, stated)
+    if page == "README.md":
+        assert float(shown[0][0].splitlines()[0]) > 0.99
+        assert namespace["y_new"].index.equals(namespace["u"].index)
+        assert namespace["pipe"]["match"].system_.nstates == 3
+
+
+def templates(node):
+    """Texts in some code, … for what is filled in."""
+    for part in ast.walk(node):
+        if isinstance(part, ast.Constant) and isinstance(part.value, str):
+            yield part.value
+        elif isinstance(part, ast.JoinedStr):
+            yield "".join(v.value if isinstance(v, ast.Constant) else "…" for v in part.values)
+
+
+def test_messages_quoted_are_those_of_the_code():
+    quoted = [" ".join(text.split()) for kind, text in blocks("docs/faq.md") if kind == "text"]
+    assert len(quoted) > 30
+    sources = (ROOT / "sklearn_hd").rglob("*.py")
+    worded = [
+        text for path in sources for text in templates(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    for message in quoted:
+        literal = re.compile(".*?".join(map(re.escape, message.split("…"))))
+        assert any(literal.search(text) for text in worded), f"no longer said so: {message}"
