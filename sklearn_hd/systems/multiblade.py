@@ -68,9 +68,9 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
     Examples
     --------
     >>> from sklearn_hd.datasets import load_wind_turbine
-    >>> model = multiblade_model(load_wind_turbine().linearizations, outputs=["TSS1"])
-    >>> omega, zeta, _ = model.damp()
-    >>> k = np.argmin(zeta + (zeta < 0))
+    >>> model = multiblade_model(load_wind_turbine().linearizations)
+    >>> omega, zeta, poles = model.damp()
+    >>> k = np.argmin(np.where(poles.imag > 0, zeta, 1))
     >>> print(f"{omega[k] / (2 * np.pi):.5f} Hz, {100 * zeta[k]:.4f} %")
     0.31403 Hz, 0.4386 %
     """
@@ -88,6 +88,11 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
     ]
     mean = [M.mean(axis=0)[None] for M in fixed]
     A, B, C, D, inputs, outputs = _chosen(mean, names, inputs, outputs, _loose(first, frame))
+    if outputs and not inputs:
+        raise ValueError(
+            f"outputs={outputs} without inputs make no control.StateSpace, and the files have no "
+            f"inputs; name rates that accelerations act on, such as inputs={_rates(names[0])[:1]}"
+        )
     return control.StateSpace(
         A[0], B[0], C[0], D[0], states=names[0], inputs=inputs, outputs=outputs
     )
@@ -267,11 +272,12 @@ def _fitted(matrices, psi, harmonics):
     functions = harmonic_functions(psi, harmonics)
     values = np.linalg.svd(functions, compute_uv=False)
     if len(psi) < functions.shape[1] or values[0] > WORST_CONDITION * values[-1]:
-        degrees = np.unique(np.round(np.degrees(psi) % (360.0 / max(harmonics[-1:][0], 1)), 0))
+        period = 360.0 / harmonics[-1]
+        degrees = np.unique(np.round(np.degrees(psi) % period)).tolist()
         raise ValueError(
-            f"{len(psi)} azimuths do not tell {functions.shape[1]} coefficients (harmonics "
-            f"{harmonics}) apart: for harmonic {harmonics[-1]} they stand at {degrees.tolist()}° "
-            f"of its period; linearise at more azimuths, or lower n_harmonics"
+            f"{len(psi)} azimuths do not tell the {functions.shape[1]} coefficients of harmonics "
+            f"{harmonics} apart: modulo {period:g}°, the period of the highest, they are "
+            f"{degrees}; linearise at more azimuths, or lower n_harmonics"
         )
     inverse = np.linalg.pinv(functions)
     return tuple(np.tensordot(inverse, M, axes=(1, 0)) for M in matrices)
@@ -289,8 +295,7 @@ def _chosen(matrices, names, inputs, outputs, loose):
     B = np.concatenate([B, unit], axis=2)
     C = np.concatenate([C, unit], axis=1)
     D = np.pad(D, ((0, 0), (0, n), (0, n)))
-    accelerated = [f"{name}_dot" in names[0] for name in names[0]]
-    rates = {f"{name}_dot" for name, pair in zip(names[0], accelerated, strict=True) if pair}
+    rates = _rates(names[0])
     allowed = [*names[1], *(name if name in rates else None for name in names[0])]
     columns = _places("inputs", inputs, m, allowed, loose)
     rows = _places("outputs", outputs, n_outputs, [*names[2], *names[0]], loose)
@@ -303,6 +308,11 @@ def _chosen(matrices, names, inputs, outputs, loose):
         [allowed[k] for k in columns],
         [labels[k] for k in rows],
     )
+
+
+def _rates(names):
+    """Names of the states that are rates of other states."""
+    return [name for name in names if name.removesuffix("_dot") in set(names) - {name}]
 
 
 def _places(parameter, wanted, n_own, allowed, loose):

@@ -1,6 +1,7 @@
 """Linearization files of OpenFAST (.lin), read into arrays and names."""
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -154,15 +155,19 @@ def _rows(lines, start, path):
 
 def _table(rows):
     """Signals by short names, all different."""
-    columns = ["description", "operating_point", "rotating", "derivative_order"]
-    table = pd.DataFrame(rows, columns=columns)
-    table = table.astype(dict(zip(columns, ("object", float, bool, int), strict=True)))
-    names = pd.Series([_short_name(text) for text in table["description"]], dtype=object)
-    whole = table["description"].str.rpartition(",")[0]
-    names = names.where(~names.duplicated(keep=False), whole)
-    numbered = names + " (" + (names.index + 1).astype(str) + ")"
-    table.index = pd.Index(names.where(~names.duplicated(keep=False), numbered), name="name")
-    return table
+    columns = {"description": object, "operating_point": float, "rotating": bool}
+    columns["derivative_order"] = int
+    texts = [row[0] for row in rows]
+    names = _where_repeated([_short_name(text) for text in texts], texts)
+    names = _where_repeated(names, [f"{name} ({k})" for k, name in enumerate(names, 1)])
+    table = pd.DataFrame(rows, pd.Index(names, name="name", dtype=object), list(columns))
+    return table.astype(columns)
+
+
+def _where_repeated(names, others):
+    """The names, or the others in place of those that occur more than once."""
+    count = Counter(names)
+    return [other if count[name] > 1 else name for name, other in zip(names, others, strict=True)]
 
 
 def _short_name(description):
