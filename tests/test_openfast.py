@@ -92,8 +92,11 @@ def _step(x, matrices, h):
 
 STATES = [
     ("ED 1st tower fore-aft bending mode DOF (internal DOF index = DOF_TFA1), m", "F"),
-    *((f"ED 1st flap DOF of blade {b} (internal DOF index = DOF_BF({b},1)), m", "T") for b in (1, 2, 3)),
-]  # fmt: skip
+    *(
+        (f"ED 1st flap DOF of blade {b} (internal DOF index = DOF_BF({b},1)), m", "T")
+        for b in (1, 2, 3)
+    ),
+]
 RATES = [
     (text.replace("ED ", "ED First time derivative of ").replace(", m", ", m/s"), turns)
     for text, turns in STATES
@@ -310,7 +313,7 @@ def test_signals_that_turn_with_the_shaft(tmp_path):
         ({"outputs": ["RootMyc4"]}, r"outputs=\['RootMyc4'\] are not known"),
         ({"outputs": [3]}, "must name each signal in text"),
         ({"coordinates": "fixed"}, "coordinates='fixed' is not known"),
-        ({"n_harmonics": -1}, "n_harmonics=-1"),
+        ({"n_harmonics": -1}, "n_harmonics must be a whole number of at least 0"),
         ({"n_harmonics": 2}, "do not tell the 5 coefficients of harmonics"),
     ],
 )
@@ -330,6 +333,6 @@ def test_outputs_without_inputs():
         multiblade_model(load_wind_turbine().linearizations, outputs=["TFA1"])
 
 
-def test_one_file_is_enough_at_standstill_or_not(files):
+def test_one_file_is_enough(files):
     single = multiblade_model(files[0][0])
     np.testing.assert_allclose(single.A, files[1][0], atol=1e-12)

@@ -28,7 +28,7 @@ BLADE = [  # where a name says which blade
     re.compile(r"^(.*blade )(\d)(.*)$", re.IGNORECASE),
     re.compile(r"^(BD_)(\d)(.*)$"),
     re.compile(r"^(B)(\d)(N\d.*)$"),
-    re.compile(r"^(.*\D)(\d)$"),
+    re.compile(r"^(.*\D)(\d)()$"),
 ]
 
 
