@@ -1,5 +1,19 @@
 """Simulated and measured records: make_* computes them with the truth, load_* reads them."""
 
 from sklearn_hd.datasets._flapping_wing import make_flapping_wing
+from sklearn_hd.datasets._measured import (
+    load_cd_player_arm,
+    load_power_plant,
+    load_robot_arm,
+    load_slicot_example,
+    load_wind_turbine,
+)
 
-__all__ = ["make_flapping_wing"]
+__all__ = [
+    "load_cd_player_arm",
+    "load_power_plant",
+    "load_robot_arm",
+    "load_slicot_example",
+    "load_wind_turbine",
+    "make_flapping_wing",
+]

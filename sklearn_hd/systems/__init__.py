@@ -15,12 +15,15 @@ from sklearn_hd.systems.harmonic_transfer import (
     estimate_harmonic_transfer_function,
 )
 from sklearn_hd.systems.ltp import FourierMatrix, LTPSystem
+from sklearn_hd.systems.multiblade import multiblade_model, rotor_system
+from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 
 __all__ = [
     "FourierMatrix",
     "HarmonicTransferFunction",
     "LTPSystem",
+    "OpenFASTLinearization",
     "PeriodicSystem",
     "Trim",
     "bittanti_colaneri",
@@ -31,5 +34,8 @@ __all__ = [
     "flapping_wing",
     "mathieu",
     "meissner",
+    "multiblade_model",
+    "read_openfast_lin",
+    "rotor_system",
     "vinograd",
 ]
