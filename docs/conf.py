@@ -84,6 +84,8 @@ def room_for_code(app, pagename, templatename, context, doctree):
     """Examples have no column on the right: their lines are long."""
     if pagename.startswith("auto_examples/plot_"):
         context["theme_secondary_sidebar_items"] = []
+
+
 extensions += ["sphinxcontrib.bibtex"]
 bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 ALONE = ("get_started", "api", "choosing", "faq", "coming_from_*", "theory", "bibliography")
