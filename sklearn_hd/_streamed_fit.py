@@ -34,7 +34,7 @@ class StreamedFit:
         behind are sums; memory does not grow with the rows of a record (it does by some
         thousand rows with each record). The model is that of ``fit`` on all rows with the same
         ``order`` and ``block_rows``, but that a sliding window's block rows stay where they
-        began. It is there once there are rows enough; ``fit`` forgets all chunks.
+        began; ``fit`` forgets all chunks.
 
         Where a mode outlasts some thousand rows, B and D come from the triangular factor
         alone, and are less certain than those of ``fit``.
@@ -51,6 +51,7 @@ class StreamedFit:
         Returns
         -------
         self : MOESPRegressor
+            With the model of everything so far, once there are rows enough.
 
         Raises
         ------
