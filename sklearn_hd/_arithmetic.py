@@ -4,6 +4,8 @@ import functools
 
 import numpy as np
 
+ROWS = 64  # side by side
+
 
 def within_range(method):
     """Turn a breakdown of the arithmetic in a method into an error that names the way out.
@@ -30,7 +32,7 @@ def within_range(method):
 def extremes(signal):
     """Smallest and largest value of each column; zeros where there is no row.
 
-    One column at a time: for rows of few columns this is 20 times faster than at once.
+    Many rows side by side at a time: for rows of few columns this is several times faster.
 
     Parameters
     ----------
@@ -42,5 +44,13 @@ def extremes(signal):
     """
     if len(signal) == 0:
         return np.zeros((2, signal.shape[1]))
-    columns = list(signal.T)
-    return np.array([[c.min() for c in columns], [c.max() for c in columns]])
+    if not signal.flags.c_contiguous:
+        return np.array([[c.min() for c in signal.T], [c.max() for c in signal.T]])
+    whole = len(signal) // ROWS * ROWS
+    wide, rest = signal[:whole].reshape(-1, ROWS * signal.shape[1]), signal[whole:]
+
+    def reduced(by):
+        found = by.reduce(wide).reshape(ROWS, -1) if len(wide) else rest[:0]
+        return by.reduce(np.concatenate([found, rest]))
+
+    return np.array([reduced(np.minimum), reduced(np.maximum)])

@@ -10,6 +10,7 @@ from sklearn_hd._validation import FIRST, check_positive
 
 STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
 ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
+REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
 
@@ -82,9 +83,17 @@ def read_time(data, sample_time=None, time_origin=None):
         times = index.get_level_values(-1)
         _check_last_level(index)
     seconds, counted = _seconds(times, sample_time, time_origin)
+    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
+    if _alike(steps) and (not counted or sample_time in (None, steps[0])):
+        found = float(np.median(steps[:REPRESENTATIVE]))
+        if sample_time is None:
+            sample_time = found
+        _check_sample_time(sample_time, found, 0.0)
+        segments = tuple(slice(a, b) for a, b in itertools.pairwise(bounds))
+        records = tuple(_label(index, a) for a in bounds[:-1])
+        return TimeBase(seconds, segments, records, sample_time, counted)
     for a, b in itertools.pairwise(bounds):
         _check_increasing(seconds, a, b)
-    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
     unit, uncertainty = float(np.median(steps)) if steps.size else 1.0, 0.0
     if counted:
         unit = unit if sample_time is None else sample_time
@@ -99,16 +108,29 @@ def read_time(data, sample_time=None, time_origin=None):
     found, jitter, uncertainty = _mean_step(seconds, segments, unit)
     if sample_time is None:
         sample_time = found
-    tolerance = STEP_TOLERANCE * sample_time + 4.0 * uncertainty
-    if not counted and steps.size and abs(found - sample_time) > tolerance:
-        raise ValueError(
-            f"sample_time={sample_time:.6g} s, but the rows of the index are {found:.6g} s apart; "
-            f"leave sample_time at None, or resample the data (to the sample time of the data "
-            f"at fit)"
-        )
+    if not counted and steps.size:
+        _check_sample_time(sample_time, found, uncertainty)
     return TimeBase(
         seconds, tuple(segments), tuple(records), sample_time, counted, jitter, uncertainty
     )
+
+
+def _alike(steps):
+    """Whether all steps are one and the same, but for rounding."""
+    if not steps.size:
+        return False
+    least, most = steps.min(), steps.max()
+    return bool(least > 0.0 and most - least <= ROUNDED * least)
+
+
+def _check_sample_time(given, found, uncertainty):
+    """Raise ValueError if a sample time is not that of the index."""
+    if abs(found - given) > STEP_TOLERANCE * given + 4.0 * uncertainty:
+        raise ValueError(
+            f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; "
+            f"leave sample_time at None, or resample the data (to the sample time of the data "
+            f"at fit)"
+        )
 
 
 def why_short(base):

@@ -32,6 +32,7 @@ MOST_RADIUS = 1.0 - 1e-6
 LARGEST_CONDITION = 1e5
 BLOCKS = (1, 2, 4, 8, 12, 16, 24, 32)  # samples
 ROUND = 2**15  # samples, whose blocks fit into a cache
+NEARLY = 1e-6  # the identity, before the last step towards it
 PULSES = 1024  # samples of a pulse multiplied at a time
 PULSE_OVER = 1e-18  # of its first size
 STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
@@ -80,13 +81,16 @@ def output_normal(A, C):
         return None
     shown, padded = triangle(C), np.zeros((n, n))  # no more rows than states
     padded[: len(shown)] = shown
-    T, scale, _ = slycot.sb03od(n, len(shown), A, np.eye(n), padded, "D")
+    T, scale, _ = slycot.sb03od(n, len(shown), A.copy(), np.eye(n), padded, "D")
     T = np.triu(T) / scale
     size = np.abs(np.diagonal(T))
     if not size.min() > size.max() / LARGEST_CONDITION:
         return None
-    shown = linalg.solve_triangular(T, np.vstack([T @ A, C]).T, trans=1).T  # columns orthonormal,
-    shown = shown @ (1.5 * np.eye(n) - 0.5 * shown.T @ shown)  # now to the last digits
+    shown = linalg.solve_triangular(T, np.vstack([T @ A, C]).T, trans=1).T
+    gramian = shown.T @ shown
+    if not np.linalg.norm(gramian - np.eye(n)) < NEARLY:
+        return None
+    shown = shown @ (1.5 * np.eye(n) - 0.5 * gramian)  # columns orthonormal to the last digits
     basis = response_basis(shown[:n])
     if basis is None:
         return None
