@@ -32,7 +32,7 @@ class NormSettings:
     input_weights: object
     search: dict
 
-    def match(self, model, affine, initial=None, bounds=None):
+    def match(self, model, affine, initial=None, bounds=None, report=None):
         """The MatchResult of an affine structure and a model in continuous time."""
         outputs = read_weights("output_weights", self.output_weights, model.output_names)
         inputs = read_weights("input_weights", self.input_weights, model.input_names)
@@ -55,5 +55,6 @@ class NormSettings:
             emphasis=(outputs.constants, inputs.constants),
             output_filter=outputs.filter,
             input_filter=inputs.filter,
+            report=report,
             **self.search,
         )

@@ -15,6 +15,7 @@ from sklearn_hd.algorithms.mode_shapes import (
     state_matrix_samples,
     strongest_free_decay,
 )
+from sklearn_hd.algorithms.reporting import within
 
 REST_SHARE = 1e-9  # of an input's largest value, below which it counts as at rest
 SHAPE_CONDITION = 1e4
@@ -22,7 +23,7 @@ EXACT_SHARE = 1e-16  # of the variance: nothing but rounding is left unexplained
 HARMONICS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of mode shapes, tried in turn
 
 
-def periodic_decomposition(experiment, choices):
+def periodic_decomposition(experiment, choices, report=None):
     """A and C of the harmonic decomposition of the F(ψ) behind some families.
 
     Parameters
@@ -30,6 +31,8 @@ def periodic_decomposition(experiment, choices):
     experiment : Experiment
     choices : list of complex ndarray
         λT of as many exponents as there are outputs, each a way to read the families.
+    report : callable, optional
+        ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -49,7 +52,7 @@ def periodic_decomposition(experiment, choices):
     R = real_block(exponents)
     P = mode_shapes(decay, R, basis.sample_time, spp)
     if _noise_left(decay, P, R, basis):
-        P, R = _likely_shapes(experiment, exponents, P)
+        P, R = _likely_shapes(experiment, exponents, P, report)
     if shape_condition(P) > SHAPE_CONDITION:
         return None, None
     F = state_matrix_samples(P, R, omega)
@@ -74,7 +77,7 @@ def _noise_left(decay, P, R, basis):
     return np.sum(left**2) > EXACT_SHARE * np.sum(decay**2) and is_white(left, spp - 1)
 
 
-def _likely_shapes(experiment, exponents, P):
+def _likely_shapes(experiment, exponents, P, report):
     """Shapes of few harmonics, and R, most likely by the whole record (Akaike, 1974).
 
     Those given where no number of harmonics leaves white noise.
@@ -95,7 +98,8 @@ def _likely_shapes(experiment, exponents, P):
         start = linalg.lstsq(functions, P.reshape(spp, -1))[0]
         C = start.reshape(-1, n_outputs, P.shape[2]).transpose(1, 0, 2).reshape(-1, P.shape[2])
         record = _record(experiment, observe, n_harmonics)
-        model = fit_modal_model(record, exponents, C)
+        told = within(report, f"harmonics {n_harmonics}")
+        model = fit_modal_model(record, exponents, C, told)
         n_parameters = (n_outputs + record.drive[0].shape[1]) * len(C[0]) * len(functions[0])
         samples = record.outputs.size
         criterion = samples * np.log(model.residual / samples) + 2.0 * n_parameters
@@ -132,7 +136,7 @@ def _record(experiment, observe, n_harmonics):
     )
 
 
-def refined_modes(experiment, exponents, shapes, enough=0.0):
+def refined_modes(experiment, exponents, shapes, enough=0.0, report=None):
     """A and C of some modes by maximum likelihood, if white noise is all that they leave.
 
     Parameters
@@ -144,6 +148,8 @@ def refined_modes(experiment, exponents, shapes, enough=0.0):
         Output vectors of the modes.
     enough : float, default=0.0
         Sum of squares (outputs divided by their scale) that may be left, white or not.
+    report : callable, optional
+        ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -161,7 +167,7 @@ def refined_modes(experiment, exponents, shapes, enough=0.0):
     size = np.max(np.abs(C), axis=0)
     C = C / np.where(size == 0.0, 1.0, size)
     record = _record(experiment, observations(experiment, len(C)), 0)
-    model = fit_modal_model(record, exponents, C)
+    model = fit_modal_model(record, exponents, C, report)
     if model.residual > enough and not is_white(residuals(record, model), basis.samples_per_period):
         return None, None
     return real_block(model.exponents), units * model.C

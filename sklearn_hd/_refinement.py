@@ -8,6 +8,7 @@ import numpy as np
 from sklearn_hd._match import Uncertainty, periodic_match
 from sklearn_hd.algorithms.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.reporting import within
 from sklearn_hd.algorithms.uncertainty import floquet_exponent_std
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
@@ -15,7 +16,7 @@ FIRST_INPUT_HARMONICS = 2  # more of G are tried afterwards
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 
 
-def refine(match, structure, experiment, max_iter, input_noise):
+def refine(match, structure, experiment, max_iter, input_noise, report=None):
     """The same structure, its parameters those of the largest likelihood of the record.
 
     Parameters
@@ -27,6 +28,8 @@ def refine(match, structure, experiment, max_iter, input_noise):
     experiment : Experiment
     max_iter : int
     input_noise : ndarray, shape (m,), or None
+    report : callable, optional
+        ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -34,17 +37,17 @@ def refine(match, structure, experiment, max_iter, input_noise):
     result : OutputErrorResult
     """
     if match.periodic is None:
-        return _refine_invariant(match, structure, experiment, max_iter, input_noise)
+        return _refine_invariant(match, structure, experiment, max_iter, input_noise, report)
     resolved = match.structure
     if match.periodic.physical and None in map(structure.n_harmonics, "FG"):
         fixed = {name: structure.n_harmonics(name) for name in "FG"}
         fixed = {name: count for name, count in fixed.items() if count is not None}
         fixed["P"] = _n_harmonics_of_outputs(match, structure)
         resolved, result = refine_harmonics(
-            structure, match.periodic, fixed, experiment, max_iter, input_noise
+            structure, match.periodic, fixed, experiment, max_iter, input_noise, report
         )
     else:
-        result = refine_periodic(resolved, match.theta, experiment, max_iter, input_noise)
+        result = refine_periodic(resolved, match.theta, experiment, max_iter, input_noise, report)
     periodic = replace(match.periodic, coefficients=resolved.coefficients(result.theta))
     affine, seen = periodic.decomposed_structure(resolved, experiment.basis)
     refined = periodic_match(resolved, result.theta, periodic, match.model, experiment.basis)
@@ -52,10 +55,10 @@ def refine(match, structure, experiment, max_iter, input_noise):
     return replace(refined, n_iter=result.n_iter, uncertainty=found), result
 
 
-def _refine_invariant(match, structure, experiment, max_iter, input_noise):
+def _refine_invariant(match, structure, experiment, max_iter, input_noise, report):
     bounds = structure.lower, structure.upper
     result = refine_invariant(
-        match.structure, match.theta, experiment, max_iter, input_noise, bounds
+        match.structure, match.theta, experiment, max_iter, input_noise, bounds, report
     )
     matrices = [M[0] for M in match.structure.matrices(result.theta)]
     names = match.model.state_names
@@ -114,7 +117,9 @@ def observation(experiment):
     )
 
 
-def refine_invariant(structure, theta, experiment, max_iter, input_noise=None, bounds=None):
+def refine_invariant(
+    structure, theta, experiment, max_iter, input_noise=None, bounds=None, report=None
+):
     """A time-invariant structure between the drive and the (harmonics of the) outputs."""
     return output_error(
         structure,
@@ -125,10 +130,11 @@ def refine_invariant(structure, theta, experiment, max_iter, input_noise=None, b
         input_sigma=input_noise,
         bounds=bounds,
         max_iter=max_iter,
+        report=report,
     )
 
 
-def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
+def refine_periodic(structure, theta, experiment, max_iter, input_noise=None, report=None):
     """A periodic structure between the raw inputs and outputs."""
     return output_error(
         structure,
@@ -137,10 +143,11 @@ def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
         theta,
         input_sigma=input_noise,
         max_iter=max_iter,
+        report=report,
     )
 
 
-def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None):
+def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None, report=None):
     """A periodic structure with as many harmonics of F and G as the data show.
 
     From the number of the start up and down, as long as Akaike's criterion falls: first
@@ -158,6 +165,8 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
     experiment : Experiment
     max_iter : int
     input_noise : ndarray, shape (m,), optional
+    report : callable, optional
+        ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -171,7 +180,8 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
     def fit(counts, near, noise=None):
         resolved = structure.resolve(*names, counts)
         theta = resolved.nearest(near)
-        result = refine_periodic(resolved, theta, experiment, max_iter, noise)
+        told = within(report, ", ".join(f"{name} {counts[name]}" for name in "FG"))
+        result = refine_periodic(resolved, theta, experiment, max_iter, noise, told)
         return _Candidate(counts, resolved, result)
 
     best = fit({**counts, **fixed}, start.coefficients)

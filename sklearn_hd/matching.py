@@ -14,11 +14,13 @@ from sklearn_hd._match import Match, NormReport, ParameterReport, periodic_match
 from sklearn_hd._match_warnings import warn_matched, warn_realized, warn_refined
 from sklearn_hd._norm_matching import NORMS, NormSettings
 from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator
+from sklearn_hd._progress import check_verbose, progress
 from sklearn_hd._realization import realize
 from sklearn_hd._refinement import refine
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
@@ -83,6 +85,10 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data.
+    verbose : int, default=0
+        1 shows a progress bar, in terminals and notebooks only: starts tried, steps of the
+        search, and where it stands. With ``n_jobs`` above one it counts the starts that
+        have ended.
 
     Attributes
     ----------
@@ -183,6 +189,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         max_iter=100,
         tol=1e-8,
         warmup=None,
+        verbose=0,
     ):
         self.estimator = estimator
         self.structure = structure
@@ -197,6 +204,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         self.max_iter = max_iter
         self.tol = tol
         self.warmup = warmup
+        self.verbose = verbose
 
     @one_blas_thread
     @within_range
@@ -227,14 +235,15 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         periodic = isinstance(structure, HarmonicStructure) or (lifted and structure is None)
         noise = self._input_noise(experiment, periodic)
         self._check_weights(closed_form=periodic and lifted)
-        if periodic:
-            match = self._match_periodic(model, experiment, lifted)
-        else:
-            if lifted:
-                model = self._realize(model, experiment, HarmonicStructure()).model
-            match = self._match(to_continuous(model, experiment))
-        if self.criterion == "output_error":
-            match = self._refine(match, experiment, noise)
+        with progress(self.verbose) as report:
+            if periodic:
+                match = self._match_periodic(model, experiment, lifted, report)
+            else:
+                if lifted:
+                    model = self._realize(model, experiment, HarmonicStructure(), report).model
+                match = self._match(to_continuous(model, experiment), report)
+            if self.criterion == "output_error":
+                match = self._refine(match, experiment, noise, report)
         return self._store(match)._remember(match.model, experiment, X, y)
 
     def _check_settings(self):
@@ -245,6 +254,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         check_count("max_iter", self.max_iter, 1, "100 is usual")
         check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
         check_flag("scale", self.scale)
+        check_verbose(self.verbose)
         if self.input_noise is not None:
             noise = self.input_noise
             hint = "None is none, and a dict gives each input its own, {'u': 0.1}"
@@ -281,13 +291,13 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
 
     # ---- time-invariant structures -----------------------------------------------------------
 
-    def _match(self, model):
+    def _match(self, model, report):
         """The structure matched to a continuous model in the norm of the criterion."""
         if self.structure is None:
             return _unchanged(model)
         structure = self._checked_structure(model)
         bounds = structure.lower, structure.upper
-        result = self._match_affine(model, structure.affine, structure.initial, bounds)
+        result = self._match_affine(model, structure.affine, report, structure.initial, bounds)
         matrices = (result.A, result.B, result.C, result.D)
         return Match(
             model.in_continuous_time(*matrices, state_names=_state_names(structure, model)),
@@ -296,7 +306,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
             PeriodicStructure.time_invariant(structure.affine),
         ).by(result)
 
-    def _match_affine(self, model, affine, initial=None, bounds=None):
+    def _match_affine(self, model, affine, report, initial=None, bounds=None):
         if affine.n_parameters == 0:
             raise ValueError(
                 f"the structure has no free parameter, so there is nothing to match: let entries "
@@ -309,13 +319,13 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
             input_weights=self.input_weights,
             search={name: getattr(self, name) for name in SEARCH},
         )
-        result = settings.match(model, affine, initial, bounds)
+        result = settings.match(model, affine, initial, bounds, report)
         warn_matched(result, settings, model.n_states, affine.n_states)
         return result
 
     # ---- periodic structures -----------------------------------------------------------------
 
-    def _match_periodic(self, model, experiment, lifted):
+    def _match_periodic(self, model, experiment, lifted, report):
         """The linear time-periodic system behind the model."""
         if experiment.basis is None:
             raise ValueError(
@@ -324,16 +334,18 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
             )
         structure = HarmonicStructure() if self.structure is None else self.structure
         if lifted:
-            return self._realize(model, experiment, structure)
-        return self._match_decomposition(to_continuous(model, experiment), experiment, structure)
+            return self._realize(model, experiment, structure, report)
+        model = to_continuous(model, experiment)
+        return self._match_decomposition(model, experiment, structure, report)
 
-    def _realize(self, model, experiment, structure):
+    def _realize(self, model, experiment, structure, report):
         """In closed form, from a model identified period by period."""
+        stage(report, "periodic model in closed form")
         found = realize(model, experiment, structure)
         warn_realized(found)
         return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
-    def _match_decomposition(self, model, experiment, structure):
+    def _match_decomposition(self, model, experiment, structure, report):
         """In the norm of the criterion, from a model in harmonic-decomposition form."""
         basis = experiment.basis
         inputs, outputs = (tuple(s for s, _ in kept) for kept in (basis.inputs, basis.outputs))
@@ -349,7 +361,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         zero = np.zeros(full.n_parameters)
         periodic = PeriodicModel(full.coefficients(zero), basis.omega, outputs, inputs, outputs)
         affine, seen = periodic.decomposed_structure(full, basis)
-        result = self._match_affine(model, affine)
+        result = self._match_affine(model, affine, report)
         if self.criterion == "output_error":  # the raw record sees them all
             resolved, theta = full, zero
             theta[seen] = result.theta
@@ -381,7 +393,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
 
     # ---- maximum likelihood ------------------------------------------------------------------
 
-    def _refine(self, match, experiment, input_noise):
+    def _refine(self, match, experiment, input_noise, report):
         """The same structure, its parameters those of the largest likelihood of the record."""
         if match.structure is None:
             raise ValueError(
@@ -389,7 +401,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
                 "determines; give a MatrixStructure or a HarmonicStructure"
             )
         structure = HarmonicStructure() if self.structure is None else self.structure
-        refined, result = refine(match, structure, experiment, self.max_iter, input_noise)
+        refined, result = refine(match, structure, experiment, self.max_iter, input_noise, report)
         warn_refined(result)
         return refined
 

@@ -16,6 +16,7 @@ from sklearn_hd._continuous import (
     to_continuous,
 )
 from sklearn_hd._fit_checks import warn_of_growth
+from sklearn_hd._progress import check_verbose, progress
 from sklearn_hd._raw_modes import periodic_decomposition, refined_modes
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
@@ -31,6 +32,7 @@ from sklearn_hd.algorithms.modes import (
     residual,
     unit_regressors,
 )
+from sklearn_hd.algorithms.reporting import within
 from sklearn_hd.algorithms.residualization import residualize
 from sklearn_hd.algorithms.simulation import discrete_to_continuous
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -95,6 +97,9 @@ class SpuriousModeReducer(ModelStep):
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data.
+    verbose : int, default=0
+        1 shows a progress bar, in terminals and notebooks only: modes are refined on the
+        raw record, which can take some seconds.
 
     Attributes
     ----------
@@ -144,11 +149,12 @@ class SpuriousModeReducer(ModelStep):
     True
     """
 
-    def __init__(self, estimator=None, *, n_states=None, method="truncate", warmup=None):
+    def __init__(self, estimator=None, *, n_states=None, method="truncate", warmup=None, verbose=0):
         self.estimator = estimator
         self.n_states = n_states
         self.method = method
         self.warmup = warmup
+        self.verbose = verbose
 
     @one_blas_thread
     @within_range
@@ -170,6 +176,7 @@ class SpuriousModeReducer(ModelStep):
         method = check_choice("method", self.method, METHODS)
         if self.n_states is not None:
             check_count("n_states", self.n_states, 1, "None decides by the data")
+        check_verbose(self.verbose)
         experiment, model = upstream(self, X, y)
         basis = experiment.basis
         self.r2_, self.left_out_ = np.nan, 0.0
@@ -180,7 +187,8 @@ class SpuriousModeReducer(ModelStep):
         elif basis is None and self.n_states is None:
             model = self._keep_plain(model, experiment)
         else:
-            model = self._reduce(model, experiment, method)
+            with progress(self.verbose) as report:
+                model = self._reduce(model, experiment, method, report)
             warn_of_growth(model, experiment)
         self.n_states_ = model.n_states
         return self._remember(model, experiment, X, y)
@@ -227,7 +235,7 @@ class SpuriousModeReducer(ModelStep):
         )
         return self._refit(model, experiment, z, kept, np.zeros(len(z), dtype=bool))
 
-    def _reduce(self, model, experiment, method):
+    def _reduce(self, model, experiment, method, report):
         basis = experiment.basis
         z, V = np.linalg.eig(model.A)
         z = z.astype(complex)
@@ -248,7 +256,7 @@ class SpuriousModeReducer(ModelStep):
         refined = None
         if method == "truncate" and basis is not None:
             kept_units, refined = self._refined(
-                kept_units, tried, exponents, shapes, experiment, exact=bool(whole)
+                kept_units, tried, exponents, shapes, experiment, report, exact=bool(whole)
             )
             rivals = rivals if refined is None else []
         kept = np.zeros(len(z), dtype=bool)
@@ -277,7 +285,7 @@ class SpuriousModeReducer(ModelStep):
             return model.in_continuous_time(A, B, C, D)
         if self.n_states is None and method == "truncate" and basis is not None:
             chosen = {frozenset(families[unit[0]].item() for unit in best) for _, best in tried}
-            periodic = self._from_mode_shapes(model, experiment, z, families, kept, chosen)
+            periodic = self._from_mode_shapes(model, experiment, z, families, kept, chosen, report)
             if periodic is not None:
                 return periodic
         fast = _to_residualize(method, kept | window, exponents, z, basis)
@@ -352,7 +360,7 @@ class SpuriousModeReducer(ModelStep):
         pick = [units[i] for i in picked]
         return pick, [[units[i] for i in rival] for rival in rivals], tried
 
-    def _from_mode_shapes(self, model, experiment, z, families, kept, chosen):
+    def _from_mode_shapes(self, model, experiment, z, families, kept, chosen, report):
         """Harmonic decomposition of the F(ψ) behind the families, where the outputs show it.
 
         None where the outputs do not determine the state, no input rests long
@@ -366,7 +374,7 @@ class SpuriousModeReducer(ModelStep):
                 z, families, sorted(some), rows, len(experiment.basis.outputs), MULTIPLIER_ANGLE
             )
         ]
-        A, C = periodic_decomposition(experiment, choices)
+        A, C = periodic_decomposition(experiment, choices, report)
         if A is None:
             return None
         B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
@@ -384,7 +392,7 @@ class SpuriousModeReducer(ModelStep):
         return model.in_continuous_time(A, B, C, D)
 
     @staticmethod
-    def _refined(kept_units, tried, exponents, shapes, experiment, exact):
+    def _refined(kept_units, tried, exponents, shapes, experiment, report, exact):
         """The smallest set of modes that explains all but white noise once refined, its A and C.
 
         The set given, and None, where none does. Also enough is what the set given leaves:
@@ -403,7 +411,8 @@ class SpuriousModeReducer(ModelStep):
             first = [unit[0] for unit in some]
             single = np.array([len(unit) == 1 for unit in some])
             start = np.where(single, exponents[first].real, exponents[first])
-            A, C = refined_modes(experiment, start, shapes[first], enough)
+            told = within(report, f"{sum(map(len, some))} states")
+            A, C = refined_modes(experiment, start, shapes[first], enough, told)
             if A is not None:
                 return some, (A, C)
         return kept_units, None

@@ -24,7 +24,7 @@ ESTIMATORS = [
     SpuriousModeReducer(MOESPRegressor()),
     SpuriousModeReducer(MOESPRegressor(), method="both"),
     SpuriousModeReducer(MOESPRegressor(), method="residualize"),
-    StructuredMatcher(SpuriousModeReducer(MOESPRegressor())),
+    StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), verbose=1),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor(feedthrough=True)), scale=False),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=0, random_state=None),
 ]

@@ -9,7 +9,16 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_arithmetic", "_validation", "_threads", "_time", "_states", "_containers"},
+    {
+        "exceptions",
+        "_arithmetic",
+        "_validation",
+        "_progress",
+        "_threads",
+        "_time",
+        "_states",
+        "_containers",
+    },
     {"algorithms"},
     {"systems", "structures"},
     {"_frame"},
@@ -81,3 +90,9 @@ def test_matplotlib_stays_in_plotting_and_nothing_else_imports_it(path):
     if room(path) != "plotting":
         for module in imports(path):
             assert not module.startswith(("matplotlib", "sklearn_hd.plotting"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(ROOT)) for p in FILES])
+def test_one_module_alone_draws_progress_bars(path):
+    if room(path) != "_progress":
+        assert not any(module.startswith("tqdm") for module in imports(path))

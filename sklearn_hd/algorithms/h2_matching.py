@@ -15,6 +15,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.least_squares import levenberg_marquardt
 from sklearn_hd.algorithms.matching_problem import MatchingProblem, line
+from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["H2Fit", "h2_error", "minimise_h2", "quadrature"]
@@ -105,7 +106,7 @@ def h2_error(problem, theta):
     return linalg.norm(_on_quadrature(problem, theta).residual_and_jacobian(theta)[0])
 
 
-def minimise_h2(problem, starts, *, max_iter=100, tol=1e-8):
+def minimise_h2(problem, starts, *, max_iter=100, tol=1e-8, report=None):
     """Parameters of least H2 matching error, reached from some starts.
 
     Parameters
@@ -116,6 +117,8 @@ def minimise_h2(problem, starts, *, max_iter=100, tol=1e-8):
         Largest number of steps from each.
     tol : float
         Relative decrease of the square, promised at first order, at which to stop.
+    report : callable, optional
+        ``report(stage, most, done, note)``, told the starts that have ended.
 
     Returns
     -------
@@ -129,11 +132,15 @@ def minimise_h2(problem, starts, *, max_iter=100, tol=1e-8):
         If no start with D_s = D_c is stable.
     """
     equal = _EqualFeedthrough.build(problem)
-    found = []
-    for k, start in enumerate(starts[:_STARTS]):
+    found, starts = [], starts[:_STARTS]
+    told = stage(report, "H2, starts", len(starts))
+    for k, start in enumerate(starts):
         zeta = equal.problem.inside(equal.coordinates(start))
         if equal.problem.abscissa(zeta) < 0:
             found.append((k, *_descend(equal.problem, zeta, max_iter, tol)))
+        if told is not None:
+            reached = min((fit.residual for _, fit, _ in found), default=np.inf)
+            told(k + 1, f"error {reached:.3g}")
     if not found:
         raise UnstableModelError(
             "no start with the feedthrough of the model is stable; give initial values near a "

@@ -179,7 +179,7 @@ def _in_batches(problem, starts, max_iter, n_jobs):
         yield from Parallel(n_jobs)(delayed(fit_from)(problem, start, max_iter) for start in batch)
 
 
-def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
+def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None, report=None):
     """Different least-squares matches reached from some starts, the best first.
 
     Stops early at an exact match, or when the best residual has been reached twice.
@@ -194,6 +194,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
         Relative residual that counts as an exact match but for rounding.
     n_jobs : int, optional
         Starts tried at once, in processes of their own (joblib); the result is the same.
+    report : callable, optional
+        Told the number of starts that have ended: ``report(done, note)``.
 
     Returns
     -------
@@ -207,6 +209,9 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None):
     fits, n_starts = [], 0
     for fit in _in_batches(problem, iter(starts), max_iter, n_jobs):
         n_starts += 1
+        if report is not None:
+            ended = [each.residual for each in (*fits, fit) if each is not None]
+            report(n_starts, f"error {min(ended, default=np.inf):.3g}")
         if fit is None:
             continue
         known = [abs(fit.residual - other.residual) <= 1e-6 * fit.residual for other in fits]

@@ -14,13 +14,14 @@ outputs determine, the certificate whether the norm can still fall.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, effective_n_jobs
 from scipy import linalg
 
 from sklearn_hd.algorithms.h2_matching import h2_error, minimise_h2
 from sklearn_hd.algorithms.least_squares import Start, levenberg_marquardt, local_fits
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.minimax import Certificate, certify, minimise_peak
+from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.similarity import (
     draw_transformation,
     output_transformation,
@@ -123,6 +124,7 @@ def match_structure(
     tol=1e-8,
     exact_tol=1e-9,
     random_state=0,
+    report=None,
 ):
     """Structured model nearest to a stable continuous one.
 
@@ -167,6 +169,8 @@ def match_structure(
         AB13DD does not resolve the norm of such a difference.
     random_state : int
         Seed of the changes of state tried.
+    report : callable, optional
+        Told how far the search has come: ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -207,18 +211,20 @@ def match_structure(
     problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
     theta0 = _check_theta(theta0, problem)
     starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
-    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR, n_jobs=n_jobs)
+    told = stage(report, "least squares, starts", n_starts + (1 if theta0 is None else 3))
+    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR, n_jobs=n_jobs, report=told)
     fit, exact = exact_match(problem, fits[0], exact_tol)
     found = _Found.by_least_squares(fit, exact, tol)
     if exact or structure.n_parameters == 0 or criterion == "least_squares":
         return _result(problem, fit, found, fits, exact)
     if criterion == "h2":
-        best = minimise_h2(problem, [each.theta for each in fits], max_iter=max_iter, tol=tol)
+        points = [each.theta for each in fits]
+        best = minimise_h2(problem, points, max_iter=max_iter, tol=tol, report=report)
         found = _Found.by_least_squares(fits[best.start], False, tol)
         predicted = best.predicted_decrease
         found = found.further("h2", best.theta, predicted, predicted <= tol, best.history)
         return _result(problem, fit, found, fits, exact)
-    found = minimax_from_fits(problem, fits, max_iter, tol, n_jobs)
+    found = minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report)
     last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
     if last.residual < fit.residual:  # the minimax steps have left a poor valley
         fit, exact = exact_match(problem, last, exact_tol)
@@ -264,7 +270,7 @@ def exact_match(problem, fit, tol):
     return fit, bool(fit.residual <= tol)
 
 
-def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
+def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
     """Least norm reached from the least-squares matches: short runs, the best one finished.
 
     The ranking by squares is not the ranking by peaks, so the match best in squares and
@@ -272,21 +278,42 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
     """
     short = min(_SCREENING, max_iter)
     ranked = [fits[0], *sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[:3]]
-    runs = Parallel(n_jobs)(
-        delayed(minimise_peak)(problem, fit.theta, max_iter=short, tol=tol) for fit in ranked
-    )
+    runs = _short_runs(problem, ranked, {"max_iter": short, "tol": tol}, n_jobs, report)
     best = min(range(len(runs)), key=lambda k: runs[k].value)
     run, found = runs[best], _Found.by_least_squares(ranked[best], False, tol)
     found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, run.history)
     if run.converged or short == max_iter:
         return found
-    run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol)
+    told = stage(report, "minimax, steps from the best", max_iter - short)
+    run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol, report=told)
     return found.further(
         "minimax", run.theta, run.predicted_decrease, run.converged, run.history[1:]
     )
 
 
 _SCREENING = 20  # convex steps of a short run
+
+
+def _short_runs(problem, fits, options, n_jobs, report):
+    """A run of the minimax search from each match; of those in other processes the end is heard."""
+    count, at_once = len(fits), effective_n_jobs(n_jobs)
+    if at_once == 1:
+        names = [f"minimax, steps from match {k + 1} of {count}" for k in range(count)]
+        return [
+            minimise_peak(
+                problem, fit.theta, **options, report=stage(report, name, options["max_iter"])
+            )
+            for fit, name in zip(fits, names, strict=True)
+        ]
+    told, runs = stage(report, "minimax, matches", count), []
+    size = count if told is None else at_once
+    for k in range(0, count, size):
+        runs += Parallel(n_jobs)(
+            delayed(minimise_peak)(problem, fit.theta, **options) for fit in fits[k : k + size]
+        )
+        if told is not None:
+            told(len(runs), f"error {min(run.value for run in runs):.3g}")
+    return runs
 
 
 def _result(problem, fit, found, fits, exact, certified=False):

@@ -56,7 +56,7 @@ class MinimaxResult:
     n_iter: int
 
 
-def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
+def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     """Parameters of least H∞ matching error, reached downhill from a stable start.
 
     Parameters
@@ -70,6 +70,8 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
         Largest number of convex subproblems.
     tol : float
         Predicted decrease, relative to F, at which to stop.
+    report : callable, optional
+        Told the number of convex subproblems solved: ``report(done, note)``.
 
     Returns
     -------
@@ -88,6 +90,8 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
         step, level, duals, _ = _convex_step(model, problem, theta, curvature, radius, cuts)
         cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
         n_iter += 1
+        if report is not None:
+            report(n_iter, f"error {value:.3g}")
         predicted = 1.0 - level
         if predicted <= tol or radius < _LEAST_RADIUS:
             flat = np.zeros_like(curvature)

@@ -17,6 +17,8 @@ import numpy as np
 from scipy import linalg
 from scipy.signal import lfilter
 
+from sklearn_hd.algorithms.reporting import stage
+
 __all__ = ["ModalModel", "Record", "fit_modal_model", "is_white", "residuals"]
 
 SMALL_STEP = 1e-6  # of an exponent, for central differences: exact to about 1e-10
@@ -168,7 +170,7 @@ def _exponent_columns(record, exponents, responses, inputs, C, paired):
     return np.stack(columns, axis=1)
 
 
-def fit_modal_model(record, exponents, C):
+def fit_modal_model(record, exponents, C, report=None):
     """Least squares of the raw outputs over exponents, inputs, shapes and initial states.
 
     Parameters
@@ -178,6 +180,8 @@ def fit_modal_model(record, exponents, C):
         To start from, 1/s: real ones, and one member of each pair.
     C : ndarray, shape (n_coefficients, n)
         To start from.
+    report : callable, optional
+        ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -189,9 +193,11 @@ def fit_modal_model(record, exponents, C):
     regressors = _input_columns(record.observe @ C, responses, paired)
     start = _scaled_solution(regressors, record.outputs.ravel())
     model = _with_residual(record, responses, exponents, _as_inputs(start, paired), C)
-    damping = DAMPING
-    for _ in range(MAX_STEPS):
+    damping, told = DAMPING, stage(report, "likelihood of modes, steps", MAX_STEPS)
+    for k in range(MAX_STEPS):
         before = model.residual
+        if told is not None:
+            told(k, f"variance left {before / np.sum(record.outputs**2):.3g}")
         model, responses, damping = _step(record, model, responses, paired, damping)
         if before - model.residual <= SETTLED * before / record.outputs.size:
             break

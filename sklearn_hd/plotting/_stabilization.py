@@ -7,7 +7,9 @@ import pandas as pd
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
+from sklearn_hd._progress import check_verbose, progress
 from sklearn_hd._validation import check_positive
+from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.plotting._eigenvalues import continuous_eigenvalues
 from sklearn_hd.plotting._panels import Panels
 from sklearn_hd.plotting._style import BLACK, BLUE, GREY, ORANGE, dress
@@ -66,7 +68,7 @@ class StabilizationDisplay:
         self.order = order
 
     @classmethod
-    def from_data(cls, X, y, *, orders=None, tol=0.02, ax=None, **parameters):
+    def from_data(cls, X, y, *, orders=None, tol=0.02, ax=None, verbose=0, **parameters):
         """Identify models of several orders by :class:`~sklearn_hd.MOESPRegressor`.
 
         Parameters
@@ -81,6 +83,8 @@ class StabilizationDisplay:
             Share of its size by which a steady mode may differ from the order before.
         ax : Axes or array of Axes, optional
             Two Axes, or one that is divided.
+        verbose : int, default=0
+            1 shows a progress bar, in terminals and notebooks only.
         **parameters
             Of MOESPRegressor.
 
@@ -90,10 +94,10 @@ class StabilizationDisplay:
             Drawn; what it draws stands in its attributes.
         """
         estimator = MOESPRegressor(**parameters)
-        return cls.from_estimator(estimator, X, y, orders=orders, tol=tol, ax=ax)
+        return cls.from_estimator(estimator, X, y, orders=orders, tol=tol, ax=ax, verbose=verbose)
 
     @classmethod
-    def from_estimator(cls, estimator, X, y, *, orders=None, tol=0.02, ax=None):
+    def from_estimator(cls, estimator, X, y, *, orders=None, tol=0.02, ax=None, verbose=0):
         """Fit clones of an estimator at several orders.
 
         Parameters
@@ -111,6 +115,8 @@ class StabilizationDisplay:
             Share of its size by which a steady mode may differ from the order before.
         ax : Axes or array of Axes, optional
             Two Axes, or one that is divided.
+        verbose : int, default=0
+            1 shows a progress bar, in terminals and notebooks only.
 
         Returns
         -------
@@ -125,17 +131,21 @@ class StabilizationDisplay:
             If an order cannot be identified from these data.
         """
         tol = check_positive("tol", tol, "shares of |λ|", "0.02 is usual")
+        check_verbose(verbose)
         identifier, X = _identifier(estimator, X, y)
         first = clone(identifier).fit(X, y)
         block_rows, n_outputs = first.block_rows_, len(first.model_.output_names)
         if orders is None:
             orders = range(1, min(first.order_ + BEYOND, (block_rows - 1) * n_outputs) + 1)
-        found = {}
-        with warnings.catch_warnings():
+        found, orders = {}, sorted(orders)
+        with warnings.catch_warnings(), progress(verbose) as report:
             warnings.simplefilter("ignore", UserWarning)  # what the first fit said
-            for n in sorted(orders):
+            told = stage(report, "orders", len(orders))
+            for n in orders:
                 model = clone(identifier).set_params(order=n, block_rows=block_rows).fit(X, y)
                 found[n] = continuous_eigenvalues(model.model_)
+                if told is not None:
+                    told(len(found), f"order {n}")
         return cls(_table(found, tol), order=first.order_).plot(ax=ax)
 
     def plot(self, ax=None):
