@@ -33,10 +33,11 @@ def stage(report, name, most=None):
 
     Examples
     --------
-    >>> told = stage(print, "starts", 8)
-    starts 8 0
+    >>> heard = []
+    >>> told = stage(lambda *words: heard.append(words), "starts", 8)
     >>> told(1, "error 0.1")
-    starts 8 1 error 0.1
+    >>> heard
+    [('starts', 8, 0, ''), ('starts', 8, 1, 'error 0.1')]
     """
     if report is None:
         return None
@@ -49,8 +50,8 @@ def within(report, words):
 
     Examples
     --------
-    >>> within(print, "F 4")("steps", 9, 1, "")
-    steps (F 4) 9 1
+    >>> within(print, "F 4")("steps", 9, 1, "error 0.1")
+    steps (F 4) 9 1 error 0.1
     """
     if report is None:
         return None
