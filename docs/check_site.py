@@ -46,15 +46,20 @@ const pause = ms => new Promise(done => setTimeout(done, ms));
 function open_(url) {
   return new Promise(done => { frame.onload = done; frame.src = url; });
 }
-function wide(root, limit) {
-  const held = node => {  // by a part that scrolls or cuts by itself
-    for (let up = node.parentElement; up && up !== root; up = up.parentElement)
+function wide(root) {  // what sticks out, but for code, tables and the like that scroll themselves
+  const text = root.querySelector(".bd-article-container") || root.querySelector("body");
+  const held = node => {
+    for (let up = node.parentElement; up && up !== text; up = up.parentElement)
       if (frame.contentWindow.getComputedStyle(up).overflowX !== "visible") return true;
     return false;
   };
-  const found = [...root.querySelectorAll("body *")]
+  const limit = Math.min(root.clientWidth, text.getBoundingClientRect().right);
+  const found = [...text.querySelectorAll("*")]
     .filter(node => node.getBoundingClientRect().right > limit + 1 && !held(node));
-  return found.slice(0, 3).map(node => node.outerHTML.replace(/\\s+/g, " ").slice(0, 100));
+  return {
+    scroll: Math.max(root.scrollWidth, root.clientWidth + text.scrollWidth - text.clientWidth),
+    wide: found.slice(0, 3).map(node => node.outerHTML.replace(/\\s+/g, " ").slice(0, 100)),
+  };
 }
 async function look(page) {
   await open_("/" + page);
@@ -63,7 +68,7 @@ async function look(page) {
   await Promise.all(images.map(image => image.decode().catch(() => null)));
   const own = images.filter(image => image.src.startsWith(location.origin));
   return {
-    page, scroll: root.scrollWidth, width: root.clientWidth, wide: wide(root, root.clientWidth),
+    page, width: root.clientWidth, ...wide(root),
     blank: own.filter(image => !image.naturalWidth).map(image => image.getAttribute("src")),
   };
 }
