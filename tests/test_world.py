@@ -56,6 +56,34 @@ def farthest(found, wanted, omega=None):
     return np.abs(gap[rows, columns]).max()
 
 
+# ---- what is shipped -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("load", [*LOADERS.values(), load_slicot_example])
+def test_records_come_with_their_source_and_licence(load):
+    data = load()
+    assert "BSD 3-Clause" in data.licence or "Redistribution and use" in data.licence
+    assert "SLICOT" in data.source
+    assert str(len(data.inputs)) in data.DESCR
+    assert data.inputs.index.equals(data.outputs.index)
+    assert np.all(np.isfinite(data.inputs.join(data.outputs)))
+    assert load.__name__.removeprefix("load_") in data.filename
+
+
+def test_only_the_power_plant_has_a_sample_time():
+    assert [load().sample_time for load in LOADERS.values()] == [None, 1228.8, None]
+    index = load_power_plant().inputs.index
+    np.testing.assert_allclose(np.diff(index), 1228.8)
+    assert isinstance(load_robot_arm().inputs.index, pd.RangeIndex)
+
+
+@pytest.mark.parametrize("wind_speed", [5, "3", None])
+def test_two_turbines_are_shipped(wind_speed):
+    assert "Apache License" in load_wind_turbine(8).licence
+    with pytest.raises(ValueError, match="is not shipped; use 3 or 8"):
+        load_wind_turbine(wind_speed)
+
+
 # ---- subspace identification ---------------------------------------------------------------------
 
 
