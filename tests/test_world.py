@@ -230,7 +230,8 @@ def rest_moves_exponents(wind_speed, factor):
     F = np.zeros((7, *mean.shape))
     F[0] = mean
     F[5:] = factor * np.tensordot(np.linalg.pinv(functions), rest, axes=(1, 0))
-    exponents = LTPSystem(F, np.zeros((len(mean), 0)), omega=data.omega).floquet_exponents()
+    system = LTPSystem(F, np.zeros((len(mean), 0)), omega=data.omega)
+    exponents = np.log(np.linalg.eigvals(system.monodromy()).astype(complex)) / system.period
     light = lightly_damped(mean)
     gap = exponents[:, None] - light
     return np.abs(gap - 1j * data.omega * np.round(gap.imag / data.omega)).min(axis=0)
