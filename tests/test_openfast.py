@@ -250,6 +250,26 @@ def test_orientations_of_three_numbers_are_read(tmp_path):
     assert read_openfast_lin(path).outputs["operating_point"].iloc[0] == 0.1
 
 
+def test_numbers_too_small_for_two_digits_of_exponent_are_read(tmp_path):
+    """Fortran prints 1.5E-103 as 1.5-103."""
+    path, _ = lin_file(tmp_path / "a.lin", 0.0)
+    lines = path.read_text().splitlines()
+    k = lines.index("A: 8 x 8") + 1
+    lines[k] = "  ".join(["-1.500-103", *lines[k].split()[1:]])
+    path.write_text("\n".join(lines))
+    assert read_openfast_lin(path).A[0, 0] == -1.5e-103
+
+
+def test_matrices_must_be_finite(tmp_path):
+    path, _ = lin_file(tmp_path / "a.lin", 0.0)
+    lines = path.read_text().splitlines()
+    k = lines.index("B: 8 x 3") + 1
+    lines[k] = "NaN 0.0 0.0"
+    path.write_text("\n".join(lines))
+    with pytest.raises(ValueError, match=r"B holds NaN or infinity; give a \.lin file"):
+        read_openfast_lin(path)
+
+
 # ---- refusals ------------------------------------------------------------------------------------
 
 

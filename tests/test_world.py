@@ -5,11 +5,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import linalg, signal
 from scipy.optimize import linear_sum_assignment
+from sklearn.pipeline import Pipeline
 
-from sklearn_hd import MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd.datasets import (
     load_cd_player_arm,
     load_power_plant,
@@ -17,7 +19,7 @@ from sklearn_hd.datasets import (
     load_slicot_example,
     load_wind_turbine,
 )
-from sklearn_hd.systems import LTPSystem, multiblade_model, rotor_system
+from sklearn_hd.systems import LTPSystem, multiblade_model, rotor_system, vinograd
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
 import wind_turbine_study as study
@@ -52,6 +54,34 @@ def farthest(found, wanted, omega=None):
         gap = gap - 1j * omega * np.round(gap.imag / omega)
     rows, columns = linear_sum_assignment(np.abs(gap))
     return np.abs(gap[rows, columns]).max()
+
+
+# ---- what is shipped -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("load", [*LOADERS.values(), load_slicot_example])
+def test_records_come_with_their_source_and_licence(load):
+    data = load()
+    assert "BSD 3-Clause" in data.licence or "Redistribution and use" in data.licence
+    assert "SLICOT" in data.source
+    assert str(len(data.inputs)) in data.DESCR
+    assert data.inputs.index.equals(data.outputs.index)
+    assert np.all(np.isfinite(data.inputs.join(data.outputs)))
+    assert load.__name__.removeprefix("load_") in data.filename
+
+
+def test_only_the_power_plant_has_a_sample_time():
+    assert [load().sample_time for load in LOADERS.values()] == [None, 1228.8, None]
+    index = load_power_plant().inputs.index
+    np.testing.assert_allclose(np.diff(index), 1228.8)
+    assert isinstance(load_robot_arm().inputs.index, pd.RangeIndex)
+
+
+@pytest.mark.parametrize("wind_speed", [5, "3", None])
+def test_two_turbines_are_shipped(wind_speed):
+    assert "Apache License" in load_wind_turbine(8).licence
+    with pytest.raises(ValueError, match="is not shipped; use 3 or 8"):
+        load_wind_turbine(wind_speed)
 
 
 # ---- subspace identification ---------------------------------------------------------------------
@@ -200,7 +230,8 @@ def rest_moves_exponents(wind_speed, factor):
     F = np.zeros((7, *mean.shape))
     F[0] = mean
     F[5:] = factor * np.tensordot(np.linalg.pinv(functions), rest, axes=(1, 0))
-    exponents = LTPSystem(F, np.zeros((len(mean), 0)), omega=data.omega).floquet_exponents()
+    system = LTPSystem(F, np.zeros((len(mean), 0)), omega=data.omega)
+    exponents = np.log(np.linalg.eigvals(system.monodromy()).astype(complex)) / system.period
     light = lightly_damped(mean)
     gap = exponents[:, None] - light
     return np.abs(gap - 1j * data.omega * np.round(gap.imag / data.omega)).min(axis=0)
@@ -225,7 +256,8 @@ def test_three_azimuths_do_not_make_a_series_of_blade_matrices():
     files = load_wind_turbine(3).linearizations
     system = rotor_system(files, coordinates="rotating", n_harmonics=1)
     assert np.abs(np.linalg.eigvals(system.monodromy())).max() > 4000
-    assert np.abs(np.linalg.eigvals(rotor_system(files).monodromy())).max() < 1.02
+    poles = multiblade_model(files).poles()
+    assert np.exp(poles.real * system.period).max() < 1.02
     for settings in ({"n_harmonics": 1}, {"coordinates": "rotating", "n_harmonics": 2}):
         with pytest.raises(ValueError, match="azimuths do not tell the"):
             rotor_system(files, **settings)
@@ -243,7 +275,40 @@ def test_modes_of_the_turbine_come_back_from_a_noisy_record():
     np.testing.assert_allclose(found["zeta found"], found["zeta"], rtol=0, atol=0.12)
 
 
+@pytest.mark.slow
 def test_without_noise_modes_of_the_turbine_come_back_closer():
+    """But not exactly: ten states stand for thirty, of which the others last less than a turn."""
     found = study.study([7], noise=0.0)
-    np.testing.assert_allclose(found["f found"], found["f"], rtol=1e-3)
-    np.testing.assert_allclose(found["zeta found"], found["zeta"], rtol=0, atol=0.05)
+    np.testing.assert_allclose(found["f found"], found["f"], rtol=3e-4)
+    np.testing.assert_allclose(found["zeta found"], found["zeta"], rtol=0, atol=0.02)
+
+
+# ---- a growing and a dying mode ------------------------------------------------------------------
+
+
+def short_records(system, omega, *, samples, n_periods, n_records, seed):
+    """Inputs new in every period; each record starts at rest, before its growth drowns the rest."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples * n_periods) * 2 * np.pi / omega / samples
+    u = rng.choice([-1.0, 1.0], (n_records, n_periods, 1)).repeat(samples, axis=1)
+    index = pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
+    y = system.simulate(u, t).reshape(len(index), -1)
+    inputs = pd.DataFrame(u.reshape(len(index), 1), index, list(system.input_names))
+    return inputs, pd.DataFrame(y, index, list(system.output_names))
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+def test_vinograds_exponents_come_back_from_short_records():
+    """Vinograd (1952): exponents +2 and −13. Over a period of 2π/12 s one mode grows 2.8 times,
+    the other dies to a thousandth: eight periods keep six digits of it, and twenty records do."""
+    u, y = short_records(vinograd(), 12.0, samples=32, n_periods=8, n_records=20, seed=3)
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(12.0, hop="period")),
+            ("identify", MOESPRegressor()),
+            ("match", StructuredMatcher(structure=HarmonicStructure())),
+        ]
+    ).fit(u, y)
+    assert pipe["identify"].order_ == 2
+    exponents = pipe["match"].ltp_.floquet_exponents()
+    np.testing.assert_allclose(exponents.real, [2.0, -13.0], rtol=1e-8)

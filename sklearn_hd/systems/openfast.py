@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._validation import real_array
+
 __all__ = ["OpenFASTLinearization", "read_openfast_lin"]
 
 RATE = "First time derivative of "
@@ -19,6 +21,7 @@ HEADER = {
 }
 SECTIONS = {"Order of continuous states": "x", "Order of inputs": "u", "Order of outputs": "y"}
 ROW = re.compile(r"\s*\d+\s+(?P<value>[-+.\dEeDd, ]+?)\s+(?P<turns>[TF])\s+(?P<rest>.*)")
+SHORT_EXPONENT = re.compile(r"(\d)([+-]\d{3})\b")  # 1.234-101, as Fortran prints it
 MATRIX = re.compile(r"([ABCD]):\s*(\d+)\s*x\s*(\d+)\s*$")
 DEGREE_OF_FREEDOM = re.compile(r"DOF_(\w+)(?:\((\d+),(\d+)\))?\)")
 
@@ -189,7 +192,10 @@ def _matrices(lines, path):
         if head is None:
             continue
         name, shape = head[1], (int(head[2]), int(head[3]))
-        rows = [row.split() for row in lines[k + 1 : k + 1 + shape[0]]]
+        rows = [
+            SHORT_EXPONENT.sub(r"\1E\2", row).split() for row in lines[k + 1 : k + 1 + shape[0]]
+        ]
         if len(rows) < shape[0] or any(len(row) != shape[1] for row in rows):
             raise ValueError(f"{path}: {name} has fewer entries than {shape[0]} x {shape[1]}")
-        yield name, np.array(rows, dtype=float).reshape(shape)
+        wanted = "a .lin file of a linearization that succeeded"
+        yield name, real_array(f"{path}: {name}", np.array(rows, dtype=float), wanted)
