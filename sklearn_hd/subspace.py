@@ -19,14 +19,14 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
 )
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._products_cache import cached_lag_products
+from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._streamed_fit import StreamedFit
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import why_short
 from sklearn_hd._validation import check_count, check_flag, check_outputs_given, signal_names
-from sklearn_hd.algorithms.hankel import hankel_factor, n_hankel_columns
+from sklearn_hd.algorithms.hankel import n_hankel_columns
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
@@ -208,8 +208,8 @@ class MOESPRegressor(StreamedFit, ModelStep):
         A, C = state_matrices(U, values, self.order_, n_outputs)
         basis = experiment.basis
         feedthrough = feedthrough or (basis is not None and basis.synchronous)
-        B, D, self.x0_ = input_matrices(
-            A, C, inputs, outputs, feedthrough, scales=(u_scale, y_scale)
+        B, D, self.x0_ = KeptSums(self.memory).input_matrices(
+            A, C, inputs, outputs, feedthrough, (u_scale, y_scale)
         )
         model = self._model((A, B, C, D), (u_scale, y_scale), experiment, y, feedthrough)
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
@@ -271,7 +271,7 @@ class MOESPRegressor(StreamedFit, ModelStep):
     def _decompose(self, inputs, outputs, n_moving, experiment, scale):
         """Project the future outputs, look at the singular values and settle the order."""
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
-        R = hankel_factor(inputs, outputs, i, scale, cached_lag_products(self.memory))
+        R = KeptSums(self.memory).factor(inputs, outputs, i, scale)
         columns = n_hankel_columns([len(u) for u in inputs], i)
         U, values, floor = self._look_at(R, columns, n_moving, experiment, scale[n_inputs:])
         self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)

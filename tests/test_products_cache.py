@@ -9,7 +9,8 @@ import pytest
 from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 
 from sklearn_hd import MOESPRegressor, _products_cache
-from sklearn_hd._products_cache import cached_lag_products
+from sklearn_hd._products_cache import KeptSums
+from sklearn_hd.algorithms.hankel import hankel_factor
 from sklearn_hd.algorithms.lag_products import lag_products
 
 
@@ -82,18 +83,17 @@ def test_other_data_have_other_products(tmp_path, rng, change):
         "order": records[::-1],
         "seam": [(z[:, :2], z[:, 2:])],
     }[change]
-    products = cached_lag_products(str(tmp_path))
+    kept = KeptSums(str(tmp_path))
     for each in (records, other):
-        found, expected = products(each, 6, True), lag_products(each, 6, True)
-        np.testing.assert_array_equal(found.lags.high, expected.lags.high)
-        np.testing.assert_allclose(found.gram().high, expected.gram().high, rtol=1e-14)
+        inputs, outputs = map(list, zip(*each, strict=True))
+        expected = hankel_factor(inputs, outputs, 3)
+        np.testing.assert_allclose(kept.factor(inputs, outputs, 3, None), expected, atol=1e-12)
 
 
 def test_very_many_lags_are_not_kept(tmp_path, rng, counted):
-    records = [(rng.standard_normal((600, 1)),)]
-    products = cached_lag_products(str(tmp_path))
-    for _ in range(2):
-        products(records, 300, False)
+    u, y = rng.standard_normal((2, 2000, 1))
+    for scale in (np.ones(2), 2.0 * np.ones(2)):
+        KeptSums(str(tmp_path)).factor([u], [y], 150, scale)
     assert counted == [300, 300]
 
 

@@ -16,6 +16,7 @@ import argparse
 import os
 import tempfile
 import time
+from functools import partial
 
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
 
@@ -83,11 +84,10 @@ def five_steps(runs):
     for kind in ("ltp", "nltp"):
         data = make_flapping_wing(kind, n_periods=60, start=20)
         for name, pipe in pipelines(data).items():
-            whole = seconds(lambda pipe=pipe: pipe.fit(data.inputs, data.outputs), runs)
+            whole = seconds(partial(pipe.fit, data.inputs, data.outputs), runs)
             parts, X = {}, data.inputs
             for step, estimator in pipe.steps:
-                fit = lambda estimator=estimator, X=X: estimator.fit(X, data.outputs)  # noqa: E731
-                parts[step] = 1e3 * seconds(fit, runs)
+                parts[step] = 1e3 * seconds(partial(estimator.fit, X, data.outputs), runs)
                 X = estimator.transform(X)
             rows.append({"record": kind, "route": name, **parts, "all [ms]": 1e3 * whole})
     return pd.DataFrame(rows).round(1)

@@ -24,7 +24,7 @@ from scipy import fft
 
 from sklearn_hd.algorithms.lag_products import LagProducts, Stretch, lag_products, stretch
 
-__all__ = ["RecordEnds", "RunningRecord", "RunningSums"]
+__all__ = ["RecordEnds", "RunningRecord", "RunningSums", "correlations"]
 
 REACH = 4096  # rows K that responses are followed over
 ROUND = 16384  # rows added up at a time: with K before them, a Fourier transform of 5 · 2¹²
@@ -54,7 +54,7 @@ class RunningSums:
 
     Attributes
     ----------
-    products : LagProducts
+    products : LagProducts or None
         Of all channels.
     lags : ndarray, shape (K + 1, m, p)
         T[d], of inputs with inputs and outputs.
@@ -64,7 +64,7 @@ class RunningSums:
         Of each record.
     """
 
-    products: LagProducts
+    products: LagProducts | None
     lags: np.ndarray
     squares: np.ndarray
     ends: tuple
@@ -201,6 +201,29 @@ class RunningRecord:
             head=np.concatenate([self.head, z])[:REACH] if len(self.head) < REACH else self.head,
             before=before[-REACH:],
         )
+
+
+def correlations(records):
+    """Sums over whole records without their lag products.
+
+    Parameters
+    ----------
+    records : list of tuple of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
+
+    Returns
+    -------
+    sums : RunningSums
+        ``products`` is None.
+    """
+    lags, squares, ends = 0.0, 0.0, []
+    for u, y in records:
+        z, m = np.hstack([u, y]), u.shape[1]
+        record = RunningRecord.begin(2, range(m), range(m, z.shape[1]), z.shape[1])
+        for start in range(0, len(z), ROUND):
+            record = record._correlated(z[start : start + ROUND])
+        lags, squares = lags + record.lags, squares + record.squares
+        ends.append(RecordEnds(record.head, record.before, len(z)))
+    return RunningSums(None, lags, squares, tuple(ends))
 
 
 def _lagged(before, z):
