@@ -34,7 +34,7 @@ def n_hankel_columns(lengths, block_rows):
     return int(sum(max(0, length - 2 * block_rows + 1) for length in lengths))
 
 
-def hankel_factor(inputs, outputs, block_rows, scale=None, products=lag_products):
+def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
     """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
 
     Parameters
@@ -46,14 +46,15 @@ def hankel_factor(inputs, outputs, block_rows, scale=None, products=lag_products
         Block rows i of the past, and as many of the future.
     scale : ndarray, shape (m + l,), optional
         What the channels, inputs and outputs, are divided by.
-    products : callable, default=lag_products
-        Lag products of records, perhaps from a cache.
+    products : callable, optional
+        In place of ``lag_products``, such as a cache of them.
 
     Returns
     -------
     R : ndarray, shape (2 i (m + l), 2 i (m + l))
         Upper triangular; RᵀR = Z Zᵀ.
     """
+    products = products or lag_products
     n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
     width = n_lags * (n_inputs + outputs[0].shape[1])
     n_columns = n_hankel_columns([len(u) for u in inputs], block_rows)
