@@ -27,6 +27,7 @@ from sklearn_hd.algorithms.similarity import (
     project_transformed,
     solve_similarity,
 )
+from sklearn_hd.algorithms.smooth_peak import smooth_descent
 from sklearn_hd.algorithms.structured_model import AffineStructure
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
@@ -265,19 +266,32 @@ def exact_match(problem, fit, tol):
 
 
 def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
-    """Least norm reached from the least-squares matches: short runs, the best one finished.
+    """Least norm reached from the least-squares matches, by several ways into the valleys.
 
     The ranking by squares is not the ranking by peaks, so the match best in squares and
-    the three best in peaks have their short runs.
+    those best in peaks go down in smooth bounds of the norm; where such a descent begins
+    decides on the valley, so the first has several. Those that come near the lowest have
+    short runs in the norm itself, and the best one is finished.
     """
+    fit, others = fits[0], sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])
+    size = problem.structure.n_parameters * problem.structure.n_states
+    firsts, n_others = (_FIRSTS, 3) if size <= _SMALL else (_FIRSTS[:2], 1)
+    ways = [(fit, first) for first in firsts]
+    ways += [(other, _FIRSTS[0]) for other in others[:n_others]]
+    descents = Parallel(n_jobs)(
+        delayed(smooth_descent)(problem, fit.theta, first=first, max_iter=round(_SMOOTH * max_iter))
+        for fit, first in ways
+    )
+    lowest = min(history[-1] for _, history in descents)
+    near = [k for k, (_, history) in enumerate(descents) if history[-1] <= _RIVAL * lowest]
     short = min(_SCREENING, max_iter)
-    ranked = [fits[0], *sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[:3]]
     runs = Parallel(n_jobs)(
-        delayed(minimise_peak)(problem, fit.theta, max_iter=short, tol=tol) for fit in ranked
+        delayed(minimise_peak)(problem, descents[k][0], max_iter=short, tol=tol) for k in near
     )
     best = min(range(len(runs)), key=lambda k: runs[k].value)
-    run, found = runs[best], _Found.by_least_squares(ranked[best], False, tol)
-    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, run.history)
+    run, found = runs[best], _Found.by_least_squares(ways[near[best]][0], False, tol)
+    passed = descents[near[best]][1] + run.history[1:]
+    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
     if run.converged or short == max_iter:
         return found
     run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol)
@@ -286,6 +300,10 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
     )
 
 
+_FIRSTS = (3.0, 1.5, 10.0)  # bounds, over the norm, where smooth descents begin
+_SMALL = 200  # parameters times states up to which all of them cost a second or two
+_SMOOTH = 1.5  # Newton steps of a smooth descent, over the largest number of iterations
+_RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
 _SCREENING = 20  # convex steps of a short run
 
 
