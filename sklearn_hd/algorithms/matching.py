@@ -275,15 +275,16 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs):
     """
     fit, others = fits[0], sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])
     size = problem.structure.n_parameters * problem.structure.n_states
-    firsts, n_others = (_FIRSTS, 3) if size <= _SMALL else (_FIRSTS[:2], 1)
+    firsts, n_others, n_runs = (_FIRSTS, 3, 2) if size <= _SMALL else (_FIRSTS[:2], 1, 1)
     ways = [(fit, first) for first in firsts]
     ways += [(other, _FIRSTS[0]) for other in others[:n_others]]
     descents = Parallel(n_jobs)(
         delayed(smooth_descent)(problem, fit.theta, first=first, max_iter=round(_SMOOTH * max_iter))
         for fit, first in ways
     )
-    lowest = min(history[-1] for _, history in descents)
-    near = [k for k, (_, history) in enumerate(descents) if history[-1] <= _RIVAL * lowest]
+    near = sorted(range(len(descents)), key=lambda k: descents[k][1][-1])[:n_runs]
+    lowest = descents[near[0]][1][-1]
+    near = [k for k in near if descents[k][1][-1] <= _RIVAL * lowest]
     short = min(_SCREENING, max_iter)
     runs = Parallel(n_jobs)(
         delayed(minimise_peak)(problem, descents[k][0], max_iter=short, tol=tol) for k in near

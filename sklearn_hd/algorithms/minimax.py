@@ -77,12 +77,12 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
     """
     value, peak = problem.peak(theta)
     directions = problem.orthonormal_directions(theta)
-    history, last = [value], peak
+    history, top = [value], peak
     radius, n_iter, predicted, moved, converged, n_again = 1.0, 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
         if moved:
-            frequencies = problem.active_frequencies(theta, value, [last])
+            frequencies = problem.active_frequencies(theta, value, [top])
             model = _Linearisation.at(problem, theta, frequencies, directions, value)
         step, level, duals, _, model = _convex_step(model, curvature, radius, cuts)
         cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
@@ -93,6 +93,11 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
             remaining = 1.0 - _convex_step(model, flat, 1.0, cuts)[1]
             converged = remaining <= np.sqrt(tol)
             if converged or n_again == _AGAIN:
+                last = problem.inside(theta + directions @ step)
+                last_value, _ = problem.peak(last)
+                if last_value < value:  # the last step costs little and certifies more
+                    theta, value = last, last_value
+                    history.append(value)
                 break
             radius, curvature, n_again = 1.0, flat, n_again + 1  # the region had shrunk too far
             continue
@@ -111,7 +116,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
         if moved:
             theta, value = trial, trial_value
             history.append(value)
-            last, directions = trial_peak, problem.orthonormal_directions(theta)
+            top, directions = trial_peak, problem.orthonormal_directions(theta)
         elif np.isfinite(trial_value):
             model = model.join([trial_peak])
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)

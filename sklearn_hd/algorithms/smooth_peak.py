@@ -186,14 +186,17 @@ def _level(sizes, mu):
     """The t at which μ Σ 2 x² / (1 − x²) = 1."""
     top = sizes.max()
     square = (sizes / top) ** 2
+    below = 1.0 - square
 
     def surplus(log_excess):
         excess = np.exp(log_excess)  # t / top − 1
-        return np.log(mu * np.sum(2.0 * square / (excess * (2.0 + excess) + 1.0 - square)))
+        return np.log(mu * np.sum(2.0 * square / (excess * (2.0 + excess) + below)))
 
     return top * (1.0 + np.exp(optimize.brentq(surplus, -60.0, 60.0, xtol=1e-13)))
 
 
 def _value(sizes, mu):
+    if not sizes.any():
+        return -np.inf
     t = _level(sizes, mu)
     return np.log(t) - mu * np.sum(np.log1p(-((sizes / t) ** 2)))
