@@ -367,7 +367,8 @@ def _first_directions(model, known):
     large[np.argmax(sizes[:, 0]), 0] = True
     which, cuts = list(np.nonzero(large)[0]), list(adjoint[large].conj())
     for frequency, direction in known:
-        k = np.argmin(np.abs(model.frequencies - frequency))
+        same = np.flatnonzero(model.frequencies == frequency)  # infinity has no distance
+        k = same[0] if len(same) else np.argmin(np.abs(model.frequencies - frequency))
         alike = [abs(np.vdot(v, direction)) for i, v in zip(which, cuts, strict=True) if i == k]
         if max(alike, default=0.0) < _ALIKE:
             which.append(k)
