@@ -190,8 +190,8 @@ _LEAST_WEIGHT = 1e-4  # of a gradient that takes part in the combination
 _LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
 _AGAIN = 3  # times that a search begins anew with a region of size one
 _LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
-_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass; so is
-# a tenth of the decrease predicted, for the next step starts from new singular vectors
+_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass
+_SHARE = 0.3  # of the decrease predicted that is let pass too: the next step has new vectors
 _APART = 1e-9  # distance of frequencies, relative, that are worth a peak of their own
 _ALIKE = 1.0 - 1e-6  # product of directions that are one
 _LEAST_DUAL = 1e-7  # multiplier of a cone, of 1 in all, that holds a step
@@ -307,7 +307,7 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
         rates = np.einsum("flmk,fm->flk", model.slope[which], cuts)
         step, duals, pull = _solve_cones(vectors, rates, curvature, radius, walls)
         level = np.linalg.norm(vectors + rates @ step, axis=1).max()
-        slack = max(_SLACK, 0.1 * (1.0 - level))
+        slack = max(_SLACK, _SHARE * (1.0 - level))
         sizes, adjoint = model.after(step)
         between = _tops_between(model.frequencies, sizes[:, 0], level + slack)
         if len(between):
