@@ -5,9 +5,9 @@
 in the H∞ norm, the H2 norm, or the mean square over a frequency grid. The stages, each a
 function: channels are scaled alike; where C_s is known and invertible a change of state
 gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
-match over the grid, which is where the mean square stops. The best ones go downhill in
-the exact H∞ norm by a prox-linear trust region, or in the H2 norm by least squares on a
-quadrature. The singular values of the sensitivity at the end say which parameters the
+match over the grid, which is where the mean square stops. The best ones go down through
+smooth bounds of the H∞ norm and end in the exact one by a prox-linear trust region, or go
+down in the H2 norm by least squares on a quadrature. The singular values of the sensitivity at the end say which parameters the
 outputs determine, the certificate whether the norm can still fall.
 """
 
@@ -72,7 +72,7 @@ class MatchResult:
     history : tuple of (str, float)
         Stage and its measure after each step on the way here: ``"least squares"`` (length
         of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
-        norm), ``"h2"`` (H2 norm, relative to ‖W_o G_c W_i‖_∞).
+        norm, after each tightening of its smooth bound, then after each step), ``"h2"`` (H2 norm, relative to ‖W_o G_c W_i‖_∞).
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str
@@ -160,7 +160,8 @@ def match_structure(
     n_jobs : int, optional
         Starts tried at once, in processes of their own; the result is the same.
     max_iter : int
-        Largest number of iterations of each stage.
+        Largest number of iterations of each stage; the descent through smooth bounds of
+        the H∞ norm has half as many again.
     tol : float
         Relative decrease of the criterion promised at first order, at which to stop.
     exact_tol : float

@@ -11,7 +11,8 @@ part and linearises the smooth one,
 with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
 singular vectors. Few frequencies and directions begin; those that are violated join,
-until none is. A step is accepted by the exact norm and by the stability of G_s.
+frequencies to which the step moves a peak among them, until none is. A step is accepted
+by the exact norm and by the stability of G_s.
 
 At a minimum zero lies in the convex hull of the gradients of the active peaks. The
 multipliers of the cones are the weights of that hull, and the ball's multiplier is its
