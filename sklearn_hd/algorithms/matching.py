@@ -7,8 +7,9 @@ function: channels are scaled alike; where C_s is known and invertible a change 
 gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
 match over the grid, which is where the mean square stops. The best ones go down through
 smooth bounds of the H∞ norm and end in the exact one by a prox-linear trust region, or go
-down in the H2 norm by least squares on a quadrature. The singular values of the sensitivity at the end say which parameters the
-outputs determine, the certificate whether the norm can still fall.
+down in the H2 norm by least squares on a quadrature. The singular values of the
+sensitivity at the end say which parameters the outputs determine, the certificate whether
+the norm can still fall.
 """
 
 from dataclasses import dataclass, replace
@@ -72,7 +73,8 @@ class MatchResult:
     history : tuple of (str, float)
         Stage and its measure after each step on the way here: ``"least squares"`` (length
         of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
-        norm, after each tightening of its smooth bound, then after each step), ``"h2"`` (H2 norm, relative to ‖W_o G_c W_i‖_∞).
+        norm, after each tightening of its smooth bound, then after each step), ``"h2"`` (H2
+        norm, relative to ‖W_o G_c W_i‖_∞).
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str

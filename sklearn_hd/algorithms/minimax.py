@@ -96,7 +96,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
             if converged or n_again == _AGAIN:
                 last = problem.inside(theta + directions @ step)
                 last_value, _ = problem.peak(last)
-                if last_value < value:  # the last step costs little and certifies more
+                if converged and last_value < value:  # costs little, certifies more
                     theta, value = last, last_value
                     history.append(value)
                 break
@@ -112,12 +112,15 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8):
             if second_value < trial_value:
                 step, trial, trial_value, trial_peak = corrected, second, second_value, second_peak
                 gain = (value - trial_value) / (value * predicted)
+        fresh = problem.orthonormal_directions(trial) if gain > _LEAST_GAIN else directions
+        if fresh.shape[1] < directions.shape[1]:
+            gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
         radius = _next_radius(radius, gain, np.linalg.norm(step))
         moved = gain > _LEAST_GAIN
         if moved:
             theta, value = trial, trial_value
             history.append(value)
-            top, directions = trial_peak, problem.orthonormal_directions(theta)
+            top, directions = trial_peak, fresh
         elif np.isfinite(trial_value):
             model = model.join([trial_peak])
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)

@@ -55,7 +55,7 @@ def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
     value, peak = problem.peak(theta)
     best, history = theta, [value]
     state = _Bound(problem, theta, peak)
-    if value == 0 or state.directions.shape[1] == 0:
+    if value == 0 or state.n_directions == 0:
         return best, tuple(history)
     mu, radius, left = state.weight_for(first), 1.0, max_iter
     while left > 0:
@@ -87,7 +87,11 @@ def _round(state, mu, radius, peak, max_steps):
         elif gain > 0.75:
             radius = max(radius, 2.0 * np.linalg.norm(step))
         if gain > _LEAST_GAIN:
-            state = _Bound(state.problem, trial, peak)
+            after = _Bound(state.problem, trial, peak)
+            if after.n_directions < state.n_directions:  # parameters on their way to infinity
+                radius = 0.3 * np.linalg.norm(step)
+            else:
+                state = after
     return state, radius, n_steps
 
 
@@ -124,6 +128,11 @@ class _Bound:
         turned = adjoint.conj()[:, None] @ turned.reshape(n_points, n_rows, n_columns, k)
         self._slope = turned @ self.directions
         self.top = self._sizes.max()
+
+    @property
+    def n_directions(self):
+        """How many combinations of parameters the response determines."""
+        return self.directions.shape[1]
 
     def weight_for(self, ratio):
         """μ for which t is so many times the norm."""
