@@ -5,12 +5,14 @@
 in the H∞ norm, the H2 norm, or the mean square over a frequency grid. The stages, each a
 function: channels are scaled alike; where C_s is known and invertible a change of state
 gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
-match over the grid, which is where the mean square stops. The best ones go downhill in
-the exact H∞ norm by a prox-linear trust region, or in the H2 norm by least squares on a
-quadrature. The singular values of the sensitivity at the end say which parameters the
-outputs determine, the certificate whether the norm can still fall.
+match over the grid, which is where the mean square stops. The best ones go down through
+smooth bounds of the H∞ norm and end in the exact one by a prox-linear trust region, or go
+down in the H2 norm by least squares on a quadrature. The singular values of the
+sensitivity at the end say which parameters the outputs determine, the certificate whether
+the norm can still fall.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +30,7 @@ from sklearn_hd.algorithms.similarity import (
     project_transformed,
     solve_similarity,
 )
+from sklearn_hd.algorithms.smooth_peak import smooth_descent
 from sklearn_hd.algorithms.structured_model import AffineStructure
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
@@ -72,7 +75,8 @@ class MatchResult:
     history : tuple of (str, float)
         Stage and its measure after each step on the way here: ``"least squares"`` (length
         of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
-        norm), ``"h2"`` (H2 norm, relative to ‖W_o G_c W_i‖_∞).
+        norm, after each tightening of its smooth bound, then after each step), ``"h2"`` (H2
+        norm, relative to ‖W_o G_c W_i‖_∞).
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str
@@ -161,7 +165,8 @@ def match_structure(
     n_jobs : int, optional
         Starts tried at once, in processes of their own; the result is the same.
     max_iter : int
-        Largest number of iterations of each stage.
+        Largest number of iterations of each stage; the descent through smooth bounds of
+        the H∞ norm has half as many again.
     tol : float
         Relative decrease of the criterion promised at first order, at which to stop.
     exact_tol : float
@@ -271,17 +276,40 @@ def exact_match(problem, fit, tol):
 
 
 def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
-    """Least norm reached from the least-squares matches: short runs, the best one finished.
+    """Least norm reached from the least-squares matches, by several ways into the valleys.
 
     The ranking by squares is not the ranking by peaks, so the match best in squares and
-    the three best in peaks have their short runs.
+    those best in peaks go down in smooth bounds of the norm; where such a descent begins
+    decides on the valley, so the first has several. Those that come near the lowest have
+    short runs in the norm itself, and the best one is finished.
     """
+    fit, others = fits[0], sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])
+    size = problem.structure.n_parameters * problem.structure.n_states
+    firsts, n_others, n_runs = (_FIRSTS, 3, 2) if size <= _SMALL else (_FIRSTS[:2], 1, 1)
+    ways = [(fit, first) for first in firsts]
+    ways += [(other, _FIRSTS[0]) for other in others[:n_others]]
+    descents = _in_batches(
+        (
+            delayed(smooth_descent)(
+                problem, fit.theta, first=first, max_iter=round(_SMOOTH * max_iter)
+            )
+            for fit, first in ways
+        ),
+        len(ways),
+        n_jobs,
+        stage(report, "minimax, smooth descents", len(ways)),
+        lambda descent: descent[1][-1],
+    )
+    near = sorted(range(len(descents)), key=lambda k: descents[k][1][-1])[:n_runs]
+    lowest = descents[near[0]][1][-1]
+    near = [k for k in near if descents[k][1][-1] <= _RIVAL * lowest]
     short = min(_SCREENING, max_iter)
-    ranked = [fits[0], *sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[:3]]
-    runs = _short_runs(problem, ranked, {"max_iter": short, "tol": tol}, n_jobs, report)
+    thetas = [descents[k][0] for k in near]
+    runs = _short_runs(problem, thetas, {"max_iter": short, "tol": tol}, n_jobs, report)
     best = min(range(len(runs)), key=lambda k: runs[k].value)
-    run, found = runs[best], _Found.by_least_squares(ranked[best], False, tol)
-    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, run.history)
+    run, found = runs[best], _Found.by_least_squares(ways[near[best]][0], False, tol)
+    passed = descents[near[best]][1] + run.history[1:]
+    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
     if run.converged or short == max_iter:
         return found
     told = stage(report, "minimax, steps from the best", max_iter - short)
@@ -291,29 +319,41 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
     )
 
 
+_FIRSTS = (3.0, 1.5, 10.0)  # bounds, over the norm, where smooth descents begin
+_SMALL = 200  # parameters times states up to which all of them cost a second or two
+_SMOOTH = 1.5  # Newton steps of a smooth descent, over the largest number of iterations
+_RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
 _SCREENING = 20  # convex steps of a short run
 
 
-def _short_runs(problem, fits, options, n_jobs, report):
-    """A run of the minimax search from each match; of those in other processes the end is heard."""
-    count, at_once = len(fits), effective_n_jobs(n_jobs)
-    if at_once == 1:
-        names = [f"minimax, steps from match {k + 1} of {count}" for k in range(count)]
+def _short_runs(problem, thetas, options, n_jobs, report):
+    """A run of the minimax search from some points; in other processes its end is heard."""
+    count = len(thetas)
+    if effective_n_jobs(n_jobs) == 1:
+        names = [f"minimax, steps from descent {k + 1} of {count}" for k in range(count)]
         return [
             minimise_peak(
-                problem, fit.theta, **options, report=stage(report, name, options["max_iter"])
+                problem, theta, **options, report=stage(report, name, options["max_iter"])
             )
-            for fit, name in zip(fits, names, strict=True)
+            for theta, name in zip(thetas, names, strict=True)
         ]
-    told, runs = stage(report, "minimax, matches", count), []
-    size = count if told is None else at_once
-    for k in range(0, count, size):
-        runs += Parallel(n_jobs)(
-            delayed(minimise_peak)(problem, fit.theta, **options) for fit in fits[k : k + size]
-        )
+    return _in_batches(
+        (delayed(minimise_peak)(problem, theta, **options) for theta in thetas),
+        count,
+        n_jobs,
+        stage(report, "minimax, runs", count),
+        lambda run: run.value,
+    )
+
+
+def _in_batches(tasks, count, n_jobs, told, value):
+    """Results of tasks, all at once, or as many as there are processes where someone is told."""
+    size, results = count if told is None else effective_n_jobs(n_jobs), []
+    while len(results) < count:
+        results += Parallel(n_jobs)(itertools.islice(tasks, size))
         if told is not None:
-            told(len(runs), f"error {min(run.value for run in runs):.3g}")
-    return runs
+            told(len(results), f"error {min(map(value, results)):.3g}")
+    return results
 
 
 def _result(problem, fit, found, fits, exact, certified=False):

@@ -222,10 +222,13 @@ class MatchingProblem:
     def gains(self, theta, frequencies):
         """σ_max(E(jω; θ)), shape of the frequencies."""
         frequencies = np.asarray(frequencies)
-        s = line(frequencies.ravel())
+        return self.singular_values(theta, frequencies.ravel())[:, 0].reshape(frequencies.shape)
+
+    def singular_values(self, theta, frequencies):
+        """Those of E(jω; θ), shape (n_points, min(l, m)), largest first."""
+        s = line(frequencies)
         error = self.model.response(np.empty(0), s) - self.structure.response(theta, s)
-        error = self.weighting.apply(error, s)
-        return np.linalg.norm(error, 2, axis=(1, 2)).reshape(frequencies.shape)
+        return np.linalg.svd(self.weighting.apply(error, s), compute_uv=False)
 
     def active_frequencies(self, theta, value, extra=()):
         """Frequencies where the gain of E is within a factor 2 of F, local peaks resolved."""

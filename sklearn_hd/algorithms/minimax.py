@@ -11,7 +11,8 @@ part and linearises the smooth one,
 with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
 singular vectors. Few frequencies and directions begin; those that are violated join,
-until none is. A step is accepted by the exact norm and by the stability of G_s.
+frequencies to which the step moves a peak among them, until none is. A step is accepted
+by the exact norm and by the stability of G_s.
 
 At a minimum zero lies in the convex hull of the gradients of the active peaks. The
 multipliers of the cones are the weights of that hull, and the ball's multiplier is its
@@ -79,15 +80,14 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     """
     value, peak = problem.peak(theta)
     directions = problem.orthonormal_directions(theta)
-    history, memory = [value], [peak]
+    history, top = [value], peak
     radius, n_iter, predicted, moved, converged, n_again = 1.0, 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
         if moved:
-            known = [*memory[-_MEMORY:], *(frequency for frequency, _ in cuts)]
-            frequencies = problem.active_frequencies(theta, value, known)
-            model = _linearise(problem, theta, frequencies, directions, value)
-        step, level, duals, _ = _convex_step(model, problem, theta, curvature, radius, cuts)
+            frequencies = problem.active_frequencies(theta, value, [top])
+            model = _Linearisation.at(problem, theta, frequencies, directions, value)
+        step, level, duals, _, model = _convex_step(model, curvature, radius, cuts)
         cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
         n_iter += 1
         if report is not None:
@@ -95,9 +95,14 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         predicted = 1.0 - level
         if predicted <= tol or radius < _LEAST_RADIUS:
             flat = np.zeros_like(curvature)
-            remaining = 1.0 - _convex_step(model, problem, theta, flat, 1.0, cuts)[1]
+            remaining = 1.0 - _convex_step(model, flat, 1.0, cuts)[1]
             converged = remaining <= np.sqrt(tol)
             if converged or n_again == _AGAIN:
+                last = problem.inside(theta + directions @ step)
+                last_value, _ = problem.peak(last)
+                if converged and last_value < value:  # costs little, certifies more
+                    theta, value = last, last_value
+                    history.append(value)
                 break
             radius, curvature, n_again = 1.0, flat, n_again + 1  # the region had shrunk too far
             continue
@@ -105,25 +110,23 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         trial_value, trial_peak = problem.peak(trial)
         gain = (value - trial_value) / (value * predicted)
         if gain < 0.75 and np.isfinite(trial_value):
-            corrected = _second_order_correction(
-                problem, model, theta, trial, step, value, radius, cuts
-            )
+            corrected = _second_order_correction(model, trial, step, radius, cuts)
             second = problem.inside(theta + directions @ corrected)
             second_value, second_peak = problem.peak(second)
             if second_value < trial_value:
-                memory.append(trial_peak)
                 step, trial, trial_value, trial_peak = corrected, second, second_value, second_peak
                 gain = (value - trial_value) / (value * predicted)
+        fresh = problem.orthonormal_directions(trial) if gain > _LEAST_GAIN else directions
+        if fresh.shape[1] < directions.shape[1]:
+            gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
         radius = _next_radius(radius, gain, np.linalg.norm(step))
         moved = gain > _LEAST_GAIN
         if moved:
             theta, value = trial, trial_value
             history.append(value)
-        if np.isfinite(trial_value):
-            memory.append(trial_peak)
-            if not moved:
-                added = _linearise(problem, theta, [trial_peak], directions, value)
-                model = model.join(added)
+            top, directions = trial_peak, fresh
+        elif np.isfinite(trial_value):
+            model = model.join([trial_peak])
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)
     return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter)
 
@@ -145,10 +148,11 @@ def certify(problem, theta, value):
     """
     directions = problem.orthonormal_directions(theta)
     frequencies = problem.active_frequencies(theta, value, (problem.peak(theta)[1],))
-    model = _linearise(problem, theta, frequencies, directions, value)
+    model = _Linearisation.at(problem, theta, frequencies, directions, value)
     flat = np.zeros((directions.shape[1],) * 2)
-    _, level, (which, duals, _), pull = _convex_step(model, problem, theta, flat, 1.0)
-    weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))
+    _, level, (which, duals, _), pull, model = _convex_step(model, flat, 1.0)
+    order, frequencies = np.argsort(model.frequencies), np.sort(model.frequencies)
+    weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))[order]
     active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
     frequencies, weights = frequencies[active], weights[active] / weights[active].sum()
     errors = problem.gains(theta, frequencies)
@@ -191,55 +195,89 @@ class Certificate:
 
 _SAME = 1e-3  # distance of frequencies, relative, of one and the same peak
 _LEAST_WEIGHT = 1e-4  # of a gradient that takes part in the combination
-_MEMORY = 12  # peaks of earlier trials kept among the active frequencies
 _LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
 _AGAIN = 3  # times that a search begins anew with a region of size one
 _LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
-_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass; so is
-# a tenth of the decrease predicted, for the next step starts from new singular vectors
+_SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass
+_SHARE = 0.3  # of the decrease predicted that is let pass too: the next step has new vectors
+_APART = 1e-9  # distance of frequencies, relative, that are worth a peak of their own
+_ALIKE = 1.0 - 1e-6  # product of directions that are one
+_LEAST_DUAL = 1e-7  # multiplier of a cone, of 1 in all, that holds a step
 _LARGE = 0.8  # singular values, relative to F, that have a cone from the first round on
 
 
 @dataclass(frozen=True, eq=False)
 class _Linearisation:
-    """E/F + Σ ζ_k ∂E/∂ζ_k / F at some frequencies, columns made the shorter side."""
+    """E/F + Σ ζ_k ∂E/∂ζ_k / F at some frequencies, columns made the shorter side.
 
+    With a trial point, E is moved so that the model has its error at ζ = step.
+    """
+
+    problem: object
+    theta: np.ndarray
+    directions: np.ndarray
+    value: float
     frequencies: np.ndarray
     error: np.ndarray
     slope: np.ndarray
-    directions: np.ndarray
     swapped: bool
+    trial: np.ndarray | None = None
+    step: np.ndarray | None = None
 
-    def join(self, other):
-        return _Linearisation(
-            np.concatenate([self.frequencies, other.frequencies]),
-            np.concatenate([self.error, other.error]),
-            np.concatenate([self.slope, other.slope]),
+    @classmethod
+    def at(cls, problem, theta, frequencies, directions, value, trial=None, step=None):
+        frequencies = np.asarray(frequencies, dtype=float)
+        error, sensitivity = problem.error_and_sensitivity(theta, frequencies)
+        slope = (sensitivity @ directions) / value
+        if trial is None:
+            error = error / value
+        else:
+            error = problem.error_and_sensitivity(trial, frequencies)[0] / value - slope @ step
+        swapped = error.shape[2] > error.shape[1]
+        if swapped:
+            error, slope = error.swapaxes(1, 2), slope.swapaxes(1, 2)
+        first = (problem, theta, directions, value, frequencies, error, slope, swapped)
+        return cls(*first, trial, step)
+
+    def on(self, frequencies):
+        """The same at other frequencies."""
+        return self.at(
+            self.problem,
+            self.theta,
+            frequencies,
             self.directions,
-            self.swapped,
+            self.value,
+            self.trial,
+            self.step,
         )
 
+    def join(self, frequencies):
+        """The same at further frequencies."""
+        other = self.on(frequencies)
+        return replace(
+            self,
+            frequencies=np.concatenate([self.frequencies, other.frequencies]),
+            error=np.concatenate([self.error, other.error]),
+            slope=np.concatenate([self.slope, other.slope]),
+        )
 
-def _linearise(problem, theta, frequencies, directions, value):
-    frequencies = np.asarray(frequencies, dtype=float)
-    error, sensitivity = problem.error_and_sensitivity(theta, frequencies)
-    error, slope = error / value, (sensitivity @ directions) / value
-    swapped = error.shape[2] > error.shape[1]
-    if swapped:
-        error, slope = error.swapaxes(1, 2), slope.swapaxes(1, 2)
-    return _Linearisation(frequencies, error, slope, directions, swapped)
+    def corrected(self, trial, step):
+        """The same, moved to have the error of a trial point at ζ = step."""
+        return replace(self, trial=trial, step=step).on(self.frequencies)
+
+    def after(self, step):
+        """Singular values and adjoint right vectors of E + Σ ζ_k ∂E/∂ζ_k."""
+        return np.linalg.svd(self.error + self.slope @ step, full_matrices=False)[1:]
 
 
-def _second_order_correction(problem, model, theta, trial, step, value, radius, cuts):
+def _second_order_correction(model, trial, step, radius, cuts):
     """Step that counts in how far E at the trial point is from its linearisation.
 
     Along a curved valley, active peaks rise again at second order whatever the step's
     direction, and steps would stay short (Maratos, 1978).
     """
-    error, _ = problem.error_and_sensitivity(trial, model.frequencies)
-    error = (error.swapaxes(1, 2) if model.swapped else error) / value
-    moved = replace(model, error=error - model.slope @ step)
-    return _convex_step(moved, problem, theta, np.zeros((len(step),) * 2), radius, cuts)[0]
+    moved = model.corrected(trial, step)
+    return _convex_step(moved, np.zeros((len(step),) * 2), radius, cuts)[0]
 
 
 def _lagrangian_curvature(problem, theta, model, duals, directions, value):
@@ -260,38 +298,57 @@ def _next_radius(radius, gain, length):
     return max(radius, 2.5 * length) if gain > 0.75 else radius
 
 
-def _convex_step(model, problem, theta, curvature, radius, known=(), max_rounds=60):
+def _convex_step(model, curvature, radius, known=(), max_rounds=60):
     """Minimiser ζ of the convex model within a ball and the bounds, its value, the multipliers.
 
-    ``known`` are pairs of a frequency and a direction v that held the step before.
+    ``known`` are pairs of a frequency and a direction v that held the step before. Peaks
+    that the step moves between the model's frequencies join them (exchange method).
 
     The multipliers come as (which frequency, left vectors, right vectors), so that their
-    sum weighs E as the optimality conditions do, and as that of the ball.
+    sum weighs E as the optimality conditions do, and as that of the ball; last the model
+    with the frequencies that joined.
     """
-    error, slope = model.error, model.slope
-    walls = _walls(problem, theta, model.directions)
-    order = np.argsort(model.frequencies)
-    which, cuts = _singular_directions(error, order)
-    if known:
-        places = {frequency: k for k, frequency in enumerate(model.frequencies)}
-        which = np.concatenate([which, [places[frequency] for frequency, _ in known]])
-        cuts = np.concatenate([cuts, [direction for _, direction in known]])
+    walls = _walls(model.problem, model.theta, model.directions)
+    which, cuts = _first_directions(model, known)
     for _ in range(max_rounds):
-        vectors = np.einsum("flm,fm->fl", error[which], cuts)
-        rates = np.einsum("flmk,fm->flk", slope[which], cuts)
+        vectors = np.einsum("flm,fm->fl", model.error[which], cuts)
+        rates = np.einsum("flmk,fm->flk", model.slope[which], cuts)
         step, duals, pull = _solve_cones(vectors, rates, curvature, radius, walls)
-        _, sizes, adjoint = np.linalg.svd(error + slope @ step, full_matrices=False)
         level = np.linalg.norm(vectors + rates @ step, axis=1).max()
-        slack = max(_SLACK, 0.1 * (1.0 - level))
+        slack = max(_SLACK, _SHARE * (1.0 - level))
+        sizes, adjoint = model.after(step)
+        between = _tops_between(model.frequencies, sizes[:, 0], level + slack)
+        if len(between):
+            model = model.join(between)
+            sizes, adjoint = model.after(step)
+        order = np.argsort(model.frequencies)
         violated = (sizes > level + slack) & _tops(sizes[:, 0], order)[:, None]
         if not violated.any():
             break
         which = np.concatenate([which, np.nonzero(violated)[0]])
         cuts = np.concatenate([cuts, adjoint[violated].conj()])
     level = sizes[:, 0].max() + 0.5 * step @ curvature @ step
-    active = np.flatnonzero(np.linalg.norm(duals, axis=1) > 1e-9)
+    active = np.flatnonzero(np.linalg.norm(duals, axis=1) > _LEAST_DUAL)
     duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
-    return step, level, duals, pull
+    return step, level, duals, pull, model
+
+
+def _tops_between(frequencies, gains, least):
+    """Where parabolas through three neighbours have their top, if that is above ``least``."""
+    order = np.argsort(frequencies)
+    order = order[np.isfinite(frequencies[order])]
+    w, y = frequencies[order], gains[order]
+    new = np.concatenate([[True], np.diff(w) > _APART * w[1:]])
+    w, y = w[new], y[new]
+    k = 1 + np.flatnonzero((y[1:-1] >= y[:-2]) & (y[1:-1] >= y[2:]))
+    left, right = w[k - 1] - w[k], w[k + 1] - w[k]
+    rise, fall = (y[k - 1] - y[k]) / left, (y[k + 1] - y[k]) / right
+    bend = (fall - rise) / (right - left)
+    slope = rise - bend * left
+    move = -0.5 * slope / np.where(bend < 0, bend, -np.inf)
+    top = y[k] + 0.5 * slope * move
+    apart = np.abs(move) > _APART * w[k]
+    return (w[k] + np.clip(move, 0.9 * left, 0.9 * right))[(top > least) & apart]
 
 
 def _walls(problem, theta, directions):
@@ -309,12 +366,22 @@ def _tops(gains, order):
     return tops
 
 
-def _singular_directions(error, order):
-    """Right singular vectors of the peaks' large singular values, and whose they are."""
-    _, sizes, adjoint = np.linalg.svd(error, full_matrices=False)
-    large = (sizes > _LARGE) & _tops(sizes[:, 0], order)[:, None]
+def _first_directions(model, known):
+    """Whose, and which: right singular vectors of the peaks' large singular values, and those
+    that held the step before, at the frequencies that are nearest now.
+    """
+    sizes, adjoint = model.after(np.zeros(model.slope.shape[-1]))
+    large = (sizes > _LARGE) & _tops(sizes[:, 0], np.argsort(model.frequencies))[:, None]
     large[np.argmax(sizes[:, 0]), 0] = True
-    return np.nonzero(large)[0], adjoint[large].conj()
+    which, cuts = list(np.nonzero(large)[0]), list(adjoint[large].conj())
+    for frequency, direction in known:
+        same = np.flatnonzero(model.frequencies == frequency)  # infinity has no distance
+        k = same[0] if len(same) else np.argmin(np.abs(model.frequencies - frequency))
+        alike = [abs(np.vdot(v, direction)) for i, v in zip(which, cuts, strict=True) if i == k]
+        if max(alike, default=0.0) < _ALIKE:
+            which.append(k)
+            cuts.append(direction)
+    return np.array(which), np.array(cuts)
 
 
 def _solve_cones(vectors, slopes, curvature, radius, walls):

@@ -138,9 +138,11 @@ class AffineStructure:
         n = self.n_states
         before = np.einsum("fl,fla->fa", left_vectors.conj(), left)
         after = np.einsum("fbm,fm->fb", right, right_vectors)
-        into = np.einsum("fa,kab->fkb", before, self.basis[:, :, :n])
-        out_of = np.einsum("kab,fb->fka", self.basis[:, :n], after)
-        half = np.einsum("fja,fab,fkb->jk", into, resolvent, out_of, optimize=True).real
+        n_points, k = len(resolvent), self.n_parameters
+        into = np.tensordot(before, self.basis[:, :, :n], axes=(1, 1))
+        out_of = np.tensordot(after, self.basis[:, :n], axes=(1, 2))
+        through = (into @ resolvent).swapaxes(0, 1).reshape(k, n_points * n)
+        half = (through @ out_of.swapaxes(0, 1).reshape(k, n_points * n).T).real
         return half + half.T
 
 
