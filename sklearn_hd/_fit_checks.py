@@ -43,7 +43,8 @@ def warn_of_mismatch(experiment, stacklevel=4):
         # a trim averaged at the wrong period is no trim: back to what was measured
         outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
     step = experiment.base.sample_time
-    estimate = omega_mismatch(experiment.drive, outputs, step, basis.omega)
+    starts = [time[0] for time in experiment.times()]
+    estimate = omega_mismatch(experiment.drive, outputs, step, basis.omega, starts=starts)
     if estimate is None:
         return
     off = estimate.omega / basis.omega - 1.0

@@ -244,7 +244,7 @@ def test_starts_at_once_are_counted_as_they_end(identified, record, screen):
     quiet = match(identified, record)
     with redirect_stderr(screen), parallel_config(backend="threading", n_jobs=2):
         told = match(identified, record, verbose=1)
-    assert any(frame.startswith("minimax, matches") for frame in screen.frames())
+    assert any(frame.startswith("minimax, smooth descents") for frame in screen.frames())
     np.testing.assert_array_equal(told.theta_, quiet.theta_)
 
 

@@ -76,7 +76,7 @@ class FundamentalEstimate(NamedTuple):
     n_values: int
 
 
-def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN):
+def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     """Fundamental frequency at which records repeat themselves, near a given one.
 
     Parameters
@@ -91,6 +91,9 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN):
         Where to search, rad/s.
     span : float
         Relative, to either side.
+    starts : array_like, shape (n_segments,), optional
+        Time of the first sample of each segment, seconds: the waveforms that repeat
+        themselves go on over gaps. All zero where not given.
 
     Returns
     -------
@@ -116,7 +119,7 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN):
     >>> bool(abs(estimate.omega / (2 * np.pi) - 1) < 1e-6)
     True
     """
-    repetition = _Repetition.of(inputs, outputs, sample_time, omega)
+    repetition = _Repetition.of(inputs, outputs, sample_time, omega, starts)
     if repetition is None:
         raise ValueError(
             f"the inputs rest nowhere for the {1 + DELAYS} periods of omega={omega:.6g} rad/s that "
@@ -132,7 +135,7 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN):
     return FundamentalEstimate(found, residual, repetition.unexplained(omega), repetition.n_values)
 
 
-def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN):
+def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     """The estimate, if the record says clearly that the frequency given is another's.
 
     At the right frequency three residuals tell, and the rest is spared. To be
@@ -144,7 +147,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN):
 
     Parameters
     ----------
-    inputs, outputs, sample_time, omega, span
+    inputs, outputs, sample_time, omega, span, starts
         As in :func:`estimate_omega`.
 
     Returns
@@ -152,7 +155,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN):
     estimate : FundamentalEstimate or None
         None where there is no mismatch, or nothing to tell it from.
     """
-    repetition = _Repetition.of(inputs, outputs, sample_time, omega)
+    repetition = _Repetition.of(inputs, outputs, sample_time, omega, starts)
     if repetition is None or repetition.at_home(omega):
         return None
     found, residual = repetition.minimum(omega, span)
@@ -164,7 +167,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN):
         return None
     given = repetition.unexplained(omega)
     ratios = [(given, residual)]
-    richer = _Repetition.of(inputs, outputs, sample_time, omega, DELAYS + 1)
+    richer = _Repetition.of(inputs, outputs, sample_time, omega, starts, DELAYS + 1)
     if richer is not None:
         ratios.append([richer.unexplained(w) for w in (omega, found)])
     least = max(np.log(LESS), SIGNIFICANCE / repetition.n_values)
@@ -176,7 +179,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN):
 class _Repetition:
     """How well outputs are explained by their own past, whole periods ago."""
 
-    def __init__(self, inputs, outputs, sample_time, rows, delays, n_harmonics, half):
+    def __init__(self, inputs, outputs, sample_time, starts, rows, delays, n_harmonics, half):
         self.inputs = [u[r] for u, r in zip(inputs, rows, strict=True)]
         self.times = [r * sample_time for r in rows]
         outputs = [_smooth(y, half) for y in outputs]
@@ -191,6 +194,7 @@ class _Repetition:
             for y, r in zip(outputs, rows, strict=True)
             if len(r)
         ]
+        self.clock = np.concatenate([t + t0 for t, t0 in zip(self.times, starts, strict=True)])
         self.times, self.inputs = (
             [one for one in some if len(one)] for some in (self.times, self.inputs)
         )
@@ -198,7 +202,7 @@ class _Repetition:
         self.n_values = self.outputs.size
 
     @classmethod
-    def of(cls, inputs, outputs, sample_time, omega, n_delays=DELAYS):
+    def of(cls, inputs, outputs, sample_time, omega, starts=None, n_delays=DELAYS):
         """With the longest stride for which the inputs rest long enough; None if there is none."""
         period = 2.0 * np.pi / omega / sample_time
         n_harmonics = max(0, min(HARMONICS, int(0.45 * period)))
@@ -211,7 +215,8 @@ class _Repetition:
                 thin = -(-found // MAX_ROWS)
                 rows = [r[::thin] for r in rows]
                 delays = stride * np.arange(1, n_delays + 1)
-                return cls(inputs, outputs, sample_time, rows, delays, n_harmonics, half)
+                starts = np.zeros(len(rows)) if starts is None else starts
+                return cls(inputs, outputs, sample_time, starts, rows, delays, n_harmonics, half)
         return None
 
     def unexplained(self, omega):
@@ -232,7 +237,7 @@ class _Repetition:
 
     def _waveforms(self, omega):
         """Harmonic functions, alone and times each input, column by column."""
-        t, u = np.concatenate(self.times), np.vstack(self.inputs)
+        t, u = self.clock, np.vstack(self.inputs)
         turns = np.exp(1j * omega * t[:, None] * np.arange(self.n_harmonics + 1))
         waves = np.hstack([turns.real, turns.imag[:, 1:]])
         size = np.max(np.abs(u), axis=0)

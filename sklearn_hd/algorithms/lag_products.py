@@ -308,7 +308,7 @@ def lag_products(records, n_lags, exact):
     >>> z = np.array([[1.0], [2.0], [3.0], [4.0]])
     >>> products = lag_products([(z,)], 2, exact=True)  # of 1, 2, 3 and 4 in parts of 8
     >>> (64 * products.gram().high).tolist()
-    [[14.0, 20.0], [0.0, 29.0]]
+    [[14.0, 20.0], [20.0, 29.0]]
     """
     exponents = power_exponents(records) if exact else np.zeros(_n_channels(records[0]), int)
     short = tuple(np.hstack(signals) for signals in records if len(signals[0]) < n_lags)
