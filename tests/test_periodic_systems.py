@@ -298,15 +298,15 @@ def many_modes(sizes, seed, noise=0.05, n_columns=48):
     turns = [np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) for a in angles]
     true = linalg.block_diag(*[size * turn for size, turn in zip(sizes, turns, strict=True)])
     n, w = len(true), rng.choice([-1.0, 1.0], size=(300, 3))
-    B, O = rng.standard_normal((n, 3)), rng.standard_normal((n_columns, n))
+    B, sight = rng.standard_normal((n, 3)), rng.standard_normal((n_columns, n))
     z = np.zeros((len(w), n))
     for k in range(len(w) - 1):
         z[k + 1] = true @ z[k] + B @ w[k]
-    y = z @ O.T + w @ rng.standard_normal((3, n_columns))
+    y = z @ sight.T + w @ rng.standard_normal((3, n_columns))
     y += noise * y.std() * rng.standard_normal(y.shape)
     identified = true + 3e-3 * np.diag(rng.standard_normal(n))
     refined = refine_multipliers(identified, [w], [y])
-    kept = _unless_it_explains_less(refined, identified, O[:6], [w], [y], [y[:, :6]])
+    kept = _unless_it_explains_less(refined, identified, sight[:6], [w], [y], [y[:, :6]])
     errors = [
         np.abs(linalg.eigvals(Phi)[:, None] - linalg.eigvals(true)).min(axis=0).max()
         for Phi in (identified, refined.Phi, kept.Phi)
