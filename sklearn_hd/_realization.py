@@ -50,6 +50,7 @@ LARGEST_FIT = 4e7  # numbers in one regressor matrix
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
@@ -313,7 +314,7 @@ def _shapes(model, experiment, scale):
 
 
 def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
-    """The refined map, or the identified one where it clearly explains more of the record.
+    """The refined map, or the identified one where that leaves a tenth less of the record.
 
     Multipliers are refined with every mode free to answer in its own way to each direction of
     the inputs. Many modes that last but a period or two can then stand for each other, and noise
@@ -325,7 +326,7 @@ def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
         np.sum(state_response(Phi, C, directions, lifted, seen)[2])
         for Phi in (refined.Phi, identified)
     )
-    return RefinedMap(identified) if others < CLEARLY_LESS * left else refined
+    return RefinedMap(identified) if others < A_TENTH_LESS * left else refined
 
 
 def free_decays(inputs):
