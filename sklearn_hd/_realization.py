@@ -22,7 +22,7 @@ from sklearn_hd.algorithms.floquet_coordinates import fixed_scale, floquet_coord
 from sklearn_hd.algorithms.fourier import sampled_harmonics
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.mode_shapes import shape_condition
-from sklearn_hd.algorithms.multipliers import refine_multipliers
+from sklearn_hd.algorithms.multipliers import RefinedMap, refine_multipliers
 from sklearn_hd.algorithms.periodic_realization import (
     FloquetError,
     fit_shapes,
@@ -50,6 +50,7 @@ LARGEST_FIT = 4e7  # numbers in one regressor matrix
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
@@ -272,7 +273,9 @@ def _shapes(model, experiment, scale):
     lifted = [y.reshape(len(y), -1) for y in outputs]
     _, seen = rows_read(experiment)
     unit = _sizes(np.vstack(seen))
+    over, C = [Y / unit for Y in seen], model.C / unit[:, None]
     refined = refine_multipliers(model.A, directions, lifted)
+    refined = _unless_it_explains_less(refined, model.A, C, directions, lifted, over)
     largest = np.max(np.abs(linalg.eigvals(refined.Phi)))
     growth = max(map(len, outputs)) * np.log(max(largest, 1e-300))
     if growth > MAX_GROWTH:
@@ -280,9 +283,8 @@ def _shapes(model, experiment, scale):
             f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
             f"a record can show: lower the order, check omega, or cut the record shorter"
         )
-    Phi, C = refined.Phi, model.C / unit[:, None]
+    Phi = refined.Phi
     if leaves_white_noise(Phi, directions, lifted):
-        over = [Y / unit for Y in seen]
         Phi = refine_within_period(refined, C, directions, lifted, over, spp)
     else:
         # systematic errors, a nonlinear system's: smallest where the motion dies away
@@ -309,6 +311,22 @@ def _shapes(model, experiment, scale):
         2.0 * np.pi / basis.omega,
         n_rows,
     )
+
+
+def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
+    """The refined map, or the identified one where that leaves a tenth less of the record.
+
+    Multipliers are refined with every mode free to answer in its own way to each direction of
+    the inputs. Many modes that last but a period or two can then stand for each other, and noise
+    decides; with one B for all that is seen they cannot.
+    """
+    if refined.basis is None:
+        return refined
+    left, others = (
+        np.sum(state_response(Phi, C, directions, lifted, seen)[2])
+        for Phi in (refined.Phi, identified)
+    )
+    return RefinedMap(identified) if others < A_TENTH_LESS * left else refined
 
 
 def free_decays(inputs):

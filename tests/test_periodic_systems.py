@@ -10,6 +10,7 @@ from periodic_cases import record, same_exponents, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
+from sklearn_hd._realization import _unless_it_explains_less
 from sklearn_hd.algorithms.equation_error import equation_error
 from sklearn_hd.algorithms.multipliers import (
     characteristic,
@@ -285,3 +286,45 @@ def test_errors_under_noise_are_those_of_the_bound():
     for row in tables["given"]:
         assert 0.6 < row["rms_e/bound"] < 1.5
     assert tables["given"][-1]["rms_e/bound"] < 1.25
+
+
+# ---- many modes that a period or two forget ------------------------------------------------------
+
+
+def many_modes(sizes, seed, noise=0.05, n_columns=48):
+    """A map identified nearly right, what it was refined to, and the record of the true one."""
+    rng = np.random.default_rng(seed)
+    angles = np.linspace(0.5, 2.8, len(sizes))
+    turns = [np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) for a in angles]
+    true = linalg.block_diag(*[size * turn for size, turn in zip(sizes, turns, strict=True)])
+    n, w = len(true), rng.choice([-1.0, 1.0], size=(300, 3))
+    B, sight = rng.standard_normal((n, 3)), rng.standard_normal((n_columns, n))
+    z = np.zeros((len(w), n))
+    for k in range(len(w) - 1):
+        z[k + 1] = true @ z[k] + B @ w[k]
+    y = z @ sight.T + w @ rng.standard_normal((3, n_columns))
+    y += noise * y.std() * rng.standard_normal(y.shape)
+    identified = true + 3e-3 * np.diag(rng.standard_normal(n))
+    refined = refine_multipliers(identified, [w], [y])
+    kept = _unless_it_explains_less(refined, identified, sight[:6], [w], [y], [y[:, :6]])
+    errors = [
+        np.abs(linalg.eigvals(Phi)[:, None] - linalg.eigvals(true)).min(axis=0).max()
+        for Phi in (identified, refined.Phi, kept.Phi)
+    ]
+    return errors, kept is refined
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_modes_that_stand_for_each_other_are_left_as_identified(seed):
+    (identified, refined, kept), as_refined = many_modes([0.9, 0.43, 0.33, 0.3, 0.2], seed)
+    assert refined > 10 * identified
+    assert not as_refined
+    assert kept == identified
+
+
+@pytest.mark.parametrize("sizes", [[0.9], [0.9, 0.5]])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_modes_are_refined(sizes, seed):
+    (_, refined, kept), as_refined = many_modes(sizes, seed)
+    assert as_refined
+    assert kept == refined < 0.01
