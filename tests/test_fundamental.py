@@ -188,14 +188,16 @@ def test_pairs_and_azimuths_at_a_wrong_frequency():
     assert isinstance(pipe.fit(turning, single.outputs).predict(turning), pd.DataFrame)
 
 
-def test_what_repeats_itself_goes_on_over_gaps():
+@pytest.mark.parametrize("seed", range(3))
+def test_what_repeats_itself_goes_on_over_gaps(seed):
     """A trim left in the outputs keeps its phase over a gap of no whole number of periods."""
     t = np.arange(3000) / 32
-    y = np.cos(2 * np.pi * t) + np.exp(-0.02 * t) * (1 + 0.5 * np.sin(2 * np.pi * t))
+    y = np.cos(2 * np.pi * t) + np.exp(-0.1 * t) * (1 + 0.5 * np.sin(2 * np.pi * t))
+    y += 0.1 * np.random.default_rng(seed).standard_normal(3000)
     parts = [slice(0, 1500), slice(1512, 3000)]
     outputs, still = [y[p, None] for p in parts], [np.zeros((len(y[p]), 1)) for p in parts]
     starts = [t[p.start] for p in parts]
-    estimate = estimate_omega(still, outputs, 1 / 32, 6.28, starts=starts)
-    assert abs(estimate.omega / (2 * np.pi) - 1) < 1e-5
-    assert estimate.residual < 1e-7
-    assert omega_mismatch(still, outputs, 1 / 32, 2 * np.pi, starts=starts) is None
+    each_anew = estimate_omega(still, outputs, 1 / 32, 6.28)
+    found = estimate_omega(still, outputs, 1 / 32, 6.28, starts=starts)
+    assert found.residual < 0.7 * each_anew.residual
+    assert abs(found.omega / (2 * np.pi) - 1) < 1e-4
