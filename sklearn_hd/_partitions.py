@@ -8,6 +8,7 @@ through several. Neighbours are merged where they are, and what arrives here is 
 """
 
 import itertools
+import pickle
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 
@@ -20,7 +21,7 @@ from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
 from sklearn_hd.algorithms.lag_products import LagProducts, stretch
-from sklearn_hd.algorithms.record_parts import cuts, input_equations
+from sklearn_hd.algorithms.record_parts import InputEquations, cuts, input_equations
 
 __all__ = ["Partitions", "is_partitioned"]
 
@@ -208,6 +209,25 @@ def _follows(run, later, steps):
     return False
 
 
+@dataclass(frozen=True)
+class Statistic:
+    """What neighbouring partitions leave behind, None if they are empty.
+
+    It tells how large it is, by which dask decides what to move where.
+    """
+
+    value: PartitionSums | InputEquations | None
+
+    def __sizeof__(self):
+        return len(pickle.dumps(self.value))
+
+    @classmethod
+    def merged(cls, *neighbours):
+        """The sum of neighbours, in their order."""
+        found = [each.value for each in neighbours if each.value is not None]
+        return cls(reduce(lambda a, b: a + b, found) if found else None)
+
+
 # ---- what is done where the data are -------------------------------------------------------
 
 
@@ -243,9 +263,9 @@ def _read(partition, X, y):
 
 @one_blas_thread
 def partition_sums(partition, X, y, n_lags, exact):
-    """What lagged products, scales and checks need of one partition; None if it is empty."""
+    """What lagged products, scales and checks need of one partition."""
     if len(X) == len(y) == 0:
-        return None
+        return Statistic(None)
     with np.errstate(over="raise", divide="raise", invalid="raise"):
         segments, base, times = _read(partition, X, y)
         runs = [
@@ -261,27 +281,21 @@ def partition_sums(partition, X, y, n_lags, exact):
         n_steps = len(base.time) - len(set(base.records))
         steps = ((base.sample_time, n_steps),) if n_steps else ()
         head = X.iloc[:1], y.iloc[:1]
-        return PartitionSums.of(segments, runs, n_lags, exact, steps, head)
+        return Statistic(PartitionSums.of(segments, runs, n_lags, exact, steps, head))
 
 
 @one_blas_thread
 def partition_equations(partition, pieces, X, y, model):
-    """Equations of B, D and the initial states in one partition; None if it is empty."""
+    """Equations of B, D and the initial states in one partition."""
     if not pieces:
-        return None
+        return Statistic(None)
     with np.errstate(over="raise", divide="raise", invalid="raise"):
         segments, _, _ = _read(partition, X, y)
         parts = [
             (key, size, *(z[rows] for z in segments[segment]))
             for segment, rows, key, size in pieces
         ]
-        return input_equations(*model, parts)
-
-
-def merged(*neighbours):
-    """Sum of the statistics of neighbours, those of empty partitions left out."""
-    found = [each for each in neighbours if each is not None]
-    return reduce(lambda a, b: a + b, found) if found else None
+        return Statistic(input_equations(*model, parts))
 
 
 # ---- what is done here ---------------------------------------------------------------------
@@ -354,9 +368,10 @@ class Partitions:
         ]
         while len(nodes) > 1:
             nodes = [
-                self.delayed(merged)(*nodes[a : a + FAN_IN]) for a in range(0, len(nodes), FAN_IN)
+                self.delayed(Statistic.merged)(*nodes[a : a + FAN_IN])
+                for a in range(0, len(nodes), FAN_IN)
             ]
-        return nodes[0].compute()
+        return nodes[0].compute().value
 
     def _sums(self, exact):
         return self._tree(partial(partition_sums, n_lags=self.n_lags, exact=exact))
