@@ -38,4 +38,5 @@ class PartitionedFit:
         A, C = state_matrices(U, values, self.order_, n_outputs)
         B, D, self.x0_ = data.input_matrices(A, C, feedthrough, scales)
         model = self._model((A, B, C, D), scales, experiment, data.head[1], feedthrough)
+        self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         return self._remember(model, experiment, *data.head)

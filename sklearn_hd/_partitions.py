@@ -243,8 +243,8 @@ def _read(partition, X, y):
         frame = as_frame(X)
         if frame.basis is not None:
             raise ValueError(
-                "X carries a harmonic basis: what an analysis window sees is identified from in "
-                "one process; give MOESPRegressor frames in memory, X.compute() and y.compute()"
+                "X carries a harmonic basis, which fit reads from frames in memory: give it "
+                "X.compute() and y.compute(), or one partition after the other to partial_fit"
             )
         signals = read_signals(frame, "x", "X")
         measured, _ = read_values(y, X, signals.base, PLAIN)
