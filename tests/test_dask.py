@@ -15,7 +15,8 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd._partitions import Partitions, partition_sums
+from sklearn_hd._partition_statistics import partition_sums
+from sklearn_hd._partitions import Partitions
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.exceptions import ExcitationWarning
 
@@ -211,7 +212,7 @@ def test_what_is_moved_does_not_grow_with_the_rows(rng):
     sizes = []
     for n_rows in (2_000, 20_000):
         X, y = response(rng, n_rows)
-        sizes.append(len(pickle.dumps(partition_sums(0, X, y, 30, exact=False))))
+        sizes.append(len(pickle.dumps(partition_sums(0, X, y, n_lags=30, exact=False))))
     assert sizes[0] == pytest.approx(sizes[1], rel=1e-3)
     assert sizes[1] < 0.5 * (X.size + y.size) * 8
 
