@@ -170,8 +170,8 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, with a harmonic basis riding on them or plain; plain ones also as a
-            dask DataFrame, partitioned by record or by time.
+            Inputs, with a harmonic basis riding on them or plain; also as a dask DataFrame,
+            partitioned by record or, plain, by time.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Outputs in time; of dask's where X is, in the same partitions.
 
