@@ -12,6 +12,11 @@ def as_container(data, what):
             f"{what} is sparse, which is not supported: signals are dense; give {what}.toarray()"
         )
     if not isinstance(data, pd.DataFrame | pd.Series):
+        if hasattr(data, "__dask_graph__"):
+            raise TypeError(
+                f"{what} is a dask {type(data).__name__}, which MOESPRegressor.fit alone reads; "
+                f"give one record, or one span, at a time in memory: {what}.partitions[0].compute()"
+            )
         if hasattr(data, "__dataframe__") or hasattr(data, "to_pandas"):
             raise TypeError(
                 f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "

@@ -19,6 +19,8 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
 )
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._partitioned_fit import PartitionedFit
+from sklearn_hd._partitions import is_partitioned
 from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
@@ -51,7 +53,7 @@ LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
 EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
-class MOESPRegressor(StreamedFit, ModelStep):
+class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
     """Past-output MOESP identification of a linear time-invariant model.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
@@ -168,9 +170,10 @@ class MOESPRegressor(StreamedFit, ModelStep):
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, with a harmonic basis riding on them or plain.
+            Inputs, with a harmonic basis riding on them or plain; also as a dask DataFrame,
+            partitioned by record or, plain, by time.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Outputs in time.
+            Outputs in time; of dask's where X is, in the same partitions.
 
         Returns
         -------
@@ -179,6 +182,8 @@ class MOESPRegressor(StreamedFit, ModelStep):
         """
         check_outputs_given(y)
         scale, feedthrough = self._check_parameters()
+        if is_partitioned(X) or is_partitioned(y):
+            return self._fit_partitions(X, y, scale, feedthrough)
         experiment = read_for_fit(X, y)
         warn_of_mismatch(experiment)
         warn_of_growing_data(experiment)

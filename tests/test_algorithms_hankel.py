@@ -8,11 +8,15 @@ import pytest
 from conftest import random_stable
 from scipy import linalg, optimize, signal
 
+from sklearn_hd import HarmonicAnalyzer
+from sklearn_hd._data import read_experiment, rows_read
+from sklearn_hd._sliding_inputs import modulated_inputs
 from sklearn_hd.algorithms import hankel, triangular
 from sklearn_hd.algorithms.hankel import factor_of_products, hankel_factor
 from sklearn_hd.algorithms.lag_products import lag_products, stretch
 from sklearn_hd.algorithms.moesp import observability_subspace, state_matrices
 from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.datasets import make_flapping_wing
 
 BLOCK_ROWS = 15
 
@@ -83,6 +87,21 @@ def test_noise_makes_plain_sums_safe(noisy):
     reference = hankel._orthogonal_factor([(u, y)], BLOCK_ROWS)
     reference *= np.sign(np.diagonal(reference))[:, None]
     np.testing.assert_allclose(R, reference, atol=1e-10 * np.abs(reference).max())
+
+
+def test_inputs_that_move_seldom_cost_exact_sums_nothing():
+    """Doublets times harmonics: most directions of the inputs are nothing but rounding."""
+    data = make_flapping_wing("ltp", n_records=4, random_state=1, width=7.3, snr=50)
+    analyzer = HarmonicAnalyzer(data.omega, output_harmonics={"w": [0], "phi_dot": [1]}, hop=8)
+    frame = analyzer.fit_transform(data.inputs, data.outputs)
+    experiment = read_experiment(frame, data.outputs)
+    outputs = rows_read(experiment)[1]
+    records = list(zip(modulated_inputs(experiment, list(map(len, outputs))), outputs, strict=True))
+    R = factor_of_products(lag_products(records, 40, exact=True), 9)
+    reference = hankel._orthogonal_factor(records, 20)
+    size = np.linalg.norm(reference, axis=0)
+    both = [(each / size).T @ (each / size) for each in (R, reference)]
+    np.testing.assert_allclose(*both, atol=1e-12)
 
 
 def test_faint_noise_is_no_excuse(hard):

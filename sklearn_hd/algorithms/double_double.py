@@ -18,7 +18,7 @@ __all__ = ["Pair", "add", "cholesky", "product", "slices", "sum_of_slices", "two
 SLICE_BITS = 18
 N_SLICES = 3  # of a double: 54 bits
 PAIR_SLICES = 6  # of a pair: 108 bits
-RANK_TOLERANCE = 2.0**-98  # of a diagonal entry: what 106 bits and the sums leave of nothing
+RANK_TOLERANCE = 2.0**-86  # of a diagonal entry: what is left of nothing, with a margin
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,17 @@ from sklearn_hd.algorithms.response_products import output_normal, products_fact
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import triangle
 
-__all__ = ["input_matrices", "response_regressors"]
+__all__ = [
+    "InitialState",
+    "RecordFactors",
+    "carry",
+    "input_matrices",
+    "pieces_of",
+    "response_regressors",
+    "solve_shared",
+    "split",
+    "without_start",
+]
 
 EPS = np.finfo(float).eps
 MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
@@ -131,27 +141,44 @@ def input_matrices(
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
-    pieces, firsts = _pieces(A, [len(u) for u in inputs])
-    factor = _RecordFactors(A, C, feedthrough, scales)
+    pieces, firsts = pieces_of(A, [len(u) for u in inputs])
+    factor = RecordFactors(A, C, feedthrough, scales)
     starts, shared = [], np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
     for s, rows in pieces:
         seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
         R = factor.of(u, y) if observe is None else factor.of_observed(u, y, seen)
-        start, left = _without_start(R, n)
+        start, left = without_start(R, n)
         starts.append(start)
         shared = triangle(shared, left)
-    theta = _scaled_lstsq(shared[:, :-1], shared[:, -1])
-    B, D = theta[: n * m].reshape(n, m), np.zeros((n_outputs, m))
-    if feedthrough:
-        D = theta[n * m :].reshape(n_outputs, m)
+    theta = solve_shared(shared)
+    B, D = split(theta, n, m, n_outputs)
     x0 = np.array([starts[first].solve(theta) for first in firsts])
     if not return_residual:
         return B, D, x0
     return B, D, x0, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
 
 
-class _RecordFactors:
+def solve_shared(shared):
+    """Entries of B and D, row by row, from the equations left for them.
+
+    With columns of equal length, so that units do not decide the rank.
+    """
+    regressors, target = shared[:, :-1], shared[:, -1]
+    if regressors.shape[1] == 0:
+        return np.zeros(0)
+    scale = np.linalg.norm(regressors, axis=0)
+    scale[scale == 0.0] = 1.0
+    return linalg.lstsq(regressors / scale, target, lapack_driver="gelsy")[0] / scale
+
+
+def split(theta, n, m, n_outputs):
+    """B and D of their entries; a D that was not asked for is zero."""
+    D = theta[n * m :].reshape(-1, m) if len(theta) > n * m else np.zeros((n_outputs, m))
+    return theta[: n * m].reshape(n, m), D
+
+
+class RecordFactors:
     """Triangular factors of the equations [x_0, B, D, y] of records, by the first way that does.
 
     Parameters
@@ -187,7 +214,7 @@ class _RecordFactors:
         return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
 
 
-def _pieces(A, lengths):
+def pieces_of(A, lengths):
     """Rows of each segment in pieces over which an unstable A does not overflow.
 
     Each piece gets an initial state of its own; a stable A leaves segments whole.
@@ -212,15 +239,6 @@ def _pieces(A, lengths):
     return pieces, firsts
 
 
-def _scaled_lstsq(regressors, target):
-    """Least squares with columns of equal length, so that units do not decide the rank."""
-    if regressors.shape[1] == 0:
-        return np.zeros(0)
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
-    return linalg.lstsq(regressors / scale, target, lapack_driver="gelsy")[0] / scale
-
-
 @dataclass(frozen=True)
 class InitialState:
     """Equations of a record's initial state once B and D are known.
@@ -241,7 +259,7 @@ class InitialState:
         return self.inverse @ (self.right - self.coupling @ theta)
 
 
-def _without_start(R, n):
+def without_start(R, n):
     """The equations that an initial state takes, and those left for B and D.
 
     Directions in which it is not seen take none.
@@ -277,12 +295,26 @@ def _record_factor(A, C, u, y, feedthrough, observe, scales):
         equations = np.concatenate([free, forced, y_now[:, :, None]], axis=-1)
         R = triangle(R, equations.reshape(-1, n_columns))
         if rows.stop < len(u):
-            carried = _carry(A, u_now, carried)
+            carried = carry(A, u_now, carried)
     return R
 
 
-def _carry(A, u, carried):
-    """A^k and the responses of the states to entries of B, k rows later."""
+def carry(A, u, carried=None):
+    """A^k and the responses of the states to entries of B, k rows later.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    u : ndarray, shape (n_samples, m)
+    carried : tuple of ndarray, optional
+        What this returned for the rows before.
+
+    Returns
+    -------
+    power : ndarray, shape (n, n)
+    forced : ndarray, shape (n, n m)
+        Entries of B row by row.
+    """
     n, m = len(A), u.shape[1]
     power, forced = carried or (np.eye(n), np.zeros((n, n * m)))
     powers = [np.eye(n)]

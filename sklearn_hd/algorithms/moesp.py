@@ -41,12 +41,14 @@ def observability_subspace(R, block_rows, n_inputs):
     Returns
     -------
     U : ndarray, shape (i l, i l)
+        The largest entry of each column is positive, whatever way led to R.
     singular_values : ndarray, shape (i l,)
     """
     past = slice(block_rows * n_inputs, R.shape[0] - _future_width(R, block_rows, n_inputs))
     projected = R[past, past.stop :].T
     U, singular_values, _ = linalg.svd(projected, full_matrices=False)
-    return U, singular_values
+    largest = U[np.argmax(np.abs(U), axis=0), np.arange(U.shape[1])]
+    return U * np.copysign(1.0, largest), singular_values
 
 
 def release_idle_directions(R, n_future_inputs):
