@@ -182,6 +182,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         """
         check_outputs_given(y)
         scale, feedthrough = self._check_parameters()
+        self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         if is_partitioned(X) or is_partitioned(y):
             return self._fit_partitions(X, y, scale, feedthrough)
         experiment = read_for_fit(X, y)
@@ -219,7 +220,6 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         model = self._model((A, B, C, D), (u_scale, y_scale), experiment, y, feedthrough)
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
             warn_of_growth(model, experiment)
-        self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         return self._remember(model, experiment, X, y)
 
     def _model(self, matrices, scales, experiment, y, feedthrough):

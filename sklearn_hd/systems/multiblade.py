@@ -134,6 +134,11 @@ def rotor_system(
         If the files do not belong together, the azimuths do not tell the harmonics
         apart, or a name is unknown.
 
+    References
+    ----------
+    G. Bir, "Multi-blade coordinate transformation and its application to wind turbine
+    analysis", 46th AIAA Aerospace Sciences Meeting (2008), AIAA 2008-1300.
+
     Examples
     --------
     >>> from sklearn_hd.datasets import load_wind_turbine

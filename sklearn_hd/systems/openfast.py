@@ -32,7 +32,7 @@ class OpenFASTLinearization:
 
         ẋ = A x + B u,   y = C x + D u
 
-    Attributes
+    Parameters
     ----------
     description : str
         Of the model, from its input file.
@@ -45,9 +45,25 @@ class OpenFASTLinearization:
     wind_speed : float
         In m/s.
     A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
+        In the units of the file.
     states, inputs, outputs : DataFrame
         Index: short names. Columns: ``description``, ``operating_point``, ``rotating``
         (whether a signal turns with the blades), ``derivative_order``.
+
+    References
+    ----------
+    J. M. Jonkman, B. J. Jonkman, "FAST modularization framework for wind turbine
+    simulation: full-system linearization", Journal of Physics: Conference Series 753
+    (2016) 082010.
+
+    Examples
+    --------
+    >>> from sklearn_hd.datasets import load_wind_turbine
+    >>> turbine = load_wind_turbine().linearizations[0]
+    >>> turbine.rotor_speed, turbine.wind_speed
+    (0.7301, 3.0)
+    >>> bool(turbine.states.rotating["BE1_b2"]), bool(turbine.states.rotating["TFA1"])
+    (True, False)
     """
 
     description: str
@@ -70,6 +86,7 @@ def read_openfast_lin(path):
     Parameters
     ----------
     path : str or path
+        Of the file.
 
     Returns
     -------
