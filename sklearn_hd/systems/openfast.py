@@ -41,7 +41,7 @@ class OpenFASTLinearization:
     rotor_speed : float
         Ω in rad/s.
     azimuth : float
-        ψ of blade 1 in radians.
+        Of blade 1, ψ in radians.
     wind_speed : float
         In m/s.
     A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
