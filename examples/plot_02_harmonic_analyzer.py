@@ -93,5 +93,5 @@ for hop, harmonics in ((None, 1), (None, 32), ("period", 1), ("period", 32)):
 # memory as long as its window; both will be found in the identified model.
 #
 # * Every choice of window, hop and harmonics: :class:`~sklearn_hd.HarmonicAnalyzer`.
-# * Which to take: :doc:`/data`.
+# * Which to take: :doc:`/guide/1_data`.
 # * How the copies are told from the modes: :ref:`sphx_glr_auto_examples_plot_04_spurious_modes.py`.

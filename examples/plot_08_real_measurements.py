@@ -113,5 +113,5 @@ print(f"rows of the prediction without an answer: {predicted.isna().any(axis=1).
 # Three words about the data do: the index (flight and time), ``missing`` and ``trim_span``.
 #
 # * Dates, varying rotor speed, uneven time stamps, pairs of flights that cancel what is not linear:
-#   :doc:`/data`.
+#   :doc:`/guide/1_data`.
 # * Whole flights left out in turn (``GroupKFold``): :doc:`/order_selection`.
