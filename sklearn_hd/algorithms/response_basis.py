@@ -76,15 +76,17 @@ def response_basis(A):
     if np.linalg.cond(X) > CONDITION or max(sizes) > LARGEST_BLOCK:
         return None
     inverse = linalg.inv(X)
-    steps, pulses, units, first = [], [], [], 0
+    F, pulses, units, first = np.zeros((n, n)), [], [], 0
     for size in sizes:
         block = slice(first, first + size)
         step, pulse, own = _block_numbers(T[block, block])
-        steps.append(step)
+        at = slice(sum(map(len, pulses)), sum(map(len, pulses)) + len(step))
+        F[at, at] = step
         pulses.append(pulse)
         units.append(X[:, block] @ own @ inverse[block])
         first += size
-    return ResponseBasis(linalg.block_diag(*steps), np.concatenate(pulses), np.concatenate(units))
+    g = np.concatenate(pulses)
+    return ResponseBasis(F[: len(g), : len(g)], g, np.concatenate(units))
 
 
 def _block_numbers(block):

@@ -31,7 +31,7 @@ EPS = np.finfo(float).eps
 MOST_RADIUS = 1.0 - 1e-6
 LARGEST_CONDITION = 1e5
 BLOCKS = (1, 2, 4, 8, 12, 16, 24, 32)  # samples
-ROUND = 2**15  # samples, whose blocks fit into a cache
+ROUND = 2**16  # samples, multiplied together
 NEARLY = 1e-6  # the identity, before the last step towards it
 PULSES = 1024  # samples of a pulse multiplied at a time
 PULSE_OVER = 1e-18  # of its first size
@@ -197,7 +197,7 @@ def response_products(basis, u, y, scales):
         state = run(powers[L], w.reshape(n_blocks, m, q), state)
         for total, z in zip(sums, blocks, strict=True):
             total += left[:n_blocks].T @ z
-        squares += np.einsum("ko,ko->o", y[rows], y[rows])
+        squares += [channel @ channel for channel in y[rows].T]
     n_rest = (n_samples - 1) % L + 1  # samples of the last block
     last = (
         w[-1].reshape(m, q) @ powers[n_rest].T + u[n_samples - n_rest :].T @ pulses[:n_rest][::-1]
