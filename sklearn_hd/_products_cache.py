@@ -14,7 +14,7 @@ from sklearn_hd.algorithms.running_products import correlations
 
 __all__ = ["KeptSums"]
 
-LEAST_LAGS = 32  # that are kept: 16 block rows of the past, and of the future
+LEAST_LAGS = 64  # that are kept: 32 block rows of the past, and of the future
 MOST_LAGS = 256  # more are not kept
 
 

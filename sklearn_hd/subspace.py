@@ -86,8 +86,8 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         never more than a quarter of the segment.
     memory : str, joblib.Memory or None, default=None
         Folder in which lag products of the data are kept: one for all orders and for all
-        block rows up to the next power of two, so that a search over both goes through
-        each of its folds once or twice.
+        block rows up to 32, 64 or 128, so that a search over both goes through each of its
+        folds once (twice without noise: exactly, too).
 
     Attributes
     ----------
