@@ -24,6 +24,7 @@ from sklearn_hd.algorithms.running_products import RunningRecord, RunningSums
 __all__ = ["Stream", "read_chunk"]
 
 DUST = 1e-12  # share of an input's size that is rounding
+PART = 2**17  # rows read at a time
 SAME = ("omega", "sample_time", "hop", "window", "inputs", "outputs")
 
 
@@ -115,8 +116,14 @@ class Stream:
             changes=changes,
         )
 
-    def with_chunk(self, experiment):
+    def with_chunk(self, experiment, told=None):
         """The stream and one more chunk.
+
+        Parameters
+        ----------
+        experiment : Experiment
+        told : callable, optional
+            ``told(done, note)``, with the rows of the chunk done.
 
         Raises
         ------
@@ -125,14 +132,19 @@ class Stream:
             follow on what was read before.
         """
         self._check_alike(experiment)
-        base, stream = experiment.base, self
+        base, stream, done = experiment.base, self, 0
         for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
             inputs, outputs = experiment.inputs[s], experiment.outputs[s]
             if s == 0:
                 time = stream._continued(time, label, base.counted)
             if s > 0 or not stream._goes_on(time, label):
                 stream = stream._with_record_closed(label)
-            stream = stream._with_rows(time, inputs, outputs)
+            for first in range(0, len(time), PART):
+                part = slice(first, first + PART)
+                stream = stream._with_rows(time[part], inputs[part], outputs[part])
+                done += len(time[part])
+                if told is not None:
+                    told(done, f"{self.n_rows + done} rows so far")
         return replace(
             stream, n_rows=self.n_rows + len(base.time), last=float(stream.record.time[-1])
         )

@@ -7,11 +7,13 @@ import numpy as np
 
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._data import check_features
+from sklearn_hd._progress import progress
 from sklearn_hd._stream import Stream, read_chunk
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
 from sklearn_hd.algorithms.moesp import order_by_gap, state_matrices
+from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.running_equations import (
     initial_states_of_heads,
     input_matrices_of_factor,
@@ -91,7 +93,9 @@ class StreamedFit:
                 f"chunk was read with; begin anew with a clone of the estimator"
             )
         result = copy.copy(self)
-        result._stream = stream.with_chunk(experiment)
+        with progress(self.verbose) as report:
+            told = stage(report, "rows added up", len(experiment.base.time))
+            result._stream = stream.with_chunk(experiment, told)
         model = result._model_of(result._stream, asked, y, scale, feedthrough)
         if model is not None:
             result._remember(model, experiment, X, y)

@@ -22,6 +22,7 @@ from sklearn_hd._frame import LTIModel
 from sklearn_hd._partitioned_fit import PartitionedFit
 from sklearn_hd._partitions import is_partitioned
 from sklearn_hd._products_cache import KeptSums
+from sklearn_hd._progress import check_verbose, progress
 from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._streamed_fit import StreamedFit
@@ -41,6 +42,7 @@ from sklearn_hd.algorithms.moesp import (
     state_matrices,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
+from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["MOESPRegressor"]
@@ -88,6 +90,9 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         Folder in which lag products of the data are kept: one for all orders and for all
         block rows up to 32, 64 or 128, so that a search over both goes through each of its
         folds once (twice without noise: exactly, too).
+    verbose : int, default=0
+        1 shows how far ``partial_fit`` is with a chunk, and ``order="auto"`` with orders
+        period by period: a progress bar in terminals and notebooks.
 
     Attributes
     ----------
@@ -154,6 +159,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         scale=True,
         warmup=None,
         memory=None,
+        verbose=0,
     ):
         self.order = order
         self.block_rows = block_rows
@@ -161,6 +167,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         self.scale = scale
         self.warmup = warmup
         self.memory = memory
+        self.verbose = verbose
 
     @one_blas_thread
     @within_range
@@ -371,7 +378,9 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         if most < 1:
             return by_gap
         candidates = [state_matrices(U, values, n + 1, n_outputs)[0] for n in range(most)]
-        return len(order_by_residual(candidates, directions, lifted))
+        with progress(self.verbose) as report:
+            told = stage(report, "orders tried", most)
+            return len(order_by_residual(candidates, directions, lifted, told))
 
     def _static_model(self, experiment, y):
         """Gain without states, all that a record too short for any dynamics gives."""
@@ -470,6 +479,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         """Scale and feedthrough as flags, once all parameters are checked."""
         self._check_warmup()
         self._check_order()
+        check_verbose(self.verbose)
         if self.block_rows is not None:
             check_count("block_rows", self.block_rows, 2, "None chooses them")
         return check_flag("scale", self.scale), check_flag("feedthrough", self.feedthrough)

@@ -10,6 +10,7 @@ from contextlib import redirect_stderr
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import KEPT
 from joblib import parallel_config
 from scipy import signal
 from sklearn.base import clone
@@ -246,6 +247,40 @@ def test_starts_at_once_are_counted_as_they_end(identified, record, screen):
         told = match(identified, record, verbose=1)
     assert any(frame.startswith("minimax, smooth descents") for frame in screen.frames())
     np.testing.assert_array_equal(told.theta_, quiet.theta_)
+
+
+def test_chunks_show_how_many_rows_there_are_so_far(record, screen):
+    u, y = record
+    quiet, told = (MOESPRegressor(3, block_rows=6, verbose=v) for v in (0, 1))
+    for rows in (slice(0, 250), slice(250, 400)):
+        quiet.partial_fit(u.iloc[rows], y.iloc[rows])
+        with redirect_stderr(screen):
+            told.partial_fit(u.iloc[rows], y.iloc[rows])
+    first, second = screen.left()
+    assert first.startswith("rows added up")
+    assert "250/250" in first
+    assert "400 rows so far" in second
+    np.testing.assert_array_equal(told.model_.A, quiet.model_.A)
+
+
+def test_orders_tried_period_by_period_are_counted(screen):
+    data = make_flapping_wing("nltp", n_periods=40, start=12)
+    analyzer = HarmonicAnalyzer(
+        data.omega, output_harmonics=KEPT, hop="period", trim_span=data.trim_span
+    )
+    X = analyzer.fit(data.inputs, data.outputs).transform(data.inputs)
+    quiet = MOESPRegressor().fit(X, data.outputs)
+    with redirect_stderr(screen):
+        told = MOESPRegressor(verbose=1).fit(X, data.outputs)
+    assert any(frame.startswith("orders tried") for frame in screen.frames())
+    assert told.order_ == quiet.order_
+
+
+def test_chunks_of_a_quiet_model_write_nothing(record, screen):
+    u, y = record
+    with redirect_stderr(screen):
+        MOESPRegressor(3, block_rows=6).partial_fit(u, y)
+    assert screen.getvalue() == ""
 
 
 def test_no_bar_is_left_of_a_match_that_fails(identified, record, screen):

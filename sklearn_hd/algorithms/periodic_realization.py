@@ -54,7 +54,7 @@ SWEEP_TOLERANCE = 1e-13
 # ---- the Poincaré map ------------------------------------------------------------------------
 
 
-def order_by_residual(candidates, directions, lifted):
+def order_by_residual(candidates, directions, lifted, told=None):
     """Which of some maps Φ, of rising order, the lifted outputs call for.
 
     The order of the least Bayesian information criterion, or the next one that leaves white
@@ -66,6 +66,8 @@ def order_by_residual(candidates, directions, lifted):
     candidates : list of ndarray, shapes (n, n), n = 1, 2, …
     directions, lifted : list of ndarray
         As in :func:`~sklearn_hd.algorithms.multipliers.refine_multipliers`.
+    told : callable, optional
+        ``told(done, note)``, with the candidates tried.
 
     Returns
     -------
@@ -86,6 +88,8 @@ def order_by_residual(candidates, directions, lifted):
             left.append(_left_by(refined, directions, target))
             rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
             bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
+        if told is not None:
+            told(len(left) - 1, f"best so far {np.argmin(bic)}")
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
