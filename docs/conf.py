@@ -4,6 +4,8 @@ import warnings
 from pathlib import Path
 
 import matplotlib as mpl
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
 
 import sklearn_hd
 from sklearn_hd import exceptions
@@ -17,8 +19,8 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "numpydoc",
-    "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
+    "sphinxcontrib.bibtex",
 ]
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
@@ -28,6 +30,10 @@ html_css_files = ["phone.css"]
 html_title = "sklearn_hd"  # short: it stands beside buttons on a phone
 html_theme = "pydata_sphinx_theme"
 html_theme_options = {"navigation_with_keys": False}
+ALONE = ("get_started", "api", "choosing", "faq", "coming_from_*", "theory", "bibliography")
+html_sidebars = {page: [] for page in (*ALONE, "developing", "changelog")}  # no section around them
+html_math_renderer = "mathml"  # nothing to fetch: equations stand offline, too
+bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 
 BACKREFERENCES = "gallery_backreferences"
 sphinx_gallery_conf = {
@@ -88,15 +94,21 @@ def room_for_code(app, pagename, templatename, context, doctree):
         context["theme_secondary_sidebar_items"] = []
 
 
-extensions += ["sphinxcontrib.bibtex"]
-bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
-ALONE = ("get_started", "api", "choosing", "faq", "coming_from_*", "theory", "bibliography")
-html_title = "sklearn_hd"
-html_sidebars = {page: [] for page in (*ALONE, "developing", "changelog")}  # no section around them
+def inline_math(self, node):
+    """LaTeX as MathML, which browsers show by themselves."""
+    self.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def displayed_math(self, node):
+    """The same for an equation on a line of its own, which may be wider than a phone."""
+    self.body.append(f'<div class="equation">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
 
 
 def setup(app):
     """Equations are kept before numpydoc rewrites the sections, examples are added after."""
+    app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))
     app.connect("autodoc-process-docstring", equations_as_they_stand, priority=100)
     app.connect("autodoc-process-docstring", examples_that_use_it, priority=900)
     app.connect("html-page-context", room_for_code, priority=100)
