@@ -43,8 +43,8 @@ class PartitionedFit:
         u_scale = size[: n_inputs : 2 * data.highest + 1] if scale else np.ones(len(moving))
         scales = u_scale, size[n_inputs:]
         B, D, self.x0_ = data.input_matrices(A, C, feedthrough, scales)
-        model = self._model((A, B, C, D), scales, experiment, data.head[1], feedthrough)
-        self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
+        dt, y = experiment.base.sample_time, data.head[1]
+        model = self._model((A, B, C, D), scales, experiment, dt, y, feedthrough)
         return self._remember(model, experiment, *data.head)
 
     def _decompose_partitions(self, data, n_moving, size):

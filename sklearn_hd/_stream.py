@@ -91,11 +91,6 @@ class Stream:
 
     # ---- chunks ------------------------------------------------------------------------------
 
-    @property
-    def base(self):
-        """Its sample time, as an experiment has it."""
-        return self
-
     @classmethod
     def begin(cls, experiment, block_rows):
         """A stream of no rows, of data such as those of an experiment."""

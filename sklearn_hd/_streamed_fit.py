@@ -134,7 +134,7 @@ class StreamedFit:
             found = B, D, initial_states_of_heads(A, B, C, D, sums.ends, scales)
         (B, D), self.x0_ = (_with_idle(M / u_scale, moving) for M in found[:2]), found[2]
         scales = np.ones(len(moving)), y_scale
-        return self._model((A, B, C, D), scales, stream, y, feedthrough)
+        return self._model((A, B, C, D), scales, stream, stream.sample_time, y, feedthrough)
 
 
 def _with_idle(M, moving):

@@ -224,12 +224,19 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         B, D, self.x0_ = KeptSums(self.memory).input_matrices(
             A, C, inputs, outputs, feedthrough, (u_scale, y_scale)
         )
-        model = self._model((A, B, C, D), (u_scale, y_scale), experiment, y, feedthrough)
+        model = self._model(
+            (A, B, C, D),
+            (u_scale, y_scale),
+            experiment,
+            experiment.base.sample_time,
+            y,
+            feedthrough,
+        )
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
 
-    def _model(self, matrices, scales, experiment, y, feedthrough):
+    def _model(self, matrices, scales, experiment, sample_time, y, feedthrough):
         """The model in the units of the signals."""
         (A, B, C, D), (u_scale, y_scale), basis = matrices, scales, experiment.basis
         return LTIModel(
@@ -237,7 +244,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
             B=B / u_scale,
             C=C * y_scale[:, None],
             D=D * (y_scale[:, None] / u_scale),
-            dt=experiment.base.sample_time * (1 if basis is None else basis.hop_samples),
+            dt=sample_time * (1 if basis is None else basis.hop_samples),
             input_names=experiment.drive_names,
             output_names=self._output_names(basis, y),
             feedthrough=feedthrough,
@@ -480,6 +487,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         self._check_warmup()
         self._check_order()
         check_verbose(self.verbose)
+        KeptSums(self.memory)
         if self.block_rows is not None:
             check_count("block_rows", self.block_rows, 2, "None chooses them")
         return check_flag("scale", self.scale), check_flag("feedthrough", self.feedthrough)

@@ -17,7 +17,6 @@ __all__ = ["best_block", "compressed_equations"]
 
 BLOCKS = (2, 3, 4, 6, 8, 12, 16)  # samples
 ROUND = 1024  # blocks, whose states are found together
-GROUP = 1024  # blocks, multiplied together
 PULSE_OVER = 1e-18  # of its first size
 STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
 
@@ -109,19 +108,16 @@ class _Record:
         whole = np.empty((min(ROUND, n_blocks), self.width))
         for start in range(0, n_blocks, ROUND):
             Z = whole[: n_blocks - start]
-            for first in range(0, len(Z), GROUP):
-                rows = Z[first : first + GROUP]
-                self._fill(rows[:, n_states:], start + first)
-                inputs = rows[:, n_states : n_states + self.n_inputs * self.block]
-                rows[:, :q] = 0.0
-                np.matmul(inputs, self.forced, out=rows[:, q:n_states])
+            self._fill(Z[:, n_states:], start)
+            inputs = Z[:, n_states : n_states + self.n_inputs * self.block]
+            Z[:, :q] = 0.0
+            np.matmul(inputs, self.forced, out=Z[:, q:n_states])
             if np.max(np.abs(self.state[0]), initial=0.0) <= PULSE_OVER:
                 self.state[0] = 0.0
             begin = 0 if self.state[0].any() else 1
             states = Z[:, begin * q : n_states].reshape(len(Z), -1, q)
             self.state[begin:] = run(self.step, states, self.state[begin:])
-            for first in range(0, len(Z), GROUP):
-                yield Z[first : first + GROUP]
+            yield Z
 
     def _fill(self, samples, start):
         for c, channel in enumerate(self.channels):
