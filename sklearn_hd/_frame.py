@@ -1,5 +1,6 @@
 """What travels between the steps: the frame, its harmonic basis, the model identified so far."""
 
+import sys
 from dataclasses import dataclass, field, replace
 
 import control
@@ -396,9 +397,27 @@ class HarmonicFrame(pd.DataFrame):
         frame : HarmonicFrame
             The same rows and columns.
         """
+        _tell_dask()
         frame = cls(data, copy=False)
         frame.basis, frame.model = basis, model
         return frame
+
+
+def _tell_dask():
+    """Have dask, where it is loaded, tell frames apart by what rides on them, too.
+
+    It takes collections whose parts are alike for one and the same, and would go on with the
+    frame without a basis that ``map_partitions(meta=...)`` was given by mistake before.
+    """
+    dask = sys.modules.get("dask.base")
+    if dask is not None:
+        dask.normalize_token.register(HarmonicFrame, _dask_token)
+
+
+def _dask_token(frame):
+    """What makes a frame the one that it is."""
+    normalize = sys.modules["dask.base"].normalize_token
+    return "HarmonicFrame", normalize(pd.DataFrame(frame)), normalize((frame.basis, frame.model))
 
 
 class FrameTransformer(TransformerMixin):

@@ -130,6 +130,21 @@ def test_a_basis_that_the_graph_does_not_know(steady):
     assert "meta=analyzer.transform(u).iloc[:0]" in words
 
 
+def test_a_mended_frame_without_values_takes_the_place_of_a_wrong_one(steady):
+    """dask takes collections for the same whose parts look alike; the wrong one is alive here."""
+    analyzer, frame = analyzed(steady)
+    raw = by_record(steady.inputs, [[0, 1, 2, 3]])
+    y = by_record(steady.outputs, [[0, 1, 2, 3]])
+    wrong = raw.map_partitions(analyzer.transform, meta=pd.DataFrame(frame.iloc[:0]))
+    assert "give the analyzer's frame as meta" in fit_error(wrong, y)
+    mended = raw.map_partitions(analyzer.transform, meta=frame.iloc[:0])
+    assert mended._meta.basis is not None
+    _, elsewhere = analyzed(steady, hop=4)
+    tokens = {dask.base.tokenize(each.iloc[:0]) for each in (frame, elsewhere, pd.DataFrame(frame))}
+    assert len(tokens) == 3
+    assert dask.base.tokenize(frame) == dask.base.tokenize(analyzer.transform(steady.inputs))
+
+
 def test_other_analyses(steady):
     _, frame = analyzed(steady)
     other, _ = analyzed(steady, hop=4)
