@@ -108,7 +108,7 @@ class SegmentSimulator:
                 f"the order, or simulate a shorter span"
             )
         Y = states @ self.model.C.T + self.drive @ self.model.D.T
-        return self._observe(Y, self.time, recompose)
+        return self.observe(Y, self.time, recompose)
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
@@ -116,9 +116,9 @@ class SegmentSimulator:
         time = self.time[:n_samples]
         steps = n_samples if self.rows is None else int(np.sum(self.rows < n_samples)) + 1
         states = propagate(self.A, np.zeros((n, min(steps, len(self.drive)), n)), np.eye(n))
-        return self._observe(states @ self.model.C.T, time)
+        return self.observe(states @ self.model.C.T, time)
 
-    def _observe(self, Y, time, recompose=True):
+    def observe(self, Y, time, recompose=True):
         """Model outputs brought to every sample, and recomposed where there is a basis."""
         if self.basis is None:
             return Y
@@ -312,8 +312,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         unit = _power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
-    def _fitted_simulation(self, X, y):
-        """Measured and simulated outputs on the rows that count, and those rows."""
+    def _fitted_simulation(self, X, y, horizon=None):
+        """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""
         experiment = self._experiment(X, y)
         trim, sampling = experiment.output_trim(), experiment.sampling
         truth, simulated, rows = [], [], []
@@ -325,10 +325,10 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             own = piece.rows_between(counted.start, counted.stop)
             own = own[np.isfinite(experiment.measured[own]).all(axis=1)]  # not those bridged
             within = own - piece.rows.start
-            x0 = fit_initial_state(simulator, y_segment, warm)
+            outputs = self._fitted_outputs(simulator, y_segment, warm, horizon)
             waveform = 0.0 if trim is None else piece.back(trim[i])[within]
             truth.append(experiment.measured[own] - waveform)
-            simulated.append(piece.back(simulator.outputs(x0))[within])
+            simulated.append(piece.back(outputs)[within])
             rows.append(own)
         if not truth:
             raise ValueError(
@@ -336,6 +336,16 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 f"one analysis window and the warm-up; give longer records or a smaller warmup"
             )
         return np.vstack(truth), np.vstack(simulated), np.concatenate(rows)
+
+    def _fitted_outputs(self, simulator, outputs, rows, horizon):
+        """Outputs from the initial state that fits best over some rows."""
+        if horizon is not None:
+            raise ValueError(
+                f"horizon={horizon!r} asks for predictions from measured outputs, for which "
+                f"{type(self).__name__} has no Kalman gain; use MOESPRegressor("
+                f"disturbance_model=True) as the last step, or horizon=None"
+            )
+        return simulator.outputs(fit_initial_state(simulator, outputs, rows))
 
     def _score_rows(self, simulator, experiment):
         """Rows of one segment that the initial state is fitted on, and those scored."""
@@ -418,10 +428,13 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         return self.model_.to_control()
 
 
-def scored_simulation(step, X, y):
-    """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows."""
+def scored_simulation(step, X, y, horizon=None):
+    """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows.
+
+    With a horizon, outputs predicted so many rows ahead.
+    """
     check_is_fitted(step)
-    return step._fitted_simulation(X, y)
+    return step._fitted_simulation(X, y, horizon)
 
 
 def fit_initial_state(simulator, outputs, rows):

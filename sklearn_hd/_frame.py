@@ -301,6 +301,9 @@ class LTIModel:
     windowed : bool
         Whether the outputs are coefficients as seen through the analysis
         window (an identified model) rather than the harmonics themselves.
+    kalman_gain : ndarray, shape (n, l), or None
+        K of the innovation form, where it was identified.
+    innovations_covariance : ndarray, shape (l, l), or None
     """
 
     A: np.ndarray
@@ -313,6 +316,8 @@ class LTIModel:
     state_names: tuple | None = None
     feedthrough: bool = False
     windowed: bool = False
+    kalman_gain: np.ndarray | None = None
+    innovations_covariance: np.ndarray | None = None
 
     @property
     def n_states(self):
@@ -321,7 +326,9 @@ class LTIModel:
 
     def in_continuous_time(self, A, B, C, D, **changes):
         """The continuous-time model of some matrices between the same signals."""
-        return replace(self, A=A, B=B, C=C, D=D, dt=0.0, windowed=False, **changes)
+        no_noise = {"kalman_gain": None, "innovations_covariance": None}  # of the rows read
+        matrices = {"A": A, "B": B, "C": C, "D": D}
+        return replace(self, **matrices, dt=0.0, windowed=False, **no_noise, **changes)
 
     def to_control(self):
         """The model as a control.StateSpace with named signals."""

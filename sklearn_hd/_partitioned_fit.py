@@ -4,8 +4,8 @@ import numpy as np
 
 from sklearn_hd._fit_checks import check_outputs_move, moving_inputs, warn_idle
 from sklearn_hd._partitions import Partitions, basis_of
+from sklearn_hd._subspace_checks import PREDICTOR
 from sklearn_hd.algorithms.hankel import n_hankel_columns
-from sklearn_hd.algorithms.moesp import state_matrices
 
 __all__ = ["PartitionedFit"]
 
@@ -15,6 +15,11 @@ class PartitionedFit:
 
     def _fit_partitions(self, X, y, scale, feedthrough):
         """The model of dask DataFrames, of which no more than small statistics are moved."""
+        if self.weighting == PREDICTOR:
+            raise ValueError(
+                f"weighting={PREDICTOR!r} reads no dask DataFrames; use partial_fit, one partition "
+                f"after the other, or another weighting"
+            )
         basis = basis_of(X)
         data = Partitions(X, y, 2 * self._block_rows_asked(basis))
         experiment, lengths, n_inputs = data.experiment, data.lengths, data.n_inputs
@@ -34,17 +39,18 @@ class PartitionedFit:
         if not scale:
             size[n_inputs if data.highest else 0 :] = 1.0
         n_moving = n_inputs if data.highest else int(moving.sum())
-        U, values = self._decompose_partitions(data, n_moving, size)
+        found = self._decompose_partitions(data, n_moving, size)
         while self._wants_more_rows(experiment, lengths, n_inputs, n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
             data = data.with_lags(2 * self.block_rows_)
-            U, values = self._decompose_partitions(data, n_moving, size)
-        A, C = state_matrices(U, values, self.order_, n_outputs)
+            found = self._decompose_partitions(data, n_moving, size)
+        A, C = found.state_matrices(self.order_)
         u_scale = size[: n_inputs : 2 * data.highest + 1] if scale else np.ones(len(moving))
         scales = u_scale, size[n_inputs:]
         B, D, self.x0_ = data.input_matrices(A, C, feedthrough, scales)
         dt, y = experiment.base.sample_time, data.head[1]
-        model = self._model((A, B, C, D), scales, experiment, dt, y, feedthrough)
+        parts = A, B, C, D, *self._noise_model(found)
+        model = self._model(parts, scales, experiment, dt, y, feedthrough)
         return self._remember(model, experiment, *data.head)
 
     def _decompose_partitions(self, data, n_moving, size):
@@ -52,6 +58,6 @@ class PartitionedFit:
         i, n_outputs = self.block_rows_, len(size) - data.n_inputs
         R, columns = data.factor(i, size), n_hankel_columns(data.lengths, i)
         experiment = data.experiment
-        U, values, floor = self._look_at(R, columns, n_moving, experiment, size[-n_outputs:])
-        self.order_ = self._choose_order(U, values, floor, None, experiment, n_outputs)
-        return U, values
+        found = self._look_at(R, columns, n_moving, experiment, size[-n_outputs:])
+        self.order_ = self._choose_order(found, None, experiment, n_outputs)
+        return found

@@ -9,10 +9,10 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._data import check_features
 from sklearn_hd._progress import progress
 from sklearn_hd._stream import Stream, read_chunk
+from sklearn_hd._subspace_checks import PREDICTOR
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
-from sklearn_hd.algorithms.moesp import order_by_gap, state_matrices
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.running_equations import (
     initial_states_of_heads,
@@ -122,19 +122,24 @@ class StreamedFit:
         place = np.searchsorted(wide, alone)
         scales = u_scale, y_scale = size[place], size[n_inputs:]
         R = factor_of_products(products, n_inputs, size)
-        U, values, floor = self._look_at(R, columns, n_inputs, stream, y_scale)
-        bound = (i - 1) * n_outputs
-        self.order_ = order_by_gap(values, floor, bound) if self.order == "auto" else self.order
-        A, C = state_matrices(U, values, self.order_, n_outputs)
+        found = self._look_at(R, columns, n_inputs, stream, y_scale)
+        self.order_ = self._choose_order(found, None, stream, n_outputs)
         sums = sums.of_inputs(np.flatnonzero(moving))
-        found = input_matrices_of_sums(A, C, sums, feedthrough, scales)
-        if found is None:
-            B, D = input_matrices_of_factor(A, C, R, U, i, n_inputs, feedthrough)
-            B, D = B[:, place], D[:, place]
-            found = B, D, initial_states_of_heads(A, B, C, D, sums.ends, scales)
-        (B, D), self.x0_ = (_with_idle(M / u_scale, moving) for M in found[:2]), found[2]
-        scales = np.ones(len(moving)), y_scale
-        return self._model((A, B, C, D), scales, stream, stream.sample_time, y, feedthrough)
+        if self.weighting == PREDICTOR:
+            A, B, C, D, K, covariance = found.model(self.order_)
+            self.x0_ = initial_states_of_heads(A, B, C, D, sums.ends, scales, K)
+        else:
+            A, C = found.state_matrices(self.order_)
+            matrices = input_matrices_of_sums(A, C, sums, feedthrough, scales)
+            if matrices is None:
+                B, D = input_matrices_of_factor(A, C, R, found.directions, i, n_inputs, feedthrough)
+                B, D = B[:, place], D[:, place]
+                matrices = B, D, initial_states_of_heads(A, B, C, D, sums.ends, scales)
+            B, D, self.x0_ = matrices
+            K, covariance = self._noise_model(found)
+        B, D = (_with_idle(M / u_scale, moving) for M in (B, D))
+        parts, scales = (A, B, C, D, K, covariance), (np.ones(len(moving)), y_scale)
+        return self._model(parts, scales, stream, stream.sample_time, y, feedthrough)
 
 
 def _with_idle(M, moving):

@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import extremes, within_range
@@ -19,35 +20,35 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
 )
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._innovation_model import InnovationModel
 from sklearn_hd._partitioned_fit import PartitionedFit
 from sklearn_hd._partitions import is_partitioned
 from sklearn_hd._products_cache import KeptSums
-from sklearn_hd._progress import check_verbose, progress
+from sklearn_hd._progress import progress
 from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._streamed_fit import StreamedFit
+from sklearn_hd._subspace_checks import PREDICTOR, SubspaceChecks, is_lifted
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._time import why_short
-from sklearn_hd._validation import check_count, check_flag, check_outputs_given, signal_names
+from sklearn_hd._validation import check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import n_hankel_columns
+from sklearn_hd.algorithms.innovations import InnovationForm
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.moesp import (
-    noise_floor,
-    observability_subspace,
     order_by_gap,
     order_by_wide_gap,
     release_idle_directions,
-    state_matrices,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
+from sklearn_hd.algorithms.predictor_subspace import PredictorSubspace
+from sklearn_hd.algorithms.projections import Projection
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["MOESPRegressor"]
 
-DEFAULT_BLOCK_ROWS = 15
 RANK_TOLERANCE = 1e-10
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
@@ -55,7 +56,7 @@ LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
 EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
-class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
+class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationModel, ModelStep):
     """Past-output MOESP identification of a linear time-invariant model.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
@@ -76,9 +77,20 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         Block rows i of the past, and of the future. None takes twice the rows
         in the analysis window, plus two; 15 on plain data (fewer where the
         record is short).
+    weighting : {"moesp", "n4sid", "cva", "pbsid"}, default="moesp"
+        What of the future outputs is decomposed. ``"moesp"`` and ``"cva"`` (canonical
+        correlations: each output counts by its information, whatever its unit) project the
+        future inputs out; ``"n4sid"`` is the oblique projection. All three are biased where
+        inputs answer to noisy outputs: for data measured in closed loop, and for most
+        disturbances, use ``"pbsid"`` (predictor-based; on plain data or ``hop="period"``).
     feedthrough : bool, default=False
         Whether D is free, else zero. Period by period (``hop="period"``) D
         always is, for inputs act within the period that they belong to.
+    disturbance_model : bool, default=False
+        Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
+        (on plain data or ``hop="period"``); with ``weighting="pbsid"`` it always is.
+
+            x[k+1] = A x[k] + B u[k] + K e[k],   y[k] = C x[k] + D u[k] + e[k]
     scale : bool, default=True
         Divide each signal by its root mean square before the projection, so
         that units do not decide what counts as large.
@@ -101,13 +113,17 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
     order_ : int
     block_rows_ : int
     singular_values_ : ndarray, shape (block_rows * n_outputs,)
-        Of the projected future outputs.
+        Of the projected future outputs; canonical correlations with ``weighting="cva"``.
     noise_floor_ : float
         Largest singular value that rounding or white noise would give.
     eigenvalues_ : complex ndarray, shape (order,)
         Of A.
     x0_ : ndarray, shape (n_segments, order)
         Initial state of each segment of the data fitted.
+    kalman_gain_ : ndarray, shape (order, n_outputs)
+        Where identified.
+    innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
+        Where the Kalman gain is identified; in the units of the outputs.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 
@@ -136,7 +152,8 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
     References
     ----------
     Verhaegen (1994), Automatica 30(1), 61-74 (PO-MOESP).
-    Van Overschee, De Moor (1996), Subspace Identification for Linear Systems.
+    Van Overschee, De Moor (1996), Subspace Identification for Linear Systems (N4SID, CVA).
+    Chiuso (2007), Automatica 43(6), 1034-1048 (optimised PBSID).
 
     Examples
     --------
@@ -155,7 +172,9 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         order="auto",
         *,
         block_rows=None,
+        weighting="moesp",
         feedthrough=False,
+        disturbance_model=False,
         scale=True,
         warmup=None,
         memory=None,
@@ -163,7 +182,9 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
     ):
         self.order = order
         self.block_rows = block_rows
+        self.weighting = weighting
         self.feedthrough = feedthrough
+        self.disturbance_model = disturbance_model
         self.scale = scale
         self.warmup = warmup
         self.memory = memory
@@ -212,33 +233,57 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         )
         scale = np.concatenate([u_scale if raw else np.ones(n_inputs), y_scale])
         n_moving = int(moving.sum()) if raw else n_inputs
-        U, values = self._decompose(excitation, outputs, n_moving, experiment, scale)
+        found = self._decompose(excitation, outputs, n_moving, experiment, scale)
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
-            U, values = self._decompose(excitation, outputs, n_moving, experiment, scale)
+            found = self._decompose(excitation, outputs, n_moving, experiment, scale)
         if self.block_rows is None and self.order == "auto" and _sliding(experiment):
-            U, values = self._exact_map(U, values, experiment, excitation, outputs, scale)
-        A, C = state_matrices(U, values, self.order_, n_outputs)
-        basis = experiment.basis
-        feedthrough = feedthrough or (basis is not None and basis.synchronous)
-        B, D, self.x0_ = KeptSums(self.memory).input_matrices(
-            A, C, inputs, outputs, feedthrough, (u_scale, y_scale)
-        )
-        model = self._model(
-            (A, B, C, D),
-            (u_scale, y_scale),
-            experiment,
-            experiment.base.sample_time,
-            y,
-            feedthrough,
-        )
+            found = self._exact_map(found, experiment, excitation, outputs, scale)
+        basis, scales = experiment.basis, (u_scale, y_scale)
+        feedthrough = feedthrough or is_lifted(experiment)
+        if self.weighting == PREDICTOR:
+            parts = self._predictor_matrices(found, excitation, inputs, outputs, scales)
+        else:
+            A, C = found.state_matrices(self.order_)
+            B, D, self.x0_ = KeptSums(self.memory).input_matrices(
+                A, C, inputs, outputs, feedthrough, scales
+            )
+            parts = A, B, C, D, *self._noise_model(found)
+        dt = experiment.base.sample_time
+        model = self._model(parts, scales, experiment, dt, y, feedthrough)
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
 
-    def _model(self, matrices, scales, experiment, sample_time, y, feedthrough):
+    def _predictor_matrices(self, found, excitation, inputs, outputs, scales):
+        """The innovation form, driven by the inputs where they are not what excites.
+
+        Period by period: as the mean input stands for what moves within the period.
+        """
+        A, B, C, D, K, covariance = found.model(self.order_)
+        form = InnovationForm(A, B, C, D, K)
+        u_scale, y_scale = scales
+        raw = excitation is inputs
+        size = u_scale if raw else 1.0
+        pairs = zip(excitation, outputs, strict=True)
+        self.x0_ = np.array([form.initial_state(u / size, y / y_scale) for u, y in pairs])
+        if not raw:
+            u = np.vstack(inputs)
+            offset = np.ones((len(u), 1))  # of the trim, which is no input
+            share = linalg.lstsq(np.hstack([u / u_scale, offset]), np.vstack(excitation))[0]
+            B, D = (M @ share[:-1].T for M in (B, D))
+        return A, B, C, D, K, covariance
+
+    def _noise_model(self, found):
+        """Kalman gain and covariance of the innovations; None where they were not asked for."""
+        return found.kalman_gain(self.order_) if self.disturbance_model else (None, None)
+
+    def _model(self, parts, scales, experiment, sample_time, y, feedthrough):
         """The model in the units of the signals."""
-        (A, B, C, D), (u_scale, y_scale), basis = matrices, scales, experiment.basis
+        (A, B, C, D, K, covariance), (u_scale, y_scale) = parts, scales
+        basis = experiment.basis
+        if K is not None:
+            K, covariance = K / y_scale, covariance * y_scale[:, None] * y_scale
         return LTIModel(
             A=A,
             B=B / u_scale,
@@ -249,6 +294,8 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
             output_names=self._output_names(basis, y),
             feedthrough=feedthrough,
             windowed=basis is not None,
+            kalman_gain=K,
+            innovations_covariance=covariance,
         )
 
     def _excitation(self, experiment, inputs):
@@ -258,7 +305,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         harmonics of them are kept. Through a sliding window they answer at each phase in
         another way, which matters where inputs change at more than one.
         """
-        if not _lifted(experiment):
+        if not is_lifted(experiment):
             modulated = modulated_inputs(experiment, [len(u) for u in inputs])
             return inputs if modulated is None else modulated
         lifted = lifted_periods(experiment, experiment.inputs)
@@ -292,22 +339,28 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
         R = KeptSums(self.memory).factor(inputs, outputs, i, scale)
         columns = n_hankel_columns([len(u) for u in inputs], i)
-        U, values, floor = self._look_at(R, columns, n_moving, experiment, scale[n_inputs:])
-        self.order_ = self._choose_order(U, values, floor, inputs, experiment, n_outputs)
-        return U, values
+        found = self._look_at(R, columns, n_moving, experiment, scale[n_inputs:])
+        self.order_ = self._choose_order(found, inputs, experiment, n_outputs)
+        return found
 
     def _look_at(self, R, n_columns, n_moving, experiment, y_scale):
-        """Singular values of the future outputs with the future inputs projected out."""
+        """What the future outputs share with the past, and its singular values."""
         i = self.block_rows_
         n_inputs = len(R) // (2 * i) - len(y_scale)
         self._warn_excitation(R, n_inputs, n_moving, experiment)
-        if not _lifted(experiment):
-            R = release_idle_directions(R, i * n_inputs)
-        U, values = observability_subspace(R, i, n_inputs)
-        floor = noise_floor(R, i, n_inputs, n_columns)
-        unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
-        self.singular_values_, self.noise_floor_ = values * unit, floor * unit
-        return U, values, floor
+        if self.weighting == PREDICTOR:
+            feedthrough = bool(self.feedthrough) or is_lifted(experiment)
+            found = PredictorSubspace.of(R, i, n_inputs, n_columns, feedthrough)
+        else:
+            if not is_lifted(experiment) and n_inputs > 0:
+                R = release_idle_directions(R, i * n_inputs)
+            found = Projection.of(R, i, n_inputs, n_columns, self.weighting)
+        unit = 1.0  # of canonical correlations
+        if self.weighting != "cva":
+            unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
+        self.singular_values_ = found.singular_values * unit
+        self.noise_floor_ = found.floor * unit
+        return found
 
     def _wants_more_rows(self, experiment, lengths, n_inputs, n_outputs):
         """Whether the order chosen fills the rank that default block rows allow, and more fit.
@@ -315,7 +368,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         Few coefficients of many states: copies and memory need more rows than a window's.
         """
         i = self.block_rows_
-        if experiment.basis is None or _lifted(experiment):
+        if experiment.basis is None or is_lifted(experiment):
             return False
         if self.block_rows is not None or self.order != "auto":
             return False
@@ -323,7 +376,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
         return self.order_ >= (i - 1) * n_outputs and room
 
-    def _exact_map(self, U, values, experiment, excitation, outputs, scale):
+    def _exact_map(self, found, experiment, excitation, outputs, scale):
         """The model without noise in which most modes have copies that agree.
 
         Inputs that move within a hop at many phases ask for many inputs, more than noise
@@ -333,12 +386,12 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         """
         basis, n_outputs = experiment.basis, outputs[0].shape[1]
         lengths = [len(y) for y in outputs]
-        best = U, values, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
+        best = found, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
         columns = n_hankel_columns(lengths, self.block_rows_)
         one_phase = changes_at_one_phase(experiment)
         if one_phase and self._is_exact(columns, excitation[0].shape[1], n_outputs):
-            return U, values
-        most = self._n_agreeing(U, values, basis, n_outputs)
+            return found
+        most = self._n_agreeing(found, basis)
         for inputs in [excitation] if one_phase else inputs_by_phase(experiment):
             m, tries = inputs[0].shape[1], _block_rows_tried(basis.window_rows)
             i = next((i for i in tries if _fits(lengths, i, m, n_outputs)), 0)
@@ -346,18 +399,18 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
                 continue
             self.block_rows_ = i
             own = scale if one_phase else np.append(np.ones(m), scale[-n_outputs:])
-            U, values = self._decompose(inputs, outputs, m, experiment, own)
+            found = self._decompose(inputs, outputs, m, experiment, own)
             if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
-                agreeing = self._n_agreeing(U, values, basis, n_outputs)
+                agreeing = self._n_agreeing(found, basis)
                 if agreeing > most:
                     kept = self.singular_values_, self.noise_floor_, self.order_
-                    best, most = (U, values, i, *kept), agreeing
-        U, values, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = best
-        return U, values
+                    best, most = (found, i, *kept), agreeing
+        found, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = best
+        return found
 
-    def _n_agreeing(self, U, values, basis, n_outputs):
+    def _n_agreeing(self, found, basis):
         """Modes of the model that belong to families with all their copies."""
-        z = np.linalg.eigvals(state_matrices(U, values, self.order_, n_outputs)[0])
+        z = np.linalg.eigvals(found.state_matrices(self.order_)[0])
         z = z[~is_window_pole(z, basis.window_rows, FAINT)]
         orders = [orders for _, orders in basis.outputs]
         return int(agreeing_copies(z, orders, basis.rows_per_period).sum())
@@ -369,13 +422,16 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         left = n_columns - i * n_inputs >= self.order_ + i
         return room and left and self.noise_floor_ <= EXACT_FLOOR * self.singular_values_[0]
 
-    def _choose_order(self, U, values, floor, directions, experiment, n_outputs):
+    def _choose_order(self, found, directions, experiment, n_outputs):
         """The order asked for, or that of the singular values, or of the raw periods."""
         bound = (self.block_rows_ - 1) * n_outputs
         if self.order != "auto":
             return int(self.order)
+        values, floor = found.singular_values, found.floor
         by_gap = order_by_gap(values, floor, bound)
-        if not _lifted(experiment) or order_by_wide_gap(values, floor, bound) is not None:
+        if not is_lifted(experiment) or order_by_wide_gap(values, floor, bound) is not None:
+            return by_gap
+        if self.weighting == PREDICTOR:  # raw periods would be simulated, as in open loop
             return by_gap
         lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
         lifted = [y.reshape(len(y), -1) for y in lifted]
@@ -384,7 +440,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         most = min(bound, MOST_STATES, left // 2)
         if most < 1:
             return by_gap
-        candidates = [state_matrices(U, values, n + 1, n_outputs)[0] for n in range(most)]
+        candidates = [found.state_matrices(n + 1)[0] for n in range(most)]
         with progress(self.verbose) as report:
             told = stage(report, "orders tried", most)
             return len(order_by_residual(candidates, directions, lifted, told))
@@ -419,96 +475,6 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         check_is_fitted(self)
         return np.linalg.eigvals(self.model_.A)
 
-    def _block_rows_asked(self, basis):
-        """Block rows given, or the default, which must exceed the window."""
-        sliding = basis is not None and not basis.synchronous
-        if self.block_rows is None:
-            return DEFAULT_BLOCK_ROWS if basis is None else 2 * basis.window_rows + 2
-        i = int(self.block_rows)
-        if sliding and i <= basis.window_rows + 1:
-            raise ValueError(
-                f"block_rows={i} must exceed the {basis.window_rows} rows in the analysis window "
-                f"plus one, or the window's own memory is mistaken for dynamics; use block_rows="
-                f"{basis.window_rows + 2} or more, or a larger hop"
-            )
-        return i
-
-    def _fewer_block_rows(self, asked, basis, lengths, n_inputs, n_outputs):
-        """Block rows asked for, or fewer by default where the record is short."""
-        sliding = basis is not None and not basis.synchronous
-        least, i = (max(2, basis.window_rows + 2) if sliding else 2), asked
-        while (
-            self.block_rows is None
-            and i > least
-            and n_hankel_columns(lengths, i) < 2 * i * (n_inputs + n_outputs)
-        ):
-            i -= 1
-        return i
-
-    def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
-        """Block rows that the window, the order and the record allow."""
-        basis = experiment.basis
-        sliding = basis is not None and not basis.synchronous
-        asked = self._block_rows_asked(basis)
-        i = self._fewer_block_rows(asked, basis, lengths, n_inputs, n_outputs)
-        self._check_rank_bound(i, n_outputs)
-        # the future inputs, i m rows, are projected out of j = n_rows − 2 i + 1 columns
-        if sliding:
-            self._check_rows_per_period(basis)
-        need = i * n_inputs + 1 + (1 if self.order == "auto" else int(self.order))
-        free = self.order == "auto" and self.block_rows is None and basis is None
-        if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
-            unit, moving = "row", "input(s)"
-            way_out = "use a longer record, fewer block rows or a smaller hop"
-            if _lifted(experiment):
-                unit, moving = "period", "direction(s) of inputs"
-                way_out = "use a longer record, or fewer block rows"
-            rows = f"{sum(lengths)} {unit}(s) (n_samples = {len(experiment.base.time)})"
-            raise ValueError(
-                f"the {experiment.span()} give {rows} to identify from, too few for "
-                f"block_rows={i}: at least {need + 2 * i - 1} consecutive {unit}s are needed with "
-                f"{n_inputs} {moving}{why_short(experiment.base)}; {way_out}"
-            )
-        return i
-
-    @staticmethod
-    def _check_rows_per_period(basis):
-        highest = max(k for _, orders in basis.outputs for k in orders)
-        if basis.rows_per_period <= 2 * highest:
-            most = basis.samples_per_period // (2 * highest + 1)
-            raise ValueError(
-                f"hop={basis.hop} reads {basis.rows_per_period} rows a period, too few for "
-                f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
-                f"most {most}, or hop='period'"
-            )
-
-    def _check_parameters(self):
-        """Scale and feedthrough as flags, once all parameters are checked."""
-        self._check_warmup()
-        self._check_order()
-        check_verbose(self.verbose)
-        KeptSums(self.memory)
-        if self.block_rows is not None:
-            check_count("block_rows", self.block_rows, 2, "None chooses them")
-        return check_flag("scale", self.scale), check_flag("feedthrough", self.feedthrough)
-
-    def _check_order(self):
-        if isinstance(self.order, str):
-            if self.order != "auto":
-                raise ValueError(
-                    f"order={self.order!r} is not known; give a whole number or 'auto'"
-                )
-            return
-        check_count("order", self.order, 1, "'auto' chooses it")
-
-    def _check_rank_bound(self, block_rows, n_outputs):
-        bound = (block_rows - 1) * n_outputs
-        if self.order != "auto" and self.order > bound:
-            raise ValueError(
-                f"order={self.order} exceeds the rank bound {bound} of block_rows="
-                f"{block_rows} with {n_outputs} outputs; lower order or raise block_rows"
-            )
-
     def _warn_excitation(self, R, n_inputs, n_moving, experiment):
         """Warn of Hankel matrices of deficient rank.
 
@@ -516,7 +482,7 @@ class MOESPRegressor(StreamedFit, PartitionedFit, ModelStep):
         occurs but once, and what cannot be told apart is projected out as a whole; nor
         where inputs are multiplied by harmonics, whose idle directions are released.
         """
-        if _lifted(experiment) or n_inputs != len(experiment.drive_names):
+        if is_lifted(experiment) or n_inputs != len(experiment.drive_names):
             return
         need, size = (2 * self.block_rows_ * count for count in (n_moving, n_inputs))
         values = np.linalg.svd(R[:size, :size], compute_uv=False)
@@ -546,11 +512,6 @@ def _scales(signals):
             squares = (np.sum((z[:, c] / largest) ** 2) for z in signals)
             scale[c] = largest * np.sqrt(sum(squares) / n_samples)
     return scale
-
-
-def _lifted(experiment):
-    """Whether the record is read period by period."""
-    return experiment.basis is not None and experiment.basis.synchronous
 
 
 def _sliding(experiment):

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.innovations import InnovationForm
 from sklearn_hd.algorithms.response_products import (
     ResponseProducts,
     normal_equations,
     output_normal,
 )
-from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import safe_cholesky
 
 __all__ = ["initial_states_of_heads", "input_matrices_of_factor", "input_matrices_of_sums"]
@@ -111,7 +111,7 @@ def _pulses(basis, count):
     return pulses[:count]
 
 
-def input_matrices_of_factor(A, C, R, U, block_rows, n_inputs, feedthrough):
+def input_matrices_of_factor(A, C, R, directions, block_rows, n_inputs, feedthrough):
     """B and D from the triangular factor alone (Verhaegen, 1994).
 
     What is orthogonal to the extended observability matrix Γ sees the future inputs only,
@@ -128,8 +128,8 @@ def input_matrices_of_factor(A, C, R, U, block_rows, n_inputs, feedthrough):
     C : ndarray, shape (l, n)
     R : ndarray
         From :func:`~sklearn_hd.algorithms.hankel.factor_of_products`.
-    U : ndarray, shape (i l, i l)
-        From :func:`~sklearn_hd.algorithms.moesp.observability_subspace`.
+    directions : ndarray, shape (i l, i l)
+        The first n of them span Γ.
     block_rows, n_inputs : int
     feedthrough : bool
 
@@ -139,7 +139,8 @@ def input_matrices_of_factor(A, C, R, U, block_rows, n_inputs, feedthrough):
     D : ndarray, shape (l, m)
     """
     n, n_outputs, i, m = len(A), len(C), block_rows, n_inputs
-    beside = U[:, n:].reshape(i, n_outputs, -1)  # block row, output, direction
+    across = linalg.qr(directions[:, :n])[0][:, n:]
+    beside = across.reshape(i, n_outputs, -1)  # block row, output, direction
     gamma = [C]
     for _ in range(i - 1):
         gamma.append(gamma[-1] @ A)
@@ -153,7 +154,7 @@ def input_matrices_of_factor(A, C, R, U, block_rows, n_inputs, feedthrough):
         maps = maps[..., n_outputs:]
     inputs = R[: i * m, : i * m].reshape(i * m, i, m)
     regressors = np.einsum("rkc,kdz->rdzc", inputs, maps, optimize=True)
-    target = R[: i * m, -i * n_outputs :] @ U[:, n:]
+    target = R[: i * m, -i * n_outputs :] @ across
     width = maps.shape[-1]
     theta = linalg.lstsq(regressors.reshape(-1, width * m), target.ravel(), lapack_driver="gelsy")
     theta = theta[0].reshape(width, m)
@@ -161,7 +162,7 @@ def input_matrices_of_factor(A, C, R, U, block_rows, n_inputs, feedthrough):
     return theta[width - n :], D
 
 
-def initial_states_of_heads(A, B, C, D, ends, scales):
+def initial_states_of_heads(A, B, C, D, ends, scales, K=None):
     """Initial states by least squares over the first rows of each record.
 
     Parameters
@@ -170,16 +171,14 @@ def initial_states_of_heads(A, B, C, D, ends, scales):
         In the units that ``scales`` make.
     ends : tuple of RecordEnds
     scales : tuple of ndarray, shapes (m,), (l,)
+    K : ndarray, shape (n, l), optional
+        Kalman gain, where the rows before are to be known by their outputs.
 
     Returns
     -------
     x0 : ndarray, shape (n_records, n)
     """
-    n, m, starts = len(A), B.shape[1], []
-    for record in ends:
-        head = record.head[:FIRST_ROWS] / np.concatenate(scales)
-        u, y = head[:, :m], head[:, m:]
-        free = propagate(A, np.zeros((n, len(u), n)), np.eye(n)) @ C.T
-        forced = propagate(A, u @ B.T, np.zeros(n)) @ C.T + u @ D.T
-        starts.append(linalg.lstsq(free.reshape(n, -1).T, (y - forced).ravel())[0])
-    return np.array(starts)
+    m, rows = B.shape[1], slice(None) if K is not None else slice(FIRST_ROWS)
+    form = InnovationForm(A, B, C, D, np.zeros((len(A), len(C))) if K is None else K)
+    heads = (record.head[rows] / np.concatenate(scales) for record in ends)
+    return np.array([form.initial_state(head[:, :m], head[:, m:]) for head in heads])

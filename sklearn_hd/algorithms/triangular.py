@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import linalg
 
-__all__ = ["safe_cholesky", "triangle"]
+__all__ = ["safe_cholesky", "solve_within_rank", "triangle"]
 
 EPS = np.finfo(float).eps
 TOLERATED_LOSS = 1e-7  # far below what noise does, 1/√n, to as many rows as fit anywhere
@@ -61,3 +61,27 @@ def safe_cholesky(G, rounding=EPS):
         return None
     inverse, _ = linalg.lapack.dtrtri(L, lower=1)
     return L.T * size if rounding * np.linalg.norm(inverse) ** 2 <= TOLERATED_LOSS else None
+
+
+def solve_within_rank(X, Y, tolerance=1e-11):
+    """Least-squares solution of X Z = Y of least norm, columns of X brought to equal length.
+
+    Parameters
+    ----------
+    X : ndarray, shape (r, p)
+    Y : ndarray, shape (r, q)
+    tolerance : float, default=1e-11
+        Of the longest direction, below which one is rounding.
+
+    Returns
+    -------
+    Z : ndarray, shape (p, q)
+
+    Examples
+    --------
+    >>> solve_within_rank(np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([[2.0], [0.0]])).ravel()
+    array([1., 1.])
+    """
+    size = np.linalg.norm(X, axis=0)
+    size[size == 0.0] = 1.0
+    return linalg.lstsq(X / size, Y, cond=tolerance)[0] / size[:, None]

@@ -9,9 +9,10 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd._base import ModelStep, scored_simulation, weights_of
 from sklearn_hd._containers import as_container, to_float
+from sklearn_hd._validation import check_count
 
 
-def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
+def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs):
     """A scorer that simulates as ``score`` does, for any metric of scikit-learn.
 
     Plain ``scoring="r2"`` compares with ``predict``, which starts at rest; in
@@ -29,6 +30,10 @@ def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
         ``metric(y_true, y_pred, **kwargs)``, a number.
     greater_is_better : bool, default=True
         False for errors: the scorer then returns −metric.
+    horizon : int or None, default=None
+        None compares free simulations; a whole number, predictions so many rows ahead of the
+        measured outputs (:meth:`MOESPRegressor.predict_ahead`), for models that
+        disturbances drive.
     **kwargs
         Handed on to the metric.
 
@@ -42,7 +47,7 @@ def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
     Raises
     ------
     ValueError
-        If ``metric`` is not callable.
+        If ``metric`` is not callable, or ``horizon`` less than 1.
 
     References
     ----------
@@ -65,17 +70,21 @@ def simulation_scorer(metric, *, greater_is_better=True, **kwargs):
             f"metric={metric!r} is not callable; give a function such as sklearn.metrics.r2_score, "
             f"not its name"
         )
-    return _SimulationScorer(metric, 1.0 if greater_is_better else -1.0, kwargs)
+    if horizon is not None:
+        horizon = check_count("horizon", horizon, 1, "None is free simulation")
+    return _SimulationScorer(metric, 1.0 if greater_is_better else -1.0, horizon, kwargs)
 
 
 class _SimulationScorer:
     """What :func:`simulation_scorer` returns."""
 
-    def __init__(self, metric, sign, kwargs):
-        self.metric, self.sign, self.kwargs = metric, sign, kwargs
+    def __init__(self, metric, sign, horizon, kwargs):
+        self.metric, self.sign, self.horizon, self.kwargs = metric, sign, horizon, kwargs
 
     def __call__(self, estimator, X, y, sample_weight=None):
-        step, truth, simulated, weight = _simulate(estimator, X, y, sample_weight)
+        step, truth, simulated, weight = _simulate(
+            estimator, X, y, sample_weight, horizon=self.horizon
+        )
         if step.target_kind_ in ("series", "vector"):
             truth, simulated = truth[:, 0], simulated[:, 0]
         kwargs = dict(self.kwargs)
@@ -95,7 +104,8 @@ class _SimulationScorer:
     def __repr__(self):
         given = "".join(f", {key}={value!r}" for key, value in self.kwargs.items())
         sign = "" if self.sign > 0 else ", greater_is_better=False"
-        return f"simulation_scorer({_name(self.metric)}{sign}{given})"
+        ahead = "" if self.horizon is None else f", horizon={self.horizon}"
+        return f"simulation_scorer({_name(self.metric)}{sign}{ahead}{given})"
 
 
 def _name(function):
@@ -124,10 +134,10 @@ def last_model_step(estimator, X):
     return step, X
 
 
-def _simulate(estimator, X, y, sample_weight):
+def _simulate(estimator, X, y, sample_weight, horizon=None):
     """Last model step, measured and simulated outputs on the rows that score counts, weights."""
     step, X = last_model_step(estimator, X)
-    truth, simulated, rows = scored_simulation(step, X, y)
+    truth, simulated, rows = scored_simulation(step, X, y, horizon)
     return step, truth, simulated, weights_of(rows, sample_weight, len(y))
 
 

@@ -1,0 +1,95 @@
+"""The innovation form of a model: its one-step predictor, predictions further ahead, its start.
+
+    x̂[k+1] = A x̂[k] + B u[k] + K e[k],   e[k] = y[k] − C x̂[k] − D u[k]
+
+A − K C is stable, also where A is not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.simulation import propagate
+
+__all__ = ["InnovationForm"]
+
+FORGOTTEN = 1e-12  # of an initial state
+MOST_ROWS = 4096  # that an initial state is fitted to
+UNSEEN = 1e-10  # of the strongest initial state's outputs
+
+
+@dataclass(frozen=True, eq=False)
+class InnovationForm:
+    """A discrete-time model and its Kalman gain.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
+    K : ndarray, shape (n, l)
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    K: np.ndarray
+
+    def states(self, inputs, outputs, x0):
+        """x̂ of every row, from the outputs of the rows before it.
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (n_rows, m)
+        outputs : ndarray, shape (n_measured, l)
+            Of the first rows; at most the last row may be without.
+        x0 : ndarray, shape (n,)
+
+        Returns
+        -------
+        states : ndarray, shape (n_rows, n)
+        """
+        forcing = inputs @ (self.B - self.K @ self.D).T
+        forcing[: len(outputs)] += outputs @ self.K.T
+        return propagate(self.A - self.K @ self.C, forcing, x0)
+
+    def ahead(self, inputs, outputs, x0, horizon):
+        """Outputs predicted some rows ahead; those of the first rows from the initial state.
+
+        Parameters
+        ----------
+        inputs, outputs, x0
+            As in :meth:`states`.
+        horizon : int
+            Rows from the last output known to the one predicted, at least 1.
+
+        Returns
+        -------
+        outputs : ndarray, shape (n_rows, l)
+        """
+        x = self.states(inputs, outputs, x0)
+        for _ in range(min(horizon, len(x)) - 1):  # a row later without another innovation
+            x = np.concatenate([x[:1], x[:-1] @ self.A.T + inputs[:-1] @ self.B.T])
+        return x @ self.C.T + inputs @ self.D.T
+
+    def initial_state(self, inputs, outputs):
+        """The state that leaves the least innovations, by linear least squares.
+
+        Parameters
+        ----------
+        inputs, outputs : ndarray, shapes (n_rows, m), (n_rows, l)
+
+        Returns
+        -------
+        x0 : ndarray, shape (n,)
+        """
+        n = len(self.A)
+        if n == 0:
+            return np.zeros(0)
+        stable = self.A - self.K @ self.C
+        radius = np.max(np.abs(linalg.eigvals(stable)))
+        rows = MOST_ROWS if radius >= 1.0 else n + np.log(FORGOTTEN) / np.log(max(radius, 1e-3))
+        u, y = inputs[: int(min(rows, MOST_ROWS))], outputs[: int(min(rows, MOST_ROWS))]
+        left = y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T
+        free = propagate(stable, np.zeros((n, len(u), n)), np.eye(n)) @ self.C.T
+        return linalg.lstsq(free.reshape(n, -1).T, left.ravel(), cond=UNSEEN)[0]
