@@ -42,7 +42,7 @@ def extremes(signal):
     -------
     smallest, largest : ndarray, shapes (n_signals,)
     """
-    if len(signal) == 0:
+    if signal.size == 0:
         return np.zeros((2, signal.shape[1]))
     if not signal.flags.c_contiguous:
         return np.array([[c.min() for c in signal.T], [c.max() for c in signal.T]])

@@ -34,12 +34,25 @@ def as_container(data, what):
         )
     if len(data) == 0:
         raise ValueError(f"{what} has no rows: 0 sample(s), while at least 1 is required")
+    if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
+        check_has_signals(data, what)
+    return data
+
+
+def check_has_signals(data, what):
+    """Raise ValueError if a table has no columns."""
     if data.ndim == 2 and data.shape[1] == 0:
         raise ValueError(
             f"{what} has no signals: 0 feature(s) (shape={data.shape}) while a minimum of 1 is "
-            f"required."
+            f"required; MOESPRegressor alone identifies from outputs only, with X=None or a "
+            f"DataFrame of no columns"
         )
-    return data
+
+
+def without_inputs(y):
+    """A frame of no columns on the rows of outputs, the inputs of an output-only model."""
+    y = as_container(y, "y")
+    return pd.DataFrame(index=getattr(y, "index", pd.RangeIndex(len(y))))
 
 
 def _as_array(data, what):

@@ -5,6 +5,7 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
+from sklearn_hd._containers import without_inputs
 from sklearn_hd._states import initial_states
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_outputs_given
@@ -37,8 +38,8 @@ class InnovationModel:
 
         Parameters
         ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit.
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs as at fit; None if there were none.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         horizon : int, default=1
@@ -76,6 +77,7 @@ class InnovationModel:
         """
         check_is_fitted(self)
         check_outputs_given(y)
+        X = without_inputs(y) if X is None else X
         horizon = check_count("horizon", horizon, 1, "1 is the next row")
         experiment = self._experiment(X, y)
         simulators, n = self._simulators(experiment), self.model_.n_states

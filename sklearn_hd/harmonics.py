@@ -11,6 +11,7 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
+from sklearn_hd._containers import check_has_signals
 from sklearn_hd._data import (
     check_features,
     is_decomposed,
@@ -259,6 +260,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 "once"
             )
         X = check_features(self, X, reset=True)
+        check_has_signals(X, "X")
         inputs = read_signals(X, "x", "X", reading)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):

@@ -8,7 +8,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import extremes, within_range
 from sklearn_hd._base import ModelStep
-from sklearn_hd._containers import as_container
+from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._data import lifted_periods, rows_read
 from sklearn_hd._fit_checks import (
@@ -197,9 +197,10 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
 
         Parameters
         ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features)
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
             Inputs, with a harmonic basis riding on them or plain; also as a dask DataFrame,
-            partitioned by record or, plain, by time.
+            partitioned by record or, plain, by time. None, or a DataFrame without columns, to
+            identify from outputs alone.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Outputs in time; of dask's where X is, in the same partitions.
 
@@ -209,6 +210,7 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
             Fitted.
         """
         check_outputs_given(y)
+        X = without_inputs(y) if X is None else X
         scale, feedthrough = self._check_parameters()
         self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         if is_partitioned(X) or is_partitioned(y):
@@ -486,7 +488,7 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
             return
         need, size = (2 * self.block_rows_ * count for count in (n_moving, n_inputs))
         values = np.linalg.svd(R[:size, :size], compute_uv=False)
-        found = int(np.sum(values > RANK_TOLERANCE * values[0]))
+        found = int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
         if found < need:
             warnings.warn(
                 f"the inputs in the {experiment.span()} excite {found} directions, but "

@@ -200,6 +200,8 @@ class RecordFactors:
 
     def of(self, u, y):
         """Of one record."""
+        if u.shape[1] == 0:
+            return self.of_observed(u, y, None)
         if self._normal is not None:
             R = products_factor(self._normal, u, y, self.feedthrough, self.scales)
             if R is not None:

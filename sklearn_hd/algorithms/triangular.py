@@ -84,4 +84,6 @@ def solve_within_rank(X, Y, tolerance=1e-11):
     """
     size = np.linalg.norm(X, axis=0)
     size[size == 0.0] = 1.0
+    if Y.shape[1] == 0:
+        return np.zeros((X.shape[1], 0))
     return linalg.lstsq(X / size, Y, cond=tolerance)[0] / size[:, None]
