@@ -42,7 +42,7 @@ from sklearn_hd.algorithms.moesp import (
     release_idle_directions,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
-from sklearn_hd.algorithms.predictor_subspace import PredictorSubspace
+from sklearn_hd.algorithms.predictor_subspace import PredictorSubspace, rows_remembered
 from sklearn_hd.algorithms.projections import Projection
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.exceptions import ExcitationWarning
@@ -53,6 +53,9 @@ RANK_TOLERANCE = 1e-10
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
+MOST_PREDICTOR_ROWS = 60
+COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
+ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
@@ -235,6 +238,8 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         )
         scale = np.concatenate([u_scale if raw else np.ones(n_inputs), y_scale])
         n_moving = int(moving.sum()) if raw else n_inputs
+        if self.weighting == PREDICTOR and self.block_rows is None:
+            self.block_rows_ = self._rows_of_predictor(excitation, outputs, experiment, scale)
         found = self._decompose(excitation, outputs, n_moving, experiment, scale)
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
@@ -256,6 +261,26 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
+
+    def _rows_of_predictor(self, excitation, outputs, experiment, scale):
+        """Block rows after which the predictor has forgotten its state, and the order fits in."""
+        lengths, n_inputs, n_outputs = (
+            map(len, outputs),
+            excitation[0].shape[1],
+            outputs[0].shape[1],
+        )
+        n_inputs, n_outputs = excitation[0].shape[1], outputs[0].shape[1]
+        lengths, most = [len(y) for y in outputs], self.block_rows_
+        while most < MOST_PREDICTOR_ROWS and n_hankel_columns(lengths, most + 1) >= (
+            COLUMNS_PER_ROW * (most + 1) * (n_inputs + n_outputs)
+        ):
+            most += 1
+        R = KeptSums(self.memory).factor(excitation, outputs, most, scale)
+        columns = n_hankel_columns(lengths, most)
+        feedthrough = bool(self.feedthrough) or is_lifted(experiment)
+        order = 1 if self.order == "auto" else int(self.order)
+        rows = rows_remembered(R, most, n_inputs, columns, feedthrough)
+        return min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)
 
     def _predictor_matrices(self, found, excitation, inputs, outputs, scales):
         """The innovation form, driven by the inputs where they are not what excites.

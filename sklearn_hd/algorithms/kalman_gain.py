@@ -110,13 +110,20 @@ def gain_of_covariances(A, C, covariance, y_scale):
         return np.zeros((n, len(C))), covariance[n:, n:]
     noise = (covariance + floor) / unit
     Q, S, R = noise[:n, :n], noise[:n, n:], noise[n:, n:]
-    try:
-        P = linalg.solve_discrete_are(A.T, C.T, Q, R, s=S)
-    except (np.linalg.LinAlgError, ValueError):
-        raise ValueError(
-            f"no Kalman gain makes the model of order {n} a stable predictor: a mode on the unit "
-            f"circle is not driven by any noise; lower the order, or leave disturbance_model=False"
-        ) from None
+    P = _riccati(A, C, Q, S, R)
     E = C @ P @ C.T + R
     K = linalg.solve(E, (A @ P @ C.T + S).T, assume_a="pos").T
     return K, E * unit
+
+
+def _riccati(A, C, Q, S, R):
+    """Covariance of the states beside their prediction; modes on the circle are driven a little."""
+    for driven in (0.0, PRECISION):
+        try:
+            return linalg.solve_discrete_are(A.T, C.T, Q + driven * np.eye(len(A)), R, s=S)
+        except np.linalg.LinAlgError:
+            continue
+    raise ValueError(
+        f"no Kalman gain makes the model of order {len(A)} a stable predictor: the outputs do not "
+        f"show an unstable mode of it; lower the order"
+    )

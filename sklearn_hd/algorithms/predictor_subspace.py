@@ -19,12 +19,13 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.kalman_gain import gain_of_covariances
-from sklearn_hd.algorithms.moesp import noise_floor
 from sklearn_hd.algorithms.triangular import solve_within_rank, triangle
 
-__all__ = ["PredictorSubspace"]
+__all__ = ["PredictorSubspace", "rows_remembered"]
 
+DRAWS = 20  # of coefficients that are noise
 EPS = np.finfo(float).eps
+ROUNDING = 1e-12  # of the outputs, below which nothing is left to predict
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +74,10 @@ class PredictorSubspace:
         block_rows, n_inputs, n_columns : int
         feedthrough : bool
         """
-        i, m, n_outputs = block_rows, n_inputs, len(R) // (2 * block_rows) - n_inputs
-        U_f, U_p, Y_p, Y_f = np.split(np.arange(len(R)), np.cumsum([i * m, i * m, i * n_outputs]))
-        rows = [
-            np.concatenate([U_p.reshape(i, m)[-j], Y_p.reshape(i, n_outputs)[-j]])
-            for j in range(1, i + 1)
-        ]
-        now = np.concatenate([U_f[:m], Y_f[:n_outputs]])
-        places = np.concatenate([*rows, now])
-        data = triangle(R[:, places])
-        width = m + n_outputs
+        i, m = block_rows, n_inputs
+        rows, now = _rows_back(R, i, m)
+        width = len(now)
+        data = triangle(R[:, np.concatenate([*rows, now])])
         past, inputs, outputs = np.split(data, [i * width, i * width + m], axis=1)
         later = np.hstack([inputs, outputs, past[:, :-width]])
         regressors = np.hstack([past, inputs]) if feedthrough else past
@@ -90,8 +85,8 @@ class PredictorSubspace:
         coefficients = _shifted(found[: i * width].T, i)
         U, values, _ = linalg.svd(coefficients @ past.T, full_matrices=False)
         rounding = 10.0 * EPS * np.sqrt(n_columns) * np.linalg.norm(past, 2)
-        # half of the coefficients in Γ̃ 𝒦 are zero, and with them half of the noise's energy
-        floor = max(rounding, noise_floor(R, i, m, n_columns) / np.sqrt(2.0))
+        left = outputs - regressors @ found
+        floor = max(rounding, _noise_floor(left, n_columns - regressors.shape[1], i, width))
         return cls(
             past,
             later,
@@ -149,6 +144,48 @@ class PredictorSubspace:
         return found[0], found[2]
 
 
+def rows_remembered(R, block_rows, n_inputs, n_columns, feedthrough):
+    """How many rows back the predictor of one row reaches, by Akaike's criterion.
+
+    Parameters
+    ----------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+        Of the most rows tried, i.
+    block_rows, n_inputs, n_columns : int
+    feedthrough : bool
+
+    Returns
+    -------
+    n_rows : int
+        From 1 to i.
+
+    References
+    ----------
+    Akaike (1974), IEEE Transactions on Automatic Control 19(6), 716-723.
+    """
+    rows, now = _rows_back(R, block_rows, n_inputs)
+    inputs, outputs = now[:n_inputs], now[n_inputs:]
+    first = inputs if feedthrough else inputs[:0]
+    T = triangle(R[:, np.concatenate([first, *rows, outputs])])
+    target, width = T[:, -len(outputs) :], len(now)
+    least = ROUNDING * np.linalg.norm(target)
+    criteria = []
+    for p in range(1, block_rows + 1):
+        sizes = linalg.svdvals(target[len(first) + p * width :])
+        information = 2.0 * n_columns * np.sum(np.log(np.maximum(sizes, least)))
+        criteria.append(information + 2.0 * p * width * len(outputs))
+    return int(np.argmin(criteria)) + 1
+
+
+def _rows_back(R, block_rows, n_inputs):
+    """Places of the data 1, 2, … rows before a row, and of its own."""
+    i, m, n_outputs = block_rows, n_inputs, len(R) // (2 * block_rows) - n_inputs
+    U_f, U_p, Y_p, Y_f = np.split(np.arange(len(R)), np.cumsum([i * m, i * m, i * n_outputs]))
+    U_p, Y_p = U_p.reshape(i, m), Y_p.reshape(i, n_outputs)
+    rows = [np.concatenate([U_p[-j], Y_p[-j]]) for j in range(1, i + 1)]
+    return rows, np.concatenate([U_f[:m], Y_f[:n_outputs]])
+
+
 def _shifted(coefficients, n_rows):
     """Γ̃ 𝒦 of the predictor's coefficients, the latest row of data first."""
     n_outputs, width = coefficients.shape
@@ -157,3 +194,15 @@ def _shifted(coefficients, n_rows):
     for r in range(n_rows):
         stacked[r, :, : n_rows - r] = lags[:, r:]
     return stacked.reshape(n_rows * n_outputs, width)
+
+
+def _noise_floor(left, degrees, n_rows, width):
+    """Largest singular value of Γ̃ 𝒦 Z_p, were all coefficients white noise beside Z_p.
+
+    Its rows share their entries, so that the law of independent ones does not hold: drawn.
+    """
+    _, sizes, Vt = linalg.svd(left, full_matrices=False)
+    root = (sizes[:, None] * Vt).T / np.sqrt(max(1, degrees))
+    rng = np.random.default_rng(0)  # the same floor for the same data
+    white = rng.standard_normal((DRAWS, len(sizes), n_rows * width))
+    return max(np.linalg.norm(_shifted(root @ noise, n_rows), 2) for noise in white)
