@@ -331,15 +331,28 @@ class LTIModel:
         return replace(self, **matrices, dt=0.0, windowed=False, **no_noise, **changes)
 
     def to_control(self):
-        """The model as a control.StateSpace with named signals."""
+        """The model as a control.StateSpace with named signals.
+
+        Of outputs alone, whose inputs are the innovations e (which have names such as e@y).
+        """
+        B, D, input_names = self.B, self.D, list(self.input_names)
+        if not input_names:
+            if self.kalman_gain is None:
+                raise AttributeError(
+                    "a model of outputs alone, without a Kalman gain, has no inputs to make a "
+                    "control.StateSpace of; fit with disturbance_model=True, or use model_.A and "
+                    "model_.C"
+                )
+            B, D = self.kalman_gain, np.eye(len(self.C))
+            input_names = [f"e@{name}" for name in self.output_names]
         names = {} if self.state_names is None else {"states": list(self.state_names)}
         return control.StateSpace(
             self.A,
-            self.B,
+            B,
             self.C,
-            self.D,
+            D,
             self.dt,
-            inputs=list(self.input_names),
+            inputs=input_names,
             outputs=list(self.output_names),
             name="identified",
             remove_useless_states=False,

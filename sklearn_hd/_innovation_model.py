@@ -107,7 +107,7 @@ class InnovationModel:
             if rows is not None:
                 seen = max(1, int(np.sum(whole + len(basis.weights) <= rows.stop)))
         if x0 is None:
-            x0 = form.initial_state(u[: len(Y)][:seen], Y[:seen])
+            x0 = form.initial_state(u[: len(Y)][:seen], Y[:seen], model.innovations_covariance)
         recompose = not self.predicts_harmonics_
         return simulator.observe(form.ahead(u, Y, x0, horizon), simulator.time, recompose)
 

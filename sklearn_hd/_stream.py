@@ -295,7 +295,8 @@ class Stream:
     def _wave_channels(self, highest, which=slice(None)):
         """Channels of the inputs times 1, cos ψ, sin ψ, … up to some harmonic."""
         m, n_channels = len(self.drive_names), self._n_channels()[0]
-        return np.arange(n_channels).reshape(m, -1)[which, : 2 * highest + 1].ravel()
+        channels = np.arange(n_channels).reshape(m, n_channels // max(m, 1))
+        return channels[which, : 2 * highest + 1].ravel()
 
     # ---- what a model is made of -------------------------------------------------------------
 
@@ -321,7 +322,7 @@ class Stream:
         signals = self.drive_signals()
         size = {s: max(d for d, o in zip(drive, signals, strict=True) if o == s) for s in signals}
         moving = [d > DUST * size[s] for d, s in zip(drive, signals, strict=True)]
-        return np.array(moving), bool(outputs.any())
+        return np.array(moving, dtype=bool), bool(outputs.any())
 
     def drive_signals(self):
         """The measured signal that each entry of ``drive_names`` comes from."""

@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 
 from sklearn_hd._arithmetic import within_range
+from sklearn_hd._containers import without_inputs
 from sklearn_hd._data import check_features
 from sklearn_hd._progress import progress
 from sklearn_hd._stream import Stream, read_chunk
@@ -43,10 +44,11 @@ class StreamedFit:
 
         Parameters
         ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, with a harmonic basis riding on them (from ``HarmonicAnalyzer.transform``;
-            not period by period) or plain. Rows whose index counts from 0 go on where the
-            last chunk ended; others follow it by one sample time, or a gap lies between.
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs (None where there are none), with a harmonic basis riding on them (from
+            ``HarmonicAnalyzer.transform``; not period by period) or plain. Rows whose index
+            counts from 0 go on where the last chunk ended; others follow it by one sample
+            time, or a gap lies between.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Outputs in time.
 
@@ -79,6 +81,7 @@ class StreamedFit:
         0.8
         """
         check_outputs_given(y)
+        X = without_inputs(y) if X is None else X
         scale, feedthrough = self._check_parameters()
         experiment = read_chunk(X, y)
         stream = getattr(self, "_stream", None)
@@ -127,7 +130,7 @@ class StreamedFit:
         sums = sums.of_inputs(np.flatnonzero(moving))
         if self.weighting == PREDICTOR:
             A, B, C, D, K, covariance = found.model(self.order_)
-            self.x0_ = initial_states_of_heads(A, B, C, D, sums.ends, scales, K)
+            self.x0_ = initial_states_of_heads(A, B, C, D, sums.ends, scales, (K, covariance))
         else:
             A, C = found.state_matrices(self.order_)
             matrices = input_matrices_of_sums(A, C, sums, feedthrough, scales)

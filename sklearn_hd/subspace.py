@@ -293,7 +293,9 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         raw = excitation is inputs
         size = u_scale if raw else 1.0
         pairs = zip(excitation, outputs, strict=True)
-        self.x0_ = np.array([form.initial_state(u / size, y / y_scale) for u, y in pairs])
+        self.x0_ = np.array(
+            [form.initial_state(u / size, y / y_scale, covariance) for u, y in pairs]
+        )
         if not raw:
             u = np.vstack(inputs)
             offset = np.ones((len(u), 1))  # of the trim, which is no input

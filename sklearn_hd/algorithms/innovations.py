@@ -72,12 +72,14 @@ class InnovationForm:
             x = np.concatenate([x[:1], x[:-1] @ self.A.T + inputs[:-1] @ self.B.T])
         return x @ self.C.T + inputs @ self.D.T
 
-    def initial_state(self, inputs, outputs):
+    def initial_state(self, inputs, outputs, covariance=None):
         """The state that leaves the least innovations, by linear least squares.
 
         Parameters
         ----------
         inputs, outputs : ndarray, shapes (n_rows, m), (n_rows, l)
+        covariance : ndarray, shape (l, l), optional
+            Of the innovations, by whose deviations each output counts.
 
         Returns
         -------
@@ -90,6 +92,8 @@ class InnovationForm:
         radius = np.max(np.abs(linalg.eigvals(stable)))
         rows = MOST_ROWS if radius >= 1.0 else n + np.log(FORGOTTEN) / np.log(max(radius, 1e-3))
         u, y = inputs[: int(min(rows, MOST_ROWS))], outputs[: int(min(rows, MOST_ROWS))]
-        left = y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T
-        free = propagate(stable, np.zeros((n, len(u), n)), np.eye(n)) @ self.C.T
+        size = np.ones(y.shape[1]) if covariance is None else np.sqrt(np.diagonal(covariance))
+        size = np.where(size > 0.0, size, 1.0)
+        left = (y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T) / size
+        free = propagate(stable, np.zeros((n, len(u), n)), np.eye(n)) @ self.C.T / size
         return linalg.lstsq(free.reshape(n, -1).T, left.ravel(), cond=UNSEEN)[0]

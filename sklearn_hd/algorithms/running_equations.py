@@ -42,7 +42,7 @@ def input_matrices_of_sums(A, C, sums, feedthrough, scales):
         or rounding would show.
     """
     model = output_normal(A, C)
-    if model is None:
+    if model is None or len(scales[0]) == 0:
         return None
     records = _record_products(model.basis, sums, scales)
     if records is None:
@@ -139,6 +139,8 @@ def input_matrices_of_factor(A, C, R, directions, block_rows, n_inputs, feedthro
     D : ndarray, shape (l, m)
     """
     n, n_outputs, i, m = len(A), len(C), block_rows, n_inputs
+    if m == 0:
+        return np.zeros((n, 0)), np.zeros((n_outputs, 0))
     across = linalg.qr(directions[:, :n])[0][:, n:]
     beside = across.reshape(i, n_outputs, -1)  # block row, output, direction
     gamma = [C]
@@ -162,7 +164,7 @@ def input_matrices_of_factor(A, C, R, directions, block_rows, n_inputs, feedthro
     return theta[width - n :], D
 
 
-def initial_states_of_heads(A, B, C, D, ends, scales, K=None):
+def initial_states_of_heads(A, B, C, D, ends, scales, noise=(None, None)):
     """Initial states by least squares over the first rows of each record.
 
     Parameters
@@ -171,14 +173,16 @@ def initial_states_of_heads(A, B, C, D, ends, scales, K=None):
         In the units that ``scales`` make.
     ends : tuple of RecordEnds
     scales : tuple of ndarray, shapes (m,), (l,)
-    K : ndarray, shape (n, l), optional
-        Kalman gain, where the rows before are to be known by their outputs.
+    noise : tuple of ndarray, shapes (n, l), (l, l), optional
+        Kalman gain and covariance of the innovations, where the rows before are to be known by
+        their outputs.
 
     Returns
     -------
     x0 : ndarray, shape (n_records, n)
     """
+    K, covariance = noise
     m, rows = B.shape[1], slice(None) if K is not None else slice(FIRST_ROWS)
     form = InnovationForm(A, B, C, D, np.zeros((len(A), len(C))) if K is None else K)
     heads = (record.head[rows] / np.concatenate(scales) for record in ends)
-    return np.array([form.initial_state(head[:, :m], head[:, m:]) for head in heads])
+    return np.array([form.initial_state(head[:, :m], head[:, m:], covariance) for head in heads])
