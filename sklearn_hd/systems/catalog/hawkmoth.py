@@ -69,7 +69,7 @@ def hawkmoth(
     Parameters
     ----------
     mass : float
-        m in kg, wings included.
+        Mass m in kg, wings included.
     pitch_inertia : float
         I_yy about the centre of mass, kg m².
     hinge_forward, hinge_height : float
@@ -82,14 +82,15 @@ def hawkmoth(
     amplitude, mean_angle : float
         Φ and φ̄ that the trim starts from, rad.
     pitch_amplitude, pitch_sharpness, pitch_offset : float
-        η_m and η̄ in rad, and C: small is a sine, large a square wave.
+        Pitch of the wings: η_m in rad, C (small for a sine, large for a square wave)
+        and η̄ in rad.
     stroke_plane : float
         Angle of the stroke plane to the body's x axis in rad, its front edge down.
     C_T, C_D0, C_D90, C_R : float
         Coefficients of translational lift, of drag along and across the chord, and of
         rotational lift.
     air_density, gravity : float
-        ρ in kg/m³, g in m/s².
+        Density ρ in kg/m³, g in m/s².
     extra_inputs : sequence of str, default=()
         Further inputs: ``"pitch_offset"``, ``"stroke_plane"`` (in place of the
         parameters) and ``"u_gust"``, ``"w_gust"``, the velocity of the air in body axes
