@@ -1,5 +1,6 @@
 """Records of a hovering hawkmoth, which cannot hover without its feedback."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +12,8 @@ from sklearn_hd.systems import HeldFeedback, hawkmoth
 
 __all__ = ["make_hawkmoth"]
 
-TRIM_HARMONICS = 64
+TRIM_HARMONICS = 128  # the orbit to 5e-8; forces have kinks where a wing element stops
+STEPS_PER_PERIOD = 64  # of the integration, at least: 2e-6 of q in a wingbeat
 GUSTS = ("u_gust", "w_gust")
 STATE_SIZES = (0.3, 0.1, 5.0, 0.2)  # u, w, q, theta that count alike in the regulator
 INPUT_SIZES = (0.06, 0.02)  # rad; with them the loop forgets 26 % and more each wingbeat
@@ -175,12 +177,12 @@ class _Truth:
 
     def __init__(self):
         self.system = hawkmoth()
-        self.trim = self.system.trim(TRIM_HARMONICS, method="shooting")
+        self.trim = self.system.trim(TRIM_HARMONICS)
         self.ltp = self.system.linearize(self.trim)
         self.exponents = self.ltp.floquet_exponents()
         windy = hawkmoth(extra_inputs=GUSTS)
-        calm = dict.fromkeys(GUSTS, 0.0)
-        self.windy = windy, windy.trim(TRIM_HARMONICS, method="shooting", inputs=calm)
+        calm = np.append(self.trim.inputs, np.zeros(len(GUSTS)))
+        self.windy = windy, replace(self.trim, inputs=calm, input_names=windy.input_names)
 
 
 @lru_cache(maxsize=1)
@@ -190,13 +192,14 @@ def _truth():
 
 def _flights(loop, v, wind, noise, rng):
     """Inputs, outputs as measured and outputs as they were."""
-    u, y = loop.simulate(v, disturbances=wind)
+    substeps = -(-STEPS_PER_PERIOD // loop.samples_per_period)
+    u, y = loop.simulate(v, disturbances=wind, substeps=substeps)
     if not noise:
         return u, y, y
     at_rest = np.tile(loop.trim_samples(), (v.shape[1], 1))
     size = np.sqrt(np.mean((y - at_rest) ** 2, axis=(0, 1)))
     e = noise * size * rng.standard_normal(y.shape)
-    u, y = loop.simulate(v, disturbances=wind, noise=e)
+    u, y = loop.simulate(v, disturbances=wind, noise=e, substeps=substeps)
     return u, y, y - e
 
 

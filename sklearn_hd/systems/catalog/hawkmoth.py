@@ -244,26 +244,31 @@ class _Wing:
     def __post_init__(self):
         nodes, weights = np.polynomial.legendre.leggauss(ELEMENTS)
         angle, weights = 0.25 * np.pi * (nodes + 1.0), 0.25 * np.pi * weights  # r = R sin(angle)
+        radius = self.length * np.sin(angle)
         chord = 4.0 / np.pi * self.mean_chord * np.cos(angle)
-        span = self.length * np.cos(angle) * weights
-        for name, values in (
-            ("radius", self.length * np.sin(angle)),
-            ("area", chord * span),
-            ("chord_area", chord**2 * span),
-        ):
-            object.__setattr__(self, name, values)
+        area = chord * self.length * np.cos(angle) * weights
+        object.__setattr__(self, "radius", radius)
+        object.__setattr__(self, "chord", chord)
+        object.__setattr__(self, "moments", np.array([area, radius * area]))
 
-    def elements(self, n_axes):
-        """Radius, ∫ c dr and ∫ c² dr of the elements, with axes of points behind."""
-        shape = (-1, *(1,) * n_axes)
-        return tuple(v.reshape(shape) for v in (self.radius, self.area, self.chord_area))
+    def forces(self, along, across, spin):
+        """∫ dF and ∫ r dF along and across the chord, over the air's density.
 
-    def force(self, v_c, v_n, spin, area, chord_area):
-        """Force of each element along and across its chord, over the air's density."""
-        speed = np.sqrt(v_c * v_c + v_n * v_n + TINY)
-        drag = 0.5 * area * (self.C_D0 * v_c * v_c + self.C_D90 * v_n * v_n) / speed
-        circulation = self.C_T * area * v_c * v_n / speed - 0.5 * self.C_R * chord_area * spin
-        return circulation * v_n - drag * v_c, -circulation * v_c - drag * v_n
+        ``along`` and ``across`` are the chord's speed at the root and its slope over the
+        radius.
+        """
+        shape = (-1, *(1,) * np.ndim(spin))
+        r, chord = self.radius.reshape(shape), self.chord.reshape(shape)
+        v_c, v_n = along[0] + along[1] * r, across[0] + across[1] * r
+        c_2, n_2 = v_c * v_c, v_n * v_n
+        speed = np.sqrt(c_2 + n_2 + TINY)
+        drag = (0.5 * self.C_D0 * c_2 + 0.5 * self.C_D90 * n_2) / speed
+        circulation = self.C_T * v_c * v_n / speed
+        if self.C_R:
+            circulation = circulation - 0.5 * self.C_R * spin * chord
+        F_c = self.moments @ (circulation * v_n - drag * v_c)
+        F_n = self.moments @ (-circulation * v_c - drag * v_n)
+        return F_c, F_n
 
 
 @dataclass(frozen=True)
@@ -296,33 +301,27 @@ class _Hawkmoth:
 
     def loads(self, x, u, t):
         """X, Z (N) and M (N m) of both wings."""
-        surge, heave, rate, _ = x
         now = {**self.settings, **dict(zip(self.inputs, u, strict=True))}
         phi, phi_dot, eta, eta_dot = self.wingbeat(now, t)
-        tilt = np.cos(now["stroke_plane"]), np.sin(now["stroke_plane"])
         sin_phi, cos_phi = np.sin(phi), np.cos(phi)
         sin_eta, cos_eta = np.sin(eta), np.cos(eta)
-        r, *areas = self.wing.elements(np.ndim(t))
-
-        forward = self.hinge[0] + r * sin_phi * tilt[0]
-        down = self.hinge[1] + r * sin_phi * tilt[1]
-        v_x = surge - now["u_gust"] + rate * down
-        v_z = heave - now["w_gust"] - rate * forward
-        stroke = r * phi_dot + cos_phi * (v_x * tilt[0] + v_z * tilt[1])
-        normal = v_x * tilt[1] - v_z * tilt[0]
-
-        F_c, F_n = self.wing.force(
-            stroke * sin_eta + normal * cos_eta,
-            stroke * cos_eta - normal * sin_eta,
+        tilt = np.cos(now["stroke_plane"]), np.sin(now["stroke_plane"])
+        rate, (forward, down) = x[2], self.hinge
+        v_x = x[0] - now["u_gust"] + rate * down  # of the hinge through the air
+        v_z = x[1] - now["w_gust"] - rate * forward
+        stroke = cos_phi * (v_x * tilt[0] + v_z * tilt[1]), phi_dot  # root, slope over r
+        normal = v_x * tilt[1] - v_z * tilt[0], rate * sin_phi
+        F_c, F_n = self.wing.forces(
+            [a * sin_eta + b * cos_eta for a, b in zip(stroke, normal, strict=True)],
+            [a * cos_eta - b * sin_eta for a, b in zip(stroke, normal, strict=True)],
             eta_dot - rate * cos_phi,
-            *areas,
         )
-        F_stroke = cos_phi * (F_c * sin_eta + F_n * cos_eta)
-        F_normal = F_c * cos_eta - F_n * sin_eta
-        F_x = F_stroke * tilt[0] + F_normal * tilt[1]
-        F_z = F_stroke * tilt[1] - F_normal * tilt[0]
-        loads = (F_x, F_z, down * F_x - forward * F_z)
-        return tuple(2.0 * self.air_density * load.sum(axis=0) for load in loads)
+        F_stroke = cos_phi * (F_c[0] * sin_eta + F_n[0] * cos_eta)
+        F_normal, root_moment = F_c * cos_eta - F_n * sin_eta
+        both = 2.0 * self.air_density
+        X = both * (F_stroke * tilt[0] + F_normal * tilt[1])
+        Z = both * (F_stroke * tilt[1] - F_normal * tilt[0])
+        return X, Z, down * X - forward * Z + both * sin_phi * root_moment
 
     def wingbeat(self, now, t):
         """φ, φ̇, η, η̇ of the wings."""
