@@ -29,7 +29,8 @@ class HeldFeedback:
         Its periodic solution (u*, and the means ȳ*).
     gain : array_like, shape (m, l), optional
         K. By default that of the best quadratic regulator of the linear period map,
-        from ``state_sizes`` and ``input_sizes``; the outputs must be the states then.
+        from ``state_sizes`` and ``input_sizes``, as though the means were the state at the
+        beginning of a period; the outputs must be the states then.
     inputs : sequence of str, optional
         The m inputs that are fed back; the others are disturbances. By default all.
     state_sizes, input_sizes : array_like, optional
@@ -48,7 +49,7 @@ class HeldFeedback:
     Raises
     ------
     ValueError
-        If names or shapes do not fit, or no gain stabilises the system.
+        If names or shapes do not fit, or the regulator does not stabilise the system.
 
     References
     ----------
@@ -230,11 +231,19 @@ class HeldFeedback:
                 "gain=None takes the outputs for the states, and this system has outputs of its "
                 "own (g); give a gain"
             )
-        return quadratic_gain(
+        gain = quadratic_gain(
             self._plant,
             _sizes("state_sizes", state_sizes, n),
             _sizes("input_sizes", input_sizes, m),
         )
+        largest = np.abs(np.linalg.eigvals(self._plant.closed_loop(gain))).max()
+        if largest >= 1.0:
+            raise ValueError(
+                f"the regulator leaves a multiplier of size {largest:.3g}, for the means that it "
+                f"reads are older than the state that it was designed for; change state_sizes or "
+                f"input_sizes, or give a gain"
+            )
+        return gain
 
     def _signals(self, name, values, v, n_samples, signals):
         """Given signals as (n_records, n_samples, …), zero by default."""
