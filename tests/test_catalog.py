@@ -26,13 +26,14 @@ from sklearn_hd.systems import (
     duffing,
     flapping_blade,
     flapping_wing,
+    hawkmoth,
     mathieu,
     meissner,
     vinograd,
 )
 
 CATALOG = [getattr(catalog, name) for name in catalog.__all__]
-LINEAR = [entry for entry in CATALOG if entry not in (duffing, flapping_wing)]
+LINEAR = [entry for entry in CATALOG if entry not in (duffing, flapping_wing, hawkmoth)]
 
 
 @pytest.mark.parametrize("entry", CATALOG, ids=lambda entry: entry.__name__)

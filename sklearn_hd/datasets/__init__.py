@@ -1,6 +1,7 @@
 """Simulated and measured records: make_* computes them with the truth, load_* reads them."""
 
 from sklearn_hd.datasets._flapping_wing import make_flapping_wing
+from sklearn_hd.datasets._hawkmoth import make_hawkmoth
 from sklearn_hd.datasets._measured import (
     load_cd_player_arm,
     load_power_plant,
@@ -16,4 +17,5 @@ __all__ = [
     "load_slicot_example",
     "load_wind_turbine",
     "make_flapping_wing",
+    "make_hawkmoth",
 ]

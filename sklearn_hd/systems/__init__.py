@@ -6,6 +6,7 @@ from sklearn_hd.systems.catalog import (
     duffing,
     flapping_blade,
     flapping_wing,
+    hawkmoth,
     mathieu,
     meissner,
     vinograd,
@@ -14,6 +15,7 @@ from sklearn_hd.systems.harmonic_transfer import (
     HarmonicTransferFunction,
     estimate_harmonic_transfer_function,
 )
+from sklearn_hd.systems.held_feedback import HeldFeedback
 from sklearn_hd.systems.ltp import FourierMatrix, LTPSystem
 from sklearn_hd.systems.multiblade import multiblade_model, rotor_system
 from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
@@ -22,6 +24,7 @@ from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 __all__ = [
     "FourierMatrix",
     "HarmonicTransferFunction",
+    "HeldFeedback",
     "LTPSystem",
     "OpenFASTLinearization",
     "PeriodicSystem",
@@ -32,6 +35,7 @@ __all__ = [
     "estimate_harmonic_transfer_function",
     "flapping_blade",
     "flapping_wing",
+    "hawkmoth",
     "mathieu",
     "meissner",
     "multiblade_model",

@@ -1,6 +1,7 @@
 """Named periodic systems of the literature, their parameters as keyword arguments."""
 
 from sklearn_hd.systems.catalog.flapping_wing import flapping_wing
+from sklearn_hd.systems.catalog.hawkmoth import hawkmoth
 from sklearn_hd.systems.catalog.oscillators import (
     coupled_oscillators,
     duffing,
@@ -16,6 +17,7 @@ __all__ = [
     "duffing",
     "flapping_blade",
     "flapping_wing",
+    "hawkmoth",
     "mathieu",
     "meissner",
     "vinograd",

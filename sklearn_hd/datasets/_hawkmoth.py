@@ -1,0 +1,228 @@
+"""Records of a hovering hawkmoth, which cannot hover without its feedback."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+from sklearn.utils import Bunch, check_random_state
+
+from sklearn_hd._validation import check_count, check_numbers, real_array
+from sklearn_hd.systems import HeldFeedback, hawkmoth
+
+__all__ = ["make_hawkmoth"]
+
+TRIM_HARMONICS = 128  # the orbit to 5e-8; forces have kinks where a wing element stops
+STEPS_PER_PERIOD = 64  # of the integration, at least: 2e-6 of q in a wingbeat
+GUSTS = ("u_gust", "w_gust")
+STATE_SIZES = (0.3, 0.1, 5.0, 0.2)  # u, w, q, theta that count alike in the regulator
+INPUT_SIZES = (0.06, 0.02)  # rad; with them the loop forgets 26 % and more each wingbeat
+
+DESCRIPTION = """\
+Surge, heave and pitch of a hovering hawkmoth (sklearn_hd.systems.hawkmoth), held in hover by a
+regulator that sets stroke amplitude and mean stroke angle once a wingbeat, from the means of
+u, w, q and theta over the wingbeat before, and excited by steps of {excitation} rad that change
+sign at random from wingbeat to wingbeat, after {quiet} quiet ones. Gusts: {gust:g} m/s, white
+from sample to sample; noise of the sensors: {noise:g} of each output's deviation from the trim.
+omega = {omega:.8g} rad/s, {samples_per_period} samples a wingbeat.
+"""
+
+
+def make_hawkmoth(
+    *,
+    n_records=1,
+    n_periods=100,
+    samples_per_period=64,
+    excitation=0.01,
+    quiet=8,
+    noise=0.0,
+    gust=0.0,
+    gain=None,
+    random_state=None,
+):
+    """Simulated flights of a hawkmoth under its stabilising feedback, with their truth.
+
+    The nonlinear moth of :func:`~sklearn_hd.systems.hawkmoth` starts in its trim. Once a
+    wingbeat (k) its inputs are set to
+
+        u_k = u* + v_k − K (ȳ_{k−1} − ȳ*)
+
+    from the means ȳ of what was measured. The inputs thus depend on past noise and gusts:
+    methods that take them for independent of these are biased.
+
+    Parameters
+    ----------
+    n_records : int, default=1
+        More than one gives a (record, time) index; they cost little more than one.
+    n_periods : int, default=100
+        Wingbeats of each record.
+    samples_per_period : int, default=64
+        Rows of one wingbeat.
+    excitation : float, (float, float) or array_like, default=0.01
+        Size of the steps v in rad, for both inputs or each; or v itself as an array,
+        array of shape (n_records, n_periods, 2).
+    quiet : int, default=8
+        Wingbeats without excitation at the beginning.
+    noise : float, default=0.0
+        Standard deviation of the white noise of the sensors, in parts of each output's
+        root mean square departure from the trim without any noise. The feedback reads it.
+    gust : float, default=0.0
+        Standard deviation in m/s of the wind along the body's x and z axes, held from
+        sample to sample and white.
+    gain : array_like, shape (2, 4), optional
+        K. By default a quadratic regulator's.
+    random_state : int, RandomState or None, default=None
+        For excitation, gusts and noise.
+
+    Returns
+    -------
+    data : Bunch
+        With these attributes:
+
+        inputs : DataFrame, (n_samples, 2)
+            Columns amplitude and mean_angle in rad, the trim in them.
+        outputs : DataFrame, (n_samples, 4)
+            Columns u, w (m/s), q (rad/s) and theta (rad) as measured, the trim in them.
+        outputs_clean : DataFrame, (n_samples, 4)
+            The same motion without noise of the sensors.
+        excitation : DataFrame, (n_samples, 2)
+            v, held over each wingbeat.
+        omega, sample_time : float
+            rad/s and seconds.
+        gain : ndarray, (2, 4)
+            K.
+        exponents : complex ndarray, (4,)
+            Floquet exponents of the moth without feedback, in 1/s.
+        multipliers : complex ndarray, (8,)
+            Of the closed loop, a wingbeat.
+        ltp : LTPSystem
+            The moth without feedback, linear about its trim.
+        system : PeriodicSystem
+            The nonlinear moth.
+        trim : Trim
+            Its periodic solution.
+        trim_span : tuple of float or None
+            (0, end of the quiet wingbeats) in seconds; None without any.
+        DESCR : str
+            How the data were made.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not allowed.
+    RuntimeError
+        If the moth falls: excited, blown or fed back too much.
+
+    References
+    ----------
+    M. Sun, J. K. Wang, "Flight stabilization control of a hovering model insect",
+    Journal of Experimental Biology 210 (2007), 2714-2722.
+
+    Examples
+    --------
+    >>> data = make_hawkmoth(n_periods=12, random_state=0)
+    >>> data.inputs.shape, list(data.outputs.columns)
+    ((768, 2), ['u', 'w', 'q', 'theta'])
+    >>> data.exponents.round(2).tolist()
+    [(0.95-5.67j), (0.95+5.67j), (-2.56+0j), (-9.72+0j)]
+    >>> bool(abs(data.multipliers[0]) < 0.75)
+    True
+    """
+    n_records = check_count("n_records", n_records, 1, "one is the least")
+    n_periods = check_count("n_periods", n_periods, 1, "wingbeats of each record")
+    S = check_count("samples_per_period", samples_per_period, 4, "64 resolve a wingbeat")
+    quiet = check_count("quiet", quiet, 0, "wingbeats before the excitation")
+    check_numbers("nonnegative", "0 leaves it out", noise=noise, gust=gust)
+    rng, truth = check_random_state(random_state), _truth()
+    v = _excitation(excitation, n_records, n_periods, quiet, rng)
+    loop = HeldFeedback(
+        *truth.windy,
+        gain,
+        inputs=truth.system.input_names,
+        state_sizes=STATE_SIZES,
+        input_sizes=INPUT_SIZES,
+        samples_per_period=S,
+    )
+    wind = gust * rng.standard_normal((n_records, n_periods * S, len(GUSTS)))
+    u, y, clean = _flights(loop, v, wind, noise, rng)
+    sample_time = truth.system.period / S
+    index = _index(n_records, n_periods * S, sample_time)
+    return Bunch(
+        inputs=_frame(u[..., :2], index, truth.system.input_names),
+        outputs=_frame(y, index, truth.system.output_names),
+        outputs_clean=_frame(clean, index, truth.system.output_names),
+        excitation=_frame(v.repeat(S, axis=1), index, truth.system.input_names),
+        omega=truth.system.omega,
+        sample_time=sample_time,
+        gain=loop.gain.copy(),
+        exponents=truth.exponents.copy(),
+        multipliers=loop.multipliers(),
+        ltp=truth.ltp,
+        system=truth.system,
+        trim=truth.trim,
+        trim_span=(0.0, quiet * truth.system.period) if quiet else None,
+        DESCR=DESCRIPTION.format(
+            excitation=excitation if np.ndim(excitation) < 2 else "given",
+            quiet=quiet,
+            gust=gust,
+            noise=noise,
+            omega=truth.system.omega,
+            samples_per_period=S,
+        ),
+    )
+
+
+class _Truth:
+    """The moth, its trim and its linear model; and the same moth in wind."""
+
+    def __init__(self):
+        self.system = hawkmoth()
+        self.trim = self.system.trim(TRIM_HARMONICS)
+        self.ltp = self.system.linearize(self.trim)
+        self.exponents = self.ltp.floquet_exponents()
+        windy = hawkmoth(extra_inputs=GUSTS)
+        calm = np.append(self.trim.inputs, np.zeros(len(GUSTS)))
+        self.windy = windy, replace(self.trim, inputs=calm, input_names=windy.input_names)
+
+
+@lru_cache(maxsize=1)
+def _truth():
+    return _Truth()
+
+
+def _flights(loop, v, wind, noise, rng):
+    """Inputs, outputs as measured and outputs as they were."""
+    substeps = -(-STEPS_PER_PERIOD // loop.samples_per_period)
+    u, y = loop.simulate(v, disturbances=wind, substeps=substeps)
+    if not noise:
+        return u, y, y
+    at_rest = np.tile(loop.trim_samples(), (v.shape[1], 1))
+    size = np.sqrt(np.mean((y - at_rest) ** 2, axis=(0, 1)))
+    e = noise * size * rng.standard_normal(y.shape)
+    u, y = loop.simulate(v, disturbances=wind, noise=e, substeps=substeps)
+    return u, y, y - e
+
+
+def _excitation(size, n_records, n_periods, quiet, rng):
+    """v of shape (n_records, n_periods, 2)."""
+    wanted = f"a size in rad, two of them, or an array ({n_records}, {n_periods}, 2)"
+    size = real_array("excitation", size, wanted)
+    shape = (n_records, n_periods, 2)
+    if size.shape == shape:
+        return np.array(size)
+    if size.shape not in ((), (2,)):
+        raise ValueError(f"excitation has shape {size.shape}; give {wanted}")
+    v = size * rng.choice([-1.0, 1.0], shape)
+    v[:, :quiet] = 0.0
+    return v
+
+
+def _index(n_records, n_samples, sample_time):
+    t = np.arange(n_samples) * sample_time
+    if n_records == 1:
+        return pd.Index(t, name="time")
+    return pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
+
+
+def _frame(values, index, names):
+    return pd.DataFrame(values.reshape(len(index), -1), index, list(names))
