@@ -34,6 +34,8 @@ LAYERS = [
     {"_raw_modes"},
     {"_periodic"},
     {"_match"},
+    {"_free_response"},
+    {"_input_problem"},
     {"_realization"},
     {"_norm_matching", "_refinement"},
     {"_match_warnings"},

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.simulation import propagate
 
-__all__ = ["InnovationForm"]
+__all__ = ["InnovationForm", "predicted_states"]
 
 FORGOTTEN = 1e-12  # of an initial state
 MOST_ROWS = 4096  # that an initial state is fitted to
@@ -97,3 +98,27 @@ class InnovationForm:
         left = (y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T) / size
         free = propagate(stable, np.zeros((n, len(u), n)), np.eye(n)) @ self.C.T / size
         return linalg.lstsq(free.reshape(n, -1).T, left.ravel(), cond=UNSEEN)[0]
+
+
+def predicted_states(A, C, K, inputs, outputs):
+    """x̂ of every row under inputs whose way in is not known.
+
+    B − K D, D and the initial states are those that leave the least innovations: a linear
+    least-squares fit, with regressors that do not grow.
+
+    Parameters
+    ----------
+    A, C, K : ndarray, shapes (n, n), (l, n), (n, l)
+    inputs : list of ndarray, shapes (n_rows_s, m)
+    outputs : list of ndarray, shapes (n_rows_s, l)
+
+    Returns
+    -------
+    states : list of ndarray, shapes (n_rows_s, n)
+    """
+    stable, rest = A - K @ C, np.zeros(len(A))
+    corrected = [propagate(stable, y @ K.T, rest) for y in outputs]
+    left = [y - x @ C.T for x, y in zip(corrected, outputs, strict=True)]
+    B, _, x0 = input_matrices(stable, C, inputs, left, True)
+    driven = [propagate(stable, u @ B.T, start) for u, start in zip(inputs, x0, strict=True)]
+    return [x + y for x, y in zip(corrected, driven, strict=True)]

@@ -33,6 +33,7 @@ __all__ = [
     "floquet_logarithm",
     "leaves_white_noise",
     "order_by_residual",
+    "response_to_states",
     "shape_functions",
     "state_response",
     "told_apart",
@@ -223,12 +224,7 @@ def state_response(Phi, C, directions, lifted, seen):
     residual : ndarray, shape (q,)
         Sum of squares left of each sample of the period.
     """
-    W = np.vstack(directions)
-    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
-
-    def project(block):
-        return block - Q @ (Q.T @ block)
-
+    project = _off(directions)
     units, outputs = _unit_responses(Phi, directions), project(np.vstack(lifted))
     units = np.stack([project(unit) for unit in units], axis=1)  # (n_periods, n_unknown, n)
     target, sees, before = project(np.vstack(seen)), C, np.inf
@@ -243,6 +239,36 @@ def state_response(Phi, C, directions, lifted, seen):
         if left >= (1.0 - 1e-6) * before or left <= SWEEP_TOLERANCE**2 * np.sum(few**2):
             break
         target, before = few, left
+    return _seen_of(states, outputs)
+
+
+def response_to_states(states, directions, lifted):
+    """What every sample of the period sees of known states.
+
+    Parameters
+    ----------
+    states : list of ndarray, shapes (n_periods_s, n)
+        At the beginning of each period.
+    directions, lifted : list of ndarray
+        As for :func:`state_response`.
+
+    Returns
+    -------
+    sights, information, residual
+        As of :func:`state_response`.
+    """
+    project = _off(directions)
+    return _seen_of(project(np.vstack(states)), project(np.vstack(lifted)))
+
+
+def _off(directions):
+    """Projection of stacked periods off the inputs."""
+    W = np.vstack(directions)
+    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
+    return lambda block: block - Q @ (Q.T @ block)
+
+
+def _seen_of(states, outputs):
     sights = linalg.lstsq(states, outputs)[0].T
     return sights, states.T @ states, np.sum((outputs - states @ sights.T) ** 2, axis=0)
 

@@ -1,0 +1,180 @@
+"""Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from sklearn_hd._data import lifted_periods
+from sklearn_hd._free_response import MAX_GROWTH, GrowthError
+from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd.algorithms.floquet_coordinates import fixed_scale
+from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.sensitivity import linear_response
+from sklearn_hd.algorithms.structured_model import column_sizes
+
+__all__ = ["InputProblem", "Realization"]
+
+N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+ROUNDING = 1e-28
+RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
+NULL_SHARE = 1e-6  # of a parameter's direction in the null space
+LARGEST_FIT = 4e7  # numbers in one regressor matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Realization:
+    """A periodic model in closed form, and how far it can be trusted.
+
+    Attributes
+    ----------
+    model : PeriodicModel
+    structure : PeriodicStructure
+        Whose parameters the model's coefficients are.
+    theta : ndarray
+    physical : bool
+        Whether the states are outputs, rather than Floquet coordinates.
+    r2 : float
+        Share of the raw record's variance that the model explains.
+    systematic : float
+        Share of it that stands unexplained and is no white noise: covariance of what is
+        left of neighbouring samples.
+    unidentified : tuple of str
+        Parameters of G and Q that the record does not determine.
+    """
+
+    model: PeriodicModel
+    structure: PeriodicStructure
+    theta: np.ndarray
+    physical: bool
+    r2: float
+    systematic: float
+    unidentified: tuple
+
+
+class InputProblem:
+    """G(ψ) and Q(ψ) of a system of known F and P, by linear least squares on the raw record.
+
+    Each segment is simulated from an initial state of its own; where the states at the
+    beginning of each period are known (``starts``, in any coordinates), each period from its.
+    """
+
+    def __init__(self, structure, states, experiment, free, form, scale, starts=None):
+        basis = experiment.basis
+        self.structure, self.free, self.form = structure, free, form
+        self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
+        self.experiment, self.scale = experiment, scale
+        self.parts = list(self._parts(starts))
+
+    def solve(self, n_harmonics, physical):
+        """The realization with as many harmonics of G as the data show (Schwarz's criterion).
+
+        And as they determine: inputs that change at a few phases of the period tell more
+        harmonics apart only where the outputs are the states.
+        """
+        spp, best, worse = self.experiment.basis.samples_per_period, None, 0
+        asked = self.structure.n_harmonics("G")
+        for count in N_INPUT_HARMONICS if asked is None else [asked]:
+            if best is not None and (count > (spp - 1) // 2 or self._numbers(count) > LARGEST_FIT):
+                break
+            found = self._fit({**n_harmonics, "G": count}, physical)
+            if best is not None and len(found[1].unidentified) > len(best[1].unidentified):
+                break
+            worse = 0 if best is None or found[0] < best[0] else worse + 1
+            best = found if worse == 0 else best
+            if worse == 2:
+                break
+        return best[1]
+
+    def _parts(self, starts):
+        """What is simulated in one piece: inputs, outputs, phases, and shares of unknown states."""
+        basis, n = self.experiment.basis, len(self.names[0])
+        signals = self.experiment.inputs, self.experiment.outputs
+        if starts is None:
+            for s, (u, y, time) in enumerate(zip(*signals, self.experiment.times(), strict=True)):
+                own = np.zeros((len(signals[0]), n, n))
+                own[s] = np.eye(n)
+                yield u, y, basis.phase_index(time), np.hstack(own)
+            return
+        phase = np.arange(basis.samples_per_period)
+        lifted = (lifted_periods(self.experiment, each) for each in signals)
+        for inputs, outputs, states in zip(*lifted, starts, strict=True):
+            for u, y, x in zip(inputs, outputs, states, strict=True):
+                yield u, y, phase, np.kron(np.eye(n), x)
+
+    def _numbers(self, count):
+        n, m = len(self.names[0]), len(self.names[1])
+        n_rows = sum(y.size for _, y, _, _ in self.parts)
+        return n_rows * ((2 * count + 1) * n * m + self.parts[0][3].shape[1])
+
+    def _fit(self, n_harmonics, physical):
+        """Schwarz's criterion, and the realization, with some number of harmonics of G."""
+        full = self.structure.resolve(*self.names, n_harmonics, form=self.form)
+        linear = self._known_states(full)
+        gains, left, unknown = self._least_squares(linear)
+        n_rows, rss = len(left), np.sum(left**2, axis=0)
+        found = linear.coefficients(gains)
+        theta = full.nearest(found)
+        basis = self.experiment.basis
+        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
+        if self.form is not None:
+            full, theta = fixed_scale(full, theta, self.form)
+        fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
+        bic = fit + np.log(n_rows * len(rss)) * len(gains)
+        total = sum(float(np.sum((y / self.scale) ** 2)) for _, y, _, _ in self.parts)
+        shares = 1.0 - float(np.sum(rss)) / total, float(np.sum(left[1:] * left[:-1])) / total
+        unknown = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
+        return bic, Realization(model, full, theta, physical, *shares, unknown)
+
+    def _known_states(self, full):
+        """The structure with F and P as found (as near as it allows), G and Q left free."""
+        n = full.n_states
+        guess = np.zeros(full.constant.shape)
+        for name, part in (("F", guess[:, :n, :n]), ("P", guess[:, n:, :n])):
+            part[: len(self.free[name])] = self.free[name][: len(part)]
+        constant = full.constant.copy()
+        constant[:, :, :n] = full.coefficients(full.nearest(guess))[:, :, :n]
+        columns = np.unravel_index(np.arange(constant.size), constant.shape)[2]
+        entries = sparse.csr_array(full.basis * (columns >= n))  # not F's that share a name
+        entries.eliminate_zeros()
+        drives = np.diff(entries.indptr) > 0
+        names = tuple(np.array(full.parameter_names, dtype=object)[drives])
+        return PeriodicStructure(constant, entries[drives], n, names)
+
+    def _least_squares(self, linear):
+        """Parameters that enter linearly, what they leave of the outputs (in parts of their
+        scale), and which of them the record does not determine."""
+        blocks = []
+        spp = self.experiment.basis.samples_per_period
+        response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
+        self._check_growth(response)
+        for u, y, phase, starts in self.parts:
+            forced, given, free = linear_response(response, u, phase)
+            rows = np.concatenate([forced, free @ starts, (y - given)[:, :, None]], axis=2)
+            blocks.append(rows / self.scale[:, None])
+        rows = np.concatenate(blocks)
+        n_rows = len(rows)
+        rows = rows.reshape(-1, rows.shape[-1])
+        size = column_sizes(rows[:, :-1])
+        R = linalg.qr(rows / np.append(size, 1.0), mode="r")[0][: len(size)]
+        U, values, Vt = linalg.svd(R[:, :-1])
+        kept = values > RANK * np.max(values, initial=0.0)
+        solution = Vt[kept].T @ (U[:, kept].T @ R[:, -1] / values[kept]) / size
+        left = rows[:, -1] - rows[:, :-1] @ solution
+        unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
+        k = linear.n_parameters
+        return solution[:k], left.reshape(n_rows, -1), unknown[:k]
+
+    def _check_growth(self, response):
+        periods = max(len(phase) for _, _, phase, _ in self.parts) / max(len(response.Phi), 1)
+        growth = periods * np.log(max(response.spectral_radius, 1e-300))
+        if not growth <= MAX_GROWTH:
+            raise GrowthError(
+                f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
+                f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
+                f"F, sample more often, or change the order of the model"
+            )
+
+    @property
+    def omega(self):
+        return self.experiment.basis.omega
