@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import linalg
+from sklearn.pipeline import Pipeline
 
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.integration import integrate, runge_kutta
 from sklearn_hd.algorithms.period_map import PeriodMap, quadratic_gain
 from sklearn_hd.datasets import make_hawkmoth
@@ -279,6 +281,35 @@ def test_excitation_as_given_and_no_quiet():
 def test_bunch_can_be_pickled(flight):
     again = pickle.loads(pickle.dumps(flight))
     pd.testing.assert_frame_equal(again.outputs, flight.outputs)
+
+
+def identified(random_state=7, **given):
+    """Floquet exponents from one flight, with the noise taken for independent of the inputs."""
+    data = make_hawkmoth(samples_per_period=32, random_state=random_state, **given)
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(data.omega, hop="period", trim_span=data.trim_span)),
+            ("identify", MOESPRegressor(order=4)),
+        ]
+    ).fit(data.inputs, data.outputs)
+    exponents = np.log(pipe["identify"].eigenvalues_.astype(complex)) / data.trim.period
+    return np.sort_complex(exponents), np.sort_complex(data.exponents)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+def test_exponents_come_back_from_a_calm_flight():
+    """As well as the excitation is small: what is left is the moth's being nonlinear."""
+    errors = []
+    for size in (1e-3, 1e-4, 1e-5):
+        found, expected = identified(n_periods=60, excitation=size)
+        errors.append(np.max(np.abs(found - expected)))
+    assert errors[1] < 0.2 * errors[0]
+    assert errors[2] < 2e-3
+
+
+def test_gusts_that_are_fed_back_hide_the_growing_pair():
+    found, _ = identified(n_periods=150, excitation=3e-3, gust=0.05, random_state=102)
+    assert found.real.max() < 0.0
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def quadratic_gain(plant, state_sizes, input_sizes):
 
     References
     ----------
-    A. E. Bryson, Y.-C. Ho, *Applied Optimal Control*, 1975, section 5.2.
+    A. E. Bryson, Y.-C. Ho, *Applied Optimal Control*, 1975.
 
     Examples
     --------

@@ -11,6 +11,7 @@ from sklearn.utils import Bunch, check_random_state
 from sklearn_hd._validation import real_array
 from sklearn_hd.algorithms.fourier import recompose
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import LTPSystem, PeriodicSystem, flapping_wing
 
 __all__ = ["make_flapping_wing"]
@@ -196,9 +197,9 @@ def make_flapping_wing(
     t = np.arange(du.shape[1]) * sample_time
     u, y, u_trim, y_trim = _RESPONSES[kind](truth, part, du, t)
 
-    index = _index(t, len(du))
+    index = record_index(t, len(du))
     output_names = part.states if kind == "lti" else truth.ltp.output_names
-    inputs, outputs = _frame(u, ["U"], index), _frame(y, output_names, index)
+    inputs, outputs = record_frame(u, ["U"], index), record_frame(y, output_names, index)
     noisy_outputs = _with_noise(outputs, y - y_trim, ratio, rng)
     noisy_inputs = _with_noise(inputs, u - u_trim, ratio if noise_on == "both" else None, rng)
     A, B = truth.exact(part)
@@ -434,16 +435,6 @@ def _trim_span(du, t, spp):
 
 
 # ---- frames, noise, checks -----------------------------------------------------------------
-
-
-def _index(t, n_records):
-    if n_records == 1:
-        return pd.Index(t, name="time")
-    return pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
-
-
-def _frame(values, names, index):
-    return pd.DataFrame(values.reshape(len(index), -1), index, list(names))
 
 
 def _with_noise(frame, perturbation, ratio, rng):

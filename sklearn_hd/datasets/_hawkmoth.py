@@ -4,10 +4,10 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 
 from sklearn_hd._validation import check_count, check_numbers, real_array
+from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import HeldFeedback, hawkmoth
 
 __all__ = ["make_hawkmoth"]
@@ -146,12 +146,13 @@ def make_hawkmoth(
     wind = gust * rng.standard_normal((n_records, n_periods * S, len(GUSTS)))
     u, y, clean = _flights(loop, v, wind, noise, rng)
     sample_time = truth.system.period / S
-    index = _index(n_records, n_periods * S, sample_time)
+    index = record_index(np.arange(n_periods * S) * sample_time, n_records)
+    signals, states = truth.system.input_names, truth.system.output_names
     return Bunch(
-        inputs=_frame(u[..., :2], index, truth.system.input_names),
-        outputs=_frame(y, index, truth.system.output_names),
-        outputs_clean=_frame(clean, index, truth.system.output_names),
-        excitation=_frame(v.repeat(S, axis=1), index, truth.system.input_names),
+        inputs=record_frame(u[..., :2], signals, index),
+        outputs=record_frame(y, states, index),
+        outputs_clean=record_frame(clean, states, index),
+        excitation=record_frame(v.repeat(S, axis=1), signals, index),
         omega=truth.system.omega,
         sample_time=sample_time,
         gain=loop.gain.copy(),
@@ -215,14 +216,3 @@ def _excitation(size, n_records, n_periods, quiet, rng):
     v = size * rng.choice([-1.0, 1.0], shape)
     v[:, :quiet] = 0.0
     return v
-
-
-def _index(n_records, n_samples, sample_time):
-    t = np.arange(n_samples) * sample_time
-    if n_records == 1:
-        return pd.Index(t, name="time")
-    return pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
-
-
-def _frame(values, index, names):
-    return pd.DataFrame(values.reshape(len(index), -1), index, list(names))

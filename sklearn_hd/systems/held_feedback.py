@@ -54,7 +54,7 @@ class HeldFeedback:
     References
     ----------
     G. F. Franklin, J. D. Powell, M. L. Workman, *Digital Control of Dynamic Systems*,
-    3rd edition, 1998, section 9.3.
+    3rd edition, 1998.
 
     Examples
     --------

@@ -139,7 +139,8 @@ def hawkmoth(
     from the hinge axis to the centre of pressure, which hangs below the hinge while the
     wing flaps: the height is that of the forces. It decides how fast the instability
     grows, for the drag of surging acts on it: M_u = ∂M/∂u / I_yy is 49 1/(m s) at
-    2 mm, and 26 more for each mm. Rotational lift with C_R = π adds 300 1/(m s).
+    2 mm, and 26 more for each mm; at 1 mm the moth is stable. Rotational lift with
+    C_R = π adds 300 1/(m s).
 
     A change of Φ or φ̄ within a wingbeat moves the wings at once, without the speed of
     that jump: hold inputs over whole wingbeats, from the reversal at t = 0.
