@@ -63,8 +63,11 @@ class InputProblem:
         basis = experiment.basis
         self.structure, self.free, self.form = structure, free, form
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
-        self.experiment, self.scale = experiment, scale
-        self.parts = list(self._parts(starts))
+        self.experiment, self.scale, self.simulated = experiment, scale, starts is None
+        self.n_rows = sum(map(len, experiment.outputs))
+        self.beyond = np.zeros(len(scale))  # left whatever G and Q are, sum of squares
+        self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
+        self.parts = self._segments() if starts is None else self._periods(np.vstack(starts))
 
     def solve(self, n_harmonics, physical):
         """The realization with as many harmonics of G as the data show (Schwarz's criterion).
@@ -86,21 +89,42 @@ class InputProblem:
                 break
         return best[1]
 
-    def _parts(self, starts):
-        """What is simulated in one piece: inputs, outputs, phases, and shares of unknown states."""
-        basis, n = self.experiment.basis, len(self.names[0])
-        signals = self.experiment.inputs, self.experiment.outputs
-        if starts is None:
-            for s, (u, y, time) in enumerate(zip(*signals, self.experiment.times(), strict=True)):
-                own = np.zeros((len(signals[0]), n, n))
-                own[s] = np.eye(n)
-                yield u, y, basis.phase_index(time), np.hstack(own)
-            return
-        phase = np.arange(basis.samples_per_period)
-        lifted = (lifted_periods(self.experiment, each) for each in signals)
-        for inputs, outputs, states in zip(*lifted, starts, strict=True):
-            for u, y, x in zip(inputs, outputs, states, strict=True):
-                yield u, y, phase, np.kron(np.eye(n), x)
+    def _segments(self):
+        """Whole segments, each from a state that is unknown."""
+        experiment, n = self.experiment, len(self.names[0])
+        parts = []
+        for s, time in enumerate(experiment.times()):
+            own = np.zeros((len(experiment.inputs), n, n))
+            own[s] = np.eye(n)
+            phase = experiment.basis.phase_index(time)
+            parts.append((experiment.inputs[s], experiment.outputs[s], phase, np.hstack(own)))
+        return parts
+
+    def _periods(self, starts):
+        """Periods, each from its state times a matrix that is unknown, all in as few as do.
+
+        All begin at ψ = 0, so that linear combinations of them are periods, too: of inputs
+        and states Z = U S Vᵀ, no more than the rows of S Vᵀ, and of Uᵀ times the outputs.
+        """
+        experiment, spp = self.experiment, self.experiment.basis.samples_per_period
+        inputs, outputs = (
+            np.vstack(lifted_periods(experiment, signals))
+            for signals in (experiment.inputs, experiment.outputs)
+        )
+        states = starts / column_sizes(starts)
+        Z = np.hstack([inputs.reshape(len(inputs), -1), states])
+        U, sizes, Vt = linalg.svd(Z / column_sizes(Z), full_matrices=False)
+        kept = sizes > RANK * sizes[0]
+        U, few = U[:, kept], (sizes[kept, None] * Vt[kept]) * column_sizes(Z)
+        flat = outputs.reshape(len(outputs), -1)
+        seen = U.T @ flat
+        left = (flat - U @ seen).reshape(outputs.shape) / self.scale
+        self.n_rows, self.beyond = left[..., 0].size, np.sum(left**2, axis=(0, 1))
+        self.total = float(np.sum((outputs / self.scale) ** 2))
+        n, phase = states.shape[1], np.arange(spp)
+        u, y = few[:, :-n].reshape(-1, *inputs.shape[1:]), seen.reshape(-1, *outputs.shape[1:])
+        own = [np.kron(np.eye(n), x) for x in few[:, -n:]]
+        return list(zip(u, y, [phase] * len(u), own, strict=True))
 
     def _numbers(self, count):
         n, m = len(self.names[0]), len(self.names[1])
@@ -112,7 +136,7 @@ class InputProblem:
         full = self.structure.resolve(*self.names, n_harmonics, form=self.form)
         linear = self._known_states(full)
         gains, left, unknown = self._least_squares(linear)
-        n_rows, rss = len(left), np.sum(left**2, axis=0)
+        n_rows, rss = self.n_rows, np.sum(left**2, axis=0) + self.beyond
         found = linear.coefficients(gains)
         theta = full.nearest(found)
         basis = self.experiment.basis
@@ -121,8 +145,9 @@ class InputProblem:
             full, theta = fixed_scale(full, theta, self.form)
         fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
         bic = fit + np.log(n_rows * len(rss)) * len(gains)
-        total = sum(float(np.sum((y / self.scale) ** 2)) for _, y, _, _ in self.parts)
-        shares = 1.0 - float(np.sum(rss)) / total, float(np.sum(left[1:] * left[:-1])) / total
+        # from its predictor's states, what a period leaves is no white noise in any case
+        alike = float(np.sum(left[1:] * left[:-1])) if self.simulated else 0.0
+        shares = 1.0 - float(np.sum(rss)) / self.total, alike / self.total
         unknown = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
         return bic, Realization(model, full, theta, physical, *shares, unknown)
 
