@@ -31,6 +31,14 @@ LOADERS = {
     "CD_player_arm": load_cd_player_arm,
 }
 DIGITS = 0.00005 * (1 + 1e-9)  # half of the last of four printed digits
+SLICOT_A = np.array(  # IB01BD.res
+    [
+        [0.8924, 0.3887, 0.1285, 0.1716],
+        [-0.0837, 0.6186, -0.6273, -0.4582],
+        [0.0052, 0.1307, 0.6685, -0.6755],
+        [0.0055, 0.0734, -0.2148, 0.4788],
+    ]
+)
 
 
 def identify(data, block_rows, order, *, detrend=False, scale=False):
@@ -101,21 +109,47 @@ def test_slicot_example_has_the_eigenvalues_published(scale):
     """SLICOT Library, examples of IB01BD and IB01CD (15 block rows, order 4): IB01BD.res prints
     A to four decimals; its eigenvalues are 0.4758 ± 0.1999j, 0.7456, 0.9610. One input and one
     output: their units (scale) change nothing."""
-    A = [
-        [0.8924, 0.3887, 0.1285, 0.1716],
-        [-0.0837, 0.6186, -0.6273, -0.4582],
-        [0.0052, 0.1307, 0.6685, -0.6755],
-        [0.0055, 0.0734, -0.2148, 0.4788],
-    ]
     model, u, y = identify(load_slicot_example(), 15, 4, scale=scale)
     published = [0.4758 + 0.1999j, 0.4758 - 0.1999j, 0.7456, 0.9610]
     assert farthest(model.eigenvalues_, published) < 1e-4
-    eigenvalues, left, right = linalg.eig(A, left=True)
+    eigenvalues, left, right = linalg.eig(SLICOT_A, left=True)
     moved = np.abs(left.conj()).sum(axis=0) * np.abs(right).sum(axis=0)  # by a unit in any entry
     moved /= np.abs(np.sum(left.conj() * right, axis=0))
     gap = np.abs(eigenvalues[:, None] - model.eigenvalues_).min(axis=1)
     assert np.all(gap < 1.01 * DIGITS * moved)  # to first order
     assert variance_accounted_for(model, u, y).min() > 98.8
+
+
+def moved_by_rounding(function, *printed):
+    """How far the unprinted digits of some matrices may move a function of them."""
+    here, total = function(*printed), 0.0
+    for which, matrix in enumerate(printed):
+        for place in np.ndindex(matrix.shape):
+            there = matrix.copy()
+            there[place] += DIGITS
+            total = total + np.abs(function(*printed[:which], there, *printed[which + 1 :]) - here)
+    return total
+
+
+def test_slicot_example_has_the_kalman_gain_published():
+    """SLICOT Library, IB01BD.res: A, C and the Kalman gain K, to four decimals. In no
+    coordinates: responses C Aʲ K to the innovations, within what the digits not printed allow."""
+    C = np.array([[-0.4442, 0.6663, 0.3961, 0.4102]])
+    K = np.array([[-1.9513], [-0.1867], [0.6348], [-0.3486]])
+    data = load_slicot_example()
+    model = MOESPRegressor(
+        4, block_rows=15, feedthrough=True, scale=False, disturbance_model=True
+    ).fit(data.inputs, data.outputs)
+
+    def responses(A, C, K):
+        return np.array([(C @ np.linalg.matrix_power(A, j) @ K).item() for j in range(20)])
+
+    printed = responses(SLICOT_A, C, K)
+    gap = np.abs(responses(model.model_.A, model.model_.C, model.kalman_gain_) - printed)
+    allowed = moved_by_rounding(responses, SLICOT_A, C, K)
+    assert np.all(gap < 1.01 * allowed)
+    assert np.all(allowed < 5e-3)
+    assert gap[:8].max() < 1e-4
 
 
 @pytest.mark.parametrize("name", REFERENCE)
