@@ -97,15 +97,7 @@ def refine_multipliers(Phi, directions, lifted):
         return RefinedMap(Phi)
     basis, blocks = invariant_blocks(Phi)
     target = compact(np.vstack(lifted))
-
-    def left(coefficients):
-        steps = _companions(coefficients, blocks)
-        if not max(np.max(np.abs(linalg.eigvals(step))) for step in steps) < largest:
-            return target.ravel()
-        Q = orthonormal_range(np.vstack(mode_responses(steps, directions)))
-        return (target - Q @ (Q.T @ target)).ravel()
-
-    found = _best_of(left, blocks)
+    found = _best_of(_Elimination(blocks, directions, target, largest), blocks)
     moved = [
         with_characteristic(block, values)
         for block, values in zip(blocks, _by_block(found.x, blocks), strict=True)
@@ -117,7 +109,104 @@ def refine_multipliers(Phi, directions, lifted):
     return RefinedMap(Phi, basis, tuple(moved), found.x, information)
 
 
-def _best_of(left, blocks):
+class _Elimination:
+    """What is left of the lifted outputs once all but the multipliers is eliminated.
+
+    With the responses M(c) of the modes to every input and initial state, r = P⊥ T, P⊥ = 1 − M M⁻,
+
+        ∂r/∂c = −P⊥ ∂M M⁻ T − (P⊥ ∂M M⁻)ᵀ T              (Golub and Pereyra, 1973)
+
+    and ∂M are responses of the same modes, driven by M.
+
+    Parameters
+    ----------
+    blocks : list of ndarray
+        Whose characteristic polynomials have the coefficients c.
+    directions : list of ndarray, shapes (n_periods_s, r)
+    target : ndarray, shape (n_periods, q)
+        T.
+    largest : float
+        Size of a multiplier from which on no mode is simulated.
+    """
+
+    def __init__(self, blocks, directions, target, largest):
+        self.blocks, self.directions = blocks, directions
+        self.target, self.largest, self._last = target, largest, (None, None)
+
+    def left(self, coefficients):
+        """r, shape (n_periods q,)."""
+        found = self._projection(coefficients)
+        if found is None:
+            return self.target.ravel()
+        Q = found[2]
+        return (self.target - Q @ (Q.T @ self.target)).ravel()
+
+    def jacobian(self, coefficients):
+        """∂r/∂c, shape (n_periods q, n)."""
+        jacobian = np.zeros((self.target.size, len(coefficients)))
+        found = self._projection(coefficients)
+        if found is None:
+            return jacobian
+        steps, states, Q, R, columns = found
+        explained = Q.T @ self.target
+        left = self.target - Q @ explained
+        weights = np.zeros((states[0].shape[1] * len(coefficients), self.target.shape[1]))
+        inverse = linalg.solve_triangular(R, np.eye(len(R)))
+        n_inputs = self.directions[0].shape[1]
+        own = columns >= n_inputs  # of the modes; inputs do not depend on their multipliers
+        weights[columns[own] - n_inputs] = (inverse @ explained)[own]
+        for i, (rate, place) in enumerate(self._rates(steps, states)):
+            moved = rate @ weights[place]
+            across = np.zeros((len(R), self.target.shape[1]))
+            here = np.flatnonzero(own)[np.isin(columns[own] - n_inputs, place)]
+            which = np.searchsorted(place, columns[here] - n_inputs)
+            across[here] = rate[:, which].T @ left
+            derivative = moved - Q @ (Q.T @ moved) + Q @ (inverse.T @ across)
+            jacobian[:, i] = -derivative.ravel()
+        return jacobian
+
+    def _projection(self, coefficients):
+        """Steps, states, and Q R of independent columns of M; None beyond what is simulated."""
+        asked, found = self._last
+        if asked is None or not np.array_equal(asked, coefficients):
+            found = self._project(coefficients)
+            self._last = coefficients.copy(), found
+        return found
+
+    def _project(self, coefficients):
+        steps = _companions(coefficients, self.blocks)
+        if not max(np.max(np.abs(linalg.eigvals(step))) for step in steps) < self.largest:
+            return None
+        states = mode_states(steps, self.directions)
+        M = np.vstack(_beside(self.directions, states))
+        size = column_sizes(M)
+        Q, R, order = linalg.qr(M / size, mode="economic", pivoting=True)
+        kept = np.abs(np.diag(R)) > RANK
+        return steps, states, Q[:, kept], R[np.ix_(kept, kept)] * size[order[kept]], order[kept]
+
+    def _rates(self, steps, states):
+        """∂M by each coefficient, shape (n_periods, n_sources d), and the columns that it moves.
+
+        A coefficient of z² − s z + p feeds the last coordinate of its block with the second
+        (s) or with the first (p, negative).
+        """
+        n, at = sum(map(len, steps)), 0
+        sources = states[0].shape[1]
+        for step in steps:
+            d = len(step)
+            place = (np.arange(sources)[:, None] * n + np.arange(at, at + d)).ravel()
+            for driver, sign in [(at + d - 1, 1.0), (at, -1.0)][:d]:
+                rates = []
+                for x in states:
+                    forcing = np.zeros((sources, len(x), d))
+                    forcing[:, :, -1] = sign * x[:, :, driver].T
+                    rate = propagate(step, forcing, np.zeros((sources, d)))
+                    rates.append(rate.transpose(1, 0, 2).reshape(len(x), -1))
+                yield np.vstack(rates), place
+            at += d
+
+
+def _best_of(elimination, blocks):
     """Least squares from the multipliers given, and from smaller ones where they are too large.
 
     A start beyond 1 (noise alone makes one of multipliers of 0.04) has no way down.
@@ -129,7 +218,14 @@ def _best_of(left, blocks):
         start = np.concatenate([characteristic(block * (value / size)) for block in blocks])
         searches.append(
             least_squares(
-                left, start, x_scale="jac", xtol=1e-15, ftol=1e-12, gtol=1e-15, max_nfev=MAX_STEPS
+                elimination.left,
+                start,
+                elimination.jacobian,
+                x_scale="jac",
+                xtol=1e-15,
+                ftol=1e-12,
+                gtol=1e-15,
+                max_nfev=MAX_STEPS,
             )
         )
     return min(searches, key=lambda search: search.cost)
@@ -276,16 +372,32 @@ def mode_steps(Phi):
 def mode_responses(steps, directions):
     """Inputs, and the responses of each mode to each of them and to each initial state.
 
+    Returns
+    -------
+    responses : list of ndarray, shapes (n_periods_s, r + (r + n_segments) n)
+    """
+    return _beside(directions, mode_states(steps, directions))
+
+
+def _beside(directions, states):
+    return [np.hstack([w, x.reshape(len(w), -1)]) for w, x in zip(directions, states, strict=True)]
+
+
+def mode_states(steps, directions):
+    """States of each mode for each input, and for each segment's initial state.
+
     Pushed in the last coordinate of its step, the coordinates of a pair span what it can do.
+
+    Returns
+    -------
+    states : list of ndarray, shapes (n_periods_s, r + n_segments, n)
     """
     step = linalg.block_diag(*steps) if steps else np.zeros((0, 0))
     push = np.concatenate([[0.0] * (len(each) - 1) + [1.0] for each in steps] or [np.zeros(0)])
-    n = len(step)
-    responses = []
+    n, states = len(step), []
     for s, w in enumerate(directions):
         forced = propagate(step, w.T[:, :, None] * push, np.zeros((w.shape[1], n)))
         free = np.zeros((len(directions), len(w), n))
         free[s] = propagate(step, np.zeros((len(w), n)), push)
-        both = np.concatenate([forced, free])
-        responses.append(np.hstack([w, both.transpose(1, 0, 2).reshape(len(w), -1)]))
-    return responses
+        states.append(np.concatenate([forced, free]).transpose(1, 0, 2))
+    return states

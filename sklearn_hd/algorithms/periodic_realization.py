@@ -442,22 +442,49 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
     rounding = (1e-15 * np.linalg.norm(target, axis=0)) ** 2
     variance = np.where(variance > rounding, variance, np.where(rounding > 0, rounding, 1.0))
     highest = n_phases // 2
-    best = None
-    for count in range(highest + 1) if n_harmonics is None else [min(n_harmonics, highest)]:
-        functions = [shape_functions(psi, count, flip)[0] for flip in flips]
-        design = np.concatenate(
-            [f[:, None, :] * weighted[:, a, :, None] for a, f in enumerate(functions)], axis=2
-        ).reshape(n_phases * n, -1)
-        size = np.linalg.norm(design, axis=0)
-        size[size < UNSEEN * size.max()] = np.inf  # the sine that is zero at every sample
-        solution = linalg.lstsq(design / size, target)[0] / size[:, None]
-        left = np.sum((target - design @ solution) ** 2, axis=0)
-        value = float(np.sum(left / variance)) + 2.0 * solution.size
-        if best is None or value < best[0]:
-            edges = np.cumsum([f.shape[1] for f in functions])[:-1]
-            noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
-            best = value, FloquetShapes(R, flips, tuple(np.split(solution, edges)), count, noise)
-    return best[1]
+    counts = list(range(highest + 1)) if n_harmonics is None else [min(n_harmonics, highest)]
+    functions = [[shape_functions(psi, count, flip)[0] for flip in flips] for count in counts]
+    chosen = 0
+    if len(counts) > 1:
+        left, n_columns = _left_by_count(functions, weighted, target)
+        chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
+    design = _shape_design(functions[chosen], weighted)
+    size = np.linalg.norm(design, axis=0)
+    size[size < UNSEEN * size.max()] = np.inf  # the sine that is zero at every sample
+    solution = linalg.lstsq(design / size, target)[0] / size[:, None]
+    edges = np.cumsum([f.shape[1] for f in functions[chosen]])[:-1]
+    noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
+    return FloquetShapes(R, flips, tuple(np.split(solution, edges)), counts[chosen], noise)
+
+
+def _shape_design(functions, weighted):
+    """Regressors of the coefficients of P: functions of ψ times what each state has become."""
+    columns = [f[:, None, :] * weighted[:, a, :, None] for a, f in enumerate(functions)]
+    return np.concatenate(columns, axis=2).reshape(len(weighted) * weighted.shape[2], -1)
+
+
+def _left_by_count(functions, weighted, target):
+    """Sums of squares that more and more functions leave, and how many coefficients they have.
+
+    Those of fewer harmonics are the first of those of more: one factorisation serves all.
+    """
+    blocks, n_columns, before = [], [], [0] * len(functions[0])
+    for each in functions:
+        new = [f[:, seen:] for f, seen in zip(each, before, strict=True)]
+        before = [f.shape[1] for f in each]
+        blocks.append(_shape_design(new, weighted))
+        n_columns.append(sum(before))
+    design = np.hstack(blocks)
+    size = np.linalg.norm(design, axis=0)
+    size[size < UNSEEN * size.max()] = np.inf
+    Q, R = linalg.qr(design / size, mode="economic")
+    Q = Q * (np.abs(np.diag(R)) > UNSEEN)
+    taken = Q.T @ target
+    beyond = np.sum((target - Q @ taken) ** 2, axis=0)
+    later = np.cumsum(np.vstack([beyond, taken[::-1] ** 2]), axis=0)[::-1]  # no cancellation
+    return later[np.minimum(np.cumsum([b.shape[1] for b in blocks]), len(taken))], np.array(
+        n_columns
+    )
 
 
 def _root(information):
