@@ -154,7 +154,7 @@ def test_bode_curves_are_those_of_the_system():
     hd = mathieu().harmonic_decomposition(1)
     frequencies = np.geomspace(0.1, 10.0, 30)
     display = BodeDisplay.from_systems({"hd": hd}, frequencies, inputs=["u1_0"], outputs=["y_1c"])
-    g = hd["y_1c", "u1_0"](1j * frequencies)
+    g = cases.channels(hd, ["y_1c"], ["u1_0"])(1j * frequencies)
     key = "hd", "y_1c", "u1_0"
     np.testing.assert_allclose(display.magnitude_lines_[key].get_ydata(), np.abs(g))
     phase = np.exp(1j * np.radians(display.phase_lines_[key].get_ydata()))
@@ -219,7 +219,7 @@ def test_harmonic_transfer_functions_are_drawn_with_coherence():
 
 def test_the_record_is_taken_about_its_trim():
     u, y = cases.random_steps()
-    u, y = u.iloc[: 16 * 300], y.iloc[: 16 * 300].copy()
+    u, y = u.iloc[: 16 * 300].copy(), y.iloc[: 16 * 300].copy()
     u.iloc[: 16 * 60] = 0.0  # in trim
     t = u.index.to_numpy()
     y.iloc[:] = mathieu().simulate(u, t)
