@@ -96,7 +96,7 @@ likely = identify(data, physics, "output_error")
 BodeDisplay.from_estimator(
     {"norm": norm, "likelihood": likely},
     np.geomspace(1.0, 1000.0, 200),
-    true=data.ltp.harmonic_decomposition(1)[states, ["U_0"]],
+    true=data.ltp.harmonic_decomposition(1),
     units=units,
 )
 

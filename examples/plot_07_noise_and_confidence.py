@@ -77,8 +77,8 @@ print("noise, true:     ", (data.outputs_clean.std() / 20).round(5).to_dict())
 # The same for frequency responses, 95 % confidence shaded:
 
 frequencies = np.geomspace(1.0, 2000.0, 200)
-hd = data.ltp.harmonic_decomposition(1)[states, ["U_0"]]
-BodeDisplay.from_estimator(match, frequencies, true=hd, units=units)
+exact = data.ltp.harmonic_decomposition(1)
+BodeDisplay.from_estimator(match, frequencies, true=exact, units=units)
 
 # %%
 # Do they hold?

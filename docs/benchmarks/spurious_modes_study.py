@@ -307,7 +307,7 @@ def summary(rows, by):
     }
     rows = rows.assign(right=(rows["precision"] == 1.0) & (rows["recall"] == 1.0))
     rows["refused"] = rows["refused"] != ""
-    rows["ambiguous"] = rows["ambiguous"].fillna(False).astype(bool)
+    rows["ambiguous"] = rows["ambiguous"].eq(True)
     return rows.groupby(["noise", *by]).agg(**columns).round(3)
 
 

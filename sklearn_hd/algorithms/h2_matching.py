@@ -191,7 +191,7 @@ class _EqualFeedthrough:
             )
         tied = np.any(columns != 0, axis=0)
         lower, upper = problem.lower, problem.upper
-        if np.linalg.matrix_rank(columns[:, tied]) == np.count_nonzero(tied):
+        if not tied.any() or np.linalg.matrix_rank(columns[:, tied]) == np.count_nonzero(tied):
             directions = np.eye(len(tied))[:, ~tied]
             lower, upper = lower[~tied], upper[~tied]
         else:

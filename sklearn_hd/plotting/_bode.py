@@ -83,7 +83,7 @@ class BodeDisplay:
         frequencies : array_like, shape (n_frequencies,), optional
             In rad/s; a decade beyond the poles by default.
         true : control.StateSpace, optional
-            The truth, between the same signals.
+            The truth; of its signals, by name, those of the models.
         ax : Axes or array of Axes, optional
             One Axes a panel, or one that is divided; a new figure by default.
         **plotted
@@ -127,7 +127,7 @@ class BodeDisplay:
         frequencies : array_like, shape (n_frequencies,), optional
             In rad/s; a decade beyond the poles by default.
         true : control.StateSpace, optional
-            The truth, between the same signals.
+            The truth; of its signals, by name, those of the models.
         ax : Axes or array of Axes, optional
             Two Axes for each pair of signals, or one that is divided.
         **plotted
@@ -149,17 +149,20 @@ class BodeDisplay:
 
     @classmethod
     def _of(cls, systems, frequencies, true):
-        systems = dict(systems) if true is None else {"true": true, **systems}
+        models = dict(systems)
+        systems = models if true is None else {"true": true, **models}
         for label, system in systems.items():
             if not isinstance(system, control.StateSpace):
                 raise TypeError(
                     f"{cls.__name__} draws control.StateSpace models; {label!r} is of type "
                     f"{type(system).__name__} (an LTPSystem gives one by harmonic_decomposition)"
                 )
-        first = next(iter(systems.values()))
+        first = next(iter(models.values()))
         names = first.input_labels, first.output_labels
         for label, system in systems.items():
-            if (system.input_labels, system.output_labels) != names:
+            own = system.input_labels, system.output_labels
+            more = label not in models and all(map(set.issuperset, map(set, own), names))
+            if own != names and not more:
                 raise ValueError(
                     f"{label!r} has the inputs {system.input_labels} and outputs "
                     f"{system.output_labels}, the others {names[0]} and {names[1]}; give models "
@@ -173,7 +176,9 @@ class BodeDisplay:
                 f"frequencies of shape {frequencies.shape} must be positive numbers in rad/s, in "
                 f"one dimension"
             )
-        responses = {label: _response(system, frequencies) for label, system in systems.items()}
+        responses = {
+            label: _response(system, frequencies, *names) for label, system in systems.items()
+        }
         reference = None if true is None else "true"
         return cls(
             frequencies,
@@ -292,10 +297,13 @@ def default_frequencies(systems):
     return np.geomspace(min(low / reach, high / reach), high, POINTS)
 
 
-def _response(system, frequencies):
+def _response(system, frequencies, inputs, outputs):
     dt = _sample_time(system)
     points = 1j * frequencies if dt == 0.0 else np.exp(1j * frequencies * dt)
-    return frequency_response(system.A, system.B, system.C, system.D, points)
+    columns = [system.input_labels.index(name) for name in inputs]
+    rows = [system.output_labels.index(name) for name in outputs]
+    B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
+    return frequency_response(system.A, B, C, D, points)
 
 
 def _sample_time(system):
