@@ -152,15 +152,13 @@ class _Elimination:
         left = self.target - Q @ explained
         weights = np.zeros((states[0].shape[1] * len(coefficients), self.target.shape[1]))
         inverse = linalg.solve_triangular(R, np.eye(len(R)))
-        n_inputs = self.directions[0].shape[1]
-        own = columns >= n_inputs  # of the modes; inputs do not depend on their multipliers
-        weights[columns[own] - n_inputs] = (inverse @ explained)[own]
+        columns = columns - self.directions[0].shape[1]  # inputs, negative, do not move
+        weights[columns[columns >= 0]] = (inverse @ explained)[columns >= 0]
+        across, reached = np.zeros((len(R), self.target.shape[1])), np.zeros_like(weights)
         for i, (rate, place) in enumerate(self._rates(steps, states)):
             moved = rate @ weights[place]
-            across = np.zeros((len(R), self.target.shape[1]))
-            here = np.flatnonzero(own)[np.isin(columns[own] - n_inputs, place)]
-            which = np.searchsorted(place, columns[here] - n_inputs)
-            across[here] = rate[:, which].T @ left
+            reached[:], reached[place] = 0.0, rate.T @ left
+            across[columns >= 0] = reached[columns[columns >= 0]]
             derivative = moved - Q @ (Q.T @ moved) + Q @ (inverse.T @ across)
             jacobian[:, i] = -derivative.ravel()
         return jacobian
