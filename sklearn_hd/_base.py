@@ -8,7 +8,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._containers import as_container
+from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._data import (
     as_frame,
     check_features,
@@ -314,7 +314,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
     def _fitted_simulation(self, X, y, horizon=None):
         """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""
-        experiment = self._experiment(X, y)
+        experiment = self._experiment(without_inputs(y) if X is None else X, y)
         trim, sampling = experiment.output_trim(), experiment.sampling
         truth, simulated, rows = [], [], []
         parts = zip(self._simulators(experiment), experiment.outputs, sampling.pieces, strict=True)

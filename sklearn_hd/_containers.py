@@ -59,6 +59,8 @@ def _as_array(data, what):
     """An array of anything that has rows, NaN where it is masked."""
     if data is None or isinstance(data, str | bytes | dict):
         way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
+        if data is None and what == "X":
+            way = "; of a model of outputs alone, a frame of no columns on the rows wanted: y[[]]"
         raise TypeError(
             f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is no "
             f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"

@@ -416,6 +416,16 @@ def hop_means(drive, basis, rows):
     return np.lib.stride_tricks.sliding_window_view(held, hop, axis=0)[ends].mean(axis=-1)
 
 
+def beside_trim(directions, basis):
+    """Directions of the inputs, with a constant one where the trim was averaged over a span.
+
+    It is known as well as its span averages it: what it is off by repeats itself.
+    """
+    if basis.output_trim is None:
+        return directions
+    return [np.hstack([w, np.ones((len(w), 1))]) for w in directions]
+
+
 def lifted_periods(experiment, signals, scale=1.0):
     """Whole periods of some signals of an experiment, (n_periods_s, samples, n_signals) each."""
     basis = experiment.basis

@@ -304,6 +304,8 @@ class LTIModel:
     kalman_gain : ndarray, shape (n, l), or None
         K of the innovation form, where it was identified.
     innovations_covariance : ndarray, shape (l, l), or None
+    closed_loop : bool
+        Whether it was identified as if inputs answered to outputs.
     """
 
     A: np.ndarray
@@ -318,6 +320,7 @@ class LTIModel:
     windowed: bool = False
     kalman_gain: np.ndarray | None = None
     innovations_covariance: np.ndarray | None = None
+    closed_loop: bool = False
 
     @property
     def n_states(self):

@@ -1,14 +1,14 @@
 """Mode shapes of the outputs, from the raw periods of a record.
 
-The Poincaré map Φ and what every sample of the period sees of the state. From a model
-identified in open loop, Φ is refined on the raw record, on which the model is simulated; from
-one with a Kalman gain, the states are those of its predictor, in closed loop too.
+The Poincaré map Φ and what every sample of the period sees of the state. Of a model
+identified in open loop, Φ is refined on the raw record, on which the model is simulated; of
+one identified in closed loop, the states are those of its predictor.
 """
 
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._data import lifted_periods, rows_read
+from sklearn_hd._data import beside_trim, lifted_periods, rows_read
 from sklearn_hd.algorithms.innovations import predicted_states
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.multipliers import RefinedMap, refine_multipliers
@@ -34,7 +34,7 @@ class GrowthError(ValueError):
     """A model that grows more over a record than numbers can hold."""
 
 
-def output_shapes(model, experiment, scale):
+def output_shapes(model, experiment, scale, states=None):
     """Mode shapes of the outputs, in parts of their scale.
 
     Parameters
@@ -43,6 +43,8 @@ def output_shapes(model, experiment, scale):
         Discrete, from one period to the next.
     experiment : Experiment
     scale : ndarray, shape (n_outputs,)
+    states : list of ndarray, shapes (n_periods_s, n), optional
+        At the beginning of each period, from :func:`predictor_states`; else simulated.
 
     Returns
     -------
@@ -61,12 +63,12 @@ def output_shapes(model, experiment, scale):
         inputs, most_directions(sum(map(len, lifted)), model.n_states)
     )
     _, seen = rows_read(experiment)
-    if model.kalman_gain is None:
+    if states is None:
         unit = _sizes(np.vstack(seen))
         C, seen = model.C / unit[:, None], [Y / unit for Y in seen]
         Phi, response, n_rows = _simulated(model.A, C, inputs, directions, lifted, seen, spp)
     else:
-        states = predictor_states(model, experiment)
+        directions = beside_trim(directions, basis)
         Phi, response = model.A, response_to_states(states, directions, lifted)
         n_rows = sum(map(len, lifted)) - directions[0].shape[1] - model.n_states
     sights, information, residual = response
@@ -87,6 +89,9 @@ def output_shapes(model, experiment, scale):
 def predictor_states(model, experiment):
     """States of a model with a Kalman gain at the beginning of each period, by its predictor.
 
+    Its predictor is stable, and its errors are independent of inputs that answer to outputs of
+    earlier periods.
+
     Returns
     -------
     states : list of ndarray, shapes (n_periods_s, n)
@@ -98,7 +103,7 @@ def predictor_states(model, experiment):
     _, seen = rows_read(experiment)
     unit = _sizes(np.vstack(seen))
     C, K, seen = model.C / unit[:, None], model.kalman_gain * unit, [Y / unit for Y in seen]
-    return predicted_states(model.A, C, K, directions, seen)
+    return predicted_states(model.A, C, K, beside_trim(directions, experiment.basis), seen)
 
 
 def _simulated(A, C, inputs, directions, lifted, seen, samples_per_period):

@@ -111,6 +111,10 @@ class InputProblem:
             np.vstack(lifted_periods(experiment, signals))
             for signals in (experiment.inputs, experiment.outputs)
         )
+        if experiment.basis.output_trim is not None:  # what it is off by repeats itself
+            inputs, outputs, starts = (
+                each - each.mean(axis=0) for each in (inputs, outputs, starts)
+            )
         states = starts / column_sizes(starts)
         Z = np.hstack([inputs.reshape(len(inputs), -1), states])
         U, sizes, Vt = linalg.svd(Z / column_sizes(Z), full_matrices=False)

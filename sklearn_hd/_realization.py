@@ -70,7 +70,7 @@ def realize(model, experiment, structure):
         )
     _check_harmonics(structure, experiment.basis.samples_per_period)
     scale = output_scale(experiment)
-    if model.kalman_gain is not None:  # the other way simulates the record
+    if model.closed_loop:  # the other way takes inputs for independent of noise
         return _in_closed_form(model, experiment, structure, scale)[0]
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
@@ -143,7 +143,8 @@ def _in_closed_form(model, experiment, structure, scale):
     """The realization by P(ψ) and R, and the noise of what P was fitted to."""
     basis = experiment.basis
     spp = basis.samples_per_period
-    shapes = output_shapes(model, experiment, scale)
+    starts = predictor_states(model, experiment) if model.closed_loop else None
+    shapes = output_shapes(model, experiment, scale, starts)
     names = [name for name, _ in basis.outputs]
     rows = _state_outputs(shapes, structure, names, spp)
     psi = 2.0 * np.pi * np.arange(spp) / spp
@@ -170,7 +171,6 @@ def _in_closed_form(model, experiment, structure, scale):
         name: sampled_harmonics(values, n_harmonics[name] or 0)
         for name, values in (("F", F), ("P", P))
     }
-    starts = None if model.kalman_gain is None else predictor_states(model, experiment)
     problem = InputProblem(structure, states, experiment, free, form, scale, starts)
     return problem.solve(n_harmonics, physical=rows is not None), shapes.noise
 

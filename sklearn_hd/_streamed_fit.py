@@ -10,7 +10,7 @@ from sklearn_hd._containers import without_inputs
 from sklearn_hd._data import check_features
 from sklearn_hd._progress import progress
 from sklearn_hd._stream import Stream, read_chunk
-from sklearn_hd._subspace_checks import PREDICTOR
+from sklearn_hd._subspace_checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
@@ -87,6 +87,8 @@ class StreamedFit:
         stream = getattr(self, "_stream", None)
         check_features(self, X, reset=stream is None)
         asked = self._block_rows_asked(experiment.basis)
+        if self.weighting == PREDICTOR and self.block_rows is None:
+            asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
         self._check_rank_bound(asked, len(self._output_names(experiment.basis, y)))
         if stream is None:
             stream = Stream.begin(experiment, asked)
@@ -114,17 +116,28 @@ class StreamedFit:
         wide, alone, outputs = stream.channels(sums, moving)
         n_inputs, n_outputs = len(wide), len(outputs)
         lengths = [ends.n_rows for ends in sums.ends]
+        chosen = self.weighting == PREDICTOR and self.block_rows is None
+        asked = min(asked, DEFAULT_BLOCK_ROWS) if chosen else asked
         i = self._fewer_block_rows(asked, stream.basis, lengths, n_inputs, n_outputs)
         columns = n_hankel_columns(lengths, i)
         least_order = 1 if self.order == "auto" else int(self.order)
         if columns < i * (n_inputs + n_outputs) + least_order:
             return None
         self.block_rows_ = i
-        products = sums.products.fewer(2 * i).channels(np.concatenate([wide, outputs]))
+        products = sums.products.channels(np.concatenate([wide, outputs]))
         size = products.root_mean_squares() if scale else np.ones(n_inputs + n_outputs)
+        if chosen:
+            i = self.block_rows_ = self._rows_of_predictor(
+                lambda rows: factor_of_products(products.fewer(2 * rows), n_inputs, size),
+                lengths,
+                n_inputs,
+                n_outputs,
+                lifted=False,
+            )
+            columns = n_hankel_columns(lengths, i)
         place = np.searchsorted(wide, alone)
         scales = u_scale, y_scale = size[place], size[n_inputs:]
-        R = factor_of_products(products, n_inputs, size)
+        R = factor_of_products(products.fewer(2 * i), n_inputs, size)
         found = self._look_at(R, columns, n_inputs, stream, y_scale)
         self.order_ = self._choose_order(found, None, stream, n_outputs)
         sums = sums.of_inputs(np.flatnonzero(moving))

@@ -4,13 +4,17 @@ from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._progress import check_verbose
 from sklearn_hd._time import why_short
 from sklearn_hd._validation import check_choice, check_count, check_flag
-from sklearn_hd.algorithms.hankel import n_hankel_columns
+from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
+from sklearn_hd.algorithms.predictor_subspace import rows_remembered
 from sklearn_hd.algorithms.projections import PROJECTIONS
 
 __all__ = ["PREDICTOR", "SubspaceChecks", "is_lifted"]
 
 DEFAULT_BLOCK_ROWS = 15
 PREDICTOR = "pbsid"
+MOST_PREDICTOR_ROWS = 60
+COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
+ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)
 
 
@@ -127,3 +131,25 @@ class SubspaceChecks:
                 f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
                 f"most {most}, or hop='period'"
             )
+
+    def _rows_of_predictor(self, factor, lengths, n_inputs, n_outputs, lifted):
+        """Block rows after which the predictor has forgotten its state, and the order fits in.
+
+        ``factor(block_rows)`` is the triangular factor of the data. Beyond the directions that
+        the inputs excite there are many predictors, whose states are no one's.
+        """
+        most = self.block_rows_
+        while most < MOST_PREDICTOR_ROWS and n_hankel_columns(lengths, most + 1) >= (
+            COLUMNS_PER_ROW * (most + 1) * (n_inputs + n_outputs)
+        ):
+            most += 1
+        R = factor(most)
+        if not lifted and n_inputs:
+            excited = n_excited(R, most, n_inputs)
+            if excited < 2 * most * n_inputs:
+                most = max(2, excited // (2 * n_inputs))
+                R = factor(most)
+        columns = n_hankel_columns(lengths, most)
+        order = 1 if self.order == "auto" else int(self.order)
+        rows = rows_remembered(R, most, n_inputs, columns, bool(self.feedthrough) or lifted)
+        return min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)

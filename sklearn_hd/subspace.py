@@ -10,7 +10,7 @@ from sklearn_hd._arithmetic import extremes, within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import lifted_periods, rows_read
+from sklearn_hd._data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._fit_checks import (
     check_outputs_move,
     moving_inputs,
@@ -31,7 +31,7 @@ from sklearn_hd._streamed_fit import StreamedFit
 from sklearn_hd._subspace_checks import PREDICTOR, SubspaceChecks, is_lifted
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given, signal_names
-from sklearn_hd.algorithms.hankel import n_hankel_columns
+from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.innovations import InnovationForm
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
@@ -42,20 +42,16 @@ from sklearn_hd.algorithms.moesp import (
     release_idle_directions,
 )
 from sklearn_hd.algorithms.periodic_realization import order_by_residual
-from sklearn_hd.algorithms.predictor_subspace import PredictorSubspace, rows_remembered
+from sklearn_hd.algorithms.predictor_subspace import PredictorSubspace
 from sklearn_hd.algorithms.projections import Projection
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["MOESPRegressor"]
 
-RANK_TOLERANCE = 1e-10
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
-MOST_PREDICTOR_ROWS = 60
-COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
-ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
@@ -79,13 +75,15 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows
         in the analysis window, plus two; 15 on plain data (fewer where the
-        record is short).
+        record is short); with ``weighting="pbsid"`` up to 60, as far back as the data say
+        (Akaike's criterion).
     weighting : {"moesp", "n4sid", "cva", "pbsid"}, default="moesp"
         What of the future outputs is decomposed. ``"moesp"`` and ``"cva"`` (canonical
         correlations: each output counts by its information, whatever its unit) project the
         future inputs out; ``"n4sid"`` is the oblique projection. All three are biased where
-        inputs answer to noisy outputs: for data measured in closed loop, and for most
-        disturbances, use ``"pbsid"`` (predictor-based; on plain data or ``hop="period"``).
+        inputs answer to noisy outputs: for data measured in closed loop use ``"pbsid"``
+        (predictor-based; on plain data, or ``hop="period"`` where the feedback is of earlier
+        periods; with ``feedthrough=True``, of earlier rows).
     feedthrough : bool, default=False
         Whether D is free, else zero. Period by period (``hop="period"``) D
         always is, for inputs act within the period that they belong to.
@@ -239,7 +237,13 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         scale = np.concatenate([u_scale if raw else np.ones(n_inputs), y_scale])
         n_moving = int(moving.sum()) if raw else n_inputs
         if self.weighting == PREDICTOR and self.block_rows is None:
-            self.block_rows_ = self._rows_of_predictor(excitation, outputs, experiment, scale)
+            self.block_rows_ = self._rows_of_predictor(
+                lambda rows: KeptSums(self.memory).factor(excitation, outputs, rows, scale),
+                lengths,
+                n_inputs,
+                n_outputs,
+                is_lifted(experiment),
+            )
         found = self._decompose(excitation, outputs, n_moving, experiment, scale)
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
@@ -261,26 +265,6 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
-
-    def _rows_of_predictor(self, excitation, outputs, experiment, scale):
-        """Block rows after which the predictor has forgotten its state, and the order fits in."""
-        lengths, n_inputs, n_outputs = (
-            map(len, outputs),
-            excitation[0].shape[1],
-            outputs[0].shape[1],
-        )
-        n_inputs, n_outputs = excitation[0].shape[1], outputs[0].shape[1]
-        lengths, most = [len(y) for y in outputs], self.block_rows_
-        while most < MOST_PREDICTOR_ROWS and n_hankel_columns(lengths, most + 1) >= (
-            COLUMNS_PER_ROW * (most + 1) * (n_inputs + n_outputs)
-        ):
-            most += 1
-        R = KeptSums(self.memory).factor(excitation, outputs, most, scale)
-        columns = n_hankel_columns(lengths, most)
-        feedthrough = bool(self.feedthrough) or is_lifted(experiment)
-        order = 1 if self.order == "auto" else int(self.order)
-        rows = rows_remembered(R, most, n_inputs, columns, feedthrough)
-        return min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)
 
     def _predictor_matrices(self, found, excitation, inputs, outputs, scales):
         """The innovation form, driven by the inputs where they are not what excites.
@@ -325,6 +309,7 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
             windowed=basis is not None,
             kalman_gain=K,
             innovations_covariance=covariance,
+            closed_loop=self.weighting == PREDICTOR,
         )
 
     def _excitation(self, experiment, inputs):
@@ -358,10 +343,7 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
                     f"HarmonicStructure(), criterion='output_error')"
                 )
             warnings.warn(words, ExcitationWarning, stacklevel=4)
-        if experiment.basis.output_trim is not None:
-            # the trim is known as well as its span averages it: what it is off by repeats itself
-            directions = [np.hstack([w, np.ones((len(w), 1))]) for w in directions]
-        return directions
+        return beside_trim(directions, experiment.basis)
 
     def _decompose(self, inputs, outputs, n_moving, experiment, scale):
         """Project the future outputs, look at the singular values and settle the order."""
@@ -487,6 +469,11 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         self.singular_values_, self.noise_floor_, self.order_ = np.zeros(0), 0.0, 0
         A, C = np.zeros((0, 0)), np.zeros((n_outputs, 0))
         B, D, self.x0_ = input_matrices(A, C, inputs, outputs, True)
+        left = np.vstack(outputs) - np.vstack(inputs) @ D.T
+        noise = {}
+        if self.disturbance_model or self.weighting == PREDICTOR:
+            noise["kalman_gain"] = np.zeros((0, n_outputs))
+            noise["innovations_covariance"] = left.T @ left / len(left)
         return LTIModel(
             A=A,
             B=B,
@@ -496,6 +483,7 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
             input_names=experiment.drive_names,
             output_names=self._output_names(None, y),
             feedthrough=True,
+            **noise,
         )
 
     @property
@@ -513,9 +501,8 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         """
         if is_lifted(experiment) or n_inputs != len(experiment.drive_names):
             return
-        need, size = (2 * self.block_rows_ * count for count in (n_moving, n_inputs))
-        values = np.linalg.svd(R[:size, :size], compute_uv=False)
-        found = int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
+        need = 2 * self.block_rows_ * n_moving
+        found = n_excited(R, self.block_rows_, n_inputs)
         if found < need:
             warnings.warn(
                 f"the inputs in the {experiment.span()} excite {found} directions, but "

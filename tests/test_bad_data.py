@@ -48,7 +48,6 @@ def chain(*steps):
 # ---- containers -------------------------------------------------------------------------------
 
 CONTAINERS = {
-    "nothing": (None, TypeError, r"X is None, which is no table of signals; give a DataFrame, or"),
     "text": ("abc", TypeError, r"X is a str, which is no table of signals"),
     "dict": ({"u": [1, 2]}, TypeError, r"X is a dict, .*; make a frame of it: pd.DataFrame\(X\)"),
     "ragged": ([[1, 2], [3]], ValueError, r"X has rows of different lengths; give \(n_samples"),
@@ -70,6 +69,16 @@ CONTAINERS = {
         r"X holds values that are no numbers \(column 'phase'\)",
     ),
 }
+
+
+def test_only_a_model_of_outputs_alone_does_without_inputs():
+    with pytest.raises(
+        TypeError, match=r"X is None, which is no table of signals; give a DataFrame"
+    ):
+        analyzer().fit(None, np.ones(9))
+    model = MOESPRegressor(order=1).fit(None, np.cumsum(np.arange(40.0) % 3))
+    with pytest.raises(TypeError, match=r"a frame of no columns on the rows wanted: y\[\[\]\]"):
+        model.predict(None)
 
 
 @pytest.mark.parametrize("case", CONTAINERS)

@@ -24,8 +24,9 @@ from sklearn_hd.algorithms.double_double import cholesky
 from sklearn_hd.algorithms.lag_products import lag_products
 from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
-__all__ = ["factor_of_products", "hankel_factor", "n_hankel_columns"]
+__all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
 
+RANK_TOLERANCE = 1e-10  # of directions of the inputs
 FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
 
@@ -95,6 +96,24 @@ def factor_of_products(products, n_inputs, scale=None):
     if R is None:
         return None
     return R * np.ldexp(1.0, exponents) / _lengths(scale, len(products.lags), n_inputs)
+
+
+def n_excited(R, block_rows, n_inputs):
+    """Directions that the inputs excite of the 2 i m that their Hankel rows have.
+
+    Parameters
+    ----------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+        From :func:`hankel_factor`.
+    block_rows, n_inputs : int
+
+    Returns
+    -------
+    n_directions : int
+    """
+    size = 2 * block_rows * n_inputs
+    values = np.linalg.svd(R[:size, :size], compute_uv=False)
+    return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
 
 
 def _lengths(scale, n_lags, n_inputs):

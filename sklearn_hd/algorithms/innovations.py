@@ -68,9 +68,13 @@ class InnovationForm:
         -------
         outputs : ndarray, shape (n_rows, l)
         """
-        x = self.states(inputs, outputs, x0)
-        for _ in range(min(horizon, len(x)) - 1):  # a row later without another innovation
-            x = np.concatenate([x[:1], x[:-1] @ self.A.T + inputs[:-1] @ self.B.T])
+        x, forcing = self.states(inputs, outputs, x0), inputs @ self.B.T
+        steps = min(horizon, len(x)) - 1
+        if steps > 0:  # rows later, without another innovation
+            power, forced = _many_steps(self.A, forcing, steps)
+            begun = propagate(self.A, forcing[:steps], x0)
+            with np.errstate(over="ignore", invalid="ignore"):
+                x = np.concatenate([begun, x[:-steps] @ power.T + forced[steps:]])
         return x @ self.C.T + inputs @ self.D.T
 
     def initial_state(self, inputs, outputs, covariance=None):
@@ -98,6 +102,25 @@ class InnovationForm:
         left = (y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T) / size
         free = propagate(stable, np.zeros((n, len(u), n)), np.eye(n)) @ self.C.T / size
         return linalg.lstsq(free.reshape(n, -1).T, left.ravel(), cond=UNSEEN)[0]
+
+
+def _many_steps(A, forcing, steps):
+    """A^s, and Σ_j A^{j−1} v[k−j] over the s rows before each row, by repeated doubling."""
+    power, forced = np.eye(len(A)), np.zeros_like(forcing)
+    square, twice, done, more = A, _later(forcing, 1), 0, 1
+    with np.errstate(over="ignore", invalid="ignore"):
+        while done < steps:
+            if steps & more:
+                forced = forced + _later(twice, done) @ power.T
+                power, done = power @ square, done + more
+            twice = twice + _later(twice, more) @ square.T
+            square, more = square @ square, 2 * more
+    return power, forced
+
+
+def _later(rows, count):
+    """Rows so many rows later, zero before."""
+    return np.concatenate([np.zeros_like(rows[:count]), rows[: len(rows) - count]])
 
 
 def predicted_states(A, C, K, inputs, outputs):

@@ -10,6 +10,9 @@ noise [Q S; Sᵀ R], and with them
     P = A P Aᵀ + Q − K E Kᵀ,   K = (A P Cᵀ + S) E⁻¹,   E = C P Cᵀ + R
 """
 
+import warnings
+from itertools import product
+
 import numpy as np
 from scipy import linalg
 
@@ -18,6 +21,7 @@ from sklearn_hd.algorithms.triangular import solve_within_rank, triangle
 __all__ = ["gain_of_covariances", "kalman_gain"]
 
 PRECISION = 1e-9  # of an output's size: that of the best measurements
+WHITE = (0.0, 1e-12, 1e-10, 1e-8)  # more noise of the outputs, where theirs is that of fewer
 
 
 def kalman_gain(A, C, observability, R, block_rows, n_inputs, n_columns):
@@ -64,7 +68,8 @@ def _states(R, future_inputs, past, future_outputs, observability):
     """States at the end of the past, in the coordinates of the rows of R."""
     T = triangle(R[:, np.concatenate([future_inputs, past, future_outputs])])
     inner = slice(len(future_inputs), len(future_inputs) + len(past))
-    weights = solve_within_rank(T[inner, inner], T[inner, inner.stop :])
+    size = np.linalg.norm(R[:, past], axis=0)
+    weights = solve_within_rank(T[inner, inner], T[inner, inner.stop :], size)
     return R[:, past] @ weights @ linalg.pinv(observability).T
 
 
@@ -109,21 +114,26 @@ def gain_of_covariances(A, C, covariance, y_scale):
     if n == 0 or unit == 0.0:
         return np.zeros((n, len(C))), covariance[n:, n:]
     noise = (covariance + floor) / unit
-    Q, S, R = noise[:n, :n], noise[:n, n:], noise[n:, n:]
-    P = _riccati(A, C, Q, S, R)
-    E = C @ P @ C.T + R
-    K = linalg.solve(E, (A @ P @ C.T + S).T, assume_a="pos").T
-    return K, E * unit
-
-
-def _riccati(A, C, Q, S, R):
-    """Covariance of the states beside their prediction; modes on the circle are driven a little."""
-    for driven in (0.0, PRECISION):
+    for white, driven in product(WHITE, (0.0, PRECISION)):
+        more = np.append(np.full(n, driven), np.full(len(C), white))
         try:
-            return linalg.solve_discrete_are(A.T, C.T, Q + driven * np.eye(len(A)), R, s=S)
-        except np.linalg.LinAlgError:
+            K, E = _stationary(A, C, noise + np.diag(more))
+        except (np.linalg.LinAlgError, linalg.LinAlgWarning, RuntimeWarning):
             continue
+        if np.max(np.abs(linalg.eigvals(A - K @ C))) < 1.0 + PRECISION:
+            return K, E * unit
     raise ValueError(
-        f"no Kalman gain makes the model of order {len(A)} a stable predictor: the outputs do not "
-        f"show an unstable mode of it; lower the order"
+        f"no Kalman gain makes the model of order {n} a stable predictor: it has a mode that grows "
+        f"and that the outputs hardly show; lower the order, or check the units of the outputs"
     )
+
+
+def _stationary(A, C, noise):
+    """Gain and covariance of the innovations, by the algebraic Riccati equation."""
+    n = len(A)
+    Q, S, R = noise[:n, :n], noise[:n, n:], noise[n:, n:]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        P = linalg.solve_discrete_are(A.T, C.T, Q, R, s=S)
+        E = C @ P @ C.T + R
+        return linalg.solve(E, (A @ P @ C.T + S).T, assume_a="pos").T, E

@@ -82,29 +82,39 @@ def _moesp(R, block_rows, n_inputs, n_columns):
 
 def _n4sid(R, block_rows, n_inputs, n_columns):
     future, past = _blocks(R, block_rows, n_inputs)
-    weights = solve_within_rank(R[past, past], R[past, past.stop :])
+    size = np.linalg.norm(R[:, past], axis=0)
+    weights = solve_within_rank(R[past, past], R[past, past.stop :], size)
     oblique = R[: past.stop, past] @ weights
     U, values, _ = linalg.svd(oblique.T, full_matrices=False)
-    # noise of Y_f is as strong in O as the past beside what of it is off the future inputs
-    along = solve_within_rank(R[past, past].T, R[future, past].T)
-    stretch = np.sqrt(1.0 + np.linalg.norm(along, 2) ** 2)
+    # noise of Y_f is as strong in O as the past beside what of it is off the future inputs:
+    # of white N and some S, ‖N S‖ ≤ √rows ‖S‖ + ‖S‖_F (Chevet, 1978), here for √rows + √columns
+    rows, columns = len(U), past.stop - past.start
+    along = linalg.svdvals(
+        solve_within_rank(R[past, past], np.eye(columns), size).T @ R[future, past].T
+    )
+    stretch = np.sqrt(1.0 + along**2)
+    spread = np.sqrt(np.sum(along**2) + columns)
+    share = np.sqrt(rows) * np.max(stretch, initial=1.0) + spread
     floor = noise_floor(R, block_rows, n_inputs, n_columns)
-    return _upright(U), values, stretch * floor
+    return _upright(U), values, floor * share / (np.sqrt(rows) + np.sqrt(columns))
 
 
 def _cva(R, block_rows, n_inputs, n_columns):
     future, past = _blocks(R, block_rows, n_inputs)
     off = R[past.start :, past.stop :].T  # Y_f Π
     U, sizes, Vt = linalg.svd(off, full_matrices=False)
-    rank = int(np.sum(sizes > RANK * np.max(sizes, initial=0.0)))
+    largest = np.max(sizes, initial=0.0)
+    rank = int(np.sum(sizes > RANK * largest))
     rotation, correlations, _ = linalg.svd(Vt[:rank, : past.stop - past.start], full_matrices=False)
     directions, values = np.zeros((len(off), len(off))), np.zeros(len(off))
     directions[:, : rotation.shape[1]] = (U[:, :rank] * sizes[:rank]) @ rotation
     values[: len(correlations)] = correlations
-    floor = 10.0 * EPS
-    if rank == len(off):
-        left = n_columns - future.stop
-        floor = max(floor, _largest_correlation(rank / left, (past.stop - past.start) / left))
+    noisy = int(np.sum(linalg.svdvals(R[past.stop :, past.stop :]) > RANK * largest))
+    floor, left = 10.0 * EPS, n_columns - future.stop
+    if rank == min(left, len(off)):  # no fewer than there could be, were all noise
+        noisy = rank
+    if noisy:  # outputs, or combinations of them, that past and future inputs do not explain
+        floor = max(floor, _largest_correlation(noisy / left, (past.stop - past.start) / left))
     return _upright(directions), values, floor
 
 

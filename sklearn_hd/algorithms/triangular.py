@@ -6,6 +6,7 @@ from scipy import linalg
 __all__ = ["safe_cholesky", "solve_within_rank", "triangle"]
 
 EPS = np.finfo(float).eps
+ROUNDING = 1e-11  # of the longest direction
 TOLERATED_LOSS = 1e-7  # far below what noise does, 1/√n, to as many rows as fit anywhere
 
 
@@ -63,15 +64,16 @@ def safe_cholesky(G, rounding=EPS):
     return L.T * size if rounding * np.linalg.norm(inverse) ** 2 <= TOLERATED_LOSS else None
 
 
-def solve_within_rank(X, Y, tolerance=1e-11):
+def solve_within_rank(X, Y, size=None):
     """Least-squares solution of X Z = Y of least norm, columns of X brought to equal length.
 
     Parameters
     ----------
     X : ndarray, shape (r, p)
     Y : ndarray, shape (r, q)
-    tolerance : float, default=1e-11
-        Of the longest direction, below which one is rounding.
+    size : ndarray, shape (p,), optional
+        Lengths of what the columns of X are the rest of, where parts were projected out: a
+        column that is nothing but rounding beside them is left out.
 
     Returns
     -------
@@ -82,8 +84,8 @@ def solve_within_rank(X, Y, tolerance=1e-11):
     >>> solve_within_rank(np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([[2.0], [0.0]])).ravel()
     array([1., 1.])
     """
-    size = np.linalg.norm(X, axis=0)
-    size[size == 0.0] = 1.0
-    if Y.shape[1] == 0:
-        return np.zeros((X.shape[1], 0))
-    return linalg.lstsq(X / size, Y, cond=tolerance)[0] / size[:, None]
+    if 0 in (X.shape[1], Y.shape[1]):
+        return np.zeros((X.shape[1], Y.shape[1]))
+    size = np.linalg.norm(X, axis=0) if size is None else size
+    size = np.where(size > 0.0, size, 1.0)
+    return linalg.lstsq(X / size, Y, cond=ROUNDING)[0] / size[:, None]
