@@ -83,8 +83,8 @@ def random_rotation(rng, n):
 
 def well_conditioned(rng, n):
     """A change of states of condition number 9."""
-    return random_rotation(rng, n) @ np.diag(np.geomspace(1.0 / 3.0, 3.0, n)) @ random_rotation(
-        rng, n
+    return (
+        random_rotation(rng, n) @ np.diag(np.geomspace(1.0 / 3.0, 3.0, n)) @ random_rotation(rng, n)
     )
 
 

@@ -63,7 +63,9 @@ def test_no_response_exceeds_the_norms(system, angle):
     gain = linalg.norm(frequency_response(*system.matrices, np.exp(1j * angle))[0], 2)
     assert gain <= largest * (1.0 + 1e-9)
     impulse = markov(*system.matrices, count=1000)
-    np.testing.assert_allclose(h2_norm(*system.matrices, system.dt), linalg.norm(impulse), rtol=1e-9)
+    np.testing.assert_allclose(
+        h2_norm(*system.matrices, system.dt), linalg.norm(impulse), rtol=1e-9
+    )
 
 
 @examples(40)
@@ -233,7 +235,9 @@ def test_signals_and_records_are_analysed_each_by_itself(data, seed):
         return analyzer.transform(frame).iloc[:, len(frame.columns) :].to_numpy()
 
     whole = coefficients(u)
-    np.testing.assert_array_equal(whole, np.hstack([coefficients(u[["u"]]), coefficients(u[["v"]])]))
+    np.testing.assert_array_equal(
+        whole, np.hstack([coefficients(u[["u"]]), coefficients(u[["v"]])])
+    )
     one_by_one = [coefficients(u.loc[[label]]) for label in range(len(layout))]
     np.testing.assert_array_equal(whole, np.vstack(one_by_one))
     np.testing.assert_allclose(coefficients(-2.0 * u), -2.0 * whole, atol=1e-12)
