@@ -281,7 +281,7 @@ class Stream:
             return record
         basis, time = self.basis, record.time
         inputs = modulated(basis, drive, time, rows, basis.rows_per_period // 2)
-        outputs = basis.coefficients(record.outputs, time, basis.outputs, rows)
+        outputs = basis.output_coefficients(record.outputs, time, rows)
         sums = record.sums.extended(np.hstack([inputs, outputs]))
         return replace(record, sums=sums, read_until=float(time[rows[-1]]))
 

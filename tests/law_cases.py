@@ -11,6 +11,7 @@ from scipy import linalg
 from sklearn_hd.algorithms.simulation import propagate
 
 SEEDS = st.integers(0, 2**32 - 1)
+UP_TO_SIX, UP_TO_THREE, UP_TO_TWO = st.integers(1, 6), st.integers(1, 3), st.integers(0, 2)
 WINDOWS = [side + shape for side in ("", "centred-") for shape in ("boxcar", "triangle", "hann")]
 APART = 0.05  # between poles, so that rounding does not mix their modes
 
@@ -54,7 +55,7 @@ def markov(A, B, C, D, count=12):
 
 
 @st.composite
-def poles(draw, *, discrete, n_states=st.integers(1, 6), positive=False):
+def poles(draw, *, discrete, n_states=UP_TO_SIX, positive=False):
     """Stable poles in conjugate pairs, some real, no two closer than APART.
 
     ``positive`` leaves out those on the negative real axis, which no sampling gives.
@@ -196,7 +197,7 @@ def laid_out(sampling, layout, signals, names):
 
 
 @st.composite
-def periodic_matrices(draw, *, n_states=st.integers(1, 3), harmonics=st.integers(0, 2)):
+def periodic_matrices(draw, *, n_states=UP_TO_THREE, harmonics=UP_TO_TWO):
     """Fourier coefficients of a periodic F about a stable mean, and ω."""
     real, upper = draw(poles(discrete=False, n_states=n_states))
     rng = np.random.default_rng(draw(SEEDS))
