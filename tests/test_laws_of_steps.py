@@ -44,7 +44,8 @@ def moesp(system, **options):
     return MOESPRegressor(**settings | options)
 
 
-def noisy(y, rng, share=0.05):
+def noisy(y, rng, share=1e-3):
+    """Less noise than the faintest state shows: what it drowns could have any eigenvalue."""
     return y + share * y.std().to_numpy() * rng.standard_normal(y.shape)
 
 
@@ -95,7 +96,7 @@ def test_units_scale_b_c_and_d(system, lengths, seed, units):
     in_units = impulse(model) / per_output[:, None] * per_input
     same(in_units, impulse(reference), 1e-8)
     score = model.score(X * per_input, y * per_output)
-    assert score == pytest.approx(reference.score(X, y), abs=1e-9)
+    assert score == pytest.approx(reference.score(X, y), rel=1e-9)
 
 
 @examples(10)
@@ -141,6 +142,7 @@ def test_records_are_parts_at_gaps_and_begin_at_any_time(system, lengths, seed, 
     same(model.predict(X.set_axis(time)), model.predict(X), 1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:.* at rest in the rows:sklearn_hd.exceptions.ExcitationWarning")
 @examples(15)
 @given(identifiable_systems(), LENGTHS, SEEDS)
 def test_chunks_give_the_model_of_all_rows(system, lengths, seed):
@@ -275,8 +277,7 @@ def test_whole_periods_later_nothing_changes(system, sampling, seed, shift):
     held = spp if sampling.hop == "period" else sampling.hop
     X, y = recorded(system, rng, [300])
     n_samples = 300 * held
-    # less noise than the faintest state shows: what it drowned could have any eigenvalue
-    X, y = (z.iloc[np.repeat(np.arange(300), held)] for z in (X, noisy(y, rng, 1e-4)))
+    X, y = (z.iloc[np.repeat(np.arange(300), held)] for z in (X, noisy(y, rng)))
     analyzer = HarmonicAnalyzer(sampling.omega, output_harmonics=1, **sampling.options)
     pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor(order=len(system.A)))])
     found = []
