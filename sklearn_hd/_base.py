@@ -303,12 +303,16 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         NotFittedError
             Before ``fit``.
         ValueError
-            If no rows are left to score, or X and y do not fit the model.
+            If fewer than two rows are left to score, or X and y do not fit the model.
         """
         check_is_fitted(self)
         check_outputs_given(y)
         truth, simulated, rows = self._fitted_simulation(X, y)
         weight = weights_of(rows, sample_weight, len(y))
+        if len(truth) < 2:
+            raise ValueError(
+                "one row is left to score, which has no R²; give longer records or a smaller warmup"
+            )
         unit = _power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 

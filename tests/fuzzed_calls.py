@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from fuzz_promises import DOCUMENTED, Violation, check_worded
 from fuzzed_data import DT, SAMPLES_PER_PERIOD, chance, draw_signals, pick
+from scipy.sparse import issparse
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.metrics import mean_absolute_error, r2_score
@@ -339,14 +340,25 @@ def _ask_for_transform(fitted, X, y, rng, warned):
 def _stream(estimator, X, y, rng):
     """partial_fit, chunk by chunk."""
     stream = clone(estimator)
-    n = max(min(len(X), len(y)), 1)
+    n = max(min(len(_rows(X)), len(_rows(y))), 1)
     cuts = [0, *np.unique(rng.integers(1, n + 1, int(rng.integers(1, 5)))).tolist(), n]
     for a, b in itertools.pairwise(cuts):
-        stream.partial_fit(*(z.iloc[a:b] if hasattr(z, "iloc") else z[a:b] for z in (X, y)))
+        stream.partial_fit(*(_part(z, slice(a, b)) for z in (X, y)))
     if hasattr(stream, "model_"):
         _check_prediction(stream, stream.predict(X), warned=False)
         return "fitted"
     return "done"
+
+
+def _part(data, rows):
+    """Some rows of the data; all where they have none."""
+    if hasattr(data, "iloc"):
+        return data.iloc[rows]
+    return (
+        data[rows]
+        if isinstance(data, list) or (isinstance(data, np.ndarray) and data.ndim)
+        else data
+    )
 
 
 # ---- functions ----------------------------------------------------------------------------------
@@ -398,7 +410,7 @@ def draw_function(rng):
         return "done"
 
     def percent(said):
-        _finite(fit_percent(X, y, sample_weight=weight))
+        fit_percent(X, y, sample_weight=weight)
         return "done"
 
     def rule(said):
@@ -418,7 +430,9 @@ def draw_function(rng):
 
 
 def _rows(data):
-    return data if hasattr(data, "__len__") else [data]
+    """Something as long as the data, which may have no length."""
+    known = isinstance(data, pd.DataFrame | pd.Series | list) or getattr(data, "ndim", 0)
+    return data if known and not issparse(data) else [data]
 
 
 def _finite(values):

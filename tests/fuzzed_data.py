@@ -238,9 +238,11 @@ ODD = [_same_columns, _names, _names, _no_rows, _no_columns]
 def spoil(rng, z):
     """Some of the values, a column, all of them, or the names."""
     changes = SPOILERS if chance(rng, 0.8) else ODD
-    if len(z) == 0:
+    change = pick(rng, changes)
+    try:
+        return change(rng, z) if len(z) else z
+    except (TypeError, ValueError, ArithmeticError):  # spoilt before, in a way that bars this one
         return z
-    return pick(rng, changes)(rng, z)
 
 
 # ---- containers ---------------------------------------------------------------------------------

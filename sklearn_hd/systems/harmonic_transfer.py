@@ -20,6 +20,7 @@ from sklearn_hd._validation import (
     check_period,
     check_positive,
     check_same_rows,
+    check_size,
     check_time_origin,
     signal_names,
 )
@@ -419,7 +420,7 @@ def _signals(data, what, base):
     names = signal_names(data, what)
     values = to_float(data, what)
     check_finite(values, names, base.time, what)
-    return values, names
+    return check_size(values, names, what), names
 
 
 def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, overlap):
