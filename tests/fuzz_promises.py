@@ -43,8 +43,8 @@ class Hang(BaseException):
 def watched():
     """The warnings of what is done within, which is broken off after some seconds."""
 
-    def ring(*_):
-        raise Hang
+    def ring(_, frame):
+        raise Hang(f"{frame.f_code.co_filename}:{frame.f_lineno}")
 
     former = [signal.signal(each, ring) for each in (signal.SIGPROF, signal.SIGALRM)]
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
@@ -54,10 +54,7 @@ def watched():
             warnings.simplefilter("always")
             yield said
     except Hang as hang:
-        where = traceback.extract_tb(hang.__traceback__)[-2]
-        raise Violation(
-            f"takes longer than {SECONDS} s, in {where.filename}:{where.lineno}"
-        ) from None
+        raise Violation(f"takes longer than {SECONDS} s, in {hang}") from None
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -6,7 +6,7 @@ from scipy import sparse
 
 from sklearn_hd.algorithms.simulation import propagate
 
-LENGTHS = [1, 2, 3, 5, 17, 40, 120, 260, 400]
+LENGTHS = [1, 2, 3, 5, 17, 40, 120, 200, 300]
 OFTEN = [0.01, 0.01, 0.01, 0.02, 0.02, 0.06, 0.17, 0.35, 0.35]
 SAMPLES_PER_PERIOD = 8
 DT = 1.0 / SAMPLES_PER_PERIOD

@@ -37,6 +37,7 @@ __all__ = [
 
 MAX_SUBSETS = 2_000
 FEW_SUBSETS, MANY = 100, 16  # of more states, more sets than these are not searched through
+WIDE = 8_000  # columns of all units times states of those searched through
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
 COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a strong one may differ
 REAL_TOLERANCE = 1e-8
@@ -346,8 +347,8 @@ def best_modes(R, columns, sizes, n_states, smaller=()):
         Residual sum of squares and units, best first; empty where no set of
         units has that many states. All sets where they are fewer than 2000,
         else the one found by forward selection and exchange; of more than 16
-        states one of those smaller and one unit more, as exchanges take minutes
-        among a hundred modes.
+        states (fewer with many inputs) one of those smaller and one unit more, as
+        exchanges take minutes among a hundred modes.
     """
     n_subsets = sum(
         math.comb(sizes.count(2), pairs) * math.comb(sizes.count(1), n_states - 2 * pairs)
@@ -355,7 +356,7 @@ def best_modes(R, columns, sizes, n_states, smaller=()):
     )
     if n_subsets == 0:
         return []
-    if n_states > MANY and n_subsets > FEW_SUBSETS:
+    if n_states > min(MANY, WIDE // len(R)) and n_subsets > FEW_SUBSETS:
         grown = _grown(R, columns, sizes, n_states, smaller)
         if grown:
             return [min(grown)]

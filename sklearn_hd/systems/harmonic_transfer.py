@@ -370,10 +370,11 @@ def estimate_harmonic_transfer_function(
         )
     inputs, input_names = _signals(u, "u", base)
     outputs, output_names = _signals(y, "y", base)
-    if np.pi / dt <= N * omega:
+    highest = max(N, 1)
+    if np.pi / dt <= highest * omega:
         raise ValueError(
-            f"harmonic {N} of omega={omega:.6g} rad/s lies beyond half the sampling frequency, "
-            f"{np.pi / dt:.6g} rad/s; sample faster or lower n_harmonics"
+            f"harmonic {highest} of omega={omega:.6g} rad/s lies beyond half the sampling "
+            f"frequency, {np.pi / dt:.6g} rad/s; sample faster or lower n_harmonics"
         )
     lengths = [segment.stop - segment.start for segment in base.segments]
     n_unknowns = (2 * N + 1) * len(input_names)
