@@ -163,7 +163,8 @@ def draw_structure(rng):
 
 def draw_harmonic_structure(rng):
     matrices = [None, None, 0, 1, 2, {"0": [[np.nan]]}, {"1c": [["k"]]}, {"2x": [[1]]}]
-    params = {name: one_of(rng, matrices) for name in "FGPQ" if chance(rng, 0.4)}
+    params = {"F": one_of(rng, [0, 1]), "G": one_of(rng, [0, 1])}  # else hundreds of parameters
+    params |= {name: one_of(rng, matrices) for name in "FGPQ" if chance(rng, 0.2)}
     states = one_of(rng, [None, None, None, ["y0"], ["y0", "y1"], ["a"]])
     return HarmonicStructure(**params, states=states)
 

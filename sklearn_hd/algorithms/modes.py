@@ -38,6 +38,7 @@ __all__ = [
 MAX_SUBSETS = 2_000
 FEW_SUBSETS, MANY = 100, 16  # of more states, more sets than these are not searched through
 WIDE = 8_000  # columns of all units times states of those searched through
+WIDE_SUBSETS = 400_000  # columns of all units times sets, each of which is a fit of its own
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
 COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a strong one may differ
 REAL_TOLERANCE = 1e-8
@@ -345,10 +346,10 @@ def best_modes(R, columns, sizes, n_states, smaller=()):
     -------
     ranking : list of (float, tuple of int)
         Residual sum of squares and units, best first; empty where no set of
-        units has that many states. All sets where they are fewer than 2000,
-        else the one found by forward selection and exchange; of more than 16
-        states (fewer with many inputs) one of those smaller and one unit more, as
-        exchanges take minutes among a hundred modes.
+        units has that many states. All sets where they are fewer than 2000, else the
+        one found by forward selection and exchange; of more than 16 states one of
+        those smaller and one unit more, as exchanges take minutes among a hundred
+        modes. With many inputs these numbers are smaller.
     """
     n_subsets = sum(
         math.comb(sizes.count(2), pairs) * math.comb(sizes.count(1), n_states - 2 * pairs)
@@ -360,7 +361,7 @@ def best_modes(R, columns, sizes, n_states, smaller=()):
         grown = _grown(R, columns, sizes, n_states, smaller)
         if grown:
             return [min(grown)]
-    if n_subsets <= MAX_SUBSETS:
+    if n_subsets <= min(MAX_SUBSETS, WIDE_SUBSETS // len(R)):
         return sorted((residual(R, columns, units), units) for units in _subsets(sizes, n_states))
     return [_exchange(R, columns, sizes, n_states)]
 
