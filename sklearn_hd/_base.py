@@ -405,7 +405,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         types = self.target_dtypes_
         with np.errstate(over="ignore"):  # beyond float32 is infinity, as NumPy has it
             if self.target_kind_ == "frame":
-                columns = pd.Index(self.target_columns_)
+                levels = len(self.target_levels_)
+                columns = pd.Index(self.target_columns_, tupleize_cols=levels > 1)
                 frame = pd.DataFrame(values, index=index, columns=range(len(columns)))
                 frame = frame.astype(dict(enumerate(types)))
                 return frame.set_axis(columns.set_names(self.target_levels_), axis=1)
@@ -465,7 +466,7 @@ def weights_of(rows, sample_weight, n_samples):
         return None
     try:
         weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError("sample_weight holds values that are no numbers") from None
     if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
         raise ValueError(

@@ -196,7 +196,7 @@ def draw_estimator(rng):
 def draw_steps(rng):
     try:
         estimator = draw_estimator(rng)
-    except ValueError as error:  # a structure that cannot be
+    except Exception as error:  # a structure that cannot be
         return _raising(error)
     X, y = draw_signals(rng)
     if isinstance(X, pd.DataFrame) and getattr(first_step(estimator), "azimuth", None) == "psi":
@@ -287,7 +287,7 @@ def _ask_for_prediction(fitted, X, y, rng, warned):
     n = _model(fitted).n_states
     x0 = pick(
         rng,
-        [None, np.zeros(n), rng.standard_normal((1, n)), np.full(n, np.nan), "x", {}, 1e300, [[]],
+        [None, np.zeros(n), [10**400] * n, rng.standard_normal((1, n)), np.full(n, np.nan), "x", {}, 1e300, [[]],
          np.full(n, 1e300), pd.Series(np.ones(n)), {"a": np.ones(n)}, np.ones((n, n, n)), [1j] * n],
     )  # fmt: skip
     _check_prediction(fitted, fitted.predict(X, x0=x0), warned)
@@ -310,7 +310,7 @@ def _ask_for_score(fitted, X, y, rng, warned):
     score = fitted.score(X, y)
     n = len(y)
     weights = [None, np.ones(n), np.zeros(n), rng.uniform(size=n), -np.ones(n), np.ones(n + 1),
-               np.full(n, np.nan), "x", 1e300 * np.ones(n), 1e-310 * np.ones(n)]  # fmt: skip
+               np.full(n, np.nan), "x", [10**400] * n, 1e300 * np.ones(n), 1e-310 * np.ones(n)]  # fmt: skip
     weighed = score
     last = fitted[-1] if isinstance(fitted, Pipeline) else fitted
     if last is fitted:

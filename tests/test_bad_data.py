@@ -12,6 +12,7 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_hd import (
     HarmonicAnalyzer,
+    MatrixStructure,
     MOESPRegressor,
     SpuriousModeReducer,
     StructuredMatcher,
@@ -314,3 +315,25 @@ def test_one_row_has_no_r2(u, y):
     model = MOESPRegressor(order=1, block_rows=3, warmup=1 / SPP).fit(u, y)
     with pytest.raises(ValueError, match=r"one row is left to score, which has no R²; give longer"):
         model.score(u.iloc[:2], y.iloc[:2])
+
+
+def test_numbers_beyond_floats(u, y):
+    """Python's whole numbers have no end; floats have."""
+    huge = 10**400
+    with pytest.raises(ValueError, match=r"X holds values that are no numbers.*too large to conv"):
+        MOESPRegressor(order=1).fit(u.astype(object).where(u > -1, huge), y)
+    model = MOESPRegressor(order=1).fit(u, y)
+    with pytest.raises(ValueError, match=r"holds no numbers, or states of different lengths"):
+        model.predict(u, x0=[huge])
+    with pytest.raises(ValueError, match=r"sample_weight holds values that are no numbers"):
+        model.score(u, y, sample_weight=[huge] * len(u))
+    with pytest.raises(ValueError, match=r"initial must hold 1 finite numbers, one for each of"):
+        MatrixStructure([["a"]], [[1.0]], initial=[huge])
+
+
+def test_columns_named_by_tuples_are_one_level(u, y):
+    """pandas makes two of them, to which the one name of the columns does not fit."""
+    for names in (pd.Index([("w", 0)], tupleize_cols=False), pd.MultiIndex.from_tuples([("w", 0)])):
+        outputs = y.set_axis(names, axis=1)
+        predicted = MOESPRegressor(order=1).fit(u, outputs).predict(u)
+        pd.testing.assert_index_equal(predicted.columns, outputs.columns)
