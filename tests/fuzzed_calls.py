@@ -287,8 +287,9 @@ def _ask_for_prediction(fitted, X, y, rng, warned):
     n = _model(fitted).n_states
     x0 = pick(
         rng,
-        [None, np.zeros(n), [10**400] * n, rng.standard_normal((1, n)), np.full(n, np.nan), "x", {}, 1e300, [[]],
-         np.full(n, 1e300), pd.Series(np.ones(n)), {"a": np.ones(n)}, np.ones((n, n, n)), [1j] * n],
+        [None, np.zeros(n), [10**400] * n, rng.standard_normal((1, n)), np.full(n, np.nan), "x", {},
+         1e300, [[]], np.full(n, 1e300), pd.Series(np.ones(n)), {"a": np.ones(n)},
+         np.ones((n, n, n)), [1j] * n],
     )  # fmt: skip
     _check_prediction(fitted, fitted.predict(X, x0=x0), warned)
 
@@ -310,7 +311,8 @@ def _ask_for_score(fitted, X, y, rng, warned):
     score = fitted.score(X, y)
     n = len(y)
     weights = [None, np.ones(n), np.zeros(n), rng.uniform(size=n), -np.ones(n), np.ones(n + 1),
-               np.full(n, np.nan), "x", [10**400] * n, 1e300 * np.ones(n), 1e-310 * np.ones(n)]  # fmt: skip
+               np.full(n, np.nan), "x", [10**400] * n, 1e300 * np.ones(n),
+               1e-310 * np.ones(n)]  # fmt: skip
     weighed = score
     last = fitted[-1] if isinstance(fitted, Pipeline) else fitted
     if last is fitted:
