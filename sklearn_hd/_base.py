@@ -453,6 +453,7 @@ def _power_of_two(values):
 def _float_types(y, n_outputs):
     """Name of the type of each prediction: that of y where it is one of floats, else float64."""
     given = y.dtypes if isinstance(y, pd.DataFrame) else [y.dtype]
+    given = [getattr(dtype, "subtype", dtype) for dtype in given]  # of sparse columns
     types = [
         str(dtype) if pd.api.types.is_float_dtype(dtype) and str(dtype) != "float16" else "float64"
         for dtype in given

@@ -448,6 +448,30 @@ def _dask_token(frame):
 class FrameTransformer(TransformerMixin):
     """A transformer whose output carries more than its columns, and so is always a frame."""
 
+    def fit_transform(self, X, y=None, **params):
+        """Fit, then transform the same rows.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            As for ``fit``.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs), optional
+            As for ``fit``.
+        **params
+            Handed on to ``fit``.
+
+        Returns
+        -------
+        frame : HarmonicFrame
+            As ``transform`` makes it.
+
+        Raises
+        ------
+        ValueError
+            As ``fit`` and ``transform``.
+        """
+        return self.fit(X, y, **params).transform(X)
+
     def set_output(self, *, transform=None):
         """Set the container of ``transform``: a frame, always.
 

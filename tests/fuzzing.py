@@ -7,7 +7,7 @@ that something came out which is promised nowhere:
 - an exception that is not documented, or that the package did not word itself;
 - a warning that is not the package's own (NumPy's, SciPy's, pandas');
 - a case that takes longer than some seconds;
-- data of the caller's that are changed;
+- data of the caller's that are changed, or NumPy's global random numbers;
 - values that are not finite from a fit that succeeded and warned of nothing;
 - another model from the same data.
 
@@ -39,7 +39,7 @@ def run(number):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of making the data
         call = draw_call(np.random.default_rng([number, 8]))
-    before = pickle.dumps(call.data)
+    before, random = pickle.dumps(call.data), pickle.dumps(np.random.get_state())  # noqa: NPY002
     try:
         with threadpool_limits(1), watched() as said:
             try:
@@ -49,6 +49,8 @@ def run(number):
                 outcome = type(error).__name__
         check_warnings(said)
         check_unchanged(call.data, before)
+        if pickle.dumps(np.random.get_state()) != random:  # noqa: NPY002
+            raise Violation("NumPy's global generator has moved on")
     except Exception as error:
         kind = "" if isinstance(error, Violation) else f"{type(error).__name__} comes out: "
         raise Violation(f"case {number}: {kind}{error}\n{call}") from error

@@ -97,3 +97,15 @@ def test_logarithms_are_judged_by_their_residual():
     assert linalg.norm(found - matrix) < 1e-8 * linalg.norm(matrix)
     with pytest.raises(ValueError, match=r"matrix logarithm of this model is good to .* only"):
         real_logarithm(nearly_defective(1e-12))
+
+
+def test_logarithms_draw_no_random_numbers(rng):
+    """SciPy draws from NumPy's global generator: the last bit differed from call to call."""
+    matrices = [linalg.expm(0.3 * rng.standard_normal((5, 5))) for _ in range(40)]
+    state = np.random.get_state()[1].copy()  # noqa: NPY002
+    first = [real_logarithm(matrix) for matrix in matrices]
+    np.testing.assert_array_equal(np.random.get_state()[1], state)  # noqa: NPY002
+    for seed in range(5):
+        np.random.seed(seed)  # noqa: NPY002
+        for matrix, found in zip(matrices, first, strict=True):
+            assert real_logarithm(matrix).tobytes() == found.tobytes()

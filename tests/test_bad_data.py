@@ -337,3 +337,15 @@ def test_columns_named_by_tuples_are_one_level(u, y):
         outputs = y.set_axis(names, axis=1)
         predicted = MOESPRegressor(order=1).fit(u, outputs).predict(u)
         pd.testing.assert_index_equal(predicted.columns, outputs.columns)
+
+
+def test_a_pipeline_without_outputs_says_so(u):
+    pipe = chain(MOESPRegressor(order=1), SpuriousModeReducer())
+    with pytest.raises(ValueError, match=r"requires y to be passed, but the target y is None"):
+        pipe.fit(u)
+
+
+def test_sparse_columns_of_outputs_are_predicted_dense(u, y):
+    sparse = y.astype(pd.SparseDtype(float, 0.0))
+    predicted = MOESPRegressor(order=1).fit(u, sparse).predict(u)
+    pd.testing.assert_frame_equal(predicted, MOESPRegressor(order=1).fit(u, y).predict(u))
