@@ -363,6 +363,8 @@ def test_transfer_functions_of_records_too_large_or_too_slow():
     u = np.random.default_rng(0).standard_normal((400, 1))
     with pytest.raises(ValueError, match=r"u reaches .* in column 'u0', too large to be squared"):
         estimate_harmonic_transfer_function(1e300 * u, u, 1.0, 0, sample_time=0.1)
+    with pytest.raises(ValueError, match=r"harmonic_transfer_function: the arithmetic broke down"):
+        estimate_harmonic_transfer_function(u, 1e195 * u, 1.0, 0, sample_time=0.1)
     with pytest.raises(ValueError, match=r"harmonic 1 of omega=1 rad/s lies beyond half the sampl"):
         estimate_harmonic_transfer_function(u, u, 1.0, 0, sample_time=1e3)
 

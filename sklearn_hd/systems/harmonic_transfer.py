@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.signal import get_window
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._containers import as_container, to_float
 from sklearn_hd._time import read_time
 from sklearn_hd._validation import (
@@ -277,6 +278,7 @@ def _held_blocks(system, frequencies, N, sample_time):
     return blocks
 
 
+@within_range
 def estimate_harmonic_transfer_function(
     u,
     y,
