@@ -7,20 +7,21 @@ import numpy as np
 ROWS = 64  # side by side
 
 
-def within_range(method):
-    """Turn a breakdown of the arithmetic in a method into an error that names the way out.
+def within_range(call):
+    """Turn a breakdown of the arithmetic in a method or function into an error with a way out.
 
     NumPy would warn, and go on with infinities; SLICOT's routines fail on them.
     """
 
-    @functools.wraps(method)
-    def checked(self, *args, **kwargs):
+    @functools.wraps(call)
+    def checked(*args, **kwargs):
         try:
             with np.errstate(over="raise", divide="raise", invalid="raise"):
-                return method(self, *args, **kwargs)
+                return call(*args, **kwargs)
         except ArithmeticError as error:
+            name = type(args[0]).__name__ if "." in call.__qualname__ else call.__name__
             raise ValueError(
-                f"{type(self).__name__}: the arithmetic broke down "
+                f"{name}: the arithmetic broke down "
                 f"({' '.join(str(error).split())}); the signals, or the gains between them, are "
                 f"probably too large or too small for floating-point numbers: give inputs and "
                 f"outputs in other units (between 1e-75 and 1e75 nothing can overflow)"

@@ -303,12 +303,16 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         NotFittedError
             Before ``fit``.
         ValueError
-            If no rows are left to score, or X and y do not fit the model.
+            If fewer than two rows are left to score, or X and y do not fit the model.
         """
         check_is_fitted(self)
         check_outputs_given(y)
         truth, simulated, rows = self._fitted_simulation(X, y)
         weight = weights_of(rows, sample_weight, len(y))
+        if len(truth) < 2:
+            raise ValueError(
+                "one row is left to score, which has no R²; give longer records or a smaller warmup"
+            )
         unit = _power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
@@ -411,7 +415,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         types = self.target_dtypes_
         with np.errstate(over="ignore"):  # beyond float32 is infinity, as NumPy has it
             if self.target_kind_ == "frame":
-                columns = pd.Index(self.target_columns_)
+                levels = len(self.target_levels_)
+                columns = pd.Index(self.target_columns_, tupleize_cols=levels > 1)
                 frame = pd.DataFrame(values, index=index, columns=range(len(columns)))
                 frame = frame.astype(dict(enumerate(types)))
                 return frame.set_axis(columns.set_names(self.target_levels_), axis=1)
@@ -461,6 +466,7 @@ def _power_of_two(values):
 def _float_types(y, n_outputs):
     """Name of the type of each prediction: that of y where it is one of floats, else float64."""
     given = y.dtypes if isinstance(y, pd.DataFrame) else [y.dtype]
+    given = [getattr(dtype, "subtype", dtype) for dtype in given]  # of sparse columns
     types = [
         str(dtype) if pd.api.types.is_float_dtype(dtype) and str(dtype) != "float16" else "float64"
         for dtype in given
@@ -474,7 +480,7 @@ def weights_of(rows, sample_weight, n_samples):
         return None
     try:
         weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError("sample_weight holds values that are no numbers") from None
     if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
         raise ValueError(

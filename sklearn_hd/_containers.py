@@ -91,8 +91,9 @@ def to_float(data, what):
             values = data.to_numpy(dtype=float, na_value=np.nan)
         else:
             values = np.asarray(data, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise type(error)(
+    except (TypeError, ValueError, OverflowError) as error:
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(
             f"{what} holds values that are no numbers{_culprit(data)}: {error}; convert them first"
         ) from None
     return values.reshape(len(values), -1)
@@ -107,6 +108,6 @@ def _culprit(data):
             if column.dtype.kind in "mM":
                 return f" (column {str(name)!r})"
             column.to_numpy(dtype=float, na_value=np.nan)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             return f" (column {str(name)!r})"
     return ""

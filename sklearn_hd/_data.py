@@ -399,7 +399,7 @@ def rows_read(experiment):
     ):
         rows = basis.rows_read(time)
         inputs.append(hop_means(drive, basis, rows))
-        outputs.append(basis.coefficients(y, time, basis.outputs, rows))
+        outputs.append(basis.output_coefficients(y, time, rows))
     return inputs, outputs
 
 

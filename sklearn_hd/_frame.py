@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.fourier import (
 __all__ = ["HarmonicBasis", "HarmonicFrame", "LTIModel", "Reading"]
 
 PERIOD = "period"
-DUST = 1e-12
+DUST = 1e-12  # share of a signal, or of the trim that was subtracted, that is rounding
 HALF = 1e-6  # of a sample, so that rows halfway between two phases all go to the same side
 
 
@@ -199,6 +199,31 @@ class HarmonicBasis:
         ]
         return np.hstack(columns)
 
+    def output_coefficients(self, outputs, time, rows):
+        """Coefficients of the outputs that models are fitted to, without those that are dust.
+
+        Each coefficient counts alike in a fit, whatever its size: rounding would, too.
+
+        Parameters
+        ----------
+        outputs : ndarray, shape (n_samples, n_outputs)
+            Trim subtracted.
+        time : ndarray, shape (n_samples,)
+        rows : ndarray of int, shape (n_rows,)
+
+        Returns
+        -------
+        coefficients : ndarray, shape (n_rows, n_coefficients)
+        """
+        columns = self.coefficients(outputs, time, self.outputs, rows)
+        start = 0
+        for i, (_, harmonics) in enumerate(self.outputs):
+            own = slice(start, start + len(harmonic_labels(harmonics)))
+            trim = 0.0 if self.output_trim is None else np.max(np.abs(self.output_trim[:, i]))
+            columns[:, own] = _without_dust(columns[:, own], DUST * trim)
+            start = own.stop
+        return columns
+
     def _window_ends(self, time, rows):
         """Last sample of the window of each row, clipped to the segment."""
         n_window, n_samples = len(self.weights), len(time)
@@ -272,10 +297,10 @@ def highest_harmonic(signals):
     return max(k for _, orders in signals for k in orders)
 
 
-def _without_dust(coefficients):
+def _without_dust(coefficients, least=0.0):
     """Coefficients of one signal, those that are but rounding beside the others set to zero."""
     size = np.abs(coefficients).max(axis=0, initial=0.0)
-    return np.where(size > DUST * size.max(initial=0.0), coefficients, 0.0)
+    return np.where(size > max(DUST * size.max(initial=0.0), least), coefficients, 0.0)
 
 
 def coefficient_names(signals):
@@ -445,6 +470,30 @@ def _dask_token(frame):
 
 class FrameTransformer(TransformerMixin):
     """A transformer whose output carries more than its columns, and so is always a frame."""
+
+    def fit_transform(self, X, y=None, **params):
+        """Fit, then transform the same rows.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            As for ``fit``.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs), optional
+            As for ``fit``.
+        **params
+            Handed on to ``fit``.
+
+        Returns
+        -------
+        frame : HarmonicFrame
+            As ``transform`` makes it.
+
+        Raises
+        ------
+        ValueError
+            As ``fit`` and ``transform``.
+        """
+        return self.fit(X, y, **params).transform(X)
 
     def set_output(self, *, transform=None):
         """Set the container of ``transform``: a frame, always.

@@ -33,7 +33,7 @@ def initial_states(x0, base, n_states, state_names=None):
         x0 = _by_record(x0, base)
     try:
         x0 = np.asarray(x0, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(
             f"x0={x0!r} holds no numbers, or states of different lengths; give {n_states} numbers, "
             f"one row of them a segment, or a dict of them by record"

@@ -25,6 +25,7 @@ __all__ = ["Stream", "read_chunk"]
 
 DUST = 1e-12  # share of an input's size that is rounding
 PART = 2**17  # rows read at a time
+MOST_BYTES = 2**33  # of one matrix of the sums
 SAME = ("omega", "sample_time", "hop", "window", "inputs", "outputs")
 
 
@@ -95,6 +96,7 @@ class Stream:
     def begin(cls, experiment, block_rows):
         """A stream of no rows, of data such as those of an experiment."""
         basis, n = experiment.basis, len(experiment.drive_names) + len(experiment.output_names)
+        _check_first(experiment, block_rows, n)
         changes = None
         if basis is not None:
             changes = np.zeros((basis.samples_per_period, len(experiment.drive_names)))
@@ -281,7 +283,7 @@ class Stream:
             return record
         basis, time = self.basis, record.time
         inputs = modulated(basis, drive, time, rows, basis.rows_per_period // 2)
-        outputs = basis.coefficients(record.outputs, time, basis.outputs, rows)
+        outputs = basis.output_coefficients(record.outputs, time, rows)
         sums = record.sums.extended(np.hstack([inputs, outputs]))
         return replace(record, sums=sums, read_until=float(time[rows[-1]]))
 
@@ -377,6 +379,23 @@ def read_chunk(X, y):
             "record before it is cut into chunks, or use fit"
         )
     return experiment
+
+
+def _check_first(experiment, block_rows, n_channels):
+    """Raise ValueError if a first chunk tells no sample time, or its sums fill no memory."""
+    base = experiment.base
+    single = all(s.stop - s.start == 1 for s in base.segments)
+    if experiment.basis is None and single and not base.counted:
+        raise ValueError(
+            f"no record of the first chunk has two rows (n_samples = {len(base.time)}), from which "
+            f"the sample time could be told; begin with a longer chunk"
+        )
+    size = 8.0 * (2.0 * block_rows * n_channels) ** 2
+    if size > MOST_BYTES:
+        raise ValueError(
+            f"block_rows={block_rows} with {n_channels} signals asks for sums of {size:.2g} bytes; "
+            f"use fewer block rows"
+        )
 
 
 def _input_names(experiment):

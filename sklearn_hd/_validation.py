@@ -9,6 +9,7 @@ import pandas as pd
 
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
 MOST_SAMPLES = 1e7  # in a period
+MOST = 2**32 - 1  # of anything counted
 DRIFT_LIMIT = 0.25  # samples by which the periods of a segment may miss one
 FIRST = "first sample"  # the time origin of dates that fix no azimuth
 SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
@@ -102,10 +103,14 @@ def check_flag(name, value):
 
 
 def check_count(name, value, minimum, hint):
-    """Return an int if it is a whole number, at least some minimum."""
+    """Return an int if it is a whole number, at least some minimum and of 32 bits at most."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < minimum:
         raise ValueError(
             f"{name} must be a whole number of at least {minimum}, got {value!r}; {hint}"
+        )
+    if value > MOST:
+        raise ValueError(
+            f"{name} must be a whole number of at most {MOST}, got {reprlib.repr(value)}; {hint}"
         )
     return int(value)
 

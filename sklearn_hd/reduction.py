@@ -335,7 +335,8 @@ class SpuriousModeReducer(ModelStep):
         wanted = range(1, sum(sizes) + 1) if self.n_states is None else [int(self.n_states)]
         ranking, rankings, tried = [], [], []
         for n_states in wanted:
-            ranking = best_modes(R, columns, sizes, n_states) or ranking
+            smaller = [best[0] for best in rankings[-2:] if best]
+            ranking = best_modes(R, columns, sizes, n_states, smaller) or ranking
             rankings.append(ranking)
             tried += [(value, [units[i] for i in best]) for value, best in ranking[:1]]
             # in harmonic-decomposition form the output coefficients are the states: more are

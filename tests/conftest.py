@@ -1,13 +1,24 @@
-"""Records that many tests read; simulated once."""
+"""Records that many tests read, simulated once; how many cases are drawn at random."""
+
+import os
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing
 
 KEPT = {"w": [0], "phi_dot": [1]}
+
+# the same cases at every run by default; new ones, and fifty times as many, with "nightly"
+settings.register_profile("default", deadline=None, derandomize=True)
+settings.register_profile(
+    "nightly", deadline=None, derandomize=False, max_examples=5000, print_blob=True
+)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+NIGHTLY = settings.default.max_examples > 100
 
 
 @pytest.fixture(scope="session")

@@ -39,6 +39,17 @@ def test_nyquist_harmonic_is_a_cosine_alone():
     np.testing.assert_allclose(found, [[3.0, 0.0]], atol=1e-14)
 
 
+@pytest.mark.parametrize("late", [0.1, 0.25, 0.5, 0.77])
+@pytest.mark.parametrize("window", WINDOWS)
+def test_nyquist_harmonic_between_the_samples_through_the_origin(window, late):
+    """Cosine and sine are one signal there: it was counted twice."""
+    psi = 2 * np.pi * (late + np.arange(32)) / 8
+    signal = 3.0 * (-1.0) ** np.arange(32)
+    rows = np.arange(15, 32)
+    found = windowed_coefficients(signal, psi, [0, 4], window_weights(window, 8), rows)
+    np.testing.assert_allclose(recompose(found, psi[rows], [0, 4]), signal[rows], atol=1e-13)
+
+
 @pytest.mark.parametrize("window", WINDOWS)
 def test_windows_have_unit_sum_and_vanish_at_every_harmonic(window):
     spp = 16

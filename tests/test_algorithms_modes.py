@@ -90,6 +90,29 @@ def test_search_by_exchange_finds_what_all_sets_would(rng, monkeypatch):
     assert value == pytest.approx(full[0], abs=1e-20)
 
 
+def test_many_states_grow_from_fewer(rng, monkeypatch):
+    """Each set holds a smaller one, and is the best of those that do."""
+    sizes = [1, 2, 1, 2, 1, 2, 2, 1]
+    edges = np.cumsum([0, *(2 * size for size in sizes)])
+    columns = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
+    R = np.linalg.qr(rng.standard_normal((200, edges[-1] + 1)), mode="r")
+    grown = [best_modes(R, columns, sizes, n)[0] for n in (3, 4)]
+    monkeypatch.setattr(kernel, "MANY", 4)
+    monkeypatch.setattr(kernel, "FEW_SUBSETS", 1)
+    for n in range(5, 12):
+        smaller = [set(units) for _, units in grown[-2:]]
+        grown += best_modes(R, columns, sizes, n, grown[-2:])
+        all_sets = itertools.chain(*(itertools.combinations(range(8), k) for k in range(2, 9)))
+        best = min(
+            (residual(R, columns, units), units)
+            for units in all_sets
+            if sum(sizes[i] for i in units) == n
+            and any(less < set(units) and len(units) == len(less) + 1 for less in smaller)
+        )
+        assert grown[-1][0] == pytest.approx(best[0], rel=1e-9)
+        assert grown[-1][1] == best[1]
+
+
 def test_no_set_of_pairs_has_an_odd_number_of_states():
     assert best_modes(np.eye(5), [np.arange(2), np.arange(2, 4)], [2, 2], 3) == []
 

@@ -52,18 +52,6 @@ def test_nilpotent_states_vanish_exactly():
     assert np.all(states[2:] == 0.0)
 
 
-@given(n=st.integers(1, 5), m=st.integers(1, 3), seed=st.integers(0, 2**16))
-def test_sampling_and_its_inverse(n, m, seed):
-    rng = np.random.default_rng(seed)
-    A, B = rng.standard_normal((n, n)), rng.standard_normal((n, m))
-    dt = 0.5 / np.max(np.abs(np.linalg.eigvals(A)))
-    A_d, B_d = continuous_to_discrete(A, B, dt)
-    np.testing.assert_allclose(A_d, linalg.expm(A * dt), rtol=1e-10, atol=1e-12)
-    back = discrete_to_continuous(A_d, B_d, dt)
-    np.testing.assert_allclose(back[0], A, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(back[1], B, rtol=1e-7, atol=1e-9)
-
-
 def test_zero_order_hold_agrees_with_scipy():
     A, B = np.array([[0.0, 1.0], [-4.0, -0.4]]), np.array([[0.0], [1.0]])
     expected = signal.cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), 0.1)[:2]
@@ -82,15 +70,6 @@ def test_a_model_without_states_stays_one():
     assert B.shape == (0, 2)
     response = frequency_response(A, B, np.zeros((3, 0)), np.ones((3, 2)), [1j, 2j])
     np.testing.assert_array_equal(response, np.ones((2, 3, 2)))
-
-
-def test_similarity_leaves_the_response_alone(rng):
-    A, B, C = rng.standard_normal((3, 3)), rng.standard_normal((3, 1)), rng.standard_normal((2, 3))
-    T, D = rng.standard_normal((3, 3)), rng.standard_normal((2, 1))
-    s = 1j * np.array([0.0, 0.3, 5.0])
-    inverse = np.linalg.inv(T)
-    moved = frequency_response(T @ A @ inverse, T @ B, C @ inverse, D, s)
-    np.testing.assert_allclose(moved, frequency_response(A, B, C, D, s), rtol=1e-9)
 
 
 @pytest.mark.parametrize("unit", [1e-150, 1e-6, 1e6, 1e150])
@@ -118,3 +97,15 @@ def test_logarithms_are_judged_by_their_residual():
     assert linalg.norm(found - matrix) < 1e-8 * linalg.norm(matrix)
     with pytest.raises(ValueError, match=r"matrix logarithm of this model is good to .* only"):
         real_logarithm(nearly_defective(1e-12))
+
+
+def test_logarithms_draw_no_random_numbers(rng):
+    """SciPy draws from NumPy's global generator: the last bit differed from call to call."""
+    matrices = [linalg.expm(0.3 * rng.standard_normal((5, 5))) for _ in range(40)]
+    state = np.random.get_state()[1].copy()  # noqa: NPY002
+    first = [real_logarithm(matrix) for matrix in matrices]
+    np.testing.assert_array_equal(np.random.get_state()[1], state)  # noqa: NPY002
+    for seed in range(5):
+        np.random.seed(seed)  # noqa: NPY002
+        for matrix, found in zip(matrices, first, strict=True):
+            assert real_logarithm(matrix).tobytes() == found.tobytes()

@@ -12,6 +12,7 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_hd import (
     HarmonicAnalyzer,
+    MatrixStructure,
     MOESPRegressor,
     SpuriousModeReducer,
     StructuredMatcher,
@@ -292,3 +293,68 @@ def test_warmup_is_checked_at_fit(u, y, warmup):
 def test_switches_are_switches(u, y, name, value):
     with pytest.raises(ValueError, match=rf"{name} must be True or False, got {value!r}"):
         MOESPRegressor(**{name: value}).fit(u, y)
+
+
+# ---- found by the fuzz ------------------------------------------------------------------------
+
+
+def test_a_first_chunk_of_one_row_tells_no_sample_time(u, y):
+    """It was taken for 1 s, and the second chunk refused for having another one."""
+    model = MOESPRegressor(order=1, block_rows=5)
+    with pytest.raises(ValueError, match=r"no record of the first chunk has two rows .* longer ch"):
+        model.partial_fit(u.iloc[:1], y.iloc[:1])
+    for rows in (slice(0, 2), slice(2, 3), slice(3, None)):
+        model.partial_fit(u.iloc[rows], y.iloc[rows])
+    assert model.score(u, y) > 0.999
+
+
+def test_chunks_of_more_block_rows_than_memory(u, y):
+    with pytest.raises(ValueError, match=r"block_rows=1000000 with 2 signals asks for sums of 1.3"):
+        MOESPRegressor(order=1, block_rows=10**6).partial_fit(u, y)
+
+
+def test_counts_beyond_32_bits(u, y):
+    message = r"order must be a whole number of at most 4294967295, got 1000.*000; 'auto' chooses"
+    with pytest.raises(ValueError, match=message):
+        MOESPRegressor(order=10**400).fit(u, y)
+
+
+def test_one_row_has_no_r2(u, y):
+    """scikit-learn warned, and NaN came back."""
+    model = MOESPRegressor(order=1, block_rows=3, warmup=1 / SPP).fit(u, y)
+    with pytest.raises(ValueError, match=r"one row is left to score, which has no R²; give longer"):
+        model.score(u.iloc[:2], y.iloc[:2])
+
+
+def test_numbers_beyond_floats(u, y):
+    """Python's whole numbers have no end; floats have."""
+    huge = 10**400
+    with pytest.raises(ValueError, match=r"X holds values that are no numbers.*too large to conv"):
+        MOESPRegressor(order=1).fit(u.astype(object).where(u > -1, huge), y)
+    model = MOESPRegressor(order=1).fit(u, y)
+    with pytest.raises(ValueError, match=r"holds no numbers, or states of different lengths"):
+        model.predict(u, x0=[huge])
+    with pytest.raises(ValueError, match=r"sample_weight holds values that are no numbers"):
+        model.score(u, y, sample_weight=[huge] * len(u))
+    with pytest.raises(ValueError, match=r"initial must hold 1 finite numbers, one for each of"):
+        MatrixStructure([["a"]], [[1.0]], initial=[huge])
+
+
+def test_columns_named_by_tuples_are_one_level(u, y):
+    """pandas makes two of them, to which the one name of the columns does not fit."""
+    for names in (pd.Index([("w", 0)], tupleize_cols=False), pd.MultiIndex.from_tuples([("w", 0)])):
+        outputs = y.set_axis(names, axis=1)
+        predicted = MOESPRegressor(order=1).fit(u, outputs).predict(u)
+        pd.testing.assert_index_equal(predicted.columns, outputs.columns)
+
+
+def test_a_pipeline_without_outputs_says_so(u):
+    pipe = chain(MOESPRegressor(order=1), SpuriousModeReducer())
+    with pytest.raises(ValueError, match=r"requires y to be passed, but the target y is None"):
+        pipe.fit(u)
+
+
+def test_sparse_columns_of_outputs_are_predicted_dense(u, y):
+    sparse = y.astype(pd.SparseDtype(float, 0.0))
+    predicted = MOESPRegressor(order=1).fit(u, sparse).predict(u)
+    pd.testing.assert_frame_equal(predicted, MOESPRegressor(order=1).fit(u, y).predict(u))

@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd.algorithms.fundamental import estimate_omega
+from sklearn_hd.algorithms.hinf import hinf_norm
 from sklearn_hd.systems import (
     FourierMatrix,
     LTPSystem,
@@ -343,3 +345,38 @@ def test_trims_of_other_systems():
 def test_simulations_of_nonlinear_systems(given, message):
     with pytest.raises(ValueError, match=message):
         duffing().simulate(**{"u": TIMES, "t": TIMES} | given)
+
+
+# ---- found by the fuzz ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ask", ["simulate", "monodromy", "floquet_exponents"])
+def test_matrices_beyond_floating_point_numbers(ask):
+    """NumPy warned, and went on with infinities."""
+    F = np.array([-1.0, 0.0, 1e200]).reshape(3, 1, 1)
+    given = {"u": np.ones((9, 1)), "t": np.arange(9) / 8} if ask == "simulate" else {}
+    with pytest.raises(ValueError, match=r"LTPSystem: the arithmetic broke down \(overflow"):
+        getattr(LTPSystem(F, [[1.0]], omega=50.0), ask)(**given)
+
+
+def test_transfer_functions_of_records_too_large_or_too_slow():
+    u = np.random.default_rng(0).standard_normal((400, 1))
+    with pytest.raises(ValueError, match=r"u reaches .* in column 'u0', too large to be squared"):
+        estimate_harmonic_transfer_function(1e300 * u, u, 1.0, 0, sample_time=0.1)
+    with pytest.raises(ValueError, match=r"harmonic_transfer_function: the arithmetic broke down"):
+        estimate_harmonic_transfer_function(u, 1e195 * u, 1.0, 0, sample_time=0.1)
+    with pytest.raises(ValueError, match=r"harmonic 1 of omega=1 rad/s lies beyond half the sampl"):
+        estimate_harmonic_transfer_function(u, u, 1.0, 0, sample_time=1e3)
+
+
+@pytest.mark.parametrize("name", ["sample_time", "omega", "span"])
+@pytest.mark.parametrize("value", [-1.0, np.nan, "x", [1.0]])
+def test_numbers_that_estimate_omega_takes(name, value):
+    given = {"sample_time": 0.1, "omega": 1.0, "span": 0.1} | {name: value}
+    with pytest.raises(ValueError, match=rf"{name} must be a positive number, got .*; seconds"):
+        estimate_omega([np.zeros((90, 1))], [np.ones((90, 1))], **given)
+
+
+def test_norms_of_texts():
+    with pytest.raises(ValueError, match=r"A='A' is no array of real numbers; give finite real"):
+        hinf_norm("A", [[1.0]], [[1.0]], [[0.0]])

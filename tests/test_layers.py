@@ -48,7 +48,7 @@ ALONE = {"harmonics", "subspace", "reduction", "matching"}  # the steps never im
 ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "clarabel", "joblib", "sklearn_hd"}
 STANDARD = {
     "collections", "contextlib", "dataclasses", "functools", "itertools", "math", "numbers",
-    "typing", "warnings",
+    "threading", "typing", "warnings",
 }  # fmt: skip
 FILES = sorted(ROOT.rglob("*.py"))
 

@@ -22,6 +22,7 @@ __all__ = [
 ]
 
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
+NOTHING = 1e-9  # mean square that is rounding
 
 
 def harmonic_labels(harmonics):
@@ -162,8 +163,8 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
     """Fourier coefficients seen through a window that ends at each of some rows.
 
     For harmonic k: ŝ_kc(n) = 2 Σ_i h_i s(n−i) cos kψ(n−i), and likewise with
-    sin; the factor is 1 for k = 0, and for the cosine of half the samples in a
-    period, whose sine vanishes.
+    sin; the factor is 1 for k = 0, and for half the samples in a period, whose
+    cosine and sine are one signal (or the sine vanishes).
 
     Parameters
     ----------
@@ -183,9 +184,7 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
     rows = np.asarray(rows, dtype=int)
     functions = harmonic_functions(psi, harmonics)
     n_window = len(weights)
-    # mean square of each function: 1 or 1/2, and 1 and 0 at the Nyquist harmonic
-    power = weights @ functions[:n_window] ** 2
-    gains = np.where(power > 1e-9, 1.0 / np.maximum(power, 1e-9), 0.0)
+    gains = _gains(functions[:n_window], harmonics, weights)
     products = functions * (gains * np.asarray(signal, dtype=float)[:, None])
     windows = np.lib.stride_tricks.sliding_window_view(products, n_window, axis=0)
     result = np.empty((len(rows), len(gains)))
@@ -194,3 +193,19 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
         some = rows[start : start + block] - n_window + 1
         result[start : start + block] = windows[some] @ weights
     return result
+
+
+def _gains(functions, harmonics, weights):
+    """By what the mean products with some functions give their coefficients."""
+    power = weights @ functions**2  # 1 or 1/2; cos² and sin² of one phase at the Nyquist harmonic
+    seen = power > NOTHING
+    gains = np.where(seen, 1.0 / np.maximum(power, NOTHING), 0.0)
+    column = 0
+    for k in harmonics:
+        pair = slice(column, column + (1 if k == 0 else 2))
+        if k > 0:
+            both = weights @ np.prod(functions[:, pair], axis=1)
+            if np.prod(power[pair]) - both**2 <= NOTHING:
+                gains[pair] = seen[pair]
+        column = pair.stop
+    return gains

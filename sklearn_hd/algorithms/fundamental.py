@@ -22,6 +22,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 from scipy.optimize import minimize_scalar
 
+from sklearn_hd._validation import check_numbers
+
 __all__ = ["FundamentalEstimate", "estimate_omega", "omega_mismatch"]
 
 DELAYS = 2  # slow modes; more would fit the harmonics of one mode at any ω
@@ -103,8 +105,8 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     Raises
     ------
     ValueError
-        If the inputs nowhere rest for some periods, or there is no minimum
-        within the span.
+        If a number is not positive, the inputs nowhere rest for some periods, or
+        there is no minimum within the span.
 
     References
     ----------
@@ -119,6 +121,8 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     >>> bool(abs(estimate.omega / (2 * np.pi) - 1) < 1e-6)
     True
     """
+    hint = "seconds from row to row, rad/s, and a share of omega"
+    check_numbers("positive", hint, sample_time=sample_time, omega=omega, span=span)
     repetition = _Repetition.of(inputs, outputs, sample_time, omega, starts)
     if repetition is None:
         raise ValueError(

@@ -9,6 +9,7 @@ import numpy as np
 import slycot
 from scipy import linalg
 
+from sklearn_hd._validation import real_array
 from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["check_stable", "h2_norm", "hinf_norm", "refine_peaks"]
@@ -232,7 +233,8 @@ def _sample_time(dt):
 
 def _matrices(A, B, C, D):
     """The four matrices as finite floats of shapes that fit."""
-    A, B, C, D = (np.asarray(matrix, dtype=float) for matrix in (A, B, C, D))
+    wanted = "finite real numbers"
+    A, B, C, D = (real_array(*given, wanted) for given in zip("ABCD", (A, B, C, D), strict=True))
     shapes = [matrix.shape for matrix in (A, B, C, D)]
     n, m, p = len(A) if A.ndim else 0, D.shape[-1] if D.ndim else 0, len(D) if D.ndim else 0
     if shapes != [(n, n), (n, m), (p, n), (p, m)]:
@@ -240,7 +242,4 @@ def _matrices(A, B, C, D):
             f"A, B, C, D of shapes {shapes} do not make a state-space model; "
             f"they must be (n, n), (n, m), (l, n), (l, m)"
         )
-    for name, matrix in zip("ABCD", (A, B, C, D), strict=True):
-        if not np.all(np.isfinite(matrix)):
-            raise ValueError(f"{name} holds NaN or infinity; every entry must be finite")
     return A, B, C, D

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from sklearn_hd.algorithms.multipliers import characteristic, with_characteristic
 from sklearn_hd.algorithms.periodic_realization import shape_functions, state_response
+from sklearn_hd.algorithms.simulation import logarithm
 
 __all__ = ["refine_within_period"]
 
@@ -187,4 +188,4 @@ class _ShapeProblem:
 
 def _logarithm(block, sign):
     """log(±block), real."""
-    return np.real(linalg.logm(sign * block))
+    return np.real(logarithm(sign * block))

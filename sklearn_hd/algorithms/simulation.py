@@ -4,6 +4,7 @@ x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]                    (Eq. 10)
 ẋ = A x + B u,              y = C x + D u                             (Eq. 8)
 """
 
+import threading
 import warnings
 
 import numpy as np
@@ -13,6 +14,7 @@ __all__ = [
     "continuous_to_discrete",
     "discrete_to_continuous",
     "frequency_response",
+    "logarithm",
     "propagate",
     "real_logarithm",
 ]
@@ -21,6 +23,7 @@ LOGARITHM_TOLERANCE = 1e-6
 BLOCK_STEPS = 16
 LEAST_BLOCKS = 8
 GROUP = 1024  # blocks whose states fit into a cache
+_GLOBAL_RANDOM = threading.Lock()
 
 
 def propagate(A, forcing, x0):
@@ -145,8 +148,8 @@ def discrete_to_continuous(A, B, dt):
         return A.copy(), B.copy()
     block, columns = np.zeros((n + m, n + m)), _column_sizes(B)
     block[:n, :n], block[:n, n:], block[n:, n:] = A, B / columns, np.eye(m)
-    logarithm = real_logarithm(block)
-    return logarithm[:n, :n] / dt, logarithm[:n, n:] * columns / dt
+    rates = real_logarithm(block)
+    return rates[:n, :n] / dt, rates[:n, n:] * columns / dt
 
 
 def real_logarithm(matrix):
@@ -159,14 +162,29 @@ def real_logarithm(matrix):
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # judged below, by the residual
-        logarithm = np.real(linalg.logm(matrix))
-    rest = linalg.norm(linalg.expm(logarithm) - matrix) / linalg.norm(matrix)
+        found = np.real(logarithm(matrix))
+    rest = linalg.norm(linalg.expm(found) - matrix) / linalg.norm(matrix)
     if not rest <= LOGARITHM_TOLERANCE:
         raise ValueError(
             f"the matrix logarithm of this model is good to {rest:.1g} only (nearly defective or "
             f"very fast poles); drop such modes (SpuriousModeReducer does) or lower the order"
         )
-    return logarithm
+    return found
+
+
+def logarithm(matrix):
+    """Principal logarithm, possibly complex, the same to the last bit at every call.
+
+    SciPy's chooses its approximants by norms that it estimates with vectors from NumPy's
+    global generator, which is left here as it was found.
+    """
+    with _GLOBAL_RANDOM:
+        state = np.random.get_state()  # noqa: NPY002 (SciPy draws from it)
+        np.random.seed(0)  # noqa: NPY002
+        try:
+            return linalg.logm(matrix)
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
 
 
 def _column_sizes(B):

@@ -459,7 +459,7 @@ def _check_amplitudes(amplitude, n_records):
     """One finite amplitude, or several, none of them zero, for records of one waveform."""
     try:
         amplitudes = np.atleast_1d(np.array(amplitude, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         amplitudes = np.array([np.nan])
     several = np.ndim(amplitude) > 0
     if amplitudes.ndim > 1 or not len(amplitudes) or not np.all(np.isfinite(amplitudes)):

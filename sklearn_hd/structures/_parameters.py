@@ -141,7 +141,7 @@ def read_numbers(what, values, names):
     """One finite float for each name, in their order."""
     try:
         numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = None
     if numbers is None or numbers.shape != (len(names),) or not np.all(np.isfinite(numbers)):
         raise ValueError(

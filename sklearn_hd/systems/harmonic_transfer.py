@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.signal import get_window
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._containers import as_container, to_float
 from sklearn_hd._time import read_time
 from sklearn_hd._validation import (
@@ -20,6 +21,7 @@ from sklearn_hd._validation import (
     check_period,
     check_positive,
     check_same_rows,
+    check_size,
     check_time_origin,
     signal_names,
 )
@@ -276,6 +278,7 @@ def _held_blocks(system, frequencies, N, sample_time):
     return blocks
 
 
+@within_range
 def estimate_harmonic_transfer_function(
     u,
     y,
@@ -369,10 +372,11 @@ def estimate_harmonic_transfer_function(
         )
     inputs, input_names = _signals(u, "u", base)
     outputs, output_names = _signals(y, "y", base)
-    if np.pi / dt <= N * omega:
+    highest = max(N, 1)
+    if np.pi / dt <= highest * omega:
         raise ValueError(
-            f"harmonic {N} of omega={omega:.6g} rad/s lies beyond half the sampling frequency, "
-            f"{np.pi / dt:.6g} rad/s; sample faster or lower n_harmonics"
+            f"harmonic {highest} of omega={omega:.6g} rad/s lies beyond half the sampling "
+            f"frequency, {np.pi / dt:.6g} rad/s; sample faster or lower n_harmonics"
         )
     lengths = [segment.stop - segment.start for segment in base.segments]
     n_unknowns = (2 * N + 1) * len(input_names)
@@ -419,7 +423,7 @@ def _signals(data, what, base):
     names = signal_names(data, what)
     values = to_float(data, what)
     check_finite(values, names, base.time, what)
-    return values, names
+    return check_size(values, names, what), names
 
 
 def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, overlap):

@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
+from sklearn_hd._arithmetic import within_range
 from sklearn_hd._validation import check_count, check_flag, check_numbers, check_positive
 from sklearn_hd.algorithms import floquet
 from sklearn_hd.algorithms.floquet_exponents import floquet_exponents
@@ -119,6 +120,7 @@ class LTPSystem(NamedSignals):
     def __repr__(self):
         return self._described(f"omega={self.omega:.6g}")
 
+    @within_range
     def fourier_coefficients(self, n_harmonics):
         """Real Fourier coefficients of F, G, P and Q up to some harmonic.
 
@@ -140,6 +142,7 @@ class LTPSystem(NamedSignals):
         K = _check_harmonics("n_harmonics", n_harmonics)
         return tuple(matrix_coefficients(M, K) for M in (self.F, self.G, self.P, self.Q))
 
+    @within_range
     def monodromy(self, start=0.0):
         """Transition matrix Φ over one period.
 
@@ -164,6 +167,7 @@ class LTPSystem(NamedSignals):
         tolerance = max(1e-14, precision(self.F))
         return floquet.monodromy_matrix(self.F, self.omega, start=start, tolerance=tolerance)
 
+    @within_range
     def floquet_exponents(self):
         """Exponents λ of the solutions p(ψ) e^{λt}, p periodic.
 
@@ -176,10 +180,16 @@ class LTPSystem(NamedSignals):
         exponents : complex ndarray, shape (n_states,)
             In 1/s. Right also where multipliers e^{λT} differ by a hundred decades,
             which :meth:`monodromy` cannot hold.
+
+        Raises
+        ------
+        ValueError
+            If F is beyond the range of floating-point numbers.
         """
         tolerance = max(1e-14, precision(self.F))
         return floquet_exponents(self.F, self.omega, tolerance=tolerance)
 
+    @within_range
     def harmonic_decomposition(self, n_harmonics, n_input_harmonics=None, n_output_harmonics=None):
         """Time-invariant model of the harmonics of the states (Eqs. 8 and 9).
 
@@ -218,6 +228,7 @@ class LTPSystem(NamedSignals):
             outputs=harmonic_names(self.output_names, L),
         )
 
+    @within_range
     def harmonic_transfer_function(
         self,
         frequencies,
@@ -277,6 +288,7 @@ class LTPSystem(NamedSignals):
         check_numbers("positive", "1e-8 is usual", tolerance=tolerance)
         return model_response(self, frequencies, N, sample_time, tolerance, max_internal_harmonics)
 
+    @within_range
     def participation_factors(self, n_harmonics):
         """Participation of each harmonic of each state in each mode of the HD model.
 
@@ -305,6 +317,7 @@ class LTPSystem(NamedSignals):
         index = pd.Index(harmonic_names(self.state_names, N), name="state")
         return pd.DataFrame(factors, index, pd.Index(eigenvalues, name="eigenvalue"))
 
+    @within_range
     def modal_participation(self, n_harmonics):
         """Share of each harmonic of a state in that state's motion in each Floquet mode.
 
@@ -350,6 +363,7 @@ class LTPSystem(NamedSignals):
         values = np.swapaxes(shares, 0, 1).reshape(-1, n)
         return pd.DataFrame(values, index, pd.Index(eigenvalues[base], name="eigenvalue"))
 
+    @within_range
     def simulate(self, u, t, x0=None, *, return_states=False):
         """Outputs at the sample times, exact for inputs held between samples.
 
