@@ -126,5 +126,6 @@ pd.concat({key: pd.DataFrame(F, names, names).round(2) for key, F in parts.items
 # What was learned
 # ----------------
 # - With the stabiliser on, take ``weighting="pbsid"``; more data do not mend MOESP's bias.
-# - Feedback that acts wingbeat by wingbeat is read wingbeat by wingbeat (``hop="period"``).
+# - Feedback that acts wingbeat by wingbeat is read wingbeat by wingbeat (``hop="period"``); what
+#   acts within the wingbeat would be identified with the moth.
 # - The model found is that of the moth without its pilot, of which a better pilot can be designed.

@@ -313,7 +313,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             raise ValueError(
                 "one row is left to score, which has no R²; give longer records or a smaller warmup"
             )
-        unit = _power_of_two(truth)  # R² is the same, and its squares do not overflow
+        unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
     def _fitted_simulation(self, X, y, horizon=None):
@@ -457,7 +457,7 @@ def fit_initial_state(simulator, outputs, rows):
     return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
 
 
-def _power_of_two(values):
+def power_of_two(values):
     """About the largest magnitude of each column, as a power of two: dividing rounds nothing."""
     _, exponent = np.frexp(np.max(np.abs(values), axis=0))
     return np.ldexp(1.0, np.clip(exponent, -1000, 1000))

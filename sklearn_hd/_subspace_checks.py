@@ -1,5 +1,7 @@
 """What block rows, order and weighting the data allow."""
 
+import warnings
+
 from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._progress import check_verbose
 from sklearn_hd._time import why_short
@@ -7,6 +9,7 @@ from sklearn_hd._validation import check_choice, check_count, check_flag
 from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.predictor_subspace import rows_remembered
 from sklearn_hd.algorithms.projections import PROJECTIONS
+from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["PREDICTOR", "SubspaceChecks", "is_lifted"]
 
@@ -148,6 +151,13 @@ class SubspaceChecks:
             excited = n_excited(R, most, n_inputs)
             if excited < 2 * most * n_inputs:
                 most = max(2, excited // (2 * n_inputs))
+                warnings.warn(
+                    f"the inputs excite {excited} directions, so that a predictor may reach back "
+                    f"{most} rows and no further: what it has not forgotten by then is lost; use "
+                    f"a richer input",
+                    ExcitationWarning,
+                    stacklevel=5,
+                )
                 R = factor(most)
         columns = n_hankel_columns(lengths, most)
         order = 1 if self.order == "auto" else int(self.order)

@@ -152,6 +152,15 @@ def test_fit_percent_laws(rng):
     np.testing.assert_array_equal(fit_percent(frame, series.to_frame()), fit)
 
 
+def test_fit_percent_of_sizes_whose_squares_are_no_numbers():
+    np.testing.assert_allclose(fit_percent([[1e300], [0.0]], [[0.0], [1.0]]), 100 * (1 - 2**0.5))
+    np.testing.assert_allclose(fit_percent([[1e-320], [0.0]], [[0.0], [1e-320]]), -100.0)
+    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+        fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[10**400, 1])
+    with pytest.raises(ValueError, match="must hold 2 numbers of at least 0"):
+        fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[np.inf, 1])
+
+
 def test_fit_percent_scorer_means_or_picks(lti):
     model = MOESPRegressor(order=3, block_rows=8).fit(lti.inputs, lti.outputs)
     args = model, lti.inputs, lti.outputs

@@ -8,13 +8,23 @@ from innovation_cases import disturbed, in_closed_loop
 from sklearn.base import clone
 from sklearn.metrics import mean_squared_error, r2_score
 from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import Pipeline
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import ExcitationWarning
 from sklearn_hd.model_selection import PeriodBlockSplit, simulation_scorer
 
 WEIGHTINGS = ["moesp", "n4sid", "cva", "pbsid"]
+SLOW_A = 0.95 * np.array([[np.cos(0.4), np.sin(0.4)], [-np.sin(0.4), np.cos(0.4)]])
+SLOW_B, SLOW_C = np.array([[1.0], [0.3]]), np.array([[1.0, 0.5]])
 
 
 def impulse_response(estimator, n=8, matrix="B"):
@@ -113,6 +123,110 @@ def test_block_rows_of_the_predictor_follow_its_memory(rng):
     model = MOESPRegressor(weighting="pbsid").fit(u, y)
     assert 9 <= model.block_rows_ <= 13
     assert model.order_ == 7
+
+
+def outputs_of_low_rank(rng, kind):
+    system = disturbed(rng, 3, 1, 2)
+    u, y, _ = system.simulate(rng, 1500)
+    exact = propagate(system.A, u @ system.B.T, np.zeros(3)) @ system.C.T
+    return u, {
+        "their sum": np.c_[y, y.sum(axis=1)],
+        "the same twice": y[:, [0, 0]],
+        "one at rest": np.c_[y, 0.0 * u],
+        "one without noise": np.c_[exact[:, 0], y[:, 1]],
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    "kind", ["their sum", "the same twice", "one at rest", "one without noise"]
+)
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_outputs_of_low_rank_have_a_gain_too(rng, weighting, kind):
+    """Noise of fewer dimensions than outputs: the covariances are singular."""
+    u, y = outputs_of_low_rank(rng, kind)
+    model = MOESPRegressor(3, weighting=weighting, disturbance_model=True).fit(u, y)
+    K = model.kalman_gain_
+    assert np.max(np.abs(np.linalg.eigvals(model.model_.A - K @ model.model_.C))) < 1.0
+    left = y - model.predict_ahead(u, y)
+    simulated = y - model.predict(u, x0=model.x0_)
+    assert np.sum(left**2) <= 1.001 * np.sum(simulated**2)
+
+
+@pytest.mark.parametrize("kind", ["their sum", "the same twice", "one without noise"])
+def test_orders_by_correlations_of_outputs_of_low_rank(rng, kind):
+    u, y = outputs_of_low_rank(rng, kind)
+    assert MOESPRegressor(weighting="cva").fit(u, y).order_ <= 6  # three of u, three of noise
+
+
+def test_predictors_of_orders_too_low_are_stable(rng):
+    A, B, C = random_stable(rng, 4, 1, 2)
+    u = rng.standard_normal((800, 1))
+    y = propagate(A, u @ B.T, np.zeros(4)) @ C.T
+    for weighting in WEIGHTINGS:
+        model = MOESPRegressor(2, weighting=weighting, disturbance_model=True).fit(u, y)
+        found = model.model_
+        assert np.max(np.abs(np.linalg.eigvals(found.A - found.kalman_gain @ found.C))) < 1.0
+        assert np.abs(y - model.predict_ahead(u, y)).max() < 3.0 * np.abs(y).max()
+
+
+def test_a_few_sines_excite_fewer_directions_than_block_rows(rng):
+    """Past inputs that future ones repeat are rounding once these are projected out."""
+    k = np.arange(2000.0)
+    u = sum(np.sin(2.0 * np.pi * f * k + f) for f in (0.05, 0.11, 0.23))[:, None]
+    y = propagate(SLOW_A, u @ SLOW_B.T, np.array([5.0, 0.0])) @ SLOW_C.T
+    y = y + 0.3 * rng.standard_normal((2000, 1))
+    for weighting in WEIGHTINGS:
+        message, worst = "asks for", 0.45 if weighting == "n4sid" else 0.34
+        if weighting == "pbsid":
+            message = "the inputs excite 6 directions, so that a predictor may reach back 3 rows"
+            worst = 0.55
+        model = MOESPRegressor(2, weighting=weighting, disturbance_model=True)
+        with pytest.warns(ExcitationWarning, match=message):
+            model.fit(u, y)
+        assert model.singular_values_[0] < 1e3
+        assert np.std(y - model.predict_ahead(u, y)) < worst < np.std(y)
+
+
+def test_periodic_inputs_bound_how_far_back_a_predictor_reaches(rng):
+    """Twenty values that repeat: beyond the directions that they excite a predictor is any."""
+    u = np.tile(rng.choice([-1.0, 1.0], 20), 150)[:, None]
+    y = propagate(SLOW_A, u @ SLOW_B.T, np.zeros(2)) @ SLOW_C.T
+    y = y + 0.3 * rng.standard_normal((3000, 1))
+    with pytest.warns(ExcitationWarning, match="a predictor may reach back"):
+        model = MOESPRegressor(2, weighting="pbsid").fit(u, y)
+    wanted = np.array([SLOW_C @ np.linalg.matrix_power(SLOW_A, j) @ SLOW_B for j in range(8)])
+    assert off(impulse_response(model), wanted) < 0.05
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_trims_and_gains_go_together_period_by_period(weighting):
+    """The constant direction of an averaged trim repeats itself in every block row."""
+    data = make_flapping_wing("ltp", snr_db=40, random_state=100)
+    analyzer = HarmonicAnalyzer(data.omega, hop="period", trim_span=data.trim_span)
+    frame = analyzer.fit_transform(data.inputs, data.outputs)
+    model = MOESPRegressor(2, weighting=weighting, disturbance_model=True)
+    model.fit(frame, data.outputs)
+    exponents = np.log(model.eigenvalues_.astype(complex)) * data.omega / (2.0 * np.pi)
+    truth = np.sort(data.ltp.floquet_exponents().real)
+    np.testing.assert_allclose(np.sort(exponents.real), truth, rtol=0.25)
+    ahead = model.predict_ahead(frame, data.outputs)
+    assert r2_score(data.outputs, ahead) > 0.95
+
+
+def test_a_gain_alone_does_not_change_the_periodic_model():
+    """The matcher takes a record for one of a closed loop by the weighting."""
+    data = make_flapping_wing("ltp", snr_db=40, random_state=101)
+    models = []
+    for disturbance_model in (False, True):
+        pipe = Pipeline(
+            [
+                ("harmonics", HarmonicAnalyzer(data.omega, hop="period")),
+                ("identify", MOESPRegressor(2, disturbance_model=disturbance_model)),
+                ("match", StructuredMatcher(structure=HarmonicStructure())),
+            ]
+        )
+        models.append(pipe.fit(data.inputs, data.outputs)["match"].theta_)
+    pd.testing.assert_series_equal(*models)
 
 
 # ---- prediction ----------------------------------------------------------------------------------
@@ -232,7 +346,10 @@ def test_outputs_alone_show_modes_and_noise(rng, weighting):
     )
     # where the next x is known but for its noise, that is all that is left
     assert left.std() < 1.15
-    assert model.predict(frame, x0=[1.0, 0.0]).abs().max() > 0.0
+    x0, found = np.array([1.0, -2.0]), model.model_
+    free = [(found.C @ np.linalg.matrix_power(found.A, k) @ x0).item() for k in range(20)]
+    np.testing.assert_allclose(model.predict(frame, x0=x0)[:20], free, rtol=1e-9, atol=1e-9)
+    assert model.score(None, y) == model.score(frame, y)
     modes = SpuriousModeReducer(clone(model)).fit(frame, y).modes_
     assert abs(modes["eigenvalue"].iloc[0].imag) == pytest.approx(
         np.arctan2(0.3, 0.9) / 0.1, rel=0.01
@@ -300,8 +417,25 @@ def test_predictors_want_rows_for_past_outputs_too(rng):
         MOESPRegressor(2, weighting="pbsid", block_rows=12).fit(u, y)
 
 
-def test_dask_frames_are_read_by_other_weightings(rng):
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_dask_frames_are_read_by_other_weightings(rng, weighting):
     dd = pytest.importorskip("dask.dataframe")
-    X, Y = (dd.from_pandas(z, npartitions=2) for z in frames(*rng.standard_normal((2, 100, 1))))
-    with pytest.raises(ValueError, match="weighting='pbsid' reads no dask DataFrames"):
-        MOESPRegressor(weighting="pbsid").fit(X, Y)
+    X, Y = frames(*disturbed(rng, 2, 1, 1).simulate(rng, 600)[:2])
+    parts = [dd.from_pandas(z, npartitions=3) for z in (X, Y)]
+    model = MOESPRegressor(2, block_rows=6, weighting=weighting, disturbance_model=True)
+    if weighting == "pbsid":
+        with pytest.raises(ValueError, match="weighting='pbsid' reads no dask DataFrames"):
+            model.fit(*parts)
+        return
+    whole, parted = clone(model).fit(X, Y), clone(model).fit(*parts)
+    for name in ("B", "K"):
+        found, wanted = (impulse_response(each, matrix=name) for each in (parted, whole))
+        np.testing.assert_allclose(found, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_a_record_too_short_for_dynamics_has_a_gain_of_no_states(rng):
+    u = rng.standard_normal((4, 1))
+    with pytest.warns(ExcitationWarning, match="a static gain is fitted"):
+        model = MOESPRegressor(disturbance_model=True).fit(u, 2.0 * u)
+    assert model.kalman_gain_.shape == (0, 1)
+    np.testing.assert_allclose(model.predict_ahead(u, 2.0 * u), 2.0 * u)

@@ -7,7 +7,7 @@ import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd._base import ModelStep, scored_simulation, weights_of
+from sklearn_hd._base import ModelStep, power_of_two, scored_simulation, weights_of
 from sklearn_hd._containers import as_container, to_float
 from sklearn_hd._validation import check_count
 
@@ -189,6 +189,8 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
                 f"{name} is not finite in row {row}, output {column}; drop those rows from both"
             )
     weight = _check_weight(sample_weight, len(y))
+    unit = power_of_two(np.vstack([y, y_hat]))  # so that squares do not overflow
+    y, y_hat, weight = y / unit, y_hat / unit, weight / weight.max()
     mean = np.average(y, axis=0, weights=weight)
     error = np.sqrt(weight @ (y - y_hat) ** 2)
     spread = np.sqrt(weight @ (y - mean) ** 2)
@@ -213,9 +215,10 @@ def _check_weight(sample_weight, n_samples):
         return np.ones(n_samples)
     try:
         weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError("sample_weight holds values that are no numbers") from None
-    if weight.shape != (n_samples,) or not np.all(weight >= 0.0) or not np.any(weight > 0.0):
+    fits = weight.shape == (n_samples,) and np.all((weight >= 0.0) & np.isfinite(weight))
+    if not fits or not np.any(weight > 0.0):
         raise ValueError(
             f"sample_weight of shape {weight.shape} must hold {n_samples} numbers of at least 0, "
             f"not all of them 0"
