@@ -125,7 +125,10 @@ pd.concat({key: pd.DataFrame(F, names, names).round(2) for key, F in parts.items
 # %%
 # What was learned
 # ----------------
-# - With the stabiliser on, take ``weighting="pbsid"``; more data do not mend MOESP's bias.
+# - With the stabiliser on, give :class:`~sklearn_hd.MOESPRegressor` ``weighting="pbsid"``; more
+#   data do not mend MOESP's bias.
 # - Feedback that acts wingbeat by wingbeat is read wingbeat by wingbeat (``hop="period"``); what
 #   acts within the wingbeat would be identified with the moth.
 # - The model found is that of the moth without its pilot, of which a better pilot can be designed.
+#   How well it does over many flights: :doc:`against the world </world>`; what PBSID asks:
+#   :doc:`the user guide </guide/3_subspace>`.
