@@ -103,6 +103,8 @@ def draw_moesp(rng):
     options = {
         "order": ["auto", "auto", 1, 1, 2, 2, 3, 3, 6, 40],
         "block_rows": [None, None, None, 3, 6, 10, 12, 20, 10**6],
+        "weighting": ["n4sid", "cva", "pbsid", "pbsid"],
+        "disturbance_model": [True, True, False],
         "feedthrough": [True, False],
         "scale": [True, False],
         "warmup": [None, DT, 3.0, 1e-300, 1e300],
@@ -202,6 +204,8 @@ def draw_steps(rng):
     if isinstance(X, pd.DataFrame) and getattr(first_step(estimator), "azimuth", None) == "psi":
         X = X.assign(psi=turning(rng, len(X)))
     rest = np.random.default_rng(rng.integers(2**32))
+    if isinstance(estimator, MOESPRegressor) and chance(rng, 0.05):
+        X = None
     told = {"X": _described(X), "y": _described(y)}
     if isinstance(estimator, MOESPRegressor) and chance(rng, 0.25):
         perform = lambda said: _stream(estimator, X, y, rest)  # noqa: E731
@@ -240,7 +244,13 @@ def _use(estimator, X, y, rng, said):
     fitted.fit(X, y)
     warned = len(said)
     _check_fits_alike(estimator, fitted, X, y)
-    asked = [_ask_again, _ask_for_prediction, _ask_for_score, _ask_for_transform]
+    asked = [
+        _ask_again,
+        _ask_for_prediction,
+        _ask_for_prediction_ahead,
+        _ask_for_score,
+        _ask_for_transform,
+    ]
     for ask in asked:
         _answered(ask, fitted, X, y, rng, said, warned)
     return "fitted"
@@ -292,6 +302,14 @@ def _ask_for_prediction(fitted, X, y, rng, warned):
          np.ones((n, n, n)), [1j] * n],
     )  # fmt: skip
     _check_prediction(fitted, fitted.predict(X, x0=x0), warned)
+
+
+def _ask_for_prediction_ahead(fitted, X, y, rng, warned):
+    """Pipelines do not hand it on: of a last step alone."""
+    if not hasattr(fitted, "predict_ahead"):
+        return
+    horizon = one_of(rng, [1, 1, 2, 50, 10**9], share=0.1)
+    _check_prediction(fitted, fitted.predict_ahead(X, y, horizon=horizon), warned)
 
 
 def _check_prediction(fitted, predicted, warned):
