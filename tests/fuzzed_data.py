@@ -241,7 +241,7 @@ def spoil(rng, z):
     change = pick(rng, changes)
     try:
         return change(rng, z) if len(z) else z
-    except (TypeError, ValueError, ArithmeticError):  # spoilt before, in a way that bars this one
+    except (TypeError, ValueError, ArithmeticError, AttributeError):  # spoilt before: bars this
         return z
 
 
