@@ -241,7 +241,8 @@ def spoil(rng, z):
     change = pick(rng, changes)
     try:
         return change(rng, z) if len(z) else z
-    except (TypeError, ValueError, ArithmeticError, AttributeError):  # spoilt before: bars this
+    except (TypeError, ValueError, ArithmeticError, AttributeError, RuntimeError):
+        # spoilt before, in a way that bars this one
         return z
 
 
