@@ -297,6 +297,8 @@ WRONG = {
     "bool": ({"F": True}, r"F=True is not understood"),
     "empty": ({"F": {}}, r"F=\{\} is not understood"),
     "text": ({"P": "free"}, r"P='free' is not understood"),
+    "too many": ({"F": 10**9}, r"harmonic 1000000000 of F is beyond 10000, more than any record"),
+    "label beyond": ({"G": {"123456789c": [[1]]}}, r"harmonic 123456789 of G is beyond 10000"),
     "label": ({"F": {"c1": [[1]]}}, r"'c1' is no label of F; labels are '0', '1c', '1s'"),
     "label 0c": ({"F": {"0c": [[1]]}}, r"'0c' is no label of F"),
     "label number": ({"F": {0: [[1]]}}, r"0 is no label of F"),

@@ -17,6 +17,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.bounded_steps import BoundedSteps
 from sklearn_hd.algorithms.structured_model import column_sizes
+from sklearn_hd.algorithms.triangular import triangle
 from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["GridFit", "Start", "levenberg_marquardt", "local_fits"]
@@ -117,8 +118,11 @@ class _FreeSteps:
 
     def __init__(self, residual, jacobian):
         self._size = column_sizes(jacobian)
-        left, self._singular, self._adjoint = linalg.svd(jacobian / self._size, full_matrices=False)
-        self._projected = left.T @ residual
+        # the same from the triangular factor, whose orthogonal one is never formed
+        R = triangle(np.column_stack([jacobian / self._size, residual]))
+        factor, rest = R[: len(self._size), :-1], R[: len(self._size), -1]
+        left, self._singular, self._adjoint = linalg.svd(factor, full_matrices=False)
+        self._projected = left.T @ rest
         self.promised = self._projected @ self._projected
 
     def damped(self, damping):

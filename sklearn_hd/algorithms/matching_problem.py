@@ -15,6 +15,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
+from sklearn_hd.algorithms.triangular import triangle
 from sklearn_hd.algorithms.weighting import Weighting, fixed_model
 
 __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
@@ -262,7 +263,7 @@ class MatchingProblem:
         jacobian = self.residual_and_jacobian(theta)[1]
         if jacobian.shape[1] == 0:
             return np.empty(0), ()
-        _, singular, adjoint = linalg.svd(jacobian / column_sizes(jacobian))
+        _, singular, adjoint = linalg.svd(triangle(jacobian / column_sizes(jacobian)))
         singular = np.pad(singular, (0, len(adjoint) - len(singular)))
         null = adjoint[numerical_rank(singular) :]
         undetermined = np.flatnonzero(np.any(np.abs(null) > _NULL, axis=0))

@@ -1,10 +1,13 @@
 """Fourier coefficients of F, G, P and Q as they are given: by label, or by number of harmonics."""
 
 import numbers
+import reprlib
 from collections.abc import Mapping
 
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.structures._cells import axis_names, matrix_shape, read_cells
+
+MOST_HARMONICS = 10_000
 
 
 def read_specification(name, value):
@@ -17,6 +20,7 @@ def read_specification(name, value):
     if isinstance(value, Mapping) and value:
         return {label: _coefficient(name, label, matrix) for label, matrix in value.items()}
     if isinstance(value, numbers.Integral) and not isinstance(value, bool) and value >= 0:
+        _check_order(name, value)
         return int(value)
     raise ValueError(
         f"{name}={value!r} is not understood; give a number of harmonics, a dict of coefficients "
@@ -51,10 +55,20 @@ def order_of(label, name="a coefficient"):
     if text == "0":
         return 0
     if text[:-1].isdecimal() and int(text[:-1]) > 0 and text[-1] in "cs":
+        _check_order(name, int(text[:-1][:20]))
         return int(text[:-1])
     raise ValueError(
         f"{label!r} is no label of {name}; labels are '0', '1c', '1s', '2c', … (mean, cosine, sine)"
     )
+
+
+def _check_order(name, harmonic):
+    """Raise ValueError for harmonics that no record shows."""
+    if harmonic > MOST_HARMONICS:
+        raise ValueError(
+            f"harmonic {reprlib.repr(harmonic)} of {name} is beyond {MOST_HARMONICS}, more than any "
+            f"record tells apart; give fewer harmonics"
+        )
 
 
 def labels_up_to(count):
