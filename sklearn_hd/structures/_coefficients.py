@@ -66,8 +66,8 @@ def _check_order(name, harmonic):
     """Raise ValueError for harmonics that no record shows."""
     if harmonic > MOST_HARMONICS:
         raise ValueError(
-            f"harmonic {reprlib.repr(harmonic)} of {name} is beyond {MOST_HARMONICS}, more than any "
-            f"record tells apart; give fewer harmonics"
+            f"harmonic {reprlib.repr(harmonic)} of {name} is beyond {MOST_HARMONICS}, more than "
+            f"any record tells apart; give fewer harmonics"
         )
 
 
