@@ -162,4 +162,6 @@ class SubspaceChecks:
         columns = n_hankel_columns(lengths, most)
         order = 1 if self.order == "auto" else int(self.order)
         rows = rows_remembered(R, most, n_inputs, columns, bool(self.feedthrough) or lifted)
-        return min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)
+        rows = min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)
+        self._check_rank_bound(rows, n_outputs)
+        return rows

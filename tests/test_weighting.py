@@ -185,6 +185,11 @@ def test_a_few_sines_excite_fewer_directions_than_block_rows(rng):
             model.fit(u, y)
         assert model.singular_values_[0] < 1e3
         assert np.std(y - model.predict_ahead(u, y)) < worst < np.std(y)
+    with (
+        pytest.warns(ExcitationWarning, match="reach back 3 rows"),
+        pytest.raises(ValueError, match="order=4 exceeds the rank bound 2 of block_rows=3"),
+    ):
+        MOESPRegressor(4, weighting="pbsid").fit(u, y)
 
 
 def test_periodic_inputs_bound_how_far_back_a_predictor_reaches(rng):
