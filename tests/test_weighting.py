@@ -353,7 +353,7 @@ def test_outputs_alone_show_modes_and_noise(rng, weighting):
     assert left.std() < 1.15
     x0, found = np.array([1.0, -2.0]), model.model_
     free = [(found.C @ np.linalg.matrix_power(found.A, k) @ x0).item() for k in range(20)]
-    np.testing.assert_allclose(model.predict(frame, x0=x0)[:20], free, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(model.predict(frame, x0=x0).iloc[:20], free, rtol=1e-9, atol=1e-9)
     assert model.score(None, y) == model.score(frame, y)
     modes = SpuriousModeReducer(clone(model)).fit(frame, y).modes_
     assert abs(modes["eigenvalue"].iloc[0].imag) == pytest.approx(
