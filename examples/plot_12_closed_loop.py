@@ -8,7 +8,7 @@ How unstable is a machine that can only be measured while its stabiliser flies i
 # %%
 # The record
 # ----------
-# A hawkmoth in hover, a nonlinear periodic system, tumbles within a second if it is left alone.
+# A hawkmoth in hover, a nonlinear periodic system, tumbles within seconds if it is left alone.
 # Its feedback reads the means of each wingbeat and sets the stroke of the next; small steps on
 # top of that excite it, while gusts blow and the sensors are noisy.
 
