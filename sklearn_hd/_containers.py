@@ -60,7 +60,7 @@ def _as_array(data, what):
     if data is None or isinstance(data, str | bytes | dict):
         way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
         if data is None and what == "X":
-            way = "; of a model of outputs alone, a frame of no columns on the rows wanted: y[[]]"
+            way = "; MOESPRegressor's models of outputs alone take a frame without columns: y[[]]"
         raise TypeError(
             f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is no "
             f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"

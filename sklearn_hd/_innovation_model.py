@@ -7,6 +7,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._containers import without_inputs
 from sklearn_hd._states import initial_states
+from sklearn_hd._subspace_checks import PREDICTOR
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_outputs_given
 from sklearn_hd.algorithms.innovations import InnovationForm
@@ -18,7 +19,7 @@ def _has_gain(step):
     """Whether a Kalman gain was, or will be, identified."""
     if hasattr(step, "model_"):
         return step.model_.kalman_gain is not None
-    return bool(step.disturbance_model) or step.weighting == "pbsid"
+    return bool(step.disturbance_model) or step.weighting == PREDICTOR
 
 
 class InnovationModel:
@@ -103,7 +104,7 @@ class InnovationModel:
         if simulator.basis is not None:
             basis, time = simulator.basis, simulator.time
             whole = basis.rows_read(time)
-            Y = basis.coefficients(outputs, time, basis.outputs, whole)
+            Y = basis.output_coefficients(outputs, time, whole)
             if rows is not None:
                 seen = max(1, int(np.sum(whole + len(basis.weights) <= rows.stop)))
         if x0 is None:

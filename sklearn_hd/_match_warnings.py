@@ -71,6 +71,18 @@ def warn_matched(result, settings, n_found, n_wanted):
         )
 
 
+def warn_closed_loop():
+    """Of maximum likelihood of a simulation, after a model identified in closed loop."""
+    warnings.warn(
+        "criterion='output_error' simulates the record and takes all that is left for noise of the "
+        "sensors; where disturbances move the machine and feedback answers, this is biased, and "
+        "weighting='pbsid' has told that inputs may answer to outputs: use criterion='hinf', "
+        "or ignore this where nothing but sensors is noisy",
+        IdentifiabilityWarning,
+        stacklevel=5,
+    )
+
+
 def warn_refined(result):
     """Of a fit by maximum likelihood."""
     if result.unidentified:

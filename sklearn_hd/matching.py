@@ -11,7 +11,12 @@ from sklearn_hd._base import ModelStep, upstream
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._frame import highest_harmonic
 from sklearn_hd._match import Match, NormReport, ParameterReport, periodic_match
-from sklearn_hd._match_warnings import warn_matched, warn_realized, warn_refined
+from sklearn_hd._match_warnings import (
+    warn_closed_loop,
+    warn_matched,
+    warn_realized,
+    warn_refined,
+)
 from sklearn_hd._norm_matching import NORMS, NormSettings
 from sklearn_hd._periodic import PeriodicModel, PeriodicSimulator
 from sklearn_hd._progress import check_verbose, progress
@@ -225,6 +230,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         """
         self._check_settings()
         experiment, model = upstream(self, X, y)
+        if model.closed_loop and self.criterion == "output_error":
+            warn_closed_loop()
         structure = self.structure
         if structure is not None and not isinstance(structure, MatrixStructure | HarmonicStructure):
             raise ValueError(

@@ -325,6 +325,13 @@ def test_bad_arguments_are_named(given, message):
         make_hawkmoth(**given)
 
 
+def test_a_moth_that_turns_over_is_an_error():
+    with pytest.raises(RuntimeError, match=r"the moth turns over in wingbeat \d+: excite it less"):
+        make_hawkmoth(n_periods=40, samples_per_period=16, excitation=3.0, random_state=0)
+    with pytest.raises(ValueError, match="quiet=20 is more than n_periods=10"):
+        make_hawkmoth(n_periods=10, quiet=20)
+
+
 def test_a_moth_blown_over_is_an_error():
     with pytest.raises(RuntimeError, match="the closed loop diverged in period"):
         make_hawkmoth(n_periods=80, samples_per_period=16, gain=np.full((2, 4), 3.0), quiet=0)

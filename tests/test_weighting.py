@@ -1,5 +1,7 @@
 """MOESPRegressor's weightings, its disturbance model and predictions from measured outputs."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,13 +15,14 @@ from sklearn.pipeline import Pipeline
 from sklearn_hd import (
     HarmonicAnalyzer,
     HarmonicStructure,
+    MatrixStructure,
     MOESPRegressor,
     SpuriousModeReducer,
     StructuredMatcher,
 )
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 from sklearn_hd.model_selection import PeriodBlockSplit, simulation_scorer
 
 WEIGHTINGS = ["moesp", "n4sid", "cva", "pbsid"]
@@ -123,6 +126,21 @@ def test_block_rows_of_the_predictor_follow_its_memory(rng):
     model = MOESPRegressor(weighting="pbsid").fit(u, y)
     assert 9 <= model.block_rows_ <= 13
     assert model.order_ == 7
+
+
+def test_simulation_of_what_was_taken_for_a_closed_loop_is_warned_of(rng):
+    X, Y = frames(*disturbed(rng, 1, 1, 1).simulate(rng, 600)[:2])
+    structure = MatrixStructure([[np.nan]], [[np.nan]])
+    for weighting in ("pbsid", "moesp"):
+        upstream = SpuriousModeReducer(MOESPRegressor(1, weighting=weighting))
+        matcher = StructuredMatcher(upstream, structure=structure, criterion="output_error")
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            matcher.fit(X, Y)
+        told = [w for w in said if "'output_error' simulates the record" in str(w.message)]
+        assert len(told) == (weighting == "pbsid")
+        assert all(w.category is IdentifiabilityWarning for w in told)
+        assert all(w.filename == __file__ for w in told)
 
 
 def outputs_of_low_rank(rng, kind):

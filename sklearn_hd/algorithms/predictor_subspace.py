@@ -100,11 +100,6 @@ class PredictorSubspace:
             n_columns,
         )
 
-    @property
-    def n_outputs(self):
-        """Number of outputs, l."""
-        return self.outputs.shape[1]
-
     def model(self, order):
         """The innovation form of some order.
 

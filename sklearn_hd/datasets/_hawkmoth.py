@@ -132,6 +132,10 @@ def make_hawkmoth(
     n_periods = check_count("n_periods", n_periods, 1, "wingbeats of each record")
     S = check_count("samples_per_period", samples_per_period, 4, "64 resolve a wingbeat")
     quiet = check_count("quiet", quiet, 0, "wingbeats before the excitation")
+    if quiet > n_periods:
+        raise ValueError(
+            f"quiet={quiet} is more than n_periods={n_periods}; a record has no more than these"
+        )
     check_numbers("nonnegative", "0 leaves it out", noise=noise, gust=gust)
     rng, truth = check_random_state(random_state), _truth()
     v = _excitation(excitation, n_records, n_periods, quiet, rng)
@@ -195,13 +199,26 @@ def _flights(loop, v, wind, noise, rng):
     """Inputs, outputs as measured and outputs as they were."""
     substeps = -(-STEPS_PER_PERIOD // loop.samples_per_period)
     u, y = loop.simulate(v, disturbances=wind, substeps=substeps)
+    _check_upright(y, loop)
     if not noise:
         return u, y, y
     at_rest = np.tile(loop.trim_samples(), (v.shape[1], 1))
     size = np.sqrt(np.mean((y - at_rest) ** 2, axis=(0, 1)))
     e = noise * size * rng.standard_normal(y.shape)
     u, y = loop.simulate(v, disturbances=wind, noise=e, substeps=substeps)
+    _check_upright(y - e, loop)
     return u, y, y - e
+
+
+def _check_upright(y, loop):
+    """Raise RuntimeError if a moth has turned over: what it does then is no flight."""
+    pitch = np.abs(y[..., loop.system.output_names.index("theta")])
+    if np.max(pitch) > np.pi / 2.0:
+        row = int(np.argwhere(np.any(pitch > np.pi / 2.0, axis=0))[0, 0])
+        raise RuntimeError(
+            f"the moth turns over in wingbeat {row // loop.samples_per_period}: excite it less, or "
+            f"give less gust or another gain"
+        )
 
 
 def _excitation(size, n_records, n_periods, quiet, rng):
