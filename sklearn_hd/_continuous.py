@@ -50,7 +50,7 @@ def refit_inputs(A, C, experiment, feedthrough):
     A_raw, hold = continuous_to_discrete(A, np.eye(len(A)), dt)
     scale = output_scale(experiment)
     observe = [R / scale[:, None] for R in observations(experiment, len(C))]
-    outputs = [y / scale for y in experiment.outputs]
+    outputs = scaled_outputs(experiment)
     u_scale = input_scale(experiment)
     inputs = [u / u_scale for u in experiment.drive]
     B_raw, D, _, rest = input_matrices(
@@ -74,6 +74,12 @@ def output_scale(experiment):
     largest[largest == 0.0] = 1.0
     scale = largest * np.std(stacked / largest, axis=0)
     return np.where(scale == 0.0, largest, scale)
+
+
+def scaled_outputs(experiment):
+    """The outputs of each segment, divided by :func:`output_scale`."""
+    scale = output_scale(experiment)
+    return [y / scale for y in experiment.outputs]
 
 
 def observations(experiment, n_coefficients):

@@ -31,7 +31,7 @@ LAYERS = [
     {"_streamed_fit", "_partitioned_fit", "_innovation_model"},
     {"_base"},
     {"_continuous"},
-    {"_raw_modes"},
+    {"_raw_modes", "_mode_choice"},
     {"_periodic"},
     {"_match"},
     {"_free_response"},

@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
 import spurious_modes_study as study
 
 from sklearn_hd import HarmonicAnalyzer
+from sklearn_hd._mode_choice import without_trifles
 from sklearn_hd._sliding_inputs import inputs_by_phase
 from sklearn_hd._small_signal import read_for_fit
-from sklearn_hd.reduction import _without_trifles
 
 FIRST = {  # the first seed of each kind and excitation
     (kind, excitation): j * len(study.KINDS) + i
@@ -75,10 +75,10 @@ def test_inputs_by_phase_hold_all_that_inputs_do_within_a_hop():
 
 def test_the_smallest_set_that_leaves_next_to_nothing_is_kept():
     sizes = [[(1e-2, (0,))], [(1e-12, (0, 1))], [], [(4e-13, (0, 1, 2))]]
-    assert _without_trifles(sizes, 1e-8) == sizes[1]
-    assert _without_trifles([*sizes, [(1e-16, (0, 1, 3))]], 1e-8)[0][1] == (0, 1, 3)
-    assert _without_trifles(sizes, 0.0) == sizes[-1]
-    assert _without_trifles([], 1e-8) == []
+    assert without_trifles(sizes, 1e-8) == sizes[1]
+    assert without_trifles([*sizes, [(1e-16, (0, 1, 3))]], 1e-8)[0][1] == (0, 1, 3)
+    assert without_trifles(sizes, 0.0) == sizes[-1]
+    assert without_trifles([], 1e-8) == []
 
 
 def test_judgement_counts_what_is_right():

@@ -12,17 +12,19 @@ import warnings
 import numpy as np
 from sklearn.pipeline import Pipeline
 
+import sklearn_hd._mode_choice as choice
+import sklearn_hd._raw_modes as raw_modes
 import sklearn_hd.algorithms.moesp as moesp
 import sklearn_hd.reduction as reduction
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing
 
 THRESHOLDS = [
-    (reduction, "FAMILY_TOLERANCE"),
+    (choice, "FAMILY_TOLERANCE"),
     (reduction, "MULTIPLIER_ANGLE"),
-    (reduction, "WINDOW_DECAY"),
-    (reduction, "MATERIAL_SHARE"),
-    (reduction, "SHAPE_CONDITION"),
+    (choice, "WINDOW_DECAY"),
+    (choice, "MATERIAL_SHARE"),
+    (raw_modes, "SHAPE_CONDITION"),
     (moesp, "GAP_REACH"),
     (moesp, "CLEAR_GAP"),
     (moesp, "WIDE_GAP"),
