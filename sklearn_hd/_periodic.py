@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_hd._frame import highest_harmonic
-from sklearn_hd.algorithms.floquet import harmonic_decomposition, propagate_periodic
+from sklearn_hd.algorithms.floquet import propagate_periodic
 from sklearn_hd.algorithms.fourier import harmonic_labels
+from sklearn_hd.algorithms.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.structured_model import AffineStructure
 from sklearn_hd.exceptions import UnstableModelError

@@ -5,18 +5,20 @@ import pytest
 from scipy import linalg
 
 from sklearn_hd.algorithms.floquet import (
-    derivative_matrix,
-    fourier_coefficients,
-    harmonic_decomposition,
     monodromy_exponents,
     monodromy_matrix,
-    participation_factors,
     propagate_periodic,
-    toeplitz_matrix,
     transition_matrices,
 )
 from sklearn_hd.algorithms.fourier import complex_transformation
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, galerkin_coefficients
+from sklearn_hd.algorithms.harmonic_decomposition import (
+    derivative_matrix,
+    fourier_coefficients,
+    harmonic_decomposition,
+    participation_factors,
+    toeplitz_matrix,
+)
 
 OMEGA = 2.0
 

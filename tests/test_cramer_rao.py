@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import sparse, stats
 
-from sklearn_hd.algorithms.floquet import harmonic_decomposition
 from sklearn_hd.algorithms.fourier import harmonic_functions
+from sklearn_hd.algorithms.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.output_error import output_error
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.sensitivity import as_records, simulate

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
+import reducer_thresholds as thresholds
 import spurious_modes_study as study
 
 from sklearn_hd import HarmonicAnalyzer
@@ -130,3 +131,8 @@ def test_random_decompositions_under_noise():
     rows = pd.DataFrame([study.run(seed, 0.01) for seed in range(2001, 2121, 3)])
     assert set(rows["kind"]) == {"hd"}
     assert rows["precision"].mean() >= 0.7
+
+
+def test_the_study_of_thresholds_names_thresholds_that_exist():
+    for module, name in thresholds.THRESHOLDS:
+        assert getattr(module, name) > 0.0

@@ -12,7 +12,7 @@ each the mean of a state.
 
 import numpy as np
 
-from sklearn_hd.algorithms.floquet import derivative_matrix, toeplitz_matrix
+from sklearn_hd.algorithms.harmonic_decomposition import derivative_matrix, toeplitz_matrix
 from sklearn_hd.exceptions import TrimError
 
 __all__ = [

@@ -18,8 +18,8 @@ import numpy as np
 import slycot
 from scipy import signal
 
-from sklearn_hd.algorithms.floquet import harmonic_decomposition
 from sklearn_hd.algorithms.fourier import complex_transformation
+from sklearn_hd.algorithms.harmonic_decomposition import harmonic_decomposition
 
 __all__ = [
     "effective_averages",

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares
 
-from sklearn_hd.algorithms.floquet import derivative_matrix, toeplitz_matrix
+from sklearn_hd.algorithms.harmonic_decomposition import derivative_matrix, toeplitz_matrix
 
 MAX_GROWTH = 50.0  # e-folds over a decay, far below overflow
 

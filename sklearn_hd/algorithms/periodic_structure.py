@@ -23,7 +23,8 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.floquet import N_STAGES, gauss_tableau, state_units
+from sklearn_hd.algorithms.bisection import N_STAGES, gauss_tableau
+from sklearn_hd.algorithms.floquet import state_units
 from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics
 

@@ -8,6 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._validation import check_count, check_flag, check_numbers, check_positive
 from sklearn_hd.algorithms import floquet
+from sklearn_hd.algorithms import harmonic_decomposition as hd
 from sklearn_hd.algorithms.floquet_exponents import floquet_exponents
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.systems.harmonic_transfer import model_response
@@ -217,7 +218,7 @@ class LTPSystem(NamedSignals):
         M = _check_harmonics("n_input_harmonics", M)
         L = _check_harmonics("n_output_harmonics", L)
         coefficients = self.fourier_coefficients(max(2 * N, N + M, L + N, L + M))
-        A, B, C, D = floquet.harmonic_decomposition(*coefficients, self.omega, N, M, L)
+        A, B, C, D = hd.harmonic_decomposition(*coefficients, self.omega, N, M, L)
         return control.StateSpace(
             A,
             B,
@@ -313,7 +314,7 @@ class LTPSystem(NamedSignals):
             If ``n_harmonics`` is negative or not whole.
         """
         N = _check_harmonics("n_harmonics", n_harmonics)
-        eigenvalues, _, factors = floquet.participation_factors(self._hd_matrix(N))
+        eigenvalues, _, factors = hd.participation_factors(self._hd_matrix(N))
         index = pd.Index(harmonic_names(self.state_names, N), name="state")
         return pd.DataFrame(factors, index, pd.Index(eigenvalues, name="eigenvalue"))
 
@@ -352,7 +353,7 @@ class LTPSystem(NamedSignals):
         Society Forum 65 (2009).
         """
         N, n = _check_harmonics("n_harmonics", n_harmonics), self.n_states
-        eigenvalues, vectors, _ = floquet.participation_factors(self._hd_matrix(N))
+        eigenvalues, vectors, _ = hd.participation_factors(self._hd_matrix(N))
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
         sizes = _harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
@@ -412,7 +413,7 @@ class LTPSystem(NamedSignals):
 
     def _hd_matrix(self, n_harmonics):
         F = matrix_coefficients(self.F, 2 * n_harmonics)
-        return floquet.toeplitz_matrix(F, n_harmonics, n_harmonics) - floquet.derivative_matrix(
+        return hd.toeplitz_matrix(F, n_harmonics, n_harmonics) - hd.derivative_matrix(
             n_harmonics, self.n_states, self.omega
         )
 

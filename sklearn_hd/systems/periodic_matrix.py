@@ -3,8 +3,8 @@
 import numpy as np
 
 from sklearn_hd._validation import real_array
-from sklearn_hd.algorithms import floquet
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, resize_harmonics
+from sklearn_hd.algorithms.harmonic_decomposition import fourier_coefficients
 
 __all__ = ["FourierMatrix"]
 
@@ -80,7 +80,7 @@ def matrix_coefficients(matrix, n_harmonics):
     if isinstance(matrix, FourierMatrix):
         return resize_harmonics(matrix.coefficients, n_harmonics)
     tolerance = max(1e-13, precision(matrix))
-    return floquet.fourier_coefficients(matrix, n_harmonics, tolerance=tolerance)
+    return fourier_coefficients(matrix, n_harmonics, tolerance=tolerance)
 
 
 def precision(*matrices):
