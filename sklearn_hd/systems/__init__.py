@@ -19,7 +19,8 @@ from sklearn_hd.systems.held_feedback import HeldFeedback
 from sklearn_hd.systems.ltp import FourierMatrix, LTPSystem
 from sklearn_hd.systems.multiblade import multiblade_model, rotor_system
 from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
-from sklearn_hd.systems.periodic import PeriodicSystem, Trim
+from sklearn_hd.systems.periodic import PeriodicSystem
+from sklearn_hd.systems.trim import Trim
 
 __all__ = [
     "FourierMatrix",
