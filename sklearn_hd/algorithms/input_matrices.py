@@ -34,6 +34,7 @@ from scipy.signal import fftconvolve
 from sklearn_hd.algorithms.block_responses import best_block, compressed_equations
 from sklearn_hd.algorithms.response_basis import response_basis
 from sklearn_hd.algorithms.response_products import output_normal, products_factor
+from sklearn_hd.algorithms.short_pieces import FEWEST, equations_of_pieces, is_short
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import triangle
 
@@ -56,6 +57,7 @@ CONVOLVED_ORDER = 40
 CHUNK_BYTES = 2**25  # of equations at a time
 LEAST_CHUNK = 256
 CARRIED_STEPS = 64
+PIECES = 1024  # short ones, at a time
 
 
 def response_regressors(A, C, u, feedthrough):
@@ -143,13 +145,18 @@ def input_matrices(
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
     pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
-    starts, shared = [], np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
-    for s, rows in pieces:
+    starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
+    short = set() if observe is not None else _short(pieces, set(firsts), n, n_outputs)
+    if short:
+        some = _stacked([pieces[k] for k in sorted(short)], inputs, outputs, scales)
+        shared = equations_of_pieces(A, C, some, m, feedthrough)
+    for k, (s, rows) in enumerate(pieces):
+        if k in short:
+            continue
         seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
         R = factor.of(u, y) if observe is None else factor.of_observed(u, y, seen)
-        start, left = without_start(R, n)
-        starts.append(start)
+        starts[k], left = without_start(R, n)
         shared = triangle(shared, left)
     theta = solve_shared(shared)
     B, D = split(theta, n, m, n_outputs)
@@ -157,6 +164,23 @@ def input_matrices(
     if not return_residual:
         return B, D, x0
     return B, D, x0, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
+
+
+def _short(pieces, firsts, n_states, n_outputs):
+    """Which of the pieces are short and of one length; not those whose initial state is asked."""
+    lengths = [rows.stop - rows.start for _, rows in pieces]
+    longest = max(lengths, default=0)
+    alike = {k for k, length in enumerate(lengths) if length == longest and k not in firsts}
+    return alike if len(alike) >= FEWEST and is_short(longest, n_states, n_outputs) else set()
+
+
+def _stacked(pieces, inputs, outputs, scales):
+    """Pieces of one length side by side, some at a time, shape (n_pieces, length, m + l)."""
+    for start in range(0, len(pieces), PIECES):
+        some = pieces[start : start + PIECES]
+        blocks = [[z[s][rows] for s, rows in some] for z in (inputs, outputs)]
+        scaled = [np.stack(block) / scale for block, scale in zip(blocks, scales, strict=True)]
+        yield np.concatenate(scaled, axis=-1)
 
 
 def solve_shared(shared):
