@@ -5,6 +5,7 @@ import functools
 import numpy as np
 
 ROWS = 64  # side by side
+CACHED = 8192  # rows that fit into a cache
 
 
 def within_range(call):
@@ -28,6 +29,45 @@ def within_range(call):
             ) from error
 
     return checked
+
+
+def square_sums(signal):
+    """Sum of squares of each column, infinite or NaN where it holds such values.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n_samples, n_signals)
+
+    Returns
+    -------
+    sums : ndarray, shape (n_signals,)
+    """
+    sums = np.zeros(signal.shape[1])
+    rows = max(1, len(signal)) if signal.flags.f_contiguous else CACHED
+    with np.errstate(over="ignore", invalid="ignore"):
+        for start in range(0, len(signal), rows):
+            sums += [column @ column for column in signal[start : start + rows].T]
+    return sums
+
+
+def step_extremes(places):
+    """Smallest and largest step from one of some ascending numbers to the next.
+
+    Parameters
+    ----------
+    places : ndarray, shape (n,)
+        At least two.
+
+    Returns
+    -------
+    smallest, largest : float
+        NaN where a step is.
+    """
+    found = []
+    for start in range(0, len(places) - 1, CACHED):
+        steps = np.diff(places[start : start + CACHED + 1])
+        found.append((steps.min(), steps.max()))
+    return tuple(by(ends) for by, ends in zip((np.min, np.max), np.transpose(found), strict=True))
 
 
 def extremes(signal):

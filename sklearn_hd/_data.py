@@ -15,10 +15,9 @@ from sklearn_hd._validation import (
     GAP,
     RAISE,
     check_azimuth,
-    check_finite,
     check_output_names,
     check_same_rows,
-    check_size,
+    check_values,
     check_wrap,
     signal_names,
 )
@@ -68,8 +67,7 @@ def read_signals(data, prefix, what, reading=PLAIN):
     names = signal_names(data, prefix)
     base = read_time(data, reading.sample_time, reading.time_origin)
     values = to_float(data, what)
-    check_finite(values, names, base.time, what, reading.missing)
-    values = check_size(values, names, what)
+    values = check_values(values, names, base.time, what, reading.missing)
     signals = Signals(values, names, base)
     return signals if reading.azimuth is None else _set_azimuth_apart(signals, reading)
 
@@ -110,9 +108,7 @@ def read_values(y, X, base, reading):
     check_same_rows(X, y)
     names = signal_names(y, "y")
     values = to_float(y, "y")
-    check_finite(values, names, base.time, "y", reading.missing)
-    values = check_size(values, names, "y")
-    return values, names
+    return check_values(values, names, base.time, "y", reading.missing), names
 
 
 def _bridged(values, base, reading, held=False):
@@ -269,12 +265,12 @@ def sample(signals, basis, outputs=None):
     base = signals.base
     held = True if basis is None else basis.held
     inputs = _bridged(signals.data, base, reading, held)
-    present = np.isfinite(inputs).all(axis=1)
-    if signals.azimuth is not None:
-        present &= np.isfinite(signals.azimuth)
-    if outputs is not None:
-        outputs = _bridged(outputs, base, reading)
-        present &= np.isfinite(outputs).all(axis=1)
+    outputs = None if outputs is None else _bridged(outputs, base, reading)
+    present = None
+    if reading.missing != RAISE:
+        columns = [inputs, signals.azimuth, outputs]
+        given = [z.reshape(len(z), -1) for z in columns if z is not None]
+        present = np.logical_and.reduce([np.isfinite(z).all(axis=1) for z in given])
     step, shortest, places = base.sample_time, 1, base.time
     if basis is not None:
         step, shortest, places = basis.sample_time, len(basis.weights), signals.places(basis.omega)

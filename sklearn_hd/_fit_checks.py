@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from sklearn_hd._arithmetic import extremes
+from sklearn_hd._arithmetic import extremes, square_sums
 from sklearn_hd._validation import SMALLEST
 from sklearn_hd.algorithms.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
@@ -27,6 +27,7 @@ DUST = 1e-13  # share of an output's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
+FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 
 
 def warn_of_mismatch(experiment, stacklevel=4):
@@ -142,6 +143,9 @@ def warn_idle(moving, experiment):
 
 def check_outputs_move(experiment):
     """Raise ValueError if no output moves within any segment; warn of one that rests off zero."""
+    bound = DUST * np.sqrt(square_sums(experiment.measured))
+    if all(_spread_of_first(experiment.outputs) > bound):  # no value is larger than their length
+        return
     size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
     moves, off = np.zeros(len(size), dtype=bool), np.zeros(len(size), dtype=bool)
     for smallest, largest in map(extremes, experiment.outputs):
@@ -164,10 +168,16 @@ def check_outputs_move(experiment):
         )
 
 
+def _spread_of_first(blocks):
+    """From the smallest to the largest value of each column, over the first rows of all."""
+    smallest, largest = extremes(blocks[0][:FIRST_ROWS])
+    return largest - smallest
+
+
 def moving_inputs(inputs, experiment):
     """Which inputs move within some segment; ValueError where a measured signal never does."""
-    moving = np.zeros(inputs[0].shape[1], dtype=bool)
-    for smallest, largest in map(extremes, inputs):
+    moving = _spread_of_first(inputs) > 0.0
+    for smallest, largest in map(extremes, inputs if not moving.all() else ()):
         moving |= largest > smallest
     signals, seen = experiment.drive_signals(), moving
     if experiment.basis is not None and experiment.basis.synchronous:

@@ -132,8 +132,8 @@ def lay_grid(base, places, present, step, reading, shortest=1):
         Of the user's rows.
     places : ndarray, shape (n_rows,)
         Where they lie in the time of the grid, seconds.
-    present : ndarray of bool, shape (n_rows,)
-        Rows of which no sample is missing.
+    present : ndarray of bool, shape (n_rows,), or None
+        Rows of which no sample is missing; None is all.
     step : float
         Of the grid, seconds.
     reading : Reading
@@ -168,16 +168,23 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     ]
     grid_base = replace(
         base,
-        time=np.concatenate([piece.grid for piece in pieces]),
+        time=_joined([piece.grid for piece in pieces]),
         segments=tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges)),
         records=tuple(records),
         sample_time=step,
     )
-    return Sampling(grid_base, tuple(pieces), len(base.time), np.concatenate(clock))
+    return Sampling(grid_base, tuple(pieces), len(base.time), _joined(clock))
+
+
+def _joined(parts):
+    """Arrays one after the other; a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _runs_of(present, segment):
     """Runs of rows that are present within one segment."""
+    if present is None:
+        return [segment]
     inside = np.concatenate([[False], present[segment], [False]]).astype(int)
     edges = np.flatnonzero(np.diff(inside)) + segment.start
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

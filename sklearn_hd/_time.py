@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._arithmetic import step_extremes
 from sklearn_hd._validation import FIRST, check_positive
 
 STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
@@ -83,9 +84,9 @@ def read_time(data, sample_time=None, time_origin=None):
         times = index.get_level_values(-1)
         _check_last_level(index)
     seconds, counted = _seconds(times, sample_time, time_origin)
-    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
-    if _alike(steps) and (not counted or sample_time in (None, steps[0])):
-        found = float(np.median(steps[:REPRESENTATIVE]))
+    first = _first_steps(seconds, bounds)
+    if _alike(seconds, bounds) and (not counted or sample_time in (None, first[0])):
+        found = float(np.median(first))
         if sample_time is None:
             sample_time = found
         _check_sample_time(sample_time, found, 0.0)
@@ -94,6 +95,7 @@ def read_time(data, sample_time=None, time_origin=None):
         return TimeBase(seconds, segments, records, sample_time, counted)
     for a, b in itertools.pairwise(bounds):
         _check_increasing(seconds, a, b)
+    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
     unit, uncertainty = float(np.median(steps)) if steps.size else 1.0, 0.0
     if counted:
         unit = unit if sample_time is None else sample_time
@@ -115,11 +117,23 @@ def read_time(data, sample_time=None, time_origin=None):
     )
 
 
-def _alike(steps):
+def _first_steps(seconds, bounds):
+    """Steps from row to row of the first records, as many as represent them."""
+    found, n_found = [], 0
+    for a, b in itertools.pairwise(bounds):
+        found.append(np.diff(seconds[a : min(b, a + REPRESENTATIVE - n_found + 1)]))
+        n_found += len(found[-1])
+        if n_found >= REPRESENTATIVE:
+            break
+    return np.concatenate(found)
+
+
+def _alike(seconds, bounds):
     """Whether all steps are one and the same, but for rounding."""
-    if not steps.size:
+    ends = [step_extremes(seconds[a:b]) for a, b in itertools.pairwise(bounds) if b - a > 1]
+    if not ends:
         return False
-    least, most = steps.min(), steps.max()
+    least, most = np.min(ends), np.max(ends)
     return bool(least > 0.0 and most - least <= ROUNDED * least)
 
 
@@ -313,7 +327,10 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
 
 def even(places, step):
     """Whether neighbours are one step apart, so that nothing need be resampled."""
-    return bool(np.all(np.abs(np.diff(places) - step) <= STEP_TOLERANCE * step))
+    if len(places) < 2:
+        return True
+    least, most = step_extremes(places)
+    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step)
 
 
 def _mean_step(seconds, segments, found):

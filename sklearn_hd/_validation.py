@@ -7,12 +7,15 @@ import reprlib
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._arithmetic import square_sums
+
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
 MOST_SAMPLES = 1e7  # in a period
 MOST = 2**32 - 1  # of anything counted
 DRIFT_LIMIT = 0.25  # samples by which the periods of a segment may miss one
 FIRST = "first sample"  # the time origin of dates that fix no azimuth
 SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
+COMMON = 1e300  # above any sum of squares of a signal of common size; 1 over it is below
 NO_TIMES = (
     " (no times in the index of X: rows are counted; give sample_time, index by seconds, or, where "
     "a step before has dropped the index, keep it with that step's .set_output(transform='pandas'))"
@@ -147,6 +150,18 @@ def check_finite(values, names, time, what, missing=RAISE):
             f"to NaN and give HarmonicAnalyzer missing='gap', or the longest run of NaN to bridge "
             f"in seconds"
         )
+
+
+def check_values(values, names, time, what, missing=RAISE):
+    """Return the values, once they are neither NaN nor infinite, too large nor too small.
+
+    See ``check_finite`` and ``check_size``; a sum of squares of a common size says as much.
+    """
+    squares = square_sums(values)
+    if np.all((squares > 1.0 / COMMON) & (squares < COMMON)):
+        return values
+    check_finite(values, names, time, what, missing)
+    return check_size(values, names, what)
 
 
 def check_size(values, names, what):

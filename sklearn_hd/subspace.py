@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import extremes, within_range
+from sklearn_hd._arithmetic import extremes, square_sums, within_range
 from sklearn_hd._base import ModelStep
 from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._continuous import output_scale
@@ -30,7 +30,7 @@ from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._streamed_fit import StreamedFit
 from sklearn_hd._subspace_checks import PREDICTOR, SubspaceChecks, is_lifted
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import check_outputs_given, signal_names
+from sklearn_hd._validation import COMMON, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.innovations import InnovationForm
 from sklearn_hd.algorithms.input_matrices import input_matrices
@@ -521,8 +521,11 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
 
 def _scales(signals):
     """Root mean square of each channel over all segments; one where a channel is zero."""
-    scale = np.ones(signals[0].shape[1])
     n_samples = sum(map(len, signals))
+    squares = sum(map(square_sums, signals))
+    if np.all((squares > 1.0 / COMMON) & (squares < COMMON)):
+        return np.sqrt(squares / n_samples)
+    scale = np.ones(signals[0].shape[1])
     for c, largest in enumerate(np.max(np.abs([extremes(z) for z in signals]), axis=(0, 1))):
         if largest > 0.0:
             squares = (np.sum((z[:, c] / largest) ** 2) for z in signals)
