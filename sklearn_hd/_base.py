@@ -7,7 +7,7 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import within_range
+from sklearn_hd._arithmetic import extremes, within_range
 from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._data import (
     as_frame,
@@ -18,6 +18,7 @@ from sklearn_hd._data import (
     read_signals,
 )
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._sampling import joined
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._states import initial_states
 from sklearn_hd._threads import one_blas_thread
@@ -97,9 +98,11 @@ class SegmentSimulator:
             self.rows = basis.rows_read(time, whole_windows=False)
             self.drive = hop_means(drive, basis, self.rows)
 
-    def outputs(self, x0, *, recompose=True):
-        """Outputs, or their harmonics, trim not added, shape (n_samples, n_outputs)."""
-        states = propagate(self.A, self.drive @ self.B.T, x0)
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
+        time = self.time[:n_samples]
+        drive = self.drive[: self._n_steps(len(time))]
+        states = propagate(self.A, drive @ self.B.T, x0)
         if not np.isfinite(states).all():
             radius = np.max(np.abs(np.linalg.eigvals(self.A)))
             raise UnstableModelError(
@@ -107,16 +110,19 @@ class SegmentSimulator:
                 f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
                 f"the order, or simulate a shorter span"
             )
-        Y = states @ self.model.C.T + self.drive @ self.model.D.T
-        return self.observe(Y, self.time, recompose)
+        Y = states @ self.model.C.T + drive @ self.model.D.T
+        return self.observe(Y, time, recompose)
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
-        n = self.model.n_states
-        time = self.time[:n_samples]
+        n, steps = self.model.n_states, self._n_steps(n_samples)
+        states = propagate(self.A, np.zeros((n, steps, n)), np.eye(n))
+        return self.observe(states @ self.model.C.T, self.time[:n_samples])
+
+    def _n_steps(self, n_samples):
+        """Steps of the model that the first samples are made of."""
         steps = n_samples if self.rows is None else int(np.sum(self.rows < n_samples)) + 1
-        states = propagate(self.A, np.zeros((n, min(steps, len(self.drive)), n)), np.eye(n))
-        return self.observe(states @ self.model.C.T, time)
+        return min(steps, len(self.drive))
 
     def observe(self, Y, time, recompose=True):
         """Model outputs brought to every sample, and recomposed where there is a basis."""
@@ -326,12 +332,18 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             warm, counted = self._score_rows(simulator, experiment)
             if counted.start >= counted.stop:
                 continue
-            own = piece.rows_between(counted.start, counted.stop)
-            own = own[np.isfinite(experiment.measured[own]).all(axis=1)]  # not those bridged
-            within = own - piece.rows.start
+            within = piece.rows_between(counted.start, counted.stop)
+            measured = experiment.measured[piece.rows][within]
+            own = np.arange(within.start, within.stop) + piece.rows.start
+            if experiment.has_gaps:  # rows that were bridged do not count
+                kept = np.isfinite(measured).all(axis=1)
+                within, measured, own = (
+                    within.start + np.flatnonzero(kept),
+                    measured[kept],
+                    own[kept],
+                )
             outputs = self._fitted_outputs(simulator, y_segment, warm, horizon)
-            waveform = 0.0 if trim is None else piece.back(trim[i])[within]
-            truth.append(experiment.measured[own] - waveform)
+            truth.append(measured if trim is None else measured - piece.back(trim[i])[within])
             simulated.append(piece.back(outputs)[within])
             rows.append(own)
         if not truth:
@@ -339,7 +351,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 f"no rows are left to score in {experiment.span()}: every segment is shorter than "
                 f"one analysis window and the warm-up; give longer records or a smaller warmup"
             )
-        return np.vstack(truth), np.vstack(simulated), np.concatenate(rows)
+        return joined(truth), joined(simulated), joined(rows)
 
     def _fitted_outputs(self, simulator, outputs, rows, horizon):
         """Outputs from the initial state that fits best over some rows."""
@@ -379,7 +391,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
     def _experiment(self, X, y=None):
         X = check_features(self, X, reset=False)
         decomposition = self.basis_ if self.predicts_harmonics_ else None
-        experiment = read_experiment(self._upstream_frame(X), y, decomposition)
+        if getattr(self, "estimator", None) is not None:
+            X = self._upstream_frame(X)
+        experiment = read_experiment(X, y, decomposition)
         self._check_basis(experiment.basis)
         if y is not None and not self.predicts_harmonics_:
             check_output_names(experiment.output_names, self.target_names_, "the model")
@@ -444,9 +458,10 @@ def scored_simulation(step, X, y, horizon=None):
 
 def fit_initial_state(simulator, outputs, rows):
     """Initial state whose simulation fits the outputs best over some rows."""
-    largest = np.max(np.abs(outputs), axis=0)
+    largest = np.max(np.abs(extremes(outputs)), axis=0)
     unit = np.where(largest > 0.0, largest, 1.0)  # so that each output counts alike
-    forced = simulator.outputs(np.zeros(simulator.model.n_states))[rows]
+    zero = np.zeros(simulator.model.n_states)
+    forced = simulator.outputs(zero, n_samples=rows.stop)[rows]
     if simulator.model.n_states == 0:
         return np.zeros(0)
     free = simulator.free(rows.stop)[:, rows] / unit
@@ -459,7 +474,7 @@ def fit_initial_state(simulator, outputs, rows):
 
 def power_of_two(values):
     """About the largest magnitude of each column, as a power of two: dividing rounds nothing."""
-    _, exponent = np.frexp(np.max(np.abs(values), axis=0))
+    _, exponent = np.frexp(np.max(np.abs(extremes(values)), axis=0))
     return np.ldexp(1.0, np.clip(exponent, -1000, 1000))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils.validation import validate_data
 
-from sklearn_hd._containers import as_container, to_float
+from sklearn_hd._containers import as_container, to_float, without_inputs
 from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
 from sklearn_hd._sampling import Sampling, lay_grid
 from sklearn_hd._time import TimeBase, read_time
@@ -164,8 +164,6 @@ class Experiment:
 
     Attributes
     ----------
-    frame : HarmonicFrame
-        The rows as they came.
     base : TimeBase
         Of the uniform grid that models are fitted and simulated on.
     basis : HarmonicBasis or None
@@ -184,7 +182,6 @@ class Experiment:
         Of the columns of ``measured``.
     """
 
-    frame: HarmonicFrame
     base: TimeBase
     basis: HarmonicBasis | None
     drive: list
@@ -194,6 +191,11 @@ class Experiment:
     outputs: list | None = None
     measured: np.ndarray | None = None
     output_names: tuple = ()
+
+    @property
+    def has_gaps(self):
+        """Whether samples may be missing."""
+        return self.basis is not None and self.basis.reading.missing != RAISE
 
     def times(self):
         """Time of the rows of each segment, seconds."""
@@ -323,20 +325,22 @@ def read_experiment(X, y=None, decomposition=None):
     Where y has been decomposed already, its own basis says which harmonics of
     which outputs are kept; ``decomposition`` repeats that of an earlier fit.
     """
-    frame = as_frame(X)
-    basis = frame.basis
+    if not isinstance(X, np.ndarray):  # of which a frame would be no more than names
+        X = as_frame(X)
+    basis = getattr(X, "basis", None)
     if is_decomposed(y):
         decomposition = replace(y.basis, outputs=y.basis.inputs, output_trim=y.basis.input_trim)
         y = pd.DataFrame(y)[[signal for signal, _ in y.basis.inputs]]
     if decomposition is not None:
         basis = _with_outputs_of(basis, decomposition)
     if basis is not None:
-        _check_columns(frame, basis)
+        _check_columns(X, basis)
     reading = PLAIN if basis is None else basis.reading
-    signals = read_signals(frame if basis is None else frame[basis.measured], "x", "X", reading)
+    signals = read_signals(X if basis is None else X[basis.measured], "x", "X", reading)
     measured, output_names = None, ()
     if y is not None:
-        given = X if isinstance(X, pd.DataFrame | pd.Series) else frame
+        indexed = isinstance(y, pd.DataFrame | pd.Series)
+        given = without_inputs(X) if indexed and isinstance(X, np.ndarray) else X
         measured, output_names = read_values(y, given, signals.base, reading)
         if basis is not None:
             expected = tuple(signal for signal, _ in basis.outputs)
@@ -354,9 +358,7 @@ def read_experiment(X, y=None, decomposition=None):
         if outputs is not None:
             outputs = without_trim(outputs, times, basis, basis.output_trim)
         names = basis.drive_labels
-    return Experiment(
-        frame, base, basis, drive, names, inputs, sampling, outputs, measured, output_names
-    )
+    return Experiment(base, basis, drive, names, inputs, sampling, outputs, measured, output_names)
 
 
 def _check_columns(frame, basis):

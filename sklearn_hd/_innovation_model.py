@@ -94,7 +94,7 @@ class InnovationModel:
         trim = experiment.output_trim()
         if trim is not None and not self.predicts_harmonics_:
             outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
-        return self._mirror(experiment.sampling.back(outputs), experiment.frame)
+        return self._mirror(experiment.sampling.back(outputs), X)
 
     def _predicted(self, simulator, outputs, horizon, x0=None, rows=None):
         """Outputs of one segment, predicted ahead; x0 fitted to some rows (else all) if None."""

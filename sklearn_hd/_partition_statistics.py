@@ -280,7 +280,6 @@ def _plain(X, y):
         )
     sampling, inputs, outputs = sample(signals, None, measured)
     return Experiment(
-        frame,
         sampling.base,
         None,
         inputs,

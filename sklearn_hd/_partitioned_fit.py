@@ -58,6 +58,7 @@ class PartitionedFit:
         i, n_outputs = self.block_rows_, len(size) - data.n_inputs
         R, columns = data.factor(i, size), n_hankel_columns(data.lengths, i)
         experiment = data.experiment
-        found = self._look_at(R, columns, n_moving, experiment, size[-n_outputs:])
+        projected = self._project(R, columns, n_outputs, experiment)
+        found = self._look_at(*projected, n_moving, experiment, size[-n_outputs:])
         self.order_ = self._choose_order(found, None, experiment, n_outputs)
         return found

@@ -1,7 +1,13 @@
-"""What searches make over and over, kept on disk: products of the data, and their factors."""
+"""What searches make over and over, kept: products of the data, and what is made of them.
+
+Products and factors lie in a folder, which processes share. What a process has made or loaded
+last it also has at hand, up to some megabytes: reading a file takes longer than a small model.
+"""
 
 import hashlib
 import os
+import threading
+from collections import OrderedDict
 
 import numpy as np
 from sklearn.utils.validation import check_memory
@@ -16,6 +22,7 @@ __all__ = ["KeptSums"]
 
 LEAST_LAGS = 64  # that are kept: 32 block rows of the past, and of the future
 MOST_LAGS = 256  # more are not kept
+AT_HAND = 2**26  # bytes that a process has at hand
 
 
 class KeptSums:
@@ -34,26 +41,104 @@ class KeptSums:
 
     def __init__(self, memory):
         self.memory = None if memory is None else check_memory(_writable(memory))
+        self._digests = []
 
     def factor(self, inputs, outputs, block_rows, scale):
         """:func:`~sklearn_hd.algorithms.hankel.hankel_factor`."""
         if self.memory is None:
             return hankel_factor(inputs, outputs, block_rows, scale)
         records = list(zip(inputs, outputs, strict=True))
-        kept = self.memory.cache(_factor, ignore=["records", "memory"])
-        return kept(_digest(records), block_rows, scale, records, self.memory)
+
+        def load():
+            kept = self.memory.cache(_factor, ignore=["records", "memory"])
+            return kept(self._digest(records), block_rows, scale, records, self.memory)
+
+        return self._at_hand("factor", records, (block_rows, _bytes(scale)), load)
+
+    def projection(self, inputs, outputs, scale, make, *choices):
+        """What ``make`` makes of the factor, which depends on some choices and on nothing else."""
+        if self.memory is None:
+            return make()
+        records = list(zip(inputs, outputs, strict=True))
+        return self._at_hand("projection", records, (_bytes(scale), *choices), make)
 
     def input_matrices(self, A, C, inputs, outputs, feedthrough, scales):
         """:func:`~sklearn_hd.algorithms.input_matrices.input_matrices`."""
         found = None
         if self.memory is not None:
             records = list(zip(inputs, outputs, strict=True))
-            kept = self.memory.cache(_correlations, ignore=["records"])
-            sums = kept(_digest(records), records)
+
+            def load():
+                kept = self.memory.cache(_correlations, ignore=["records"])
+                return kept(self._digest(records), records)
+
+            sums = self._at_hand("correlations", records, (), load)
             found = input_matrices_of_sums(A, C, sums, feedthrough, scales)
         if found is not None:
             return found
         return input_matrices(A, C, inputs, outputs, feedthrough, scales=scales)
+
+    def _at_hand(self, what, records, choices, load):
+        """What this process has made of the same data before, or what ``load`` makes now."""
+        key = (str(getattr(self.memory, "location", "")), what, self._digest(records), *choices)
+        return _RECENT.get(key, load)
+
+    def _digest(self, records):
+        """What no other records have: their numbers, shapes and order."""
+        signals = [z for pair in records for z in pair]
+        for others, digest in self._digests:
+            if len(others) == len(signals) and all(map(_same, others, signals)):
+                return digest
+        self._digests.append((signals, _digest(records)))
+        return self._digests[-1][1]
+
+
+class _Recent:
+    """Values by key, those asked for last, up to some bytes."""
+
+    def __init__(self, most):
+        self.most, self.size = most, 0
+        self.values, self.lock = OrderedDict(), threading.Lock()
+
+    def get(self, key, make):
+        with self.lock:
+            if key in self.values:
+                self.values.move_to_end(key)
+                return self.values[key][0]
+        value = make()
+        size = _n_bytes(value)
+        with self.lock:
+            if key not in self.values:
+                self.values[key] = value, size
+                self.size += size
+            while self.size > self.most:
+                self.size -= self.values.popitem(last=False)[1][1]
+        return value
+
+
+_RECENT = _Recent(AT_HAND)
+
+
+def _n_bytes(value):
+    """Bytes of the arrays in a value, or in the tuples and attributes that it is made of."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    parts = value if isinstance(value, tuple | list) else vars(value).values()
+    inside = (np.ndarray, tuple, list)
+    return sum(_n_bytes(p) for p in parts if isinstance(p, inside) or hasattr(p, "__dict__"))
+
+
+def _bytes(scale):
+    return None if scale is None else scale.tobytes()
+
+
+def _same(one, other):
+    """Whether two arrays are one and the same memory."""
+    return one is other or (
+        one.shape == other.shape
+        and one.strides == other.strides
+        and one.__array_interface__["data"] == other.__array_interface__["data"]
+    )
 
 
 def _writable(memory):
@@ -97,10 +182,10 @@ def _correlations(digest, records):
 
 
 def _digest(records):
-    """What no other records have: their numbers, shapes and order."""
     digest = hashlib.blake2b(digest_size=20)
     for signals in records:
         for z in signals:
-            digest.update(repr((z.shape, z.dtype.str)).encode())
-            digest.update(np.ascontiguousarray(z))
+            columns = z.flags.f_contiguous and not z.flags.c_contiguous
+            digest.update(repr((z.shape, z.dtype.str, columns)).encode())
+            digest.update(np.ascontiguousarray(z.T if columns else z))
     return digest.hexdigest()

@@ -33,7 +33,7 @@ from sklearn_hd.algorithms.resampling import (
 )
 from sklearn_hd.exceptions import ResamplingWarning
 
-__all__ = ["Sampling", "lay_grid", "warn_of_resampling"]
+__all__ = ["Sampling", "joined", "lay_grid", "warn_of_resampling"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +77,9 @@ class Piece:
         return values if self.is_grid else interpolate(values, self.grid, self.places)
 
     def rows_between(self, start, stop):
-        """The user's rows among those of the grid from start to before stop."""
+        """Which of the user's rows of this piece lie from start to before stop on the grid."""
         edges = self.grid[[start, stop - 1]] + np.array([-1e-6, 1e-6]) * self.step
-        first, last = np.searchsorted(self.places, edges)
-        return np.arange(first, last) + self.rows.start
+        return slice(*np.searchsorted(self.places, edges).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,15 +167,15 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     ]
     grid_base = replace(
         base,
-        time=_joined([piece.grid for piece in pieces]),
+        time=joined([piece.grid for piece in pieces]),
         segments=tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges)),
         records=tuple(records),
         sample_time=step,
     )
-    return Sampling(grid_base, tuple(pieces), len(base.time), _joined(clock))
+    return Sampling(grid_base, tuple(pieces), len(base.time), joined(clock))
 
 
-def _joined(parts):
+def joined(parts):
     """Arrays one after the other; a single one as it is."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 

@@ -138,7 +138,8 @@ class StreamedFit:
         place = np.searchsorted(wide, alone)
         scales = u_scale, y_scale = size[place], size[n_inputs:]
         R = factor_of_products(products.fewer(2 * i), n_inputs, size)
-        found = self._look_at(R, columns, n_inputs, stream, y_scale)
+        projected = self._project(R, columns, n_outputs, stream)
+        found = self._look_at(*projected, n_inputs, stream, y_scale)
         self.order_ = self._choose_order(found, None, stream, n_outputs)
         sums = sums.of_inputs(np.flatnonzero(moving))
         if self.weighting == PREDICTOR:

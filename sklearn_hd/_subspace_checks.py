@@ -135,6 +135,18 @@ class SubspaceChecks:
                 f"most {most}, or hop='period'"
             )
 
+    def _warn_excitation(self, excited, n_moving, experiment):
+        """Warn of Hankel matrices of deficient rank, where directions were counted."""
+        need = 2 * self.block_rows_ * n_moving
+        if excited is not None and excited < need:
+            warnings.warn(
+                f"the inputs in the {experiment.span()} excite {excited} directions, but "
+                f"block_rows={self.block_rows_} with {n_moving} input(s) asks for {need}; "
+                f"use a richer input or fewer block rows, and trust the order with care",
+                ExcitationWarning,
+                stacklevel=6,
+            )
+
     def _rows_of_predictor(self, factor, lengths, n_inputs, n_outputs, lifted):
         """Block rows after which the predictor has forgotten its state, and the order fits in.
 

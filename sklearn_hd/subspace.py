@@ -21,11 +21,12 @@ from sklearn_hd._fit_checks import (
 )
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._innovation_model import InnovationModel
+from sklearn_hd._more_rows import MoreRows, is_sliding
 from sklearn_hd._partitioned_fit import PartitionedFit
 from sklearn_hd._partitions import is_partitioned
 from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._progress import progress
-from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase, modulated_inputs
+from sklearn_hd._sliding_inputs import modulated_inputs
 from sklearn_hd._small_signal import read_for_fit
 from sklearn_hd._streamed_fit import StreamedFit
 from sklearn_hd._subspace_checks import PREDICTOR, SubspaceChecks, is_lifted
@@ -35,7 +36,6 @@ from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.innovations import InnovationForm
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lifting import input_directions
-from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.moesp import (
     order_by_gap,
     order_by_wide_gap,
@@ -51,11 +51,11 @@ __all__ = ["MOESPRegressor"]
 
 MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
-LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
-EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
-class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationModel, ModelStep):
+class MOESPRegressor(
+    SubspaceChecks, MoreRows, StreamedFit, PartitionedFit, InnovationModel, ModelStep
+):
     """Past-output MOESP identification of a linear time-invariant model.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
@@ -235,30 +235,28 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
             for signals in (inputs, outputs)
         )
         scale = np.concatenate([u_scale if raw else np.ones(n_inputs), y_scale])
-        n_moving = int(moving.sum()) if raw else n_inputs
+        n_moving, kept = int(moving.sum()) if raw else n_inputs, KeptSums(self.memory)
         if self.weighting == PREDICTOR and self.block_rows is None:
             self.block_rows_ = self._rows_of_predictor(
-                lambda rows: KeptSums(self.memory).factor(excitation, outputs, rows, scale),
+                lambda rows: kept.factor(excitation, outputs, rows, scale),
                 lengths,
                 n_inputs,
                 n_outputs,
                 is_lifted(experiment),
             )
-        found = self._decompose(excitation, outputs, n_moving, experiment, scale)
+        found = self._decompose(kept, excitation, outputs, n_moving, experiment, scale)
         while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
             self.block_rows_ += (self.block_rows_ + 1) // 2
-            found = self._decompose(excitation, outputs, n_moving, experiment, scale)
-        if self.block_rows is None and self.order == "auto" and _sliding(experiment):
-            found = self._exact_map(found, experiment, excitation, outputs, scale)
+            found = self._decompose(kept, excitation, outputs, n_moving, experiment, scale)
+        if self.block_rows is None and self.order == "auto" and is_sliding(experiment):
+            found = self._exact_map(kept, found, experiment, excitation, outputs, scale)
         basis, scales = experiment.basis, (u_scale, y_scale)
         feedthrough = feedthrough or is_lifted(experiment)
         if self.weighting == PREDICTOR:
             parts = self._predictor_matrices(found, excitation, inputs, outputs, scales)
         else:
             A, C = found.state_matrices(self.order_)
-            B, D, self.x0_ = KeptSums(self.memory).input_matrices(
-                A, C, inputs, outputs, feedthrough, scales
-            )
+            B, D, self.x0_ = kept.input_matrices(A, C, inputs, outputs, feedthrough, scales)
             parts = A, B, C, D, *self._noise_model(found)
         dt = experiment.base.sample_time
         model = self._model(parts, scales, experiment, dt, y, feedthrough)
@@ -345,93 +343,51 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
             warnings.warn(words, ExcitationWarning, stacklevel=4)
         return beside_trim(directions, experiment.basis)
 
-    def _decompose(self, inputs, outputs, n_moving, experiment, scale):
+    def _decompose(self, kept, inputs, outputs, n_moving, experiment, scale):
         """Project the future outputs, look at the singular values and settle the order."""
         i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
-        R = KeptSums(self.memory).factor(inputs, outputs, i, scale)
         columns = n_hankel_columns([len(u) for u in inputs], i)
-        found = self._look_at(R, columns, n_moving, experiment, scale[n_inputs:])
+        choices = i, self.weighting, bool(self.feedthrough), is_lifted(experiment)
+        projected = kept.projection(
+            inputs,
+            outputs,
+            scale,
+            lambda: self._project(
+                kept.factor(inputs, outputs, i, scale), columns, n_outputs, experiment
+            ),
+            *choices,
+        )
+        found = self._look_at(*projected, n_moving, experiment, scale[n_inputs:])
         self.order_ = self._choose_order(found, inputs, experiment, n_outputs)
         return found
 
-    def _look_at(self, R, n_columns, n_moving, experiment, y_scale):
-        """What the future outputs share with the past, and its singular values."""
-        i = self.block_rows_
-        n_inputs = len(R) // (2 * i) - len(y_scale)
-        self._warn_excitation(R, n_inputs, n_moving, experiment)
+    def _project(self, R, n_columns, n_outputs, experiment):
+        """What the future outputs share with the past, and the directions that inputs excite.
+
+        Not counted period by period, where a step in mid-period moves in a direction that
+        occurs but once, and what cannot be told apart is projected out as a whole; nor
+        where inputs are multiplied by harmonics, whose idle directions are released.
+        """
+        i, lifted = self.block_rows_, is_lifted(experiment)
+        n_inputs, excited = len(R) // (2 * i) - n_outputs, None
+        if not lifted and n_inputs == len(experiment.drive_names):
+            excited = n_excited(R, i, n_inputs)
         if self.weighting == PREDICTOR:
-            feedthrough = bool(self.feedthrough) or is_lifted(experiment)
-            found = PredictorSubspace.of(R, i, n_inputs, n_columns, feedthrough)
-        else:
-            if not is_lifted(experiment) and n_inputs > 0:
-                R = release_idle_directions(R, i * n_inputs)
-            found = Projection.of(R, i, n_inputs, n_columns, self.weighting)
+            feedthrough = bool(self.feedthrough) or lifted
+            return PredictorSubspace.of(R, i, n_inputs, n_columns, feedthrough), excited
+        if not lifted and n_inputs > 0:
+            R = release_idle_directions(R, i * n_inputs)
+        return Projection.of(R, i, n_inputs, n_columns, self.weighting), excited
+
+    def _look_at(self, found, excited, n_moving, experiment, y_scale):
+        """Keep the singular values, and warn of Hankel matrices of deficient rank."""
+        self._warn_excitation(excited, n_moving, experiment)
         unit = 1.0  # of canonical correlations
         if self.weighting != "cva":
             unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
         self.singular_values_ = found.singular_values * unit
         self.noise_floor_ = found.floor * unit
         return found
-
-    def _wants_more_rows(self, experiment, lengths, n_inputs, n_outputs):
-        """Whether the order chosen fills the rank that default block rows allow, and more fit.
-
-        Few coefficients of many states: copies and memory need more rows than a window's.
-        """
-        i = self.block_rows_
-        if experiment.basis is None or is_lifted(experiment):
-            return False
-        if self.block_rows is not None or self.order != "auto":
-            return False
-        more = i + (i + 1) // 2
-        room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
-        return self.order_ >= (i - 1) * n_outputs and room
-
-    def _exact_map(self, found, experiment, excitation, outputs, scale):
-        """The model without noise in which most modes have copies that agree.
-
-        Inputs that move within a hop at many phases ask for many inputs, more than noise
-        would let be told apart; few coefficients of many states ask for many block rows.
-        Where no more than rounding is left, noise is no matter. A model whose inputs are too
-        few leaves no more, by modes that stand for inputs, but these have no copies.
-        """
-        basis, n_outputs = experiment.basis, outputs[0].shape[1]
-        lengths = [len(y) for y in outputs]
-        best = found, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
-        columns = n_hankel_columns(lengths, self.block_rows_)
-        one_phase = changes_at_one_phase(experiment)
-        if one_phase and self._is_exact(columns, excitation[0].shape[1], n_outputs):
-            return found
-        most = self._n_agreeing(found, basis)
-        for inputs in [excitation] if one_phase else inputs_by_phase(experiment):
-            m, tries = inputs[0].shape[1], _block_rows_tried(basis.window_rows)
-            i = next((i for i in tries if _fits(lengths, i, m, n_outputs)), 0)
-            if i == 0:
-                continue
-            self.block_rows_ = i
-            own = scale if one_phase else np.append(np.ones(m), scale[-n_outputs:])
-            found = self._decompose(inputs, outputs, m, experiment, own)
-            if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
-                agreeing = self._n_agreeing(found, basis)
-                if agreeing > most:
-                    kept = self.singular_values_, self.noise_floor_, self.order_
-                    best, most = (found, i, *kept), agreeing
-        found, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = best
-        return found
-
-    def _n_agreeing(self, found, basis):
-        """Modes of the model that belong to families with all their copies."""
-        z = np.linalg.eigvals(found.state_matrices(self.order_)[0])
-        z = z[~is_window_pole(z, basis.window_rows, FAINT)]
-        orders = [orders for _, orders in basis.outputs]
-        return int(agreeing_copies(z, orders, basis.rows_per_period).sum())
-
-    def _is_exact(self, n_columns, n_inputs, n_outputs):
-        """Whether rounding is all that is left, and rank and record allow for more states."""
-        i = self.block_rows_
-        room = self.order_ + n_outputs <= (i - 1) * n_outputs
-        left = n_columns - i * n_inputs >= self.order_ + i
-        return room and left and self.noise_floor_ <= EXACT_FLOOR * self.singular_values_[0]
 
     def _choose_order(self, found, directions, experiment, n_outputs):
         """The order asked for, or that of the singular values, or of the raw periods."""
@@ -492,26 +448,6 @@ class MOESPRegressor(SubspaceChecks, StreamedFit, PartitionedFit, InnovationMode
         check_is_fitted(self)
         return np.linalg.eigvals(self.model_.A)
 
-    def _warn_excitation(self, R, n_inputs, n_moving, experiment):
-        """Warn of Hankel matrices of deficient rank.
-
-        Not period by period, where a step in mid-period moves in a direction that
-        occurs but once, and what cannot be told apart is projected out as a whole; nor
-        where inputs are multiplied by harmonics, whose idle directions are released.
-        """
-        if is_lifted(experiment) or n_inputs != len(experiment.drive_names):
-            return
-        need = 2 * self.block_rows_ * n_moving
-        found = n_excited(R, self.block_rows_, n_inputs)
-        if found < need:
-            warnings.warn(
-                f"the inputs in the {experiment.span()} excite {found} directions, but "
-                f"block_rows={self.block_rows_} with {n_moving} input(s) asks for {need}; "
-                f"use a richer input or fewer block rows, and trust the order with care",
-                ExcitationWarning,
-                stacklevel=6,
-            )
-
     @staticmethod
     def _output_names(basis, y):
         if basis is not None:
@@ -531,21 +467,3 @@ def _scales(signals):
             squares = (np.sum((z[:, c] / largest) ** 2) for z in signals)
             scale[c] = largest * np.sqrt(sum(squares) / n_samples)
     return scale
-
-
-def _sliding(experiment):
-    """Whether the record is read through a window that slides."""
-    return experiment.basis is not None and not experiment.basis.synchronous
-
-
-def _block_rows_tried(window_rows):
-    """Block rows of some windows, the most first: the more, the better copies agree."""
-    return [int(windows * window_rows) + 2 for windows in (4, 3, 2, 1.5, 1)]
-
-
-def _fits(lengths, block_rows, n_inputs, n_outputs):
-    """Whether inputs leave a quarter of the columns, and it takes no more than some seconds."""
-    columns = n_hankel_columns(lengths, block_rows)
-    left = columns - block_rows * n_inputs
-    work = columns * (2.0 * block_rows * (n_inputs + n_outputs)) ** 2
-    return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY

@@ -28,7 +28,7 @@ LAYERS = [
     {"_stream", "_partition_statistics"},
     {"_partitions"},
     {"_subspace_checks"},
-    {"_streamed_fit", "_partitioned_fit", "_innovation_model"},
+    {"_more_rows", "_streamed_fit", "_partitioned_fit", "_innovation_model"},
     {"_base"},
     {"_continuous"},
     {"_raw_modes", "_mode_choice"},
