@@ -11,6 +11,11 @@ by themselves, x_0 first:
 and only these small factors are kept: those of B and D are stacked and factored again,
 in any order and grouping, and each x_0 follows from its own rows once B and D are known.
 
+Unstable models are simulated over pieces that are short enough, each with a start of its own.
+Many of one length are gone through together, by products
+(:mod:`~sklearn_hd.algorithms.two_sided`) or else by orthogonal transformations
+(:mod:`~sklearn_hd.algorithms.short_pieces`).
+
 The equations never stand in memory as a whole. Three ways lead to the factor, each taken
 where the one before it would not do:
 
@@ -34,9 +39,10 @@ from scipy.signal import fftconvolve
 from sklearn_hd.algorithms.block_responses import best_block, compressed_equations
 from sklearn_hd.algorithms.response_basis import response_basis
 from sklearn_hd.algorithms.response_products import output_normal, products_factor
-from sklearn_hd.algorithms.short_pieces import FEWEST, equations_of_pieces, is_short
+from sklearn_hd.algorithms.short_pieces import equations_of_pieces, is_short
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import triangle
+from sklearn_hd.algorithms.two_sided import products_of_pieces
 
 __all__ = [
     "InitialState",
@@ -57,7 +63,9 @@ CONVOLVED_ORDER = 40
 CHUNK_BYTES = 2**25  # of equations at a time
 LEAST_CHUNK = 256
 CARRIED_STEPS = 64
-PIECES = 1024  # short ones, at a time
+ROUND = 2**15  # rows of pieces at a time
+FEWEST = 4  # pieces of one length that are worth going through together
+STEPS = 64  # of one after the other that take as long as a piece by itself
 
 
 def response_regressors(A, C, u, feedthrough):
@@ -146,13 +154,14 @@ def input_matrices(
     pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
     starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
-    short = set() if observe is not None else _short(pieces, set(firsts), n, n_outputs)
-    if short:
-        some = _stacked([pieces[k] for k in sorted(short)], inputs, outputs, scales)
-        shared = equations_of_pieces(A, C, some, m, feedthrough)
-    for k, (s, rows) in enumerate(pieces):
-        if k in short:
-            continue
+    alike = _alike(pieces, firsts) if observe is None and m > 0 else []
+    together = factor.of_pieces([pieces[k] for k in alike], inputs, outputs) if alike else None
+    if together is None:
+        alike = []
+    else:
+        shared = together
+    for k in sorted(set(range(len(pieces))) - set(alike)):
+        s, rows = pieces[k]
         seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
         R = factor.of(u, y) if observe is None else factor.of_observed(u, y, seen)
@@ -166,18 +175,21 @@ def input_matrices(
     return B, D, x0, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
 
 
-def _short(pieces, firsts, n_states, n_outputs):
-    """Which of the pieces are short and of one length; not those whose initial state is asked."""
-    lengths = [rows.stop - rows.start for _, rows in pieces]
-    longest = max(lengths, default=0)
-    alike = {k for k, length in enumerate(lengths) if length == longest and k not in firsts}
-    return alike if len(alike) >= FEWEST and is_short(longest, n_states, n_outputs) else set()
+def _alike(pieces, firsts):
+    """Which pieces are of one length and quicker together; not those whose start is asked for."""
+    lengths = np.array([rows.stop - rows.start for _, rows in pieces])
+    alike = lengths == np.max(lengths, initial=0)
+    alike[firsts] = False
+    many = max(FEWEST, np.max(lengths, initial=0) / STEPS)
+    return np.flatnonzero(alike).tolist() if np.sum(alike) >= many else []
 
 
 def _stacked(pieces, inputs, outputs, scales):
     """Pieces of one length side by side, some at a time, shape (n_pieces, length, m + l)."""
-    for start in range(0, len(pieces), PIECES):
-        some = pieces[start : start + PIECES]
+    rows = pieces[0][1]
+    at_a_time = max(1, ROUND // (rows.stop - rows.start))
+    for start in range(0, len(pieces), at_a_time):
+        some = pieces[start : start + at_a_time]
         blocks = [[z[s][rows] for s, rows in some] for z in (inputs, outputs)]
         scaled = [np.stack(block) / scale for block, scale in zip(blocks, scales, strict=True)]
         yield np.concatenate(scaled, axis=-1)
@@ -234,6 +246,18 @@ class RecordFactors:
         if self._basis is not None and best_block(len(u), n, m, n_outputs):
             return compressed_equations(self._basis, self.C, u, y, self.feedthrough, self.scales)
         return self.of_observed(u, y, None)
+
+    def of_pieces(self, pieces, inputs, outputs):
+        """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
+        m, R = inputs[0].shape[1], None
+        if self._basis is not None:
+            some = _stacked(pieces, inputs, outputs, self.scales)
+            R = products_of_pieces(self._basis, self.C, some, m, self.feedthrough)
+        rows = pieces[0][1]
+        if R is None and is_short(rows.stop - rows.start, len(self.A), len(self.C)):
+            some = _stacked(pieces, inputs, outputs, self.scales)
+            R = equations_of_pieces(self.A, self.C, some, m, self.feedthrough)
+        return R
 
     def of_observed(self, u, y, observe):
         """Of one record, whose outputs are perhaps seen through a matrix that varies."""

@@ -14,11 +14,10 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.triangular import triangle
 
-__all__ = ["FEWEST", "equations_of_pieces", "is_short"]
+__all__ = ["equations_of_pieces", "is_short"]
 
 EPS = np.finfo(float).eps
-FEWEST = 4  # pieces that are worth a projection of their own
-RESPONSE_BYTES = 2**23  # of all responses of a piece: longer ones gain nothing
+RESPONSE_BYTES = 2**24  # of all responses of a piece: longer ones gain nothing
 ROUND_BYTES = 2**25  # of equations at a time
 
 
