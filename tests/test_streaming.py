@@ -76,6 +76,7 @@ def test_chunks_of_any_size_give_the_model_of_all_rows(rng, size, feedthrough):
 def test_rows_added_up_in_rounds_give_the_same(rng, monkeypatch):
     """Rounds shorter than the record, and responses followed over fewer rows than it has."""
     monkeypatch.setattr(running_products, "ROUND", 512)
+    monkeypatch.setattr(running_products, "MANY", 512)
     monkeypatch.setattr(running_products, "REACH", 300)
     X, y = simulated(rng, [2500, 700, 100])
     settings = {"order": 4, "block_rows": 6, "feedthrough": True}

@@ -28,6 +28,7 @@ __all__ = ["RecordEnds", "RunningRecord", "RunningSums", "correlations"]
 
 REACH = 4096  # rows K that responses are followed over
 ROUND = 16384  # rows added up at a time: with K before them, a Fourier transform of 5 · 2¹²
+MANY = 4096  # rows that do not wait for more: each model made meanwhile would add them up anew
 
 
 @dataclass(frozen=True)
@@ -161,8 +162,8 @@ class RunningRecord:
         """
         waiting = np.concatenate([self.waiting, rows])
         record = replace(self, waiting=waiting, n_rows=self.n_rows + len(rows))
-        while len(record.waiting) >= ROUND:
-            record = record._added_up(ROUND)
+        while len(record.waiting) >= max(MANY, self.n_lags):
+            record = record._added_up(min(ROUND, len(record.waiting)))
         return record
 
     def closed(self):
