@@ -320,7 +320,10 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 "one row is left to score, which has no R²; give longer records or a smaller warmup"
             )
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
-        return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
+        columns = (
+            np.asfortranarray(z) / unit for z in (truth, simulated)
+        )  # of which sums are quick
+        return float(r2_score(*columns, sample_weight=weight))
 
     def _fitted_simulation(self, X, y, horizon=None):
         """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""

@@ -1,6 +1,7 @@
 """memory=: lag products kept for all orders and many block rows."""
 
 import os
+import shutil
 
 import joblib
 import numpy as np
@@ -87,6 +88,51 @@ def test_other_data_have_other_products(tmp_path, rng, change):
         inputs, outputs = map(list, zip(*each, strict=True))
         expected = hankel_factor(inputs, outputs, 3)
         np.testing.assert_allclose(kept.factor(inputs, outputs, 3, None), expected, atol=1e-12)
+
+
+def test_a_fit_hashes_its_data_once(tmp_path, data, monkeypatch):
+    digest, calls = _products_cache._digest, []
+    monkeypatch.setattr(_products_cache, "_digest", lambda z: calls.append(1) or digest(z))
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
+    for _ in range(2):
+        model.fit(*data)
+    assert len(calls) == 2
+
+
+def test_what_is_at_hand_is_not_read_again(tmp_path, data, counted):
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
+    first = model.fit(*data).model_
+    shutil.rmtree(tmp_path)
+    again = model.fit(*data).model_
+    assert counted == [64]
+    assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in "ABCD")
+    assert list(tmp_path.rglob("*.pkl")) == []
+
+
+def test_other_choices_are_not_at_hand(tmp_path, data):
+    for choice in ({}, {"weighting": "n4sid"}, {"scale": False}, {"block_rows": 7}):
+        settings = {"order": 3, "block_rows": 6, **choice}
+        same_model(
+            MOESPRegressor(memory=str(tmp_path), **settings).fit(*data),
+            MOESPRegressor(**settings).fit(*data),
+        )
+
+
+def test_no_more_is_at_hand_than_stated():
+    recent = _products_cache._Recent(3000)
+    for k in range(5):
+        recent.get(k, lambda: (np.zeros(100), np.zeros(25)))  # 1000 bytes
+        recent.get(0, lambda: np.zeros(125))  # asked for last, so it stays
+    assert list(recent.values) == [3, 4, 0]
+    assert recent.size == 3000
+    recent.get("large", lambda: np.zeros(1000))
+    assert recent.size == 0
+
+
+def test_rows_and_columns_of_one_table_have_digests_of_their_own(rng):
+    z = rng.standard_normal((6, 6))
+    other = _products_cache._digest([(np.asfortranarray(z.T), z)])
+    assert _products_cache._digest([(z, z)]) != other
 
 
 def test_very_many_lags_are_not_kept(tmp_path, rng, counted):
