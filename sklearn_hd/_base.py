@@ -320,9 +320,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 "one row is left to score, which has no R²; give longer records or a smaller warmup"
             )
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
-        columns = (
-            np.asfortranarray(z) / unit for z in (truth, simulated)
-        )  # of which sums are quick
+        columns = (np.asfortranarray(z) / unit for z in (truth, simulated))  # quick to sum
         return float(r2_score(*columns, sample_weight=weight))
 
     def _fitted_simulation(self, X, y, horizon=None):
@@ -337,18 +335,16 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 continue
             within = piece.rows_between(counted.start, counted.stop)
             measured = experiment.measured[piece.rows][within]
-            own = np.arange(within.start, within.stop) + piece.rows.start
+            own = np.arange(within.start, within.stop)
             if experiment.has_gaps:  # rows that were bridged do not count
                 kept = np.isfinite(measured).all(axis=1)
-                within, measured, own = (
-                    within.start + np.flatnonzero(kept),
-                    measured[kept],
-                    own[kept],
-                )
+                measured, own = measured[kept], own[kept]
+                within = own
             outputs = self._fitted_outputs(simulator, y_segment, warm, horizon)
-            truth.append(measured if trim is None else measured - piece.back(trim[i])[within])
+            waveform = 0.0 if trim is None else piece.back(trim[i])[within]
+            truth.append(measured - waveform)
             simulated.append(piece.back(outputs)[within])
-            rows.append(own)
+            rows.append(own + piece.rows.start)
         if not truth:
             raise ValueError(
                 f"no rows are left to score in {experiment.span()}: every segment is shorter than "
