@@ -170,26 +170,27 @@ class PeriodicSimulator:
         self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
         self.response = response
 
-    def outputs(self, x0, *, recompose=True):
-        """Outputs, trim not added, shape (n_samples, n_outputs)."""
-        states = self._states(self.inputs, x0)
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, trim not added, of all samples or the first of them."""
+        inputs = self.inputs[:n_samples]
+        states = self._states(inputs, x0)
         if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
             raise UnstableModelError(
                 f"the simulation overflows: the model's largest Floquet multiplier is "
                 f"{self.response.spectral_radius:.4g} (1 is the bound of stability); change the "
                 f"order of the identified model, or simulate a shorter span"
             )
-        extended = np.concatenate([states, self.inputs], axis=-1)
-        return np.einsum("tla,ta->tl", self._at(self.response.Out), extended)
+        extended = np.concatenate([states, inputs], axis=-1)
+        return np.einsum("tla,ta->tl", self._at(self.response.Out, n_samples), extended)
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
         n = self.model.n_states
         states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
-        return np.einsum("tla,kta->ktl", self._at(self.response.Out)[:n_samples, :, :n], states)
+        return np.einsum("tla,kta->ktl", self._at(self.response.Out, n_samples)[..., :n], states)
 
-    def _at(self, matrices):
-        return matrices[self.phase % len(matrices)]
+    def _at(self, matrices, n_samples):
+        return matrices[self.phase[:n_samples] % len(matrices)]
 
     def _states(self, inputs, x0):
         n = self.model.n_states
