@@ -138,6 +138,6 @@ def test_rounds_of_equations_add_up(rng, monkeypatch, ways):
     u, y = rng.standard_normal((6000, 2)), rng.standard_normal((6000, 3))
     expected = input_matrices(A, C, [u], [y], True)
     monkeypatch.setattr(short_pieces, "ROUND_BYTES", 2**17)
-    monkeypatch.setattr(module, "ROUND", 300)
+    monkeypatch.setattr(module, "ROUND_BYTES", 2**14)
     for one, other in zip(input_matrices(A, C, [u], [y], True), expected, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-9)

@@ -63,7 +63,7 @@ CONVOLVED_ORDER = 40
 CHUNK_BYTES = 2**25  # of equations at a time
 LEAST_CHUNK = 256
 CARRIED_STEPS = 64
-ROUND = 2**15  # rows of pieces at a time
+ROUND_BYTES = 2**24  # of responses of pieces, at a time
 FEWEST = 4  # pieces of one length that are worth going through together
 STEPS = 64  # of one after the other that take as long as a piece by itself
 
@@ -184,10 +184,10 @@ def _alike(pieces, firsts):
     return np.flatnonzero(alike).tolist() if np.sum(alike) >= many else []
 
 
-def _stacked(pieces, inputs, outputs, scales):
+def _stacked(pieces, inputs, outputs, scales, n_states):
     """Pieces of one length side by side, some at a time, shape (n_pieces, length, m + l)."""
-    rows = pieces[0][1]
-    at_a_time = max(1, ROUND // (rows.stop - rows.start))
+    rows, n_inputs = pieces[0][1], inputs[0].shape[1]
+    at_a_time = max(1, ROUND_BYTES // (8 * n_states * n_inputs * (rows.stop - rows.start)))
     for start in range(0, len(pieces), at_a_time):
         some = pieces[start : start + at_a_time]
         blocks = [[z[s][rows] for s, rows in some] for z in (inputs, outputs)]
@@ -251,11 +251,11 @@ class RecordFactors:
         """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
         m, R = inputs[0].shape[1], None
         if self._basis is not None:
-            some = _stacked(pieces, inputs, outputs, self.scales)
+            some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
             R = products_of_pieces(self._basis, self.C, some, m, self.feedthrough)
         rows = pieces[0][1]
         if R is None and is_short(rows.stop - rows.start, len(self.A), len(self.C)):
-            some = _stacked(pieces, inputs, outputs, self.scales)
+            some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
             R = equations_of_pieces(self.A, self.C, some, m, self.feedthrough)
         return R
 
