@@ -49,6 +49,8 @@ class Pair:
         return self.map(np.negative)
 
     def __sub__(self, other):
+        if self.low is None or other.low is None:
+            return Pair(self.high - other.high)
         return self + (-other)
 
     def add(self, key, other):
@@ -56,6 +58,20 @@ class Pair:
         part = self[key] + other
         for half, new in zip(self.halves(), part.halves(), strict=True):
             half[key] = new
+
+    def total(self):
+        """Sum along the first axis."""
+        if self.low is None:
+            return Pair(self.high.sum(axis=0))
+        return sum(self[1:], start=self[0])
+
+    def accumulate(self):
+        """Turn parts along the first axis into the sums up to them, in place."""
+        for k in range(1, len(self)):  # np.cumsum would walk through memory in strides
+            if self.low is None:
+                self.high[k] += self.high[k - 1]
+            else:
+                self.add(k, self[k - 1])
 
     def halves(self):
         """The arrays that there are."""

@@ -56,12 +56,13 @@ def safe_cholesky(G, rounding=EPS):
     size = np.sqrt(np.diagonal(G))
     if not np.all(size > 0.0):
         return None
-    scaled = G / size / size[:, None]
+    scaled = G / size
+    scaled /= size[:, None]
     L, fault = linalg.lapack.dpotrf(scaled.T, lower=1, clean=1, overwrite_a=1)
     if fault:
         return None
-    inverse, _ = linalg.lapack.dtrtri(L, lower=1)
-    return L.T * size if rounding * np.linalg.norm(inverse) ** 2 <= TOLERATED_LOSS else None
+    inverse, _ = linalg.lapack.strtri(L.astype(np.float32), lower=1)  # whose size alone is asked
+    return L.T * size if rounding * float(np.linalg.norm(inverse)) ** 2 <= TOLERATED_LOSS else None
 
 
 def solve_within_rank(X, Y, size=None):
