@@ -21,7 +21,7 @@ from sklearn_hd.algorithms.simulation import propagate
 
 __all__ = ["ResponseBasis", "response_basis", "run"]
 
-STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
+STEPS = 16  # of the recursion
 LARGEST_TRANSFORMATION = 100.0
 CONDITION = 1e6
 LARGEST_BLOCK = 6  # powers of larger ones are too much alike
@@ -111,7 +111,7 @@ def _block_numbers(block):
     return F, np.eye(k)[0], np.stack(powers)
 
 
-def run(F, x, state):
+def run(F, x, state, steps=STEPS):
     """Turn forcing v into states of x[k+1] = F x[k] + v[k], in place.
 
     Parameters
@@ -120,23 +120,25 @@ def run(F, x, state):
     x : ndarray, shape (n_steps, channels, q)
     state : ndarray, shape (channels, q)
         The first.
+    steps : int, default=16
+        Taken one by one for all stretches of so many; in one for all of a stretch after.
 
     Returns
     -------
     state : ndarray, shape (channels, q)
         That after the last step.
     """
-    whole = len(x) // STEPS * STEPS
+    whole = len(x) // steps * steps
     if whole:
-        parts = x[:whole].reshape(-1, STEPS, *state.shape)
+        parts = x[:whole].reshape(-1, steps, *state.shape)
         ends = parts[:, 0].copy()
-        for k in range(1, STEPS):
+        for k in range(1, steps):
             ends = _advance(F, ends)
             ends += parts[:, k]
         ends = np.concatenate([ends, np.zeros((1, *state.shape))]).transpose(1, 0, 2)
-        starts = propagate(np.linalg.matrix_power(F, STEPS), ends, state).transpose(1, 0, 2)
+        starts = propagate(np.linalg.matrix_power(F, steps), ends, state).transpose(1, 0, 2)
         state, now = starts[-1], np.ascontiguousarray(starts[:-1])
-        for k in range(STEPS):
+        for k in range(steps):
             then = _advance(F, now)
             then += parts[:, k]
             parts[:, k], now = now, then
