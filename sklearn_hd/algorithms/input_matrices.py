@@ -235,7 +235,7 @@ def pieces_of(A, lengths):
     firsts : list of int
         The first piece of each segment.
     """
-    radius = np.max(np.abs(linalg.eigvals(A)), initial=0.0)
+    radius = np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
     longest = max(lengths, default=0)
     if radius > 1.0:
         longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))

@@ -48,7 +48,7 @@ def observability_subspace(R, block_rows, n_inputs):
     """
     past = slice(block_rows * n_inputs, R.shape[0] - _future_width(R, block_rows, n_inputs))
     projected = triangle(R[past, past.stop :]).T  # of as many columns as rows
-    U, singular_values, _ = linalg.svd(projected)
+    U, singular_values, _ = np.linalg.svd(projected)
     largest = U[np.argmax(np.abs(U), axis=0), np.arange(U.shape[1])]
     return U * np.copysign(1.0, largest), singular_values
 
@@ -172,5 +172,5 @@ def state_matrices(U, singular_values, order, n_outputs):
     C : ndarray, shape (n_outputs, order)
     """
     observability = U[:, :order] * np.sqrt(singular_values[:order])
-    A = linalg.lstsq(observability[:-n_outputs], observability[n_outputs:])[0]
+    A = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=EPS)[0]
     return A, observability[:n_outputs]

@@ -76,7 +76,7 @@ def output_normal(A, C):
     n = len(A)
     if n == 0:
         return None
-    radius = np.max(np.abs(linalg.eigvals(A)))
+    radius = np.max(np.abs(np.linalg.eigvals(A)))
     if radius > MOST_RADIUS:
         return None
     shown, padded = triangle(C), np.zeros((n, n))  # no more rows than states
@@ -86,7 +86,7 @@ def output_normal(A, C):
     size = np.abs(np.diagonal(T))
     if not size.min() > size.max() / LARGEST_CONDITION:
         return None
-    shown = linalg.solve_triangular(T, np.vstack([T @ A, C]).T, trans=1).T
+    shown = linalg.lapack.dtrtrs(T, np.vstack([T @ A, C]).T, trans=1)[0].T
     gramian = shown.T @ shown
     if not np.linalg.norm(gramian - np.eye(n)) < NEARLY:
         return None
