@@ -211,7 +211,7 @@ def _along_diagonals(ends, p):
         padded[a : a + p, a:width] = ends[a : a + p, a:]
     row = padded.strides[0]
     strides = p * (row + padded.itemsize), row, padded.itemsize
-    return as_strided(padded, (width // p, p, width + p), strides, writeable=False)
+    return np.ndarray((width // p, p, width + p), buffer=padded, strides=strides)
 
 
 @functools.lru_cache(maxsize=1)

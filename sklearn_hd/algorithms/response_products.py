@@ -79,7 +79,7 @@ def output_normal(A, C):
     radius = np.max(np.abs(np.linalg.eigvals(A)))
     if radius > MOST_RADIUS:
         return None
-    shown, padded = triangle(C), np.zeros((n, n))  # no more rows than states
+    shown, padded = C if len(C) <= n else triangle(C), np.zeros((n, n))
     padded[: len(shown)] = shown
     T, scale, _ = slycot.sb03od(n, len(shown), A.copy(), np.eye(n), padded, "D")
     T = np.triu(T) / scale
@@ -250,8 +250,13 @@ def _of_samples(sums, powers, within):
     sums = np.concatenate([total.reshape(len(total), L, -1) for total in sums], axis=-1)
     before = sums[: (m + 1) * q].reshape(m + 1, q, L, -1)
     own = sums[(m + 1) * q :].reshape(L, m, L, -1)
-    before = np.tensordot(before, powers, ((1, 2), (2, 0))).transpose(0, 2, 1)
-    forced = before[1:] + np.tensordot(own, within, ((0, 2), (1, 0))).transpose(0, 2, 1)
+    before = powers.transpose(1, 0, 2).reshape(q, -1) @ before.transpose(0, 2, 1, 3).reshape(
+        m + 1, L * q, -1
+    )
+    own_forced = within.transpose(2, 1, 0).reshape(q, -1) @ own.transpose(1, 0, 2, 3).reshape(
+        m, L * L, -1
+    )
+    forced = before[1:] + own_forced
     return forced, before[0], np.trace(own, axis1=0, axis2=2)
 
 
@@ -276,15 +281,16 @@ def normal_equations(model, products, feedthrough):
     """
     A, C, units = model.A, model.C, model.basis.units
     n, m, n_outputs = len(A), len(products.last), len(C)
-    forced = np.tensordot(products.forced, units, ((1,), (0,)))
-    free = np.tensordot(products.free, units, ((0,), (0,)))
-    last = np.tensordot(products.last, units, 1)
+    flat = units.reshape(len(units), -1)
+    forced = (products.forced.transpose(0, 2, 1) @ flat).reshape(m, -1, n, n)
+    free = (products.free.T @ flat).reshape(-1, n, n)
+    last = (products.last @ flat).reshape(m, n, n)
     power = np.linalg.matrix_power(A, products.n_samples)
     U = products.inputs[:, :m]
     ahead = A @ forced[:, :m]
     both = ahead.transpose(0, 1, 3, 2) + ahead.transpose(1, 0, 2, 3)
     both += U[:, :, None, None] * np.eye(n)
-    both -= np.tensordot(last, last, ((1,), (1,))).transpose(0, 2, 1, 3)
+    both -= last.transpose(0, 2, 1)[:, None] @ last
     start = (A @ free[:m]).transpose(0, 2, 1) - power.T @ last
     seen, seen_free = C @ forced, C @ free
     B, D, y = np.cumsum([n, n * m, feedthrough * n_outputs * m])  # where columns of each begin
