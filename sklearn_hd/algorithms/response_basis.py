@@ -50,10 +50,10 @@ class ResponseBasis:
 
     def powers(self, last):
         """F⁰ … F^last, shape (last + 1, q, q)."""
-        powers = [np.eye(len(self.g))]
-        for _ in range(last):
-            powers.append(self.F @ powers[-1])
-        return np.stack(powers)
+        powers = np.stack([np.eye(len(self.g)), self.F])
+        while len(powers) <= last:
+            powers = np.concatenate([powers, powers[1:] @ powers[-1]])
+        return powers[: last + 1]
 
 
 def response_basis(A):
