@@ -38,7 +38,7 @@ class Pair:
         return len(self.high)
 
     def __getitem__(self, key):
-        return self.map(lambda half: half[key])
+        return Pair(self.high[key], None if self.low is None else self.low[key])
 
     def __add__(self, other):
         if self.low is None or other.low is None:
@@ -55,6 +55,9 @@ class Pair:
 
     def add(self, key, other):
         """Add to a part, in place."""
+        if self.low is None:
+            self.high[key] += other.high
+            return
         part = self[key] + other
         for half, new in zip(self.halves(), part.halves(), strict=True):
             half[key] = new
@@ -68,10 +71,7 @@ class Pair:
     def accumulate(self):
         """Turn parts along the first axis into the sums up to them, in place."""
         for k in range(1, len(self)):  # np.cumsum would walk through memory in strides
-            if self.low is None:
-                self.high[k] += self.high[k - 1]
-            else:
-                self.add(k, self[k - 1])
+            self.add(k, self[k - 1])
 
     def halves(self):
         """The arrays that there are."""

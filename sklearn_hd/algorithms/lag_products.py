@@ -186,12 +186,11 @@ class LagProducts:
         """
         p = len(self.exponents)
         n_rows = len(self.lags) * p
-        head, tail = (
-            ends.map(lambda half: _along_diagonals(half, p)) for ends in (self.head, self.tail)
-        )
+        tail = self.tail.map(lambda half: _along_diagonals(half, p))
         first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(1, p, n_rows))
         first = first - tail.total()
-        rows = first.map(lambda *halves: np.concatenate(halves), tail - head)
+        rows = first.map(lambda *halves: np.concatenate(halves), tail)
+        rows.add(np.s_[1:], (-self.head).map(lambda half: _along_diagonals(half, p)))
         rows.accumulate()
         order = np.arange(n_rows) if order is None else order
         place = _places(p, order.tobytes())

@@ -56,13 +56,12 @@ def safe_cholesky(G, rounding=EPS):
     size = np.sqrt(np.diagonal(G))
     if not np.all(size > 0.0):
         return None
-    scaled = G / size
-    scaled /= size[:, None]
-    L, fault = linalg.lapack.dpotrf(scaled.T, lower=1, clean=1, overwrite_a=1)
+    L, fault = linalg.lapack.dpotrf(G.T, lower=1, clean=1)
     if fault:
         return None
-    inverse, _ = linalg.lapack.strtri(L.astype(np.float32), lower=1)  # whose size alone is asked
-    return L.T * size if rounding * float(np.linalg.norm(inverse)) ** 2 <= TOLERATED_LOSS else None
+    scaled = (L / size[:, None]).astype(np.float32)  # the size of its inverse is all that is asked
+    inverse, _ = linalg.lapack.strtri(scaled, lower=1, overwrite_c=1)
+    return L.T if rounding * float(np.linalg.norm(inverse)) ** 2 <= TOLERATED_LOSS else None
 
 
 def solve_within_rank(X, Y, size=None):
