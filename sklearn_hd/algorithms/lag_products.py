@@ -35,7 +35,6 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 
 from sklearn_hd._arithmetic import extremes
 from sklearn_hd.algorithms.double_double import (
@@ -433,7 +432,7 @@ def _overlapping(rows, size, together, span, period):
     width, item = rows.shape[1], rows.itemsize
     shape = (period // together, size // period, span * width)
     strides = (together * width * item, period * width * item, item)
-    windows = as_strided(rows, shape, strides)
+    windows = np.ndarray(shape, buffer=rows, strides=strides)
     left = windows[:, :, : together * width].transpose(0, 2, 1)
     return np.matmul(left, windows).sum(axis=0).reshape(together, width, span, width)
 
