@@ -141,7 +141,7 @@ def _orthogonal_factor(records, block_rows):
         n_columns = len(u) - 2 * block_rows + 1
         for start in range(0, n_columns, chunk):
             block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
-            R = triangle(block, R)
+            R = triangle(block, R)  # R above the block would lose more digits
     square = np.zeros((width, width))
     square[: len(R)] = R
     return square
