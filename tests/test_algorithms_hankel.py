@@ -166,6 +166,27 @@ def test_no_array_of_hankel_size_is_ever_allocated(rng, noise):
     assert peak < 2 * (u.nbytes + y.nbytes + 8 * (2 * BLOCK_ROWS * 4) ** 2)
 
 
+def test_blocks_lose_no_more_than_one_factorisation(hard):
+    """Merged below the rows so far, not above them, they lost two to six times as much."""
+    A, u, y = hard
+    ratios = []
+    for start in range(0, 20_000, 4000):
+        rows = slice(start, start + 4000)
+        Z = hankel._columns(u[rows], y[rows], BLOCK_ROWS, 0, 4000 - 2 * BLOCK_ROWS + 1)
+        blocked = hankel._orthogonal_factor([(u[rows], y[rows])], BLOCK_ROWS)
+        errors = [pole_error(R, A, 3, 3) for R in (blocked, np.linalg.qr(Z, mode="r"))]
+        ratios.append(errors[0] / errors[1])
+    assert np.median(ratios) < 2.0
+
+
+@pytest.mark.parametrize("column", [1, 250, 399])
+def test_cholesky_is_refused_wherever_a_column_is_nearly_another(rng, column):
+    X = rng.standard_normal((500, 400))
+    assert triangular.safe_cholesky(X.T @ X) is not None
+    X[:, column] = X[:, 0] + 1e-6 * X[:, column]
+    assert triangular.safe_cholesky(X.T @ X) is None
+
+
 def test_cholesky_is_refused_where_digits_are_lost(rng):
     X = rng.standard_normal((50, 3))
     R = triangular.safe_cholesky(X.T @ X)

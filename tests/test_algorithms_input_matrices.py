@@ -11,7 +11,7 @@ from sklearn_hd.algorithms import block_responses, response_products
 from sklearn_hd.algorithms import input_matrices as module
 from sklearn_hd.algorithms.block_responses import best_block
 from sklearn_hd.algorithms.input_matrices import input_matrices, response_regressors
-from sklearn_hd.algorithms.response_basis import response_basis
+from sklearn_hd.algorithms.response_basis import response_basis, run
 from sklearn_hd.algorithms.response_products import output_normal, products_factor
 from sklearn_hd.algorithms.simulation import propagate
 
@@ -74,6 +74,22 @@ def test_records_give_the_least_squares_solution(rng, monkeypatch, A, feedthroug
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
 
 
+@pytest.mark.parametrize("feedthrough", [False, True])
+@pytest.mark.parametrize("A", [TWINS, 0.9 * INTEGRATOR], ids=str)
+def test_one_record_is_solved_by_its_own_factor(rng, monkeypatch, A, feedthrough):
+    """Where its normal equations are safe, without the equations left for other records."""
+    A, B, C, D = model(rng, A, feedthrough)
+    u = rng.standard_normal((1500, 2))
+    y = simulate(A, B, C, D, u, rng.standard_normal(5)) + 0.1 * rng.standard_normal((1500, 3))
+    expected = dense(A, C, [u], [y], feedthrough)
+    monkeypatch.setattr(module, "without_start", None)
+    found = input_matrices(A, C, [u], [y], feedthrough, return_residual=True)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
+    for one, other in zip(input_matrices(A, C, [u], [y], feedthrough), found[:3], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("A", [JORDAN, TWINS, SLOW], ids=str)
 def test_compressed_records_without_noise_give_the_model_back(rng, A):
     A, B, C, D = model(rng, A, True)
@@ -105,9 +121,24 @@ def test_powers_are_those_of_the_basis(rng):
     assert len(basis.g) == 5
     for k in (0, 1, 7, 60):
         numbers = np.linalg.matrix_power(basis.F, k) @ basis.g
+        np.testing.assert_allclose(basis.powers(k)[k] @ basis.g, numbers, atol=1e-12)
         np.testing.assert_allclose(
             basis.seen(np.eye(5)) @ numbers, np.linalg.matrix_power(A, k), atol=1e-9
         )
+
+
+@pytest.mark.parametrize("steps", [1, 3, 16, 100])
+def test_the_recursion_is_the_same_in_any_steps(rng, steps):
+    F = random_stable(rng, 4, 1, 1)[0]
+    forcing, start = rng.standard_normal((83, 2, 4)), rng.standard_normal((2, 4))
+    expected = [start]
+    for v in forcing:
+        expected.append(expected[-1] @ F.T + v)
+    x = np.zeros((83, 2, 9))[..., 2:6]  # in place in what is wider
+    x[:] = forcing
+    last = run(F, x, start, steps)
+    np.testing.assert_allclose(x, expected[:-1], atol=1e-12)
+    np.testing.assert_allclose(last, expected[-1], atol=1e-12)
 
 
 def test_eigenvalues_too_many_to_part_have_no_basis():
@@ -177,10 +208,12 @@ def test_no_equation_as_long_as_the_record_is_kept(rng):
     assert peak < 8 * y.size * (6 * 2 + 2 * 2 + 6) / 5
 
 
+@pytest.mark.parametrize("rows_in_a_round", [response_products.ROUND, 256])
 @pytest.mark.parametrize("n_samples", [2, 7, 300, 3001])
 @pytest.mark.parametrize("A", [JORDAN, TWINS, SLOW], ids=str)
-def test_normal_equations_are_those_of_all_rows(rng, A, n_samples):
+def test_normal_equations_are_those_of_all_rows(rng, monkeypatch, A, n_samples, rows_in_a_round):
     """To the last digits beside the lengths of columns, for any length of record."""
+    monkeypatch.setattr(response_products, "ROUND", rows_in_a_round)
     A, _, C, _ = model(rng, A, True)
     u, y = rng.standard_normal((n_samples, 2)), rng.standard_normal((n_samples, 3))
     scales = np.array([2.0, 0.1]), np.array([1.0, 3.0, 0.5])

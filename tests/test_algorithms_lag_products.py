@@ -112,6 +112,15 @@ def test_cholesky_of_a_deficient_matrix_has_rows_of_zeros():
     assert np.all(R[1] == 0.0)
 
 
+@pytest.mark.parametrize("exact", [False, True])
+def test_gram_is_symmetric_in_any_order(rng, records, exact):
+    products = lag_products([(z,) for z in records[:3]], 4, exact)
+    order = rng.permutation(8)
+    for half, turned in zip(products.gram().halves(), products.gram(order).halves(), strict=True):
+        np.testing.assert_array_equal(half, half.T)
+        np.testing.assert_array_equal(turned, half[np.ix_(order, order)])
+
+
 def test_plain_and_exact_pairs_add_up_to_a_plain_one():
     assert (Pair(np.ones(1)) + Pair(np.ones(1), np.zeros(1))).low is None
 

@@ -38,7 +38,7 @@ class Pair:
         return len(self.high)
 
     def __getitem__(self, key):
-        return self.map(lambda half: half[key])
+        return Pair(self.high[key], None if self.low is None else self.low[key])
 
     def __add__(self, other):
         if self.low is None or other.low is None:
@@ -49,13 +49,29 @@ class Pair:
         return self.map(np.negative)
 
     def __sub__(self, other):
+        if self.low is None or other.low is None:
+            return Pair(self.high - other.high)
         return self + (-other)
 
     def add(self, key, other):
         """Add to a part, in place."""
+        if self.low is None:
+            self.high[key] += other.high
+            return
         part = self[key] + other
         for half, new in zip(self.halves(), part.halves(), strict=True):
             half[key] = new
+
+    def total(self):
+        """Sum along the first axis."""
+        if self.low is None:
+            return Pair(self.high.sum(axis=0))
+        return sum(self[1:], start=self[0])
+
+    def accumulate(self):
+        """Turn parts along the first axis into the sums up to them, in place."""
+        for k in range(1, len(self)):  # np.cumsum would walk through memory in strides
+            self.add(k, self[k - 1])
 
     def halves(self):
         """The arrays that there are."""
@@ -147,9 +163,13 @@ def product(left, right, exact, count=N_SLICES):
     product : Pair, shape (r, s)
     """
     if not exact:
-        return Pair(left.T @ right)
+        return Pair(_over_rows(left, right))
     left, right = slices(left, count), slices(right, count)
-    return sum_of_slices([[a.T @ b for b in right] for a in left])
+    return sum_of_slices([[_over_rows(a, b) for b in right] for a in left])
+
+
+def _over_rows(left, right):
+    return left.T * right if len(left) == 1 else left.T @ right  # the same, in a third of the time
 
 
 def _times(a_high, a_low, scalar_high, scalar_low):

@@ -86,16 +86,17 @@ def factor_of_products(products, n_inputs, scale=None):
     R : ndarray, shape (2 i (m + l), 2 i (m + l)), or None
         None where plain sums have lost what R should say; exact ones never have.
     """
-    G = products.gram()
-    order = _block_order(len(products.lags), len(products.exponents), n_inputs)
-    exponents = np.tile(products.exponents, len(products.lags))[order]
-    G = G.map(lambda half: half[order].take(order, axis=1))
+    n_lags = len(products.lags)
+    order = _block_order(n_lags, len(products.exponents), n_inputs)
+    G = products.gram(order)
     R = safe_cholesky(G.high)
     if R is None and products.exact:
         R = cholesky(G.high, G.low)
     if R is None:
         return None
-    return R * np.ldexp(1.0, exponents) / _lengths(scale, len(products.lags), n_inputs)
+    units = np.ldexp(1.0, np.tile(products.exponents, n_lags)[order])
+    R *= units / _lengths(scale, n_lags, n_inputs)
+    return R
 
 
 def n_excited(R, block_rows, n_inputs):
@@ -140,7 +141,7 @@ def _orthogonal_factor(records, block_rows):
         n_columns = len(u) - 2 * block_rows + 1
         for start in range(0, n_columns, chunk):
             block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
-            R = triangle(R, block)
+            R = triangle(block, R)  # R above the block would lose more digits
     square = np.zeros((width, width))
     square[: len(R)] = R
     return square

@@ -162,9 +162,14 @@ def input_matrices(
         shared = together
     for k in sorted(set(range(len(pieces))) - set(alike)):
         s, rows = pieces[k]
-        seen = None if observe is None else observe[s][rows]
         u, y = inputs[s][rows], outputs[s][rows]
-        R = factor.of(u, y) if observe is None else factor.of_observed(u, y, seen)
+        R = factor.of_products(u, y) if observe is None else None
+        if R is not None and len(pieces) == 1:  # of good condition
+            theta = linalg.lapack.dtrtrs(R[:-1, :-1], R[:-1, -1])[0]
+            found = *split(theta[n:], n, m, n_outputs), theta[None, :n]
+            return (*found, float(R[-1, -1] ** 2)) if return_residual else found
+        if R is None:
+            R = factor.of_rows(u, y, None if observe is None else observe[s][rows])
         starts[k], left = without_start(R, n)
         shared = triangle(shared, left)
     theta = solve_shared(shared)
@@ -236,16 +241,8 @@ class RecordFactors:
 
     def of(self, u, y):
         """Of one record."""
-        if u.shape[1] == 0:
-            return self.of_observed(u, y, None)
-        if self._normal is not None:
-            R = products_factor(self._normal, u, y, self.feedthrough, self.scales)
-            if R is not None:
-                return R
-        n, m, n_outputs = len(self.A), u.shape[1], len(self.C)
-        if self._basis is not None and best_block(len(u), n, m, n_outputs):
-            return compressed_equations(self._basis, self.C, u, y, self.feedthrough, self.scales)
-        return self.of_observed(u, y, None)
+        R = self.of_products(u, y)
+        return self.of_rows(u, y) if R is None else R
 
     def of_pieces(self, pieces, inputs, outputs):
         """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
@@ -259,8 +256,18 @@ class RecordFactors:
             R = equations_of_pieces(self.A, self.C, some, m, self.feedthrough)
         return R
 
-    def of_observed(self, u, y, observe):
-        """Of one record, whose outputs are perhaps seen through a matrix that varies."""
+    def of_products(self, u, y):
+        """Of one record, from its normal equations; None where these would not do."""
+        if self._normal is None or u.shape[1] == 0:
+            return None
+        return products_factor(self._normal, u, y, self.feedthrough, self.scales)
+
+    def of_rows(self, u, y, observe=None):
+        """Of one record without them, its outputs perhaps seen through a matrix that varies."""
+        n, m, n_outputs = len(self.A), u.shape[1], len(self.C)
+        compressed = observe is None and m > 0 and self._basis is not None
+        if compressed and best_block(len(u), n, m, n_outputs):
+            return compressed_equations(self._basis, self.C, u, y, self.feedthrough, self.scales)
         return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
 
 
@@ -276,7 +283,7 @@ def pieces_of(A, lengths):
     firsts : list of int
         The first piece of each segment.
     """
-    radius = np.max(np.abs(linalg.eigvals(A)), initial=0.0)
+    radius = np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
     longest = max(lengths, default=0)
     if radius > 1.0:
         longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))

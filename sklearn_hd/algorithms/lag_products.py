@@ -31,10 +31,10 @@ rows in place: samples from row r, r + s, r + 2 s, … on do not overlap for s �
 of several rows at a time keep a processor busier than those of one.
 """
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 
 from sklearn_hd._arithmetic import extremes
 from sklearn_hd.algorithms.double_double import (
@@ -169,37 +169,57 @@ class LagProducts:
         size = np.ldexp(np.sqrt(squares / max(n_rows, 1)), self.exponents)
         return np.where(size > 0.0, size, 1.0)
 
-    def gram(self):
+    def gram(self, order=None):
         """Product of the Hankel matrix with itself.
+
+        Parameters
+        ----------
+        order : ndarray of int, shape (n_lags p,), optional
+            Which rows are to stand first, second, …; else by lag, then by channel.
 
         Returns
         -------
         G : Pair, shape (n_lags p, n_lags p)
-            Block (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by their powers of two.
+            By lag, block (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by their powers
+            of two.
         """
         p = len(self.exponents)
         n_rows = len(self.lags) * p
-        ends = self._zeros(p, n_rows)
-        for a in range(0, n_rows - p, p):
-            ends.add(np.s_[:, : n_rows - p - a], self.tail[a : a + p, a:])
-        row = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1)) - ends
-        G = self._zeros(n_rows, n_rows)
-        for a in range(0, n_rows, p):
-            here, later = slice(a, a + p), slice(a + p, n_rows)
-            for half, new in zip(G.halves(), row.halves(), strict=True):
-                half[here, a:] = new
-                half[later, here] = new[:, p:].T
-            if later.start < n_rows:
-                row = row[:, :-p] + (self.tail[here, a:] - self.head[here, a:])
-        return G
-
-    def _zeros(self, *shape):
-        return Pair(np.zeros(shape), np.zeros(shape) if self.exact else None)
+        tail = self.tail.map(lambda half: _along_diagonals(half, p))
+        first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(1, p, n_rows))
+        first = first - tail.total()
+        rows = first.map(lambda *halves: np.concatenate(halves), tail)
+        rows.add(np.s_[1:], (-self.head).map(lambda half: _along_diagonals(half, p)))
+        rows.accumulate()
+        order = np.arange(n_rows) if order is None else order
+        place = _places(p, order.tobytes())
+        return rows.map(lambda half: half.take(place))
 
 
 def _times_powers(products, exponents):
     shift = exponents[:, None] + exponents
     return products.map(lambda half: np.ldexp(half, shift))
+
+
+def _along_diagonals(ends, p):
+    """Upper block triangle [a p + c, b p + d] as [a, c, (b − a) p + d], zeros after it."""
+    width = len(ends)
+    padded = np.zeros((width + 1, width + p))
+    for a in range(0, width, p):
+        padded[a : a + p, a:width] = ends[a : a + p, a:]
+    row = padded.strides[0]
+    strides = p * (row + padded.itemsize), row, padded.itemsize
+    return np.ndarray((width // p, p, width + p), buffer=padded, strides=strides)
+
+
+@functools.lru_cache(maxsize=1)
+def _places(p, order):
+    """Where blocks [a, c, (b − a) p + d], in one row, hold each entry of a symmetric matrix."""
+    column = np.frombuffer(order, int)
+    row = column * len(column) - column // p * p
+    place = np.minimum.outer(row, row)
+    place += np.maximum.outer(column, column)
+    return place
 
 
 @dataclass(frozen=True)
@@ -412,7 +432,7 @@ def _overlapping(rows, size, together, span, period):
     width, item = rows.shape[1], rows.itemsize
     shape = (period // together, size // period, span * width)
     strides = (together * width * item, period * width * item, item)
-    windows = as_strided(rows, shape, strides)
+    windows = np.ndarray(shape, buffer=rows, strides=strides)
     left = windows[:, :, : together * width].transpose(0, 2, 1)
     return np.matmul(left, windows).sum(axis=0).reshape(together, width, span, width)
 

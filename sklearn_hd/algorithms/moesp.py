@@ -12,6 +12,8 @@ With A and C known, y is linear in B, D and the initial states
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.triangular import triangle
+
 __all__ = [
     "noise_floor",
     "observability_subspace",
@@ -45,8 +47,8 @@ def observability_subspace(R, block_rows, n_inputs):
     singular_values : ndarray, shape (i l,)
     """
     past = slice(block_rows * n_inputs, R.shape[0] - _future_width(R, block_rows, n_inputs))
-    projected = R[past, past.stop :].T
-    U, singular_values, _ = linalg.svd(projected, full_matrices=False)
+    projected = triangle(R[past, past.stop :]).T  # of as many columns as rows
+    U, singular_values, _ = np.linalg.svd(projected)
     largest = U[np.argmax(np.abs(U), axis=0), np.arange(U.shape[1])]
     return U * np.copysign(1.0, largest), singular_values
 
@@ -170,5 +172,5 @@ def state_matrices(U, singular_values, order, n_outputs):
     C : ndarray, shape (n_outputs, order)
     """
     observability = U[:, :order] * np.sqrt(singular_values[:order])
-    A = linalg.lstsq(observability[:-n_outputs], observability[n_outputs:])[0]
+    A = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=EPS)[0]
     return A, observability[:n_outputs]

@@ -11,6 +11,7 @@ of a block: n numbers w_k in all, with w_{k+1} = F w_k + g u_k, and Ξ_k = Σ_s 
 of the initial state, A^k, is the response to a pulse just before the record.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from sklearn_hd.algorithms.simulation import propagate
 
 __all__ = ["ResponseBasis", "response_basis", "run"]
 
-STEPS = 16  # of the recursion, taken one by one for all stretches of so many blocks
+STEPS = 16  # of the recursion
 LARGEST_TRANSFORMATION = 100.0
 CONDITION = 1e6
 LARGEST_BLOCK = 6  # powers of larger ones are too much alike
@@ -49,10 +50,10 @@ class ResponseBasis:
 
     def powers(self, last):
         """F⁰ … F^last, shape (last + 1, q, q)."""
-        powers = [np.eye(len(self.g))]
-        for _ in range(last):
-            powers.append(self.F @ powers[-1])
-        return np.stack(powers)
+        powers = np.stack([np.eye(len(self.g)), self.F])
+        while len(powers) <= last:
+            powers = np.concatenate([powers, powers[1:] @ powers[-1]])
+        return powers[: last + 1]
 
 
 def response_basis(A):
@@ -73,45 +74,42 @@ def response_basis(A):
         return None
     T, Z = linalg.schur(A)
     T, X, sizes, _ = slycot.mb03rd(n, T, Z, sort="S", pmax=LARGEST_TRANSFORMATION)
-    if np.linalg.cond(X) > CONDITION or max(sizes) > LARGEST_BLOCK:
+    inverse = np.linalg.inv(X)
+    if np.linalg.norm(X) * np.linalg.norm(inverse) > CONDITION or max(sizes) > LARGEST_BLOCK:
         return None
-    inverse = linalg.inv(X)
-    F, pulses, units, first = np.zeros((n, n)), [], [], 0
+    F, own, g, first = np.zeros((n, n)), np.zeros((n, n, n)), np.zeros(n), 0
     for size in sizes:
         block = slice(first, first + size)
-        step, pulse, own = _block_numbers(T[block, block])
-        at = slice(sum(map(len, pulses)), sum(map(len, pulses)) + len(step))
-        F[at, at] = step
-        pulses.append(pulse)
-        units.append(X[:, block] @ own @ inverse[block])
+        F[block, block], powers = _block_numbers(T[block, block])
+        own[block, block, block], g[first] = powers, 1.0
         first += size
-    g = np.concatenate(pulses)
-    return ResponseBasis(F[: len(g), : len(g)], g, np.concatenate(units))
+    return ResponseBasis(F, g, X @ own @ inverse)
 
 
 def _block_numbers(block):
-    """F, g and the matrices N_s of one diagonal block."""
+    """F and the matrices N_s of one diagonal block; g is its first unit vector."""
     k = len(block)
     if k == 1:
-        return block, np.ones(1), np.ones((1, 1, 1))
+        return block, np.ones((1, 1, 1))
+    if k == 2:  # N² by Cayley and Hamilton
+        (a, b), (c, d) = block.tolist()
+        centre, half = 0.5 * (a + d), 0.5 * (a - d)
+        size = math.sqrt(2.0 * half**2 + b**2 + c**2) or 1.0
+        N = [[half / size, b / size], [c / size, -half / size]]
+        return [[centre, (half**2 + b * c) / size], [size, centre]], [[[1.0, 0.0], [0.0, 1.0]], N]
     centre = np.trace(block) / k
     N = block - centre * np.eye(k)
-    size = np.linalg.norm(N)
-    if size == 0.0:
-        return np.array([[centre]]), np.ones(1), np.eye(k)[None]
+    size = np.linalg.norm(N) or 1.0
     N /= size
     powers = [np.eye(k)]
     for _ in range(1, k):
         powers.append(powers[-1] @ N)
     F = centre * np.eye(k) + size * np.eye(k, k=-1)
-    if k == 2:  # N^k by Cayley and Hamilton
-        F[0, 1] += size * (N[0, 1] * N[1, 0] - N[0, 0] * N[1, 1])
-    else:
-        F[:, -1] -= size * np.poly(N)[:0:-1]
-    return F, np.eye(k)[0], np.stack(powers)
+    F[:, -1] -= size * np.poly(N)[:0:-1]
+    return F, np.stack(powers)
 
 
-def run(F, x, state):
+def run(F, x, state, steps=STEPS):
     """Turn forcing v into states of x[k+1] = F x[k] + v[k], in place.
 
     Parameters
@@ -120,23 +118,25 @@ def run(F, x, state):
     x : ndarray, shape (n_steps, channels, q)
     state : ndarray, shape (channels, q)
         The first.
+    steps : int, default=16
+        Taken one by one for all stretches of so many; in one for all of a stretch after.
 
     Returns
     -------
     state : ndarray, shape (channels, q)
         That after the last step.
     """
-    whole = len(x) // STEPS * STEPS
+    whole = len(x) // steps * steps
     if whole:
-        parts = x[:whole].reshape(-1, STEPS, *state.shape)
+        parts = x[:whole].reshape(-1, steps, *state.shape)
         ends = parts[:, 0].copy()
-        for k in range(1, STEPS):
+        for k in range(1, steps):
             ends = _advance(F, ends)
             ends += parts[:, k]
         ends = np.concatenate([ends, np.zeros((1, *state.shape))]).transpose(1, 0, 2)
-        starts = propagate(np.linalg.matrix_power(F, STEPS), ends, state).transpose(1, 0, 2)
+        starts = propagate(np.linalg.matrix_power(F, steps), ends, state).transpose(1, 0, 2)
         state, now = starts[-1], np.ascontiguousarray(starts[:-1])
-        for k in range(STEPS):
+        for k in range(steps):
             then = _advance(F, now)
             then += parts[:, k]
             parts[:, k], now = now, then

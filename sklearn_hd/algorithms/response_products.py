@@ -33,8 +33,8 @@ LARGEST_CONDITION = 1e5
 BLOCKS = (1, 2, 4, 8, 12, 16, 24, 32)  # samples
 ROUND = 2**16  # samples, multiplied together
 NEARLY = 1e-6  # the identity, before the last step towards it
-PULSES = 1024  # samples of a pulse multiplied at a time
-PULSE_OVER = 1e-18  # of its first size
+PULSE_OVER = 1e-18
+LESS_STEPS = 4  # of the recursion, one by one, than stretches
 STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
 
 
@@ -76,17 +76,17 @@ def output_normal(A, C):
     n = len(A)
     if n == 0:
         return None
-    radius = np.max(np.abs(linalg.eigvals(A)))
+    radius = np.max(np.abs(np.linalg.eigvals(A)))
     if radius > MOST_RADIUS:
         return None
-    shown, padded = triangle(C), np.zeros((n, n))  # no more rows than states
+    shown, padded = C if len(C) <= n else triangle(C), np.zeros((n, n))
     padded[: len(shown)] = shown
     T, scale, _ = slycot.sb03od(n, len(shown), A.copy(), np.eye(n), padded, "D")
     T = np.triu(T) / scale
     size = np.abs(np.diagonal(T))
     if not size.min() > size.max() / LARGEST_CONDITION:
         return None
-    shown = linalg.solve_triangular(T, np.vstack([T @ A, C]).T, trans=1).T
+    shown = linalg.lapack.dtrtrs(T, np.vstack([T @ A, C]).T, trans=1)[0].T
     gramian = shown.T @ shown
     if not np.linalg.norm(gramian - np.eye(n)) < NEARLY:
         return None
@@ -161,8 +161,8 @@ class ResponseProducts:
 def response_products(basis, u, y, scales):
     """Products of the signals of one record with the responses to its inputs.
 
-    In blocks of L samples: within a block from its own lagged products, before it by the
-    w at its start. Rounds of some thousand samples are multiplied at a time.
+    In blocks of L samples: what was before a block by the w at its start, what is in it by its
+    own lagged products. Rounds of some thousand samples are multiplied at a time.
 
     Parameters
     ----------
@@ -175,43 +175,52 @@ def response_products(basis, u, y, scales):
     -------
     products : ResponseProducts
     """
-    u_scale, y_scale = scales
     n_samples, m, q = *u.shape, len(basis.g)
     L = _block(q, m, y.shape[1], n_samples)
     powers = basis.powers(L)
-    pulses = powers[:L] @ basis.g
-    forcing = np.zeros((L, m, m, q))
-    for c in range(m):
-        forcing[:, c, c] = pulses[::-1]
-    per_round = max(1, ROUND // L)
-    left = np.empty((min(per_round, -(-n_samples // L)), m * (q + L)))
-    sums = [np.zeros((m * (q + L), L * z.shape[1])) for z in (u, y)]
-    squares, state = np.zeros(y.shape[1]), np.zeros((m, q))
+    within = _pulse_responses(powers, basis.g)
+    forcing = (within[L][:, None, None] * np.eye(m)[..., None]).reshape(L * m, m * q)
+    n_blocks = -(-n_samples // L)
+    n_rounds = -(-n_blocks * L // ROUND)
+    per_round = -(-n_blocks // n_rounds)
+    steps = max(1, int(np.sqrt(per_round)) // LESS_STEPS)
+    n_states = (m + 1) * q  # the pulse before the record first
+    round_states = np.empty((per_round, n_states))
+    sums = [np.zeros((n_states + L * m, L * z.shape[1])) for z in (u, y)]
+    squares, state = 0.0, np.zeros((m + 1, q))
+    state[0] = basis.g
     for start in range(0, n_samples, per_round * L):
         rows = slice(start, min(start + per_round * L, n_samples))
-        n_blocks = -(-(rows.stop - start) // L)
-        blocks = [_blocks(z[rows], n_blocks, L) for z in (u, y)]
-        w, inputs = left[:n_blocks, : m * q], left[:n_blocks, m * q :]
-        inputs[...] = blocks[0]
-        np.matmul(inputs, forcing.reshape(L * m, m * q), out=w)
-        state = run(powers[L], w.reshape(n_blocks, m, q), state)
-        for total, z in zip(sums, blocks, strict=True):
-            total += left[:n_blocks].T @ z
-        squares += [channel @ channel for channel in y[rows].T]
-    n_rest = (n_samples - 1) % L + 1  # samples of the last block
-    last = (
-        w[-1].reshape(m, q) @ powers[n_rest].T + u[n_samples - n_rest :].T @ pulses[:n_rest][::-1]
-    )
-    scale = np.concatenate(scales)
-    forced, same = _of_samples(sums, powers[:L], pulses, m)
+        inputs, outputs = (_blocks(z[rows], L) for z in (u, y))
+        first = 0 if np.max(np.abs(state[0])) > PULSE_OVER else 1
+        w = round_states[: len(inputs), first * q :]
+        np.matmul(inputs, forcing, out=w[:, -m * q :])
+        w[:, : -m * q] = 0.0
+        states = w.reshape(len(w), -1, q)
+        state[first:] = run(powers[L], states, state[first:], steps)
+        for total, z in zip(sums, (inputs, outputs), strict=True):
+            total[first * q : n_states] += w.T @ z
+            total[n_states:] += inputs.T @ z
+        squares = squares + np.array([channel @ channel for channel in y[rows].T])
+    rest = n_samples - (n_blocks - 1) * L  # samples of the last block
+    last = states[-1, 1 - first :] @ powers[rest].T + u[-rest:].T @ within[rest, :rest]
+    forced, free, same = _of_samples(sums, powers[:L], within[:L])
+    u_scale, scale = scales[0], np.concatenate(scales)
     return ResponseProducts(
         forced=forced / u_scale[:, None, None] / scale,
-        free=_free_products(basis, u, y) / scale,
+        free=free / scale,
         last=last / u_scale[:, None],
         inputs=same / u_scale[:, None] / scale,
-        outputs=float(np.sum(squares / y_scale**2)),
+        outputs=float(np.sum(squares / scales[1] ** 2)),
         n_samples=n_samples,
     )
+
+
+def _pulse_responses(powers, g):
+    """w at sample t of a block, 0 … L, of pulses at its samples, shape (L + 1, L, q)."""
+    L = len(powers) - 1
+    pulses = np.concatenate([np.zeros((L, len(g))), powers[:-1] @ g])
+    return pulses[L - 1 + np.arange(L + 1)[:, None] - np.arange(L)]
 
 
 def _block(n_states, n_inputs, n_outputs, n_samples):
@@ -226,48 +235,32 @@ def _block(n_states, n_inputs, n_outputs, n_samples):
     return min((b for b in BLOCKS if b <= most), key=work)
 
 
-def _blocks(rows, n_blocks, L):
+def _blocks(rows, L):
     """Consecutive rows, L of them side by side; zeros after the last."""
-    if len(rows) < n_blocks * L or not rows.flags.c_contiguous:
-        whole = np.zeros((n_blocks * L, rows.shape[1]))
+    missing = -len(rows) % L
+    if missing or not rows.flags.c_contiguous:
+        whole = np.zeros((len(rows) + missing, rows.shape[1]))
         for c, channel in enumerate(rows.T):  # twice as fast as a reshape of columns
             whole[: len(rows), c] = channel
         rows = whole
-    return rows.reshape(n_blocks, -1)
+    return rows.reshape(-1, L * rows.shape[1])
 
 
-def _of_samples(sums, powers, pulses, m):
+def _of_samples(sums, powers, within):
     """Products with the responses sample by sample, and those of the inputs with all signals."""
-    L, q = pulses.shape
+    L, _, q = within.shape
+    m = sums[0].shape[1] // L
     sums = np.concatenate([total.reshape(len(total), L, -1) for total in sums], axis=-1)
-    before = sums[: m * q].reshape(m, q, L, -1)
-    within = sums[m * q :].reshape(L, m, L, -1)
-    lags = np.zeros((L, m, sums.shape[-1]))
-    for t in range(L):
-        lags[: L - t] += within[t, :, t:].transpose(1, 0, 2)
-    forced = np.tensordot(powers, before, ((0, 2), (2, 1)))  # q, m, p
-    forced += np.tensordot(pulses[: L - 1], lags[1:], ((0,), (0,)))
-    return forced.transpose(1, 0, 2), lags[0]
-
-
-def _free_products(basis, u, y):
-    """Σ_k w_k z_k of the pulse, as long as it lasts."""
-    n_samples, step = len(u), basis.F
-    pulses = basis.g[None]
-    while len(pulses) < min(PULSES, n_samples):
-        pulses = np.concatenate([pulses, pulses @ step.T])
-        step = step @ step
-        if np.max(np.abs(step)) < PULSE_OVER:
-            break
-    sums, power = np.zeros((len(basis.g), u.shape[1] + y.shape[1])), np.eye(len(basis.g))
-    for start in range(0, n_samples, len(pulses)):
-        rows = slice(start, start + len(pulses))
-        own = [pulses[: len(z[rows])].T @ z[rows] for z in (u, y)]
-        sums += power @ np.hstack(own)
-        power = power @ step
-        if np.max(np.abs(power)) < PULSE_OVER:
-            break
-    return sums
+    before = sums[: (m + 1) * q].reshape(m + 1, q, L, -1)
+    own = sums[(m + 1) * q :].reshape(L, m, L, -1)
+    before = powers.transpose(1, 0, 2).reshape(q, -1) @ before.transpose(0, 2, 1, 3).reshape(
+        m + 1, L * q, -1
+    )
+    own_forced = within.transpose(2, 1, 0).reshape(q, -1) @ own.transpose(1, 0, 2, 3).reshape(
+        m, L * L, -1
+    )
+    forced = before[1:] + own_forced
+    return forced, before[0], np.trace(own, axis1=0, axis2=2)
 
 
 # ---- the equations -------------------------------------------------------------------------
@@ -291,14 +284,16 @@ def normal_equations(model, products, feedthrough):
     """
     A, C, units = model.A, model.C, model.basis.units
     n, m, n_outputs = len(A), len(products.last), len(C)
-    forced = np.einsum("csz,sij->czij", products.forced, units, optimize=True)
-    free = np.tensordot(products.free, units, ((0,), (0,)))
-    last = np.tensordot(products.last, units, 1)
+    flat = units.reshape(len(units), -1)
+    forced = (products.forced.transpose(0, 2, 1) @ flat).reshape(m, -1, n, n)
+    free = (products.free.T @ flat).reshape(-1, n, n)
+    last = (products.last @ flat).reshape(m, n, n)
     power = np.linalg.matrix_power(A, products.n_samples)
     U = products.inputs[:, :m]
     ahead = A @ forced[:, :m]
     both = ahead.transpose(0, 1, 3, 2) + ahead.transpose(1, 0, 2, 3)
-    both += U[:, :, None, None] * np.eye(n) - np.einsum("cki,dkj->cdij", last, last, optimize=True)
+    both += U[:, :, None, None] * np.eye(n)
+    both -= last.transpose(0, 2, 1)[:, None] @ last
     start = (A @ free[:m]).transpose(0, 2, 1) - power.T @ last
     seen, seen_free = C @ forced, C @ free
     B, D, y = np.cumsum([n, n * m, feedthrough * n_outputs * m])  # where columns of each begin
@@ -312,7 +307,8 @@ def normal_equations(model, products, feedthrough):
     if feedthrough:
         G[:B, D:y] = seen_free[:m].transpose(2, 1, 0).reshape(n, -1)
         G[B:D, D:y] = seen[:, :m].transpose(3, 0, 2, 1).reshape(n * m, -1)
-        G[D:y, D:y] = np.kron(np.eye(n_outputs), U)
+        for own in range(D, y, m):
+            G[own : own + m, own : own + m] = U
         G[D:y, y] = products.inputs[:, m:].T.reshape(-1)
     left = np.diagonal(G)[:D]
     whole = np.concatenate([np.ones(n), np.tile(np.diagonal(U), n)])
