@@ -187,6 +187,18 @@ def test_cholesky_is_refused_wherever_a_column_is_nearly_another(rng, column):
     assert triangular.safe_cholesky(X.T @ X) is None
 
 
+@pytest.mark.parametrize("size", [1, 191, 193, 400])
+def test_the_size_of_an_inverse_is_that_of_the_inverse(rng, size):
+    L = np.tril(0.05 * rng.standard_normal((size, size)), -1)
+    L += np.diag(rng.uniform(0.1, 1.0, size))
+    np.testing.assert_allclose(
+        triangular._inverse_square(L), linalg.norm(linalg.inv(L)) ** 2, rtol=1e-3
+    )
+    for tiny in (1e-30, 1e-60):  # beyond single precision: squared, and itself
+        L[-1, -1] = tiny
+        assert triangular._inverse_square(L) == np.inf
+
+
 def test_cholesky_is_refused_where_digits_are_lost(rng):
     X = rng.standard_normal((50, 3))
     R = triangular.safe_cholesky(X.T @ X)
