@@ -1,6 +1,7 @@
 """Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, sparse
@@ -9,7 +10,13 @@ from sklearn_hd._data import lifted_periods
 from sklearn_hd._free_response import MAX_GROWTH, GrowthError
 from sklearn_hd._periodic import PeriodicModel
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.nested_least_squares import NestedLeastSquares
+from sklearn_hd.algorithms.periodic_structure import (
+    PeriodicStructure,
+    SampledResponse,
+    held_pushes,
+    sampled_response,
+)
 from sklearn_hd.algorithms.sensitivity import linear_response
 from sklearn_hd.algorithms.structured_model import column_sizes
 
@@ -17,8 +24,7 @@ __all__ = ["InputProblem", "Realization"]
 
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 ROUNDING = 1e-28
-RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
-NULL_SHARE = 1e-6  # of a parameter's direction in the null space
+RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 
 
@@ -52,6 +58,17 @@ class Realization:
     unidentified: tuple
 
 
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Least squares with some number of harmonics of G."""
+
+    count: int
+    bic: float
+    gains: np.ndarray
+    unknown: np.ndarray
+    shares: tuple  # of the variance: explained, and systematic
+
+
 class InputProblem:
     """G(ψ) and Q(ψ) of a system of known F and P, by linear least squares on the raw record.
 
@@ -75,19 +92,35 @@ class InputProblem:
         And as they determine: inputs that change at a few phases of the period tell more
         harmonics apart only where the outputs are the states.
         """
-        spp, best, worse = self.experiment.basis.samples_per_period, None, 0
-        asked = self.structure.n_harmonics("G")
-        for count in N_INPUT_HARMONICS if asked is None else [asked]:
-            if best is not None and (count > (spp - 1) // 2 or self._numbers(count) > LARGEST_FIT):
+        counts = self._counts()
+        linear = self._known_states(self._resolved(n_harmonics, counts[0]))
+        best, worse, fit, further = None, 0, *self._begun(linear, counts)
+        for count in counts:
+            if best is not None:
+                fit.extend(next(further))
+            found = self._judged(fit, linear, count)
+            if best is not None and np.sum(found.unknown) > np.sum(best.unknown):
                 break
-            found = self._fit({**n_harmonics, "G": count}, physical)
-            if best is not None and len(found[1].unidentified) > len(best[1].unidentified):
-                break
-            worse = 0 if best is None or found[0] < best[0] else worse + 1
+            worse = 0 if best is None or found.bic < best.bic else worse + 1
             best = found if worse == 0 else best
             if worse == 2:
                 break
-        return best[1]
+        return self._realization(best, n_harmonics, counts[0], physical)
+
+    def _counts(self):
+        """Numbers of harmonics of G to be tried."""
+        asked = self.structure.n_harmonics("G")
+        if asked is not None:
+            return [asked]
+        highest = (self.experiment.basis.samples_per_period - 1) // 2
+        n, m, n_starts = len(self.names[0]), len(self.names[1]), self.parts[0][3].shape[1]
+        n_rows = sum(y.size for _, y, _, _ in self.parts)
+        first, *others = N_INPUT_HARMONICS
+        return [first] + [
+            count
+            for count in others
+            if count <= highest and n_rows * ((2 * count + 1) * n * m + n_starts) <= LARGEST_FIT
+        ]
 
     def _segments(self):
         """Whole segments, each from a state that is unknown."""
@@ -130,30 +163,9 @@ class InputProblem:
         own = [np.kron(np.eye(n), x) for x in few[:, -n:]]
         return list(zip(u, y, [phase] * len(u), own, strict=True))
 
-    def _numbers(self, count):
-        n, m = len(self.names[0]), len(self.names[1])
-        n_rows = sum(y.size for _, y, _, _ in self.parts)
-        return n_rows * ((2 * count + 1) * n * m + self.parts[0][3].shape[1])
-
-    def _fit(self, n_harmonics, physical):
-        """Schwarz's criterion, and the realization, with some number of harmonics of G."""
-        full = self.structure.resolve(*self.names, n_harmonics, form=self.form)
-        linear = self._known_states(full)
-        gains, left, unknown = self._least_squares(linear)
-        n_rows, rss = self.n_rows, np.sum(left**2, axis=0) + self.beyond
-        found = linear.coefficients(gains)
-        theta = full.nearest(found)
-        basis = self.experiment.basis
-        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
-        if self.form is not None:
-            full, theta = fixed_scale(full, theta, self.form)
-        fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
-        bic = fit + np.log(n_rows * len(rss)) * len(gains)
-        # from its predictor's states, what a period leaves is no white noise in any case
-        alike = float(np.sum(left[1:] * left[:-1])) if self.simulated else 0.0
-        shares = 1.0 - float(np.sum(rss)) / self.total, alike / self.total
-        unknown = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
-        return bic, Realization(model, full, theta, physical, *shares, unknown)
+    def _resolved(self, n_harmonics, count):
+        """The structure with some number of harmonics of G."""
+        return self.structure.resolve(*self.names, {**n_harmonics, "G": count}, form=self.form)
 
     def _known_states(self, full):
         """The structure with F and P as found (as near as it allows), G and Q left free."""
@@ -170,29 +182,72 @@ class InputProblem:
         names = tuple(np.array(full.parameter_names, dtype=object)[drives])
         return PeriodicStructure(constant, entries[drives], n, names)
 
-    def _least_squares(self, linear):
-        """Parameters that enter linearly, what they leave of the outputs (in parts of their
-        scale), and which of them the record does not determine."""
-        blocks = []
+    def _begun(self, linear, counts):
+        """Least squares by initial states and the parameters of a structure, and an iterator of
+        columns for the harmonics of G that further counts add."""
         spp = self.experiment.basis.samples_per_period
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
         self._check_growth(response)
+        forced, left, free = self._columns(response)
+        fit = NestedLeastSquares(left)
+        fit.extend(np.hstack([free, forced]))
+        return fit, self._further_columns(linear, response, counts)
+
+    def _further_columns(self, linear, response, counts):
+        n, m = linear.n_states, linear.n_inputs
+        spp, theta = self.experiment.basis.samples_per_period, np.zeros(linear.n_parameters)
+        Psi = np.broadcast_to(response.Psi, (spp, n, n + m))
+        if len(counts) > 1:
+            pushes = held_pushes(linear, theta, self.omega, spp, counts[-1])
+        for before, count in pairwise(counts):
+            new = pushes[2 * before + 1 : 2 * count + 1].transpose(0, 3, 1, 2)
+            dPsi = np.zeros((len(new), n, m, spp, n, n + m))
+            for j in range(m):
+                dPsi[:, :, j, :, :, n + j] = new
+            dPsi = dPsi.reshape(-1, spp, n, n + m)
+            yield self._columns(SampledResponse(Psi, response.Out, dPsi))[0]
+
+    def _columns(self, response):
+        """Outputs by the parameters, what parameters of zero leave of them, and outputs by the
+        initial states, in parts of their scale, (n_rows, …)."""
+        blocks = []
         for u, y, phase, starts in self.parts:
             forced, given, free = linear_response(response, u, phase)
-            rows = np.concatenate([forced, free @ starts, (y - given)[:, :, None]], axis=2)
-            blocks.append(rows / self.scale[:, None])
-        rows = np.concatenate(blocks)
-        n_rows = len(rows)
-        rows = rows.reshape(-1, rows.shape[-1])
-        size = column_sizes(rows[:, :-1])
-        R = linalg.qr(rows / np.append(size, 1.0), mode="r")[0][: len(size)]
-        U, values, Vt = linalg.svd(R[:, :-1])
-        kept = values > RANK * np.max(values, initial=0.0)
-        solution = Vt[kept].T @ (U[:, kept].T @ R[:, -1] / values[kept]) / size
-        left = rows[:, -1] - rows[:, :-1] @ solution
-        unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
-        k = linear.n_parameters
-        return solution[:k], left.reshape(n_rows, -1), unknown[:k]
+            free = np.tensordot(starts.T, free, 1)
+            each = forced, (y - given)[None], free
+            blocks.append([(part / self.scale).reshape(len(part), y.size) for part in each])
+        forced, left, free = (np.hstack(parts).T for parts in zip(*blocks, strict=True))
+        return forced, left[:, 0], free
+
+    def _judged(self, fit, linear, count):
+        """Least squares with some number of harmonics of G, and Schwarz's criterion."""
+        solution, left, unknown = fit.solve()
+        left, n_starts = left.reshape(-1, len(self.scale)), self.parts[0][3].shape[1]
+        n_rows, rss = self.n_rows, np.sum(left**2, axis=0) + self.beyond
+        likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
+        bic = likelihood + np.log(n_rows * len(rss)) * (len(solution) - n_starts)
+        # from its predictor's states, what a period leaves is no white noise in any case
+        alike = float(np.sum(left[1:] * left[:-1])) if self.simulated else 0.0
+        shares = 1.0 - float(np.sum(rss)) / self.total, alike / self.total
+        return _Fit(count, bic, solution[n_starts:], unknown[n_starts:], shares)
+
+    def _realization(self, fit, n_harmonics, first, physical):
+        """What a fit found, harmonics of G beyond the first count taken for what they are."""
+        full = self._resolved(n_harmonics, fit.count)
+        linear, basis = self._known_states(full), self.experiment.basis
+        places = linear.basis.indices[linear.basis.indptr[:-1]]
+        harmonic, row, _ = np.unravel_index(places, linear.constant.shape)
+        later = (harmonic > 2 * first) & (row < linear.n_states) & (first < fit.count)
+        order = np.lexsort((np.where(later, places, 0), later))  # as in the columns
+        gains, unknown = np.empty(len(order)), np.empty(len(order), dtype=bool)
+        gains[order], unknown[order] = fit.gains, fit.unknown
+        found = linear.coefficients(gains)
+        theta = full.nearest(found)
+        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
+        if self.form is not None:
+            full, theta = fixed_scale(full, theta, self.form)
+        names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
+        return Realization(model, full, theta, physical, *fit.shares, names)
 
     def _check_growth(self, response):
         periods = max(len(phase) for _, _, phase, _ in self.parts) / max(len(response.Phi), 1)

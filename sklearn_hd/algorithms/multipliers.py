@@ -167,7 +167,7 @@ class _Elimination:
         i, at = 0, self.inputs.shape[1]
         for values, x in zip(np.split(coefficients, self.edges), states, strict=True):
             rate, moved[i : i + len(values)] = self._answer(values, self._later(x)), 0.0
-            for j in range(len(values)):  # x[k], then x[k−1]
+            for _ in values:  # x[k], then x[k−1]
                 place = slice(at, at + rate.shape[1])
                 moved[i] += rate @ weights[place]
                 reached[i, place] = rate.T @ left

@@ -100,34 +100,31 @@ def linear_response(response, u, phase):
     Parameters
     ----------
     response : SampledResponse
-        At θ = 0, with its derivatives; F and P have no parameters.
+        At θ = 0, with its derivatives; F and P have no parameters. Without ``dOut`` the
+        parameters are of G alone.
     u : ndarray, shape (n_samples, m)
     phase : ndarray of int, shape (n_samples,)
         Samples after ψ = 0; consecutive.
 
     Returns
     -------
-    forced : ndarray, shape (n_samples, l, k)
+    forced : ndarray, shape (k, n_samples, l)
         Per unit parameter.
     given : ndarray, shape (n_samples, l)
         What parameters of zero leave.
-    free : ndarray, shape (n_samples, l, n)
+    free : ndarray, shape (n, n_samples, l)
     """
-    n = response.n_states
-    p, q = len(response.Psi), len(response.Out)
-    at, seen = phase % p, phase % q
-    Phi = np.roll(response.Phi, -at[0], axis=0)
-    inputs = np.concatenate([response.dPsi[:, :, :, n:], response.Psi[None, :, :, n:]])
-    forcing = np.einsum("ktim,tm->kti", inputs[:, at], u)
-    forcing = np.concatenate([forcing, np.zeros((n, *forcing.shape[1:]))])
+    n, k = response.n_states, len(response.dPsi)
+    Psi, Out, dPsi = (_rolled(M, phase[0]) for M in (response.Psi, response.Out, response.dPsi))
+    forcing = np.zeros((k + 1 + n, len(u), n))
+    forcing[:k] = _by_phase(dPsi[..., n:], u)
+    forcing[k] = _by_phase(Psi[..., n:], u)
     starts = np.zeros((len(forcing), n))
     starts[-n:] = np.eye(n)
-    states = propagate_periodic(Phi, forcing, starts)
-    outputs = np.einsum("tli,kti->tlk", response.Out[seen][:, :, :n], states)
-    k = len(response.dPsi)
-    outputs[:, :, :k] += np.einsum("ktlm,tm->tlk", response.dOut[:, seen][:, :, :, n:], u)
-    given = outputs[:, :, k] + np.einsum("tlm,tm->tl", response.Out[seen][:, :, n:], u)
-    return outputs[:, :, :k], given, outputs[:, :, k + 1 :]
+    outputs = _by_phase(Out[:, :, :n], propagate_periodic(Psi[:, :, :n], forcing, starts))
+    if response.dOut is not None:
+        outputs[:k] += _by_phase(_rolled(response.dOut, phase[0])[..., n:], u)
+    return outputs[:k], outputs[k] + _by_phase(Out[:, :, n:], u), outputs[k + 1 :]
 
 
 def residuals(response, record, x0):
