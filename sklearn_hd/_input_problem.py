@@ -1,6 +1,6 @@
 """Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy import linalg, sparse
 from sklearn_hd._data import lifted_periods
 from sklearn_hd._free_response import MAX_GROWTH, GrowthError
 from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd.algorithms.combined_periods import CombinedPeriods, combined_periods
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale
 from sklearn_hd.algorithms.nested_least_squares import NestedLeastSquares
 from sklearn_hd.algorithms.periodic_structure import (
@@ -17,7 +18,6 @@ from sklearn_hd.algorithms.periodic_structure import (
     held_pushes,
     sampled_response,
 )
-from sklearn_hd.algorithms.sensitivity import linear_response
 from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = ["InputProblem", "Realization"]
@@ -66,7 +66,8 @@ class _Fit:
     bic: float
     gains: np.ndarray
     unknown: np.ndarray
-    shares: tuple  # of the variance: explained, and systematic
+    rss: float
+    left: np.ndarray
 
 
 class InputProblem:
@@ -80,11 +81,10 @@ class InputProblem:
         basis = experiment.basis
         self.structure, self.free, self.form = structure, free, form
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
-        self.experiment, self.scale, self.simulated = experiment, scale, starts is None
+        self.experiment, self.scale, self.starts = experiment, scale, starts
         self.n_rows = sum(map(len, experiment.outputs))
         self.beyond = np.zeros(len(scale))  # left whatever G and Q are, sum of squares
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
-        self.parts = self._segments() if starts is None else self._periods(np.vstack(starts))
 
     def solve(self, n_harmonics, physical):
         """The realization with as many harmonics of G as the data show (Schwarz's criterion).
@@ -92,13 +92,15 @@ class InputProblem:
         And as they determine: inputs that change at a few phases of the period tell more
         harmonics apart only where the outputs are the states.
         """
+        linear = self._known_states(self._resolved(n_harmonics, self._asked(N_INPUT_HARMONICS[0])))
+        response = self._sampled(linear)
+        self.parts = self._segments(response) if self.starts is None else self._periods()
         counts = self._counts()
-        linear = self._known_states(self._resolved(n_harmonics, counts[0]))
-        best, worse, fit, further = None, 0, *self._begun(linear, counts)
+        best, worse, fit, further = None, 0, *self._begun(linear, response, counts)
         for count in counts:
             if best is not None:
                 fit.extend(next(further))
-            found = self._judged(fit, linear, count)
+            found = self._judged(fit, count)
             if best is not None and np.sum(found.unknown) > np.sum(best.unknown):
                 break
             worse = 0 if best is None or found.bic < best.bic else worse + 1
@@ -107,39 +109,59 @@ class InputProblem:
                 break
         return self._realization(best, n_harmonics, counts[0], physical)
 
+    def _asked(self, default):
+        """Harmonics of G that the structure asks for, or a default."""
+        asked = self.structure.n_harmonics("G")
+        return default if asked is None else asked
+
     def _counts(self):
         """Numbers of harmonics of G to be tried."""
-        asked = self.structure.n_harmonics("G")
-        if asked is not None:
-            return [asked]
-        highest = (self.experiment.basis.samples_per_period - 1) // 2
-        n, m, n_starts = len(self.names[0]), len(self.names[1]), self.parts[0][3].shape[1]
-        n_rows = sum(y.size for _, y, _, _ in self.parts)
         first, *others = N_INPUT_HARMONICS
+        if self._asked(None) is not None:
+            return [self._asked(None)]
+        highest = (self.experiment.basis.samples_per_period - 1) // 2
+        n, m = len(self.names[0]), len(self.names[1])
+        n_rows = sum(np.sum(part.seen) for part in self.parts) * len(self.scale)
+        n_starts = self.parts[0].starts.shape[2]
         return [first] + [
             count
             for count in others
             if count <= highest and n_rows * ((2 * count + 1) * n * m + n_starts) <= LARGEST_FIT
         ]
 
-    def _segments(self):
+    def _sampled(self, linear):
+        """The response of a structure at all phases, G and Q at zero."""
+        spp = self.experiment.basis.samples_per_period
+        response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
+        self._check_growth(response)
+        each = response.Psi, response.Out, response.dPsi, response.dOut
+        return SampledResponse(
+            *(np.broadcast_to(M, (*M.shape[:-3], spp, *M.shape[-2:])) for M in each)
+        )
+
+    def _segments(self, response):
         """Whole segments, each from a state that is unknown."""
         experiment, n = self.experiment, len(self.names[0])
-        parts = []
+        spp, parts, self.folded = experiment.basis.samples_per_period, [], []
         for s, time in enumerate(experiment.times()):
+            first = int(experiment.basis.phase_index(time)[0])
+            Phi = SampledResponse(np.roll(response.Psi, -first, axis=0), response.Out).monodromy
+            u, y = experiment.inputs[s], experiment.outputs[s]
+            part, combinations, rest = combined_periods(Phi, u, y, spp, first)
             own = np.zeros((len(experiment.inputs), n, n))
             own[s] = np.eye(n)
-            phase = experiment.basis.phase_index(time)
-            parts.append((experiment.inputs[s], experiment.outputs[s], phase, np.hstack(own)))
+            parts.append(replace(part, starts=part.starts @ np.hstack(own)))
+            self.folded.append((combinations, rest / self.scale, len(y)))
+        self.beyond = sum(np.sum(rest**2, axis=(0, 1)) for _, rest, _ in self.folded)
         return parts
 
-    def _periods(self, starts):
+    def _periods(self):
         """Periods, each from its state times a matrix that is unknown, all in as few as do.
 
         All begin at ψ = 0, so that linear combinations of them are periods, too: of inputs
         and states Z = U S Vᵀ, no more than the rows of S Vᵀ, and of Uᵀ times the outputs.
         """
-        experiment, spp = self.experiment, self.experiment.basis.samples_per_period
+        experiment, starts = self.experiment, np.vstack(self.starts)
         inputs, outputs = (
             np.vstack(lifted_periods(experiment, signals))
             for signals in (experiment.inputs, experiment.outputs)
@@ -158,10 +180,17 @@ class InputProblem:
         left = (flat - U @ seen).reshape(outputs.shape) / self.scale
         self.n_rows, self.beyond = left[..., 0].size, np.sum(left**2, axis=(0, 1))
         self.total = float(np.sum((outputs / self.scale) ** 2))
-        n, phase = states.shape[1], np.arange(spp)
-        u, y = few[:, :-n].reshape(-1, *inputs.shape[1:]), seen.reshape(-1, *outputs.shape[1:])
-        own = [np.kron(np.eye(n), x) for x in few[:, -n:]]
-        return list(zip(u, y, [phase] * len(u), own, strict=True))
+        d, n = len(few), states.shape[1]
+        return [
+            CombinedPeriods(
+                few[:, :-n].reshape(-1, *inputs.shape[1:]),
+                np.eye(d),
+                np.zeros((d, d, n, n)),
+                np.stack([np.kron(np.eye(n), x) for x in few[:, -n:]]),
+                seen.reshape(-1, *outputs.shape[1:]).transpose(1, 2, 0),
+                np.ones((outputs.shape[1], d), dtype=bool),
+            )
+        ]
 
     def _resolved(self, n_harmonics, count):
         """The structure with some number of harmonics of G."""
@@ -182,12 +211,9 @@ class InputProblem:
         names = tuple(np.array(full.parameter_names, dtype=object)[drives])
         return PeriodicStructure(constant, entries[drives], n, names)
 
-    def _begun(self, linear, counts):
+    def _begun(self, linear, response, counts):
         """Least squares by initial states and the parameters of a structure, and an iterator of
         columns for the harmonics of G that further counts add."""
-        spp = self.experiment.basis.samples_per_period
-        response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
-        self._check_growth(response)
         forced, left, free = self._columns(response)
         fit = NestedLeastSquares(left)
         fit.extend(np.hstack([free, forced]))
@@ -196,7 +222,6 @@ class InputProblem:
     def _further_columns(self, linear, response, counts):
         n, m = linear.n_states, linear.n_inputs
         spp, theta = self.experiment.basis.samples_per_period, np.zeros(linear.n_parameters)
-        Psi = np.broadcast_to(response.Psi, (spp, n, n + m))
         if len(counts) > 1:
             pushes = held_pushes(linear, theta, self.omega, spp, counts[-1])
         for before, count in pairwise(counts):
@@ -205,31 +230,40 @@ class InputProblem:
             for j in range(m):
                 dPsi[:, :, j, :, :, n + j] = new
             dPsi = dPsi.reshape(-1, spp, n, n + m)
-            yield self._columns(SampledResponse(Psi, response.Out, dPsi))[0]
+            yield self._columns(SampledResponse(response.Psi, response.Out, dPsi))[0]
 
     def _columns(self, response):
         """Outputs by the parameters, what parameters of zero leave of them, and outputs by the
         initial states, in parts of their scale, (n_rows, …)."""
-        blocks = []
-        for u, y, phase, starts in self.parts:
-            forced, given, free = linear_response(response, u, phase)
-            free = np.tensordot(starts.T, free, 1)
-            each = forced, (y - given)[None], free
-            blocks.append([(part / self.scale).reshape(len(part), y.size) for part in each])
-        forced, left, free = (np.hstack(parts).T for parts in zip(*blocks, strict=True))
-        return forced, left[:, 0], free
+        each = [part.columns(response, self.scale) for part in self.parts]
+        return [np.concatenate(blocks) for blocks in zip(*each, strict=True)]
 
-    def _judged(self, fit, linear, count):
+    def _judged(self, fit, count):
         """Least squares with some number of harmonics of G, and Schwarz's criterion."""
         solution, left, unknown = fit.solve()
-        left, n_starts = left.reshape(-1, len(self.scale)), self.parts[0][3].shape[1]
-        n_rows, rss = self.n_rows, np.sum(left**2, axis=0) + self.beyond
+        n_starts = self.parts[0].starts.shape[2]
+        n_rows, n_outputs = self.n_rows, len(self.scale)
+        rss = np.sum(left.reshape(-1, n_outputs) ** 2, axis=0) + self.beyond
         likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
-        bic = likelihood + np.log(n_rows * len(rss)) * (len(solution) - n_starts)
-        # from its predictor's states, what a period leaves is no white noise in any case
-        alike = float(np.sum(left[1:] * left[:-1])) if self.simulated else 0.0
-        shares = 1.0 - float(np.sum(rss)) / self.total, alike / self.total
-        return _Fit(count, bic, solution[n_starts:], unknown[n_starts:], shares)
+        bic = likelihood + np.log(n_rows * n_outputs) * (len(solution) - n_starts)
+        return _Fit(count, bic, solution[n_starts:], unknown[n_starts:], float(np.sum(rss)), left)
+
+    def _systematic(self, left):
+        """Covariance of what is left of neighbouring samples, summed.
+
+        From its predictor's states, what a period leaves is no white noise in any case.
+        """
+        if self.starts is not None:
+            return 0.0
+        edges, samples = np.cumsum([np.sum(part.seen) for part in self.parts])[:-1], []
+        blocks = np.split(left.reshape(-1, len(self.scale)), edges)
+        for part, (combinations, rest, length), rows in zip(
+            self.parts, self.folded, blocks, strict=True
+        ):
+            whole = rest + np.tensordot(combinations, part.unfolded(rows), (1, 2))
+            samples.append(whole.reshape(-1, len(self.scale))[:length])
+        samples = np.vstack(samples)
+        return float(np.sum(samples[1:] * samples[:-1]))
 
     def _realization(self, fit, n_harmonics, first, physical):
         """What a fit found, harmonics of G beyond the first count taken for what they are."""
@@ -247,11 +281,14 @@ class InputProblem:
         if self.form is not None:
             full, theta = fixed_scale(full, theta, self.form)
         names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
-        return Realization(model, full, theta, physical, *fit.shares, names)
+        shares = 1.0 - fit.rss / self.total, self._systematic(fit.left) / self.total
+        return Realization(model, full, theta, physical, *shares, names)
 
     def _check_growth(self, response):
-        periods = max(len(phase) for _, _, phase, _ in self.parts) / max(len(response.Phi), 1)
-        growth = periods * np.log(max(response.spectral_radius, 1e-300))
+        n_samples = max(map(len, self.experiment.outputs))
+        if self.starts is not None:  # each period from its own
+            n_samples = self.experiment.basis.samples_per_period
+        growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
         if not growth <= MAX_GROWTH:
             raise GrowthError(
                 f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "

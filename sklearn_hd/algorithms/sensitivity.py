@@ -19,7 +19,6 @@ __all__ = [
     "Record",
     "as_records",
     "jacobian_factors",
-    "linear_response",
     "residuals",
     "simulate",
 ]
@@ -92,39 +91,6 @@ def simulate(response, record, x0):
     forcing = _by_phase(Psi[:, :, n:], record.inputs)
     x = _propagate(Psi[:, :, :n], forcing, x0)
     return x, _by_phase(Out, np.concatenate([x, record.inputs], axis=1))
-
-
-def linear_response(response, u, phase):
-    """Outputs of one segment by the parameters of G and Q, and by its initial state.
-
-    Parameters
-    ----------
-    response : SampledResponse
-        At θ = 0, with its derivatives; F and P have no parameters. Without ``dOut`` the
-        parameters are of G alone.
-    u : ndarray, shape (n_samples, m)
-    phase : ndarray of int, shape (n_samples,)
-        Samples after ψ = 0; consecutive.
-
-    Returns
-    -------
-    forced : ndarray, shape (k, n_samples, l)
-        Per unit parameter.
-    given : ndarray, shape (n_samples, l)
-        What parameters of zero leave.
-    free : ndarray, shape (n, n_samples, l)
-    """
-    n, k = response.n_states, len(response.dPsi)
-    Psi, Out, dPsi = (_rolled(M, phase[0]) for M in (response.Psi, response.Out, response.dPsi))
-    forcing = np.zeros((k + 1 + n, len(u), n))
-    forcing[:k] = _by_phase(dPsi[..., n:], u)
-    forcing[k] = _by_phase(Psi[..., n:], u)
-    starts = np.zeros((len(forcing), n))
-    starts[-n:] = np.eye(n)
-    outputs = _by_phase(Out[:, :, :n], propagate_periodic(Psi[:, :, :n], forcing, starts))
-    if response.dOut is not None:
-        outputs[:k] += _by_phase(_rolled(response.dOut, phase[0])[..., n:], u)
-    return outputs[:k], outputs[k] + _by_phase(Out[:, :, n:], u), outputs[k + 1 :]
 
 
 def residuals(response, record, x0):
