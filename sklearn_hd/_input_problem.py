@@ -214,28 +214,28 @@ class InputProblem:
     def _begun(self, linear, response, counts):
         """Least squares by initial states and the parameters of a structure, and an iterator of
         columns for the harmonics of G that further counts add."""
-        forced, left, free = self._columns(response)
+        added = response.dPsi[..., linear.n_states :], response.dOut[..., linear.n_states :]
+        forced, left, free = self._columns(response, *added)
         fit = NestedLeastSquares(left)
         fit.extend(np.hstack([free, forced]))
         return fit, self._further_columns(linear, response, counts)
 
     def _further_columns(self, linear, response, counts):
-        n, m = linear.n_states, linear.n_inputs
-        spp, theta = self.experiment.basis.samples_per_period, np.zeros(linear.n_parameters)
+        n, m, spp = linear.n_states, linear.n_inputs, len(response.Psi)
         if len(counts) > 1:
-            pushes = held_pushes(linear, theta, self.omega, spp, counts[-1])
+            rest = np.zeros(linear.n_parameters)
+            pushes = held_pushes(linear, rest, self.omega, spp, counts[-1])
         for before, count in pairwise(counts):
             new = pushes[2 * before + 1 : 2 * count + 1].transpose(0, 3, 1, 2)
-            dPsi = np.zeros((len(new), n, m, spp, n, n + m))
+            gains = np.zeros((len(new), n, m, spp, n, m))
             for j in range(m):
-                dPsi[:, :, j, :, :, n + j] = new
-            dPsi = dPsi.reshape(-1, spp, n, n + m)
-            yield self._columns(SampledResponse(response.Psi, response.Out, dPsi))[0]
+                gains[:, :, j, :, :, j] = new
+            yield self._columns(response, gains.reshape(-1, spp, n, m))[0]
 
-    def _columns(self, response):
+    def _columns(self, response, gains, direct=None):
         """Outputs by the parameters, what parameters of zero leave of them, and outputs by the
         initial states, in parts of their scale, (n_rows, …)."""
-        each = [part.columns(response, self.scale) for part in self.parts]
+        each = [part.columns(response, gains, direct, self.scale) for part in self.parts]
         return [np.concatenate(blocks) for blocks in zip(*each, strict=True)]
 
     def _judged(self, fit, count):
@@ -271,7 +271,7 @@ class InputProblem:
         linear, basis = self._known_states(full), self.experiment.basis
         places = linear.basis.indices[linear.basis.indptr[:-1]]
         harmonic, row, _ = np.unravel_index(places, linear.constant.shape)
-        later = (harmonic > 2 * first) & (row < linear.n_states) & (first < fit.count)
+        later = (harmonic > 2 * first) & (row < linear.n_states)
         order = np.lexsort((np.where(later, places, 0), later))  # as in the columns
         gains, unknown = np.empty(len(order)), np.empty(len(order), dtype=bool)
         gains[order], unknown[order] = fit.gains, fit.unknown

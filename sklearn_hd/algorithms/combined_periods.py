@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.multipliers import orthonormal_range
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.structured_model import column_sizes
 
@@ -51,14 +52,17 @@ class CombinedPeriods:
     seen: np.ndarray
     first_phase: int = 0
 
-    def columns(self, response, scale):
+    def columns(self, response, gains, direct, scale):
         """Outputs by the parameters and by the initial state, in parts of their scale.
 
         Parameters
         ----------
         response : SampledResponse
-            At θ = 0, every matrix at all phases, with its derivatives; F and P have no
-            parameters. Without ``dOut`` the parameters are of G alone.
+            Ψ and Out at θ = 0, both at all phases.
+        gains : ndarray, shape (k, n_phases, n, m)
+            What one unit of each parameter adds to Γ.
+        direct : ndarray, shape (k, n_phases, l, m), or None
+            What it adds to Q; nothing by default.
         scale : ndarray, shape (l,)
 
         Returns
@@ -69,30 +73,30 @@ class CombinedPeriods:
             The outputs measured less what parameters of zero leave.
         free : ndarray, shape (n_rows, s)
         """
-        n = response.n_states
-        Psi, Out, dPsi = (
-            np.roll(M, -self.first_phase, axis=-3)
-            for M in (response.Psi, response.Out, response.dPsi)
-        )
-        within, ends = self._within(Psi, Out, np.concatenate([dPsi, Psi[None]])[..., n:])
-        direct = np.zeros((len(dPsi) + 1, *Out.shape))
-        direct[-1] = Out
-        if response.dOut is not None:
-            direct[:-1] = np.roll(response.dOut, -self.first_phase, axis=-3)
-        within += self._by_direction(direct[..., n:])
+        n, k = response.n_states, len(gains)
+        Psi, Out, gains = (self._turned(M) for M in (response.Psi, response.Out, gains))
+        within, ends = self._within(Psi, Out, np.concatenate([gains, Psi[None, :, :, n:]]))
+        within[:, :, k:] += self._by_direction(Out[None, :, :, n:])
+        if direct is not None:
+            within[:, :, :k] += self._by_direction(self._turned(direct))
         sights = _sights(Psi[:, :, :n], Out[:, :, :n])
         begun = np.tensordot(ends, self.answers, ((0, 2), (2, 1)))  # (k + 1, d, n)
         forced = within @ self.mix.T + np.tensordot(sights, begun, (2, 2))
-        free = np.tensordot(sights, self.starts, (2, 1))
-        forced, free = self._rows(forced, scale), self._rows(free.swapaxes(2, 3), scale)
-        outputs = self._rows(self.outputs[:, :, None], scale)[:, 0]
-        return forced[:, :-1], outputs - forced[:, -1], free
+        free = np.tensordot(sights, self.starts, (2, 1)).swapaxes(2, 3)
+        forced, free, outputs = (
+            self._rows(values, scale) for values in (forced, free, self.outputs[:, :, None])
+        )
+        return forced[:, :k], outputs[:, 0] - forced[:, k], free
 
     def unfolded(self, rows):
         """Rows of one column, where they stand in each combination, (n_phases, l, d)."""
         whole = np.zeros((self.seen.shape[1], len(self.seen), self.outputs.shape[1]))
         whole[self.seen.T] = rows.reshape(-1, self.outputs.shape[1])
         return whole.transpose(1, 2, 0)
+
+    def _turned(self, matrices):
+        """Matrices of one period (…, n_phases, a, b) from the first phase on."""
+        return np.roll(matrices, -self.first_phase, axis=-3)
 
     def _rows(self, values, scale):
         """(n_phases, l, k, d) as (n_rows, k), samples of a combination one after the other."""
@@ -114,7 +118,8 @@ class CombinedPeriods:
             flat[j] = x
             x = factor @ x + v[j]
         outputs = Out[:, :, :n] @ flat
-        return outputs.reshape(len(Psi), -1, *states.shape[2:]), x.reshape(n, *states.shape[2:])
+        k_and_r = states.shape[2:]
+        return outputs.reshape(*Out.shape[:2], *k_and_r), x.reshape(n, *k_and_r)
 
 
 def _sights(Phi, P):
@@ -159,7 +164,8 @@ def combined_periods(Phi, u, y, n_phases, first_phase):
     forced = propagate(Phi, forcing, np.zeros((len(W.T), n, n))).transpose(2, 0, 1, 3)
     free = propagate(Phi, np.zeros((n, n_periods, n)), np.eye(n)).transpose(1, 2, 0)
     moves = np.hstack([M.reshape(n_periods, -1) for M in (W, forced, free)])[:whole]
-    T = _completed(_range(moves), n_periods)
+    Q = orthonormal_range(moves, rank=RANK) if whole else np.zeros((0, 0))
+    T = linalg.block_diag(Q, np.eye(n_periods - whole))  # a period cut short stands alone
     flat = outputs.reshape(n_periods, -1)
     combined = T.T @ flat
     seen = np.ones((n_phases, T.shape[1]), dtype=bool)
@@ -183,16 +189,3 @@ def _by_period(signal, n_phases):
     filled = np.zeros((n_periods * n_phases, signal.shape[1]))
     filled[: len(signal)] = signal
     return filled.reshape(n_periods, n_phases, -1)
-
-
-def _range(columns):
-    """Orthonormal columns that span what some columns do."""
-    if not columns.size:
-        return np.zeros((len(columns), 0))
-    Q, R, _ = linalg.qr(columns / column_sizes(columns), mode="economic", pivoting=True)
-    return Q[:, np.abs(np.diag(R)) > RANK]
-
-
-def _completed(Q, n_periods):
-    """Orthonormal columns of whole periods, and a period cut short by itself."""
-    return linalg.block_diag(Q, np.eye(n_periods - len(Q)))

@@ -350,7 +350,7 @@ def compact(stacked):
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
 
 
-def orthonormal_range(columns, beyond=None):
+def orthonormal_range(columns, beyond=None, rank=RANK):
     """Orthonormal columns that span what some columns do, dependent ones left out.
 
     What a mode answers to a step is the step less its answers to the step's edges: nothing
@@ -362,10 +362,12 @@ def orthonormal_range(columns, beyond=None):
     columns : ndarray, shape (n_rows, n_columns)
     beyond : ndarray, shape (n_rows, n_known), optional
         Orthonormal; what they span is left out.
+    rank : float, default=1e-11
+        Of columns of length one, what is new in one that counts as independent.
 
     Returns
     -------
-    Q : ndarray, shape (n_rows, rank)
+    Q : ndarray, shape (n_rows, n_independent)
 
     Examples
     --------
@@ -378,7 +380,7 @@ def orthonormal_range(columns, beyond=None):
     if not columns.size:
         return columns
     Q, R, _ = linalg.qr(columns, mode="economic", pivoting=True)
-    return Q[:, np.abs(np.diag(R)) > RANK]
+    return Q[:, np.abs(np.diag(R)) > rank]
 
 
 def mode_steps(Phi):
