@@ -143,30 +143,21 @@ class _Elimination:
         starts[[segment.start for segment in self.segments], range(len(self.segments))] = 1.0
         self.sources = np.hstack([self._later(self.inputs), starts])
         self._last = None, None
-        self._last_factor = None, None
 
     def left(self, coefficients):
-        """r, shape (n_periods q,)."""
-        found = self._projection(coefficients)
+        """r, shape (n_periods q,), and ∂r/∂c, shape (n_periods q, n)."""
+        n, q = len(coefficients), self.target.shape[1]
+        found = self._project(coefficients)
         if found is None:
-            return self.target.ravel()
-        return found[-1].ravel()
-
-    def jacobian(self, coefficients):
-        """∂r/∂c, shape (n_periods q, n)."""
-        found = self._projection(coefficients)
-        if found is None:
-            return np.zeros((self.target.size, len(coefficients)))
+            return self.target.ravel(), np.zeros((self.target.size, n))
         states, Q, R, kept, explained, left = found
         inverse = linalg.solve_triangular(R, np.eye(len(R)), check_finite=False)
-        n_columns = self.inputs.shape[1] + len(coefficients) * self.sources.shape[1]
-        weights = np.zeros((n_columns, self.target.shape[1]))
+        weights = np.zeros((self.inputs.shape[1] + n * self.sources.shape[1], q))
         weights[kept] = inverse @ explained
-        moved = np.empty((len(coefficients), *self.target.shape))
-        reached = np.zeros((len(coefficients), *weights.shape))
+        moved, reached = np.zeros((n, *self.target.shape)), np.zeros((n, *weights.shape))
         i, at = 0, self.inputs.shape[1]
         for values, x in zip(np.split(coefficients, self.edges), states, strict=True):
-            rate, moved[i : i + len(values)] = self._answer(values, self._later(x)), 0.0
+            rate = self._answer(values, self._later(x))
             for _ in values:  # x[k], then x[k−1]
                 place = slice(at, at + rate.shape[1])
                 moved[i] += rate @ weights[place]
@@ -178,24 +169,16 @@ class _Elimination:
                 moved[i + 1] = -self._later(moved[i])
             i += len(values)
         inside = inverse.T @ reached[:, kept] - Q.T @ moved
-        return -(moved + Q @ inside).reshape(len(moved), -1).T
+        return left.ravel(), -(moved + Q @ inside).reshape(n, -1).T
 
     def factor(self, coefficients):
         """Triangular factor of [∂r/∂c r], shape (n + 1, n + 1): few numbers, the same products."""
-        asked, factor = self._last_factor
+        asked, factor = self._last
         if asked is None or not np.array_equal(asked, coefficients):
-            columns = np.column_stack([self.jacobian(coefficients), self.left(coefficients)])
-            factor = np.linalg.qr(columns, mode="r")
-            self._last_factor = coefficients.copy(), factor
+            left, jacobian = self.left(coefficients)
+            factor = np.linalg.qr(np.column_stack([jacobian, left]), mode="r")
+            self._last = coefficients.copy(), factor
         return factor
-
-    def _projection(self, coefficients):
-        """What :meth:`_project` finds, kept for the next call."""
-        asked, found = self._last
-        if asked is None or not np.array_equal(asked, coefficients):
-            found = self._project(coefficients)
-            self._last = coefficients.copy(), found
-        return found
 
     def _project(self, coefficients):
         """Answers of each block, Q R of independent columns of M and which they are, what they
