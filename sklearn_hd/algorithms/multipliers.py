@@ -19,6 +19,7 @@ from sklearn_hd.algorithms.structured_model import column_sizes
 __all__ = [
     "LARGEST_RESPONSE",
     "RefinedMap",
+    "block_and_slopes",
     "characteristic",
     "compact",
     "invariant_blocks",
@@ -307,23 +308,39 @@ def with_characteristic(block, coefficients):
     -------
     block : ndarray, of the same shape
     """
+    return block_and_slopes(block, coefficients)[0]
+
+
+def block_and_slopes(block, coefficients):
+    """:func:`with_characteristic`, and its derivatives by the coefficients, (d, d, d)."""
     if len(block) == 1:
-        return np.reshape(coefficients, (1, 1))
+        return np.reshape(coefficients, (1, 1)), np.ones((1, 1, 1))
     trace, determinant = coefficients
-    N = block - 0.5 * np.trace(block) * np.eye(2)
-    square, wanted = N[0, 0] ** 2 + N[0, 1] * N[1, 0], 0.25 * trace**2 - determinant
+    N, slope = _traceless(block - 0.5 * np.trace(block) * np.eye(2), 0.25 * trace**2 - determinant)
+    by_trace = 0.5 * np.eye(2) + 0.5 * trace * slope
+    return 0.5 * trace * np.eye(2) + N, np.stack([by_trace, -slope])
+
+
+def _traceless(N, wanted):
+    """The matrix nearest in kind to N whose square is a wanted number, and its derivative by it."""
+    square = N[0, 0] ** 2 + N[0, 1] * N[1, 0]
     if square * wanted > 0.0:
-        return 0.5 * trace * np.eye(2) + N * np.sqrt(wanted / square)
+        N = N * np.sqrt(wanted / square)
+        return N, N / (2.0 * wanted)
     angle = 0.5 * np.arctan2(-2.0 * N[0, 0], N[0, 1] + N[1, 0])
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s], [s, c]])
     b, c = (turn.T @ N @ turn)[[0, 1], [1, 0]]
     upper = abs(b) >= abs(c)
     kept = b if upper else c
+    grown = abs(kept) < np.sqrt(abs(wanted))
     kept = np.copysign(max(abs(kept), np.sqrt(abs(wanted))), kept)
     other = wanted / kept if kept else 0.0
-    N = np.array([[0.0, kept], [other, 0.0]] if upper else [[0.0, other], [kept, 0.0]])
-    return 0.5 * trace * np.eye(2) + turn @ N @ turn.T
+    N = np.array([[0.0, kept], [other, 0.0]])
+    slope = np.array([[0.0, 0.0], [1.0 / kept if kept else 0.0, 0.0]])
+    slope = N / (2.0 * wanted) if grown else slope
+    N, slope = (each if upper else each.T for each in (N, slope))
+    return turn @ N @ turn.T, turn @ slope @ turn.T
 
 
 def compact(stacked):
