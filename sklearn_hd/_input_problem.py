@@ -1,6 +1,7 @@
 """Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, sparse
@@ -8,17 +9,22 @@ from scipy import linalg, sparse
 from sklearn_hd._data import lifted_periods
 from sklearn_hd._free_response import MAX_GROWTH, GrowthError
 from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd.algorithms.combined_periods import CombinedPeriods, combined_periods
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
-from sklearn_hd.algorithms.sensitivity import linear_response
+from sklearn_hd.algorithms.nested_least_squares import NestedLeastSquares
+from sklearn_hd.algorithms.periodic_structure import (
+    PeriodicStructure,
+    SampledResponse,
+    held_pushes,
+    sampled_response,
+)
 from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = ["InputProblem", "Realization"]
 
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 ROUNDING = 1e-28
-RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
-NULL_SHARE = 1e-6  # of a parameter's direction in the null space
+RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 
 
@@ -52,6 +58,18 @@ class Realization:
     unidentified: tuple
 
 
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Least squares with some number of harmonics of G."""
+
+    count: int
+    bic: float
+    gains: np.ndarray
+    unknown: np.ndarray
+    rss: float
+    left: np.ndarray
+
+
 class InputProblem:
     """G(ψ) and Q(ψ) of a system of known F and P, by linear least squares on the raw record.
 
@@ -63,11 +81,10 @@ class InputProblem:
         basis = experiment.basis
         self.structure, self.free, self.form = structure, free, form
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
-        self.experiment, self.scale, self.simulated = experiment, scale, starts is None
+        self.experiment, self.scale, self.starts = experiment, scale, starts
         self.n_rows = sum(map(len, experiment.outputs))
         self.beyond = np.zeros(len(scale))  # left whatever G and Q are, sum of squares
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
-        self.parts = self._segments() if starts is None else self._periods(np.vstack(starts))
 
     def solve(self, n_harmonics, physical):
         """The realization with as many harmonics of G as the data show (Schwarz's criterion).
@@ -75,38 +92,76 @@ class InputProblem:
         And as they determine: inputs that change at a few phases of the period tell more
         harmonics apart only where the outputs are the states.
         """
-        spp, best, worse = self.experiment.basis.samples_per_period, None, 0
-        asked = self.structure.n_harmonics("G")
-        for count in N_INPUT_HARMONICS if asked is None else [asked]:
-            if best is not None and (count > (spp - 1) // 2 or self._numbers(count) > LARGEST_FIT):
+        linear = self._known_states(self._resolved(n_harmonics, self._asked(N_INPUT_HARMONICS[0])))
+        response = self._sampled(linear)
+        self.parts = self._segments(response) if self.starts is None else self._periods()
+        counts = self._counts()
+        best, worse, fit, further = None, 0, *self._begun(linear, response, counts)
+        for count in counts:
+            if best is not None:
+                fit.extend(next(further))
+            found = self._judged(fit, count)
+            if best is not None and np.sum(found.unknown) > np.sum(best.unknown):
                 break
-            found = self._fit({**n_harmonics, "G": count}, physical)
-            if best is not None and len(found[1].unidentified) > len(best[1].unidentified):
-                break
-            worse = 0 if best is None or found[0] < best[0] else worse + 1
+            worse = 0 if best is None or found.bic < best.bic else worse + 1
             best = found if worse == 0 else best
             if worse == 2:
                 break
-        return best[1]
+        return self._realization(best, n_harmonics, counts[0], physical)
 
-    def _segments(self):
+    def _asked(self, default):
+        """Harmonics of G that the structure asks for, or a default."""
+        asked = self.structure.n_harmonics("G")
+        return default if asked is None else asked
+
+    def _counts(self):
+        """Numbers of harmonics of G to be tried."""
+        first, *others = N_INPUT_HARMONICS
+        if self._asked(None) is not None:
+            return [self._asked(None)]
+        highest = (self.experiment.basis.samples_per_period - 1) // 2
+        n, m = len(self.names[0]), len(self.names[1])
+        n_rows = sum(np.sum(part.seen) for part in self.parts) * len(self.scale)
+        n_starts = self.parts[0].starts.shape[2]
+        return [first] + [
+            count
+            for count in others
+            if count <= highest and n_rows * ((2 * count + 1) * n * m + n_starts) <= LARGEST_FIT
+        ]
+
+    def _sampled(self, linear):
+        """The response of a structure at all phases, G and Q at zero."""
+        spp = self.experiment.basis.samples_per_period
+        response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
+        self._check_growth(response)
+        each = response.Psi, response.Out, response.dPsi, response.dOut
+        return SampledResponse(
+            *(np.broadcast_to(M, (*M.shape[:-3], spp, *M.shape[-2:])) for M in each)
+        )
+
+    def _segments(self, response):
         """Whole segments, each from a state that is unknown."""
         experiment, n = self.experiment, len(self.names[0])
-        parts = []
+        spp, parts, self.folded = experiment.basis.samples_per_period, [], []
         for s, time in enumerate(experiment.times()):
+            first = int(experiment.basis.phase_index(time)[0])
+            Phi = SampledResponse(np.roll(response.Psi, -first, axis=0), response.Out).monodromy
+            u, y = experiment.inputs[s], experiment.outputs[s]
+            part, combinations, rest = combined_periods(Phi, u, y, spp, first)
             own = np.zeros((len(experiment.inputs), n, n))
             own[s] = np.eye(n)
-            phase = experiment.basis.phase_index(time)
-            parts.append((experiment.inputs[s], experiment.outputs[s], phase, np.hstack(own)))
+            parts.append(replace(part, starts=part.starts @ np.hstack(own)))
+            self.folded.append((combinations, rest / self.scale, len(y)))
+        self.beyond = sum(np.sum(rest**2, axis=(0, 1)) for _, rest, _ in self.folded)
         return parts
 
-    def _periods(self, starts):
+    def _periods(self):
         """Periods, each from its state times a matrix that is unknown, all in as few as do.
 
         All begin at ψ = 0, so that linear combinations of them are periods, too: of inputs
         and states Z = U S Vᵀ, no more than the rows of S Vᵀ, and of Uᵀ times the outputs.
         """
-        experiment, spp = self.experiment, self.experiment.basis.samples_per_period
+        experiment, starts = self.experiment, np.vstack(self.starts)
         inputs, outputs = (
             np.vstack(lifted_periods(experiment, signals))
             for signals in (experiment.inputs, experiment.outputs)
@@ -125,35 +180,21 @@ class InputProblem:
         left = (flat - U @ seen).reshape(outputs.shape) / self.scale
         self.n_rows, self.beyond = left[..., 0].size, np.sum(left**2, axis=(0, 1))
         self.total = float(np.sum((outputs / self.scale) ** 2))
-        n, phase = states.shape[1], np.arange(spp)
-        u, y = few[:, :-n].reshape(-1, *inputs.shape[1:]), seen.reshape(-1, *outputs.shape[1:])
-        own = [np.kron(np.eye(n), x) for x in few[:, -n:]]
-        return list(zip(u, y, [phase] * len(u), own, strict=True))
+        d, n = len(few), states.shape[1]
+        return [
+            CombinedPeriods(
+                few[:, :-n].reshape(-1, *inputs.shape[1:]),
+                np.eye(d),
+                np.zeros((d, d, n, n)),
+                np.stack([np.kron(np.eye(n), x) for x in few[:, -n:]]),
+                seen.reshape(-1, *outputs.shape[1:]).transpose(1, 2, 0),
+                np.ones((outputs.shape[1], d), dtype=bool),
+            )
+        ]
 
-    def _numbers(self, count):
-        n, m = len(self.names[0]), len(self.names[1])
-        n_rows = sum(y.size for _, y, _, _ in self.parts)
-        return n_rows * ((2 * count + 1) * n * m + self.parts[0][3].shape[1])
-
-    def _fit(self, n_harmonics, physical):
-        """Schwarz's criterion, and the realization, with some number of harmonics of G."""
-        full = self.structure.resolve(*self.names, n_harmonics, form=self.form)
-        linear = self._known_states(full)
-        gains, left, unknown = self._least_squares(linear)
-        n_rows, rss = self.n_rows, np.sum(left**2, axis=0) + self.beyond
-        found = linear.coefficients(gains)
-        theta = full.nearest(found)
-        basis = self.experiment.basis
-        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
-        if self.form is not None:
-            full, theta = fixed_scale(full, theta, self.form)
-        fit = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
-        bic = fit + np.log(n_rows * len(rss)) * len(gains)
-        # from its predictor's states, what a period leaves is no white noise in any case
-        alike = float(np.sum(left[1:] * left[:-1])) if self.simulated else 0.0
-        shares = 1.0 - float(np.sum(rss)) / self.total, alike / self.total
-        unknown = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
-        return bic, Realization(model, full, theta, physical, *shares, unknown)
+    def _resolved(self, n_harmonics, count):
+        """The structure with some number of harmonics of G."""
+        return self.structure.resolve(*self.names, {**n_harmonics, "G": count}, form=self.form)
 
     def _known_states(self, full):
         """The structure with F and P as found (as near as it allows), G and Q left free."""
@@ -170,33 +211,84 @@ class InputProblem:
         names = tuple(np.array(full.parameter_names, dtype=object)[drives])
         return PeriodicStructure(constant, entries[drives], n, names)
 
-    def _least_squares(self, linear):
-        """Parameters that enter linearly, what they leave of the outputs (in parts of their
-        scale), and which of them the record does not determine."""
-        blocks = []
-        spp = self.experiment.basis.samples_per_period
-        response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
-        self._check_growth(response)
-        for u, y, phase, starts in self.parts:
-            forced, given, free = linear_response(response, u, phase)
-            rows = np.concatenate([forced, free @ starts, (y - given)[:, :, None]], axis=2)
-            blocks.append(rows / self.scale[:, None])
-        rows = np.concatenate(blocks)
-        n_rows = len(rows)
-        rows = rows.reshape(-1, rows.shape[-1])
-        size = column_sizes(rows[:, :-1])
-        R = linalg.qr(rows / np.append(size, 1.0), mode="r")[0][: len(size)]
-        U, values, Vt = linalg.svd(R[:, :-1])
-        kept = values > RANK * np.max(values, initial=0.0)
-        solution = Vt[kept].T @ (U[:, kept].T @ R[:, -1] / values[kept]) / size
-        left = rows[:, -1] - rows[:, :-1] @ solution
-        unknown = np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
-        k = linear.n_parameters
-        return solution[:k], left.reshape(n_rows, -1), unknown[:k]
+    def _begun(self, linear, response, counts):
+        """Least squares by initial states and the parameters of a structure, and an iterator of
+        columns for the harmonics of G that further counts add."""
+        added = response.dPsi[..., linear.n_states :], response.dOut[..., linear.n_states :]
+        forced, left, free = self._columns(response, *added)
+        fit = NestedLeastSquares(left)
+        fit.extend(np.hstack([free, forced]))
+        return fit, self._further_columns(linear, response, counts)
+
+    def _further_columns(self, linear, response, counts):
+        n, m, spp = linear.n_states, linear.n_inputs, len(response.Psi)
+        if len(counts) > 1:
+            rest = np.zeros(linear.n_parameters)
+            pushes = held_pushes(linear, rest, self.omega, spp, counts[-1])
+        for before, count in pairwise(counts):
+            new = pushes[2 * before + 1 : 2 * count + 1].transpose(0, 3, 1, 2)
+            gains = np.zeros((len(new), n, m, spp, n, m))
+            for j in range(m):
+                gains[:, :, j, :, :, j] = new
+            yield self._columns(response, gains.reshape(-1, spp, n, m))[0]
+
+    def _columns(self, response, gains, direct=None):
+        """Outputs by the parameters, what parameters of zero leave of them, and outputs by the
+        initial states, in parts of their scale, (n_rows, …)."""
+        each = [part.columns(response, gains, direct, self.scale) for part in self.parts]
+        return [np.concatenate(blocks) for blocks in zip(*each, strict=True)]
+
+    def _judged(self, fit, count):
+        """Least squares with some number of harmonics of G, and Schwarz's criterion."""
+        solution, left, unknown = fit.solve()
+        n_starts = self.parts[0].starts.shape[2]
+        n_rows, n_outputs = self.n_rows, len(self.scale)
+        rss = np.sum(left.reshape(-1, n_outputs) ** 2, axis=0) + self.beyond
+        likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
+        bic = likelihood + np.log(n_rows * n_outputs) * (len(solution) - n_starts)
+        return _Fit(count, bic, solution[n_starts:], unknown[n_starts:], float(np.sum(rss)), left)
+
+    def _systematic(self, left):
+        """Covariance of what is left of neighbouring samples, summed.
+
+        From its predictor's states, what a period leaves is no white noise in any case.
+        """
+        if self.starts is not None:
+            return 0.0
+        edges, samples = np.cumsum([np.sum(part.seen) for part in self.parts])[:-1], []
+        blocks = np.split(left.reshape(-1, len(self.scale)), edges)
+        for part, (combinations, rest, length), rows in zip(
+            self.parts, self.folded, blocks, strict=True
+        ):
+            whole = rest + np.tensordot(combinations, part.unfolded(rows), (1, 2))
+            samples.append(whole.reshape(-1, len(self.scale))[:length])
+        samples = np.vstack(samples)
+        return float(np.sum(samples[1:] * samples[:-1]))
+
+    def _realization(self, fit, n_harmonics, first, physical):
+        """What a fit found, harmonics of G beyond the first count taken for what they are."""
+        full = self._resolved(n_harmonics, fit.count)
+        linear, basis = self._known_states(full), self.experiment.basis
+        places = linear.basis.indices[linear.basis.indptr[:-1]]
+        harmonic, row, _ = np.unravel_index(places, linear.constant.shape)
+        later = (harmonic > 2 * first) & (row < linear.n_states)
+        order = np.lexsort((np.where(later, places, 0), later))  # as in the columns
+        gains, unknown = np.empty(len(order)), np.empty(len(order), dtype=bool)
+        gains[order], unknown[order] = fit.gains, fit.unknown
+        found = linear.coefficients(gains)
+        theta = full.nearest(found)
+        model = PeriodicModel(full.coefficients(theta), basis.omega, *self.names)
+        if self.form is not None:
+            full, theta = fixed_scale(full, theta, self.form)
+        names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
+        shares = 1.0 - fit.rss / self.total, self._systematic(fit.left) / self.total
+        return Realization(model, full, theta, physical, *shares, names)
 
     def _check_growth(self, response):
-        periods = max(len(phase) for _, _, phase, _ in self.parts) / max(len(response.Phi), 1)
-        growth = periods * np.log(max(response.spectral_radius, 1e-300))
+        n_samples = max(map(len, self.experiment.outputs))
+        if self.starts is not None:  # each period from its own
+            n_samples = self.experiment.basis.samples_per_period
+        growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
         if not growth <= MAX_GROWTH:
             raise GrowthError(
                 f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "

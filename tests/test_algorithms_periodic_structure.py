@@ -7,7 +7,11 @@ from scipy import linalg, sparse
 from sklearn_hd.algorithms.floquet import transition_matrices
 from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.periodic_structure import (
+    PeriodicStructure,
+    held_pushes,
+    sampled_response,
+)
 from sklearn_hd.algorithms.structured_model import AffineStructure
 
 OMEGA = 3.0
@@ -62,6 +66,28 @@ def test_sensitivities_are_central_differences(rng, n, K, n_phases):
         )
         exact = getattr(found, f"d{name}")
         np.testing.assert_allclose(exact, differences, rtol=0, atol=1e-8 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(("K", "n_phases"), [(0, 16), (2, 16), (2, 5)])
+def test_held_pushes_are_what_harmonics_of_the_inputs_add(rng, K, n_phases):
+    """Of more harmonics than F has, and of a single input as of each of two."""
+    n, m, highest = 3, 2, (n_phases - 1) // 2
+    constant = np.zeros((2 * highest + 1, n + 1, n + m))
+    constant[: 2 * K + 1, :n, :n] = rng.standard_normal((2 * K + 1, n, n))
+    basis = np.zeros((2 * highest + 1, n, m, *constant.shape))
+    for place in np.ndindex(basis.shape[:3]):
+        harmonic, row, column = place
+        basis[(*place, harmonic, row, n + column)] = 1.0
+    free = basis.reshape(-1, *constant.shape)
+    structure = PeriodicStructure(constant, free, n, tuple(map(str, range(len(free)))))
+    wanted = sampled_response(structure, np.zeros(len(free)), OMEGA, n_phases).dPsi
+    wanted = wanted.reshape(*basis.shape[:3], n_phases, n, n + m)
+    known = PeriodicStructure(constant[: 2 * K + 1], free[:0, : 2 * K + 1], n, ())
+    found = held_pushes(known, [], OMEGA, n_phases, highest)
+    expected = np.zeros_like(wanted)
+    for column in range(m):
+        expected[:, :, column, :, :, n + column] = found.transpose(0, 3, 1, 2)
+    np.testing.assert_allclose(wanted, expected, atol=1e-13 * np.abs(wanted).max())
 
 
 def test_sensitivities_are_integrals(rng):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.structured_model import column_sizes
@@ -18,6 +19,7 @@ from sklearn_hd.algorithms.structured_model import column_sizes
 __all__ = [
     "LARGEST_RESPONSE",
     "RefinedMap",
+    "block_and_slopes",
     "characteristic",
     "compact",
     "invariant_blocks",
@@ -116,7 +118,8 @@ class _Elimination:
 
         ∂r/∂c = −P⊥ ∂M M⁻ T − (P⊥ ∂M M⁻)ᵀ T              (Golub and Pereyra, 1973)
 
-    and ∂M are responses of the same modes, driven by M.
+    A mode of z² − s z + p answers to w[k] by x[k+1] = s x[k] − p x[k−1] + w[k]; x[k] and x[k−1]
+    are its coordinates. ∂x/∂s is its answer to x itself, ∂x/∂p to −x[k−1].
 
     Parameters
     ----------
@@ -130,78 +133,95 @@ class _Elimination:
     """
 
     def __init__(self, blocks, directions, target, largest):
-        self.blocks, self.directions = blocks, directions
-        self.target, self.largest, self._last = target, largest, (None, None)
+        self.edges = np.cumsum([len(block) for block in blocks])[:-1]
+        self.target, self.largest = target, largest
+        ends = np.cumsum([len(w) for w in directions])
+        self.segments = [
+            slice(end - len(w), end) for w, end in zip(directions, ends, strict=True) if len(w)
+        ]
+        self.inputs = np.vstack(directions)
+        starts = np.zeros((len(target), len(self.segments)))
+        starts[[segment.start for segment in self.segments], range(len(self.segments))] = 1.0
+        self.sources = np.hstack([self._later(self.inputs), starts])
+        self._last = None, None
 
     def left(self, coefficients):
-        """r, shape (n_periods q,)."""
-        found = self._projection(coefficients)
+        """r, shape (n_periods q,), and ∂r/∂c, shape (n_periods q, n)."""
+        n, q = len(coefficients), self.target.shape[1]
+        found = self._project(coefficients)
         if found is None:
-            return self.target.ravel()
-        Q = found[2]
-        return (self.target - Q @ (Q.T @ self.target)).ravel()
+            return self.target.ravel(), np.zeros((self.target.size, n))
+        states, Q, R, kept, explained, left = found
+        inverse = linalg.solve_triangular(R, np.eye(len(R)), check_finite=False)
+        weights = np.zeros((self.inputs.shape[1] + n * self.sources.shape[1], q))
+        weights[kept] = inverse @ explained
+        moved, reached = np.zeros((n, *self.target.shape)), np.zeros((n, *weights.shape))
+        i, at = 0, self.inputs.shape[1]
+        for values, x in zip(np.split(coefficients, self.edges), states, strict=True):
+            rate = self._answer(values, self._later(x))
+            for _ in values:  # x[k], then x[k−1]
+                place = slice(at, at + rate.shape[1])
+                moved[i] += rate @ weights[place]
+                reached[i, place] = rate.T @ left
+                rate, at = self._later(rate), place.stop
+                if len(values) == 2:
+                    reached[i + 1, place] = -(rate.T @ left)
+            if len(values) == 2:
+                moved[i + 1] = -self._later(moved[i])
+            i += len(values)
+        inside = inverse.T @ reached[:, kept] - Q.T @ moved
+        return left.ravel(), -(moved + Q @ inside).reshape(n, -1).T
 
-    def jacobian(self, coefficients):
-        """∂r/∂c, shape (n_periods q, n)."""
-        jacobian = np.zeros((self.target.size, len(coefficients)))
-        found = self._projection(coefficients)
-        if found is None:
-            return jacobian
-        steps, states, Q, R, columns = found
-        explained = Q.T @ self.target
-        left = self.target - Q @ explained
-        weights = np.zeros((states[0].shape[1] * len(coefficients), self.target.shape[1]))
-        inverse = linalg.solve_triangular(R, np.eye(len(R)))
-        columns = columns - self.directions[0].shape[1]  # inputs, negative, do not move
-        weights[columns[columns >= 0]] = (inverse @ explained)[columns >= 0]
-        across, reached = np.zeros((len(R), self.target.shape[1])), np.zeros_like(weights)
-        for i, (rate, place) in enumerate(self._rates(steps, states)):
-            moved = rate @ weights[place]
-            reached[:], reached[place] = 0.0, rate.T @ left
-            across[columns >= 0] = reached[columns[columns >= 0]]
-            derivative = moved - Q @ (Q.T @ moved) + Q @ (inverse.T @ across)
-            jacobian[:, i] = -derivative.ravel()
-        return jacobian
-
-    def _projection(self, coefficients):
-        """Steps, states, and Q R of independent columns of M; None beyond what is simulated."""
-        asked, found = self._last
+    def factor(self, coefficients):
+        """Triangular factor of [∂r/∂c r], shape (n + 1, n + 1): few numbers, the same products."""
+        asked, factor = self._last
         if asked is None or not np.array_equal(asked, coefficients):
-            found = self._project(coefficients)
-            self._last = coefficients.copy(), found
-        return found
+            left, jacobian = self.left(coefficients)
+            factor = np.linalg.qr(np.column_stack([jacobian, left]), mode="r")
+            self._last = coefficients.copy(), factor
+        return factor
 
     def _project(self, coefficients):
-        steps = _companions(coefficients, self.blocks)
-        if not max(np.max(np.abs(linalg.eigvals(step))) for step in steps) < self.largest:
+        """Answers of each block, Q R of independent columns of M and which they are, what they
+        explain and what they leave; None beyond what is simulated."""
+        steps = np.split(coefficients, self.edges)
+        if not max(map(_largest_root, steps)) < self.largest:
             return None
-        states = mode_states(steps, self.directions)
-        M = np.vstack(_beside(self.directions, states))
+        states = [self._answer(values, self.sources) for values in steps]
+        columns = [self.inputs]
+        for values, x in zip(steps, states, strict=True):
+            columns += [x, self._later(x)][: len(values)]
+        M = np.hstack(columns)
         size = column_sizes(M)
-        Q, R, order = linalg.qr(M / size, mode="economic", pivoting=True)
+        Q, R, order = linalg.qr(M / size, mode="economic", pivoting=True, check_finite=False)
         kept = np.abs(np.diag(R)) > RANK
-        return steps, states, Q[:, kept], R[np.ix_(kept, kept)] * size[order[kept]], order[kept]
+        Q, R, order = Q[:, kept], R[np.ix_(kept, kept)], order[kept]
+        explained = Q.T @ self.target
+        return states, Q, R * size[order], order, explained, self.target - Q @ explained
 
-    def _rates(self, steps, states):
-        """∂M by each coefficient, shape (n_periods, n_sources d), and the columns that it moves.
+    def _answer(self, coefficients, sources):
+        """x of the mode of some characteristic polynomial, shape (n_periods, n_sources)."""
+        signs = [-1.0, 1.0][: len(coefficients)]
+        polynomial, x = np.append(1.0, signs * coefficients), np.empty_like(sources)
+        for segment in self.segments:
+            x[segment] = lfilter([1.0], polynomial, sources[segment], axis=0)
+        return x
 
-        A coefficient of z² − s z + p feeds the last coordinate of its block with the second
-        (s) or with the first (p, negative).
-        """
-        n, at = sum(map(len, steps)), 0
-        sources = states[0].shape[1]
-        for step in steps:
-            d = len(step)
-            place = (np.arange(sources)[:, None] * n + np.arange(at, at + d)).ravel()
-            for driver, sign in [(at + d - 1, 1.0), (at, -1.0)][:d]:
-                rates = []
-                for x in states:
-                    forcing = np.zeros((sources, len(x), d))
-                    forcing[:, :, -1] = sign * x[:, :, driver].T
-                    rate = propagate(step, forcing, np.zeros((sources, d)))
-                    rates.append(rate.transpose(1, 0, 2).reshape(len(x), -1))
-                yield np.vstack(rates), place
-            at += d
+    def _later(self, x):
+        """Each row where the next one of its segment is; zero in a segment's first."""
+        later = np.zeros_like(x)
+        for segment in self.segments:
+            later[segment.start + 1 : segment.stop] = x[segment.start : segment.stop - 1]
+        return later
+
+
+def _largest_root(coefficients):
+    """Size of the largest root of z − c₀, or of z² − c₀ z + c₁."""
+    if len(coefficients) == 1:
+        return abs(coefficients[0])
+    half, product = 0.5 * coefficients[0], coefficients[1]
+    square = half * half - product
+    return np.sqrt(product) if square < 0.0 else abs(half) + np.sqrt(square)
 
 
 def _best_of(elimination, blocks):
@@ -216,9 +236,9 @@ def _best_of(elimination, blocks):
         start = np.concatenate([characteristic(block * (value / size)) for block in blocks])
         searches.append(
             least_squares(
-                elimination.left,
+                lambda c: elimination.factor(c)[:, -1],
                 start,
-                elimination.jacobian,
+                lambda c: elimination.factor(c)[:, :-1],
                 x_scale="jac",
                 xtol=1e-15,
                 ftol=1e-12,
@@ -271,19 +291,6 @@ def characteristic(block):
     return np.array([np.sum(values).real, np.prod(values).real][: len(block)])
 
 
-def _companions(coefficients, blocks):
-    """Companion matrices of some characteristic polynomials."""
-    steps, at = [], 0
-    for block in blocks:
-        if len(block) == 1:
-            steps.append(np.array([[coefficients[at]]]))
-        else:
-            trace, determinant = coefficients[at : at + 2]
-            steps.append(np.array([[0.0, 1.0], [-determinant, trace]]))
-        at += len(block)
-    return steps
-
-
 def with_characteristic(block, coefficients):
     """The block with another characteristic polynomial, and its eigenvectors if they can stay.
 
@@ -301,23 +308,39 @@ def with_characteristic(block, coefficients):
     -------
     block : ndarray, of the same shape
     """
+    return block_and_slopes(block, coefficients)[0]
+
+
+def block_and_slopes(block, coefficients):
+    """:func:`with_characteristic`, and its derivatives by the coefficients, (d, d, d)."""
     if len(block) == 1:
-        return np.reshape(coefficients, (1, 1))
+        return np.reshape(coefficients, (1, 1)), np.ones((1, 1, 1))
     trace, determinant = coefficients
-    N = block - 0.5 * np.trace(block) * np.eye(2)
-    square, wanted = N[0, 0] ** 2 + N[0, 1] * N[1, 0], 0.25 * trace**2 - determinant
+    N, slope = _traceless(block - 0.5 * np.trace(block) * np.eye(2), 0.25 * trace**2 - determinant)
+    by_trace = 0.5 * np.eye(2) + 0.5 * trace * slope
+    return 0.5 * trace * np.eye(2) + N, np.stack([by_trace, -slope])
+
+
+def _traceless(N, wanted):
+    """The matrix nearest in kind to N whose square is a wanted number, and its derivative by it."""
+    square = N[0, 0] ** 2 + N[0, 1] * N[1, 0]
     if square * wanted > 0.0:
-        return 0.5 * trace * np.eye(2) + N * np.sqrt(wanted / square)
+        N = N * np.sqrt(wanted / square)
+        return N, N / (2.0 * wanted)
     angle = 0.5 * np.arctan2(-2.0 * N[0, 0], N[0, 1] + N[1, 0])
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s], [s, c]])
     b, c = (turn.T @ N @ turn)[[0, 1], [1, 0]]
     upper = abs(b) >= abs(c)
     kept = b if upper else c
+    grown = abs(kept) < np.sqrt(abs(wanted))
     kept = np.copysign(max(abs(kept), np.sqrt(abs(wanted))), kept)
     other = wanted / kept if kept else 0.0
-    N = np.array([[0.0, kept], [other, 0.0]] if upper else [[0.0, other], [kept, 0.0]])
-    return 0.5 * trace * np.eye(2) + turn @ N @ turn.T
+    N = np.array([[0.0, kept], [other, 0.0]])
+    slope = np.array([[0.0, 0.0], [1.0 / kept if kept else 0.0, 0.0]])
+    slope = N / (2.0 * wanted) if grown else slope
+    N, slope = (each if upper else each.T for each in (N, slope))
+    return turn @ N @ turn.T, turn @ slope @ turn.T
 
 
 def compact(stacked):
@@ -327,7 +350,7 @@ def compact(stacked):
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
 
 
-def orthonormal_range(columns, beyond=None):
+def orthonormal_range(columns, beyond=None, rank=RANK):
     """Orthonormal columns that span what some columns do, dependent ones left out.
 
     What a mode answers to a step is the step less its answers to the step's edges: nothing
@@ -339,10 +362,12 @@ def orthonormal_range(columns, beyond=None):
     columns : ndarray, shape (n_rows, n_columns)
     beyond : ndarray, shape (n_rows, n_known), optional
         Orthonormal; what they span is left out.
+    rank : float, default=1e-11
+        Of columns of length one, what is new in one that counts as independent.
 
     Returns
     -------
-    Q : ndarray, shape (n_rows, rank)
+    Q : ndarray, shape (n_rows, n_independent)
 
     Examples
     --------
@@ -355,7 +380,7 @@ def orthonormal_range(columns, beyond=None):
     if not columns.size:
         return columns
     Q, R, _ = linalg.qr(columns, mode="economic", pivoting=True)
-    return Q[:, np.abs(np.diag(R)) > RANK]
+    return Q[:, np.abs(np.diag(R)) > rank]
 
 
 def mode_steps(Phi):

@@ -28,7 +28,7 @@ from sklearn_hd.algorithms.floquet import state_units
 from sklearn_hd.algorithms.fourier import harmonic_functions
 from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics
 
-__all__ = ["PeriodicStructure", "SampledResponse", "sampled_response"]
+__all__ = ["PeriodicStructure", "SampledResponse", "held_pushes", "sampled_response"]
 
 LONGEST_STEP = 1.0  # |F| h and K ω h of one collocation step; at 1 it errs by 1e-15
 MAX_SUBSTEPS = 256  # within one sample; whatever moves faster was not seen by the samples
@@ -258,14 +258,40 @@ def sampled_response(structure, theta, omega, n_phases, observe=None, *, sensiti
     return SampledResponse(Psi, Out, dPsi, dOut)
 
 
-def n_substeps(structure, theta, omega, n_phases):
+def held_pushes(structure, theta, omega, n_phases, n_harmonics):
+    """Where a push cos kψ or sin kψ of one state over one interval leaves all states.
+
+    What one unit of a coefficient of G adds to Γ_j, whatever the number of inputs.
+
+    Parameters
+    ----------
+    structure, theta, omega, n_phases
+        As for :func:`sampled_response`.
+    n_harmonics : int
+        Of the pushes.
+
+    Returns
+    -------
+    pushes : ndarray, shape (2 n_harmonics + 1, n_phases, n, n)
+        In the order 0, 1c, 1s, …; the last axis is the state pushed.
+    """
+    n = structure.n_states
+    S = n_substeps(structure, theta, omega, n_phases, n_harmonics)
+    nodes, _, left, _ = _intervals(structure, theta, omega, n_phases, n_phases, S)
+    functions = harmonic_functions(nodes, range(n_harmonics + 1))
+    pushes = functions.transpose(0, 2, 1) @ left.reshape(n_phases, -1, n * n)
+    return pushes.reshape(n_phases, -1, n, n).transpose(1, 0, 2, 3)
+
+
+def n_substeps(structure, theta, omega, n_phases, n_harmonics=0):
     """Collocation steps that resolve one sample: |F| h ≤ 1 in balanced units, K ω h ≤ 1."""
     F = structure.matrices(theta)[0]
     n_points = max(16, 4 * structure.n_harmonics)
     values = evaluate_harmonics(F, 2.0 * np.pi * np.arange(n_points) / n_points)
     units = state_units(lambda psi: evaluate_harmonics(F, psi))
     fastest = np.max(np.linalg.norm(values * (units / units[:, None]), axis=(1, 2)), initial=0.0)
-    rate = max(fastest, omega * structure.n_harmonics * structure.varies[0])
+    highest = max(n_harmonics, structure.n_harmonics * structure.varies[0])
+    rate = max(fastest, omega * highest)
     return max(1, int(np.ceil(rate * 2.0 * np.pi / (omega * n_phases) / LONGEST_STEP)))
 
 
@@ -274,7 +300,6 @@ def n_substeps(structure, theta, omega, n_phases):
 
 def _transitions(structure, theta, omega, n_phases, sensitivities):
     """Ψ, shape (p, n, n + m), and ∂Ψ/∂θ, shape (k, p, n, n + m), or None."""
-    n, m = structure.n_states, structure.n_inputs
     p = n_phases if structure.varies[0] else 1
     S = n_substeps(structure, theta, omega, n_phases)
     if S > MAX_SUBSTEPS:
@@ -283,22 +308,34 @@ def _transitions(structure, theta, omega, n_phases, sensitivities):
             f"one sample; start nearer to the truth, or sample more often than {n_phases} times "
             f"a period"
         )
+    nodes, Psi, left, stages = _intervals(
+        structure, theta, omega, n_phases, p, S, adjoint=sensitivities
+    )
+    if not sensitivities:
+        return Psi, None
+    functions = harmonic_functions(nodes, range(structure.n_harmonics + 1))
+    return Psi, _entry_derivatives(structure.dynamic_entries, functions, left, stages)
+
+
+def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True):
+    """Nodes of p intervals, (p, q), Ψ, and L and Z of each node, (p, q, …), or None."""
+    n, m = structure.n_states, structure.n_inputs
     M = structure.coefficients(theta)[:, :n]
     units = np.ones(n + m)
     units[:n] = state_units(lambda psi: evaluate_harmonics(M[:, :, :n], psi))
     scale = units / units[:n, None]
-    nodes, width = _nodes(p, n_phases, S)
+    nodes, width = _nodes(p, n_phases, n_substeps)
     values = evaluate_harmonics(M * scale, nodes)
-    left, stages, steps = _collocation(values, width / omega, adjoint=sensitivities)
+    left, stages, steps = _collocation(values, width / omega, adjoint=adjoint)
     before, after = _chains(steps)
     Psi = (steps[:, -1] @ before[:, -1])[:, :n] / scale
-    if not sensitivities:
-        return Psi, None
+    nodes = nodes.reshape(p, -1)
+    if not adjoint:
+        return nodes, Psi, None, None
     left = after[:, :, None, :n, :n] @ left * (units[:n, None] / units[:n])
     stages = stages @ before[:, :, None] * (units[:, None] / units)
     left, stages = (M.reshape(p, -1, *M.shape[3:]) for M in (left, stages))
-    functions = harmonic_functions(nodes.reshape(p, -1), range(structure.n_harmonics + 1))
-    return Psi, _entry_derivatives(structure.dynamic_entries, functions, left, stages)
+    return nodes, Psi, left, stages
 
 
 def _nodes(p, n_phases, n_substeps):

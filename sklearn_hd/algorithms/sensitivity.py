@@ -19,7 +19,6 @@ __all__ = [
     "Record",
     "as_records",
     "jacobian_factors",
-    "linear_response",
     "residuals",
     "simulate",
 ]
@@ -92,42 +91,6 @@ def simulate(response, record, x0):
     forcing = _by_phase(Psi[:, :, n:], record.inputs)
     x = _propagate(Psi[:, :, :n], forcing, x0)
     return x, _by_phase(Out, np.concatenate([x, record.inputs], axis=1))
-
-
-def linear_response(response, u, phase):
-    """Outputs of one segment by the parameters of G and Q, and by its initial state.
-
-    Parameters
-    ----------
-    response : SampledResponse
-        At θ = 0, with its derivatives; F and P have no parameters.
-    u : ndarray, shape (n_samples, m)
-    phase : ndarray of int, shape (n_samples,)
-        Samples after ψ = 0; consecutive.
-
-    Returns
-    -------
-    forced : ndarray, shape (n_samples, l, k)
-        Per unit parameter.
-    given : ndarray, shape (n_samples, l)
-        What parameters of zero leave.
-    free : ndarray, shape (n_samples, l, n)
-    """
-    n = response.n_states
-    p, q = len(response.Psi), len(response.Out)
-    at, seen = phase % p, phase % q
-    Phi = np.roll(response.Phi, -at[0], axis=0)
-    inputs = np.concatenate([response.dPsi[:, :, :, n:], response.Psi[None, :, :, n:]])
-    forcing = np.einsum("ktim,tm->kti", inputs[:, at], u)
-    forcing = np.concatenate([forcing, np.zeros((n, *forcing.shape[1:]))])
-    starts = np.zeros((len(forcing), n))
-    starts[-n:] = np.eye(n)
-    states = propagate_periodic(Phi, forcing, starts)
-    outputs = np.einsum("tli,kti->tlk", response.Out[seen][:, :, :n], states)
-    k = len(response.dPsi)
-    outputs[:, :, :k] += np.einsum("ktlm,tm->tlk", response.dOut[:, seen][:, :, :, n:], u)
-    given = outputs[:, :, k] + np.einsum("tlm,tm->tl", response.Out[seen][:, :, n:], u)
-    return outputs[:, :, :k], given, outputs[:, :, k + 1 :]
 
 
 def residuals(response, record, x0):

@@ -14,7 +14,11 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares
 
-from sklearn_hd.algorithms.multipliers import characteristic, with_characteristic
+from sklearn_hd.algorithms.multipliers import (
+    block_and_slopes,
+    characteristic,
+    with_characteristic,
+)
 from sklearn_hd.algorithms.periodic_realization import shape_functions, state_response
 from sklearn_hd.algorithms.simulation import logarithm
 
@@ -28,6 +32,7 @@ FASTEST = 25.0  # |λ| T of exponents tried; e^-25 is beyond what samples can sh
 ROUNDING = 1e-15
 WALL = 1e100  # residuals beyond FASTEST
 UNSEEN = 1e-9
+RANK = 1e-11  # of columns of length one; dependent ones leave 1e-15
 
 
 def refine_within_period(refined, C, directions, lifted, seen, n_phases):
@@ -135,10 +140,11 @@ class _ShapeProblem:
                 shape_functions(2.0 * np.pi * np.arange(self.n_phases) / self.n_phases, count, f)[0]
                 for f in self.flips
             ]
+            left = _Left(self, functions)
             search = least_squares(
-                self._left,
+                lambda c, left=left: left(c)[0],
                 start,
-                args=(functions,),
+                lambda c, left=left: left(c)[1],
                 x_scale="jac",
                 xtol=1e-12,
                 ftol=1e-10,
@@ -153,37 +159,100 @@ class _ShapeProblem:
                 break
         return [
             sign * linalg.expm(block)
-            for sign, block in zip(self.signs, self._rates(found), strict=True)
+            for sign, (block, _) in zip(self.signs, self.rates(found), strict=True)
         ]
 
-    def _rates(self, values):
+    def rates(self, values):
+        """Blocks of R of some characteristic coefficients, and their derivatives by these."""
         edges = np.cumsum([len(L) for L in self.logarithms])[:-1]
         return [
-            with_characteristic(L, part)
+            block_and_slopes(L, part)
             for L, part in zip(self.logarithms, np.split(values, edges), strict=True)
         ]
 
-    def _left(self, values, functions):
-        rates = self._rates(values)
-        if max(np.max(np.abs(linalg.eigvals(block))) for block in rates) > FASTEST:
-            return np.full(self.target.size + len(self.wanted), WALL)
-        R = linalg.block_diag(*rates)
-        step, decays = linalg.expm(R / self.n_phases), [np.eye(self.n)]
-        for _ in range(self.n_phases - 1):
-            decays.append(step @ decays[-1])
-        weighted = np.array(decays) @ self.root
+
+class _Left:
+    """What shapes of some functions leave of O, and R's coefficients of Φ's, with derivatives.
+
+    As in :class:`~sklearn_hd.algorithms.multipliers._Elimination`, P is eliminated by projection
+    (Golub and Pereyra, 1973).
+    """
+
+    def __init__(self, problem, functions):
+        self.problem, self.functions = problem, functions
+        self._last = None, None
+
+    def __call__(self, values):
+        """Residuals, shape (p n l + n,), and their derivatives by the values, (…, n)."""
+        asked, found = self._last
+        if asked is None or not np.array_equal(asked, values):
+            found = self._found(values)
+            self._last = values.copy(), found
+        return found
+
+    def _found(self, values):
+        problem, n = self.problem, len(values)
+        rates = problem.rates(values)
+        if max(np.max(np.abs(linalg.eigvals(block))) for block, _ in rates) > FASTEST:
+            size = problem.target.size + n
+            return np.full(size, WALL), np.zeros((size, n))
+        decays, slopes = _decays(rates, problem.n_phases)
+        left, jacobian = self._off_shapes(decays[:-1] @ problem.root, slopes[:-1] @ problem.root)
+        multipliers, moved, at = np.zeros(n), np.zeros((n, n)), 0
+        for sign, (rate, by) in zip(problem.signs, rates, strict=True):
+            here = slice(at, at + len(rate))
+            multipliers[here] = characteristic(sign * decays[-1][here, here])
+            moved[at, here] = sign * np.trace(slopes[-1][here, here, here], axis1=1, axis2=2)
+            if len(rate) == 2:
+                moved[at + 1, here] = np.exp(np.trace(rate)) * np.trace(by, axis1=1, axis2=2)
+            at = here.stop
+        known = problem.prior @ (multipliers - problem.wanted)
+        return np.append(left.ravel(), known), np.vstack([jacobian, problem.prior @ moved])
+
+    def _off_shapes(self, weighted, slopes):
+        """O less P e^{Rt}, and its derivatives by R's coefficients."""
+        target, n = self.problem.target, weighted.shape[1]
         design = np.concatenate(
-            [f[:, None, :] * weighted[:, a, :, None] for a, f in enumerate(functions)], axis=2
-        ).reshape(len(self.target), -1)
+            [f[:, None, :] * weighted[:, a, :, None] for a, f in enumerate(self.functions)], axis=2
+        ).reshape(len(target), -1)
         size = np.linalg.norm(design, axis=0)
         size[size < UNSEEN * size.max()] = np.inf
-        Q = linalg.qr(design / size, mode="economic")[0]
-        left = self.target - Q @ (Q.T @ self.target)
-        multipliers = [
-            characteristic(sign * linalg.expm(block))
-            for sign, block in zip(self.signs, rates, strict=True)
-        ]
-        return np.append(left.ravel(), self.prior @ (np.concatenate(multipliers) - self.wanted))
+        Q, R, order = linalg.qr(design / size, mode="economic", pivoting=True)
+        kept = np.abs(np.diag(R)) > RANK
+        Q, R, order = Q[:, kept], R[np.ix_(kept, kept)] * size[order[kept]], order[kept]
+        explained = Q.T @ target
+        left = target - Q @ explained
+        inverse = linalg.solve_triangular(R, np.eye(len(R)))
+        weights = np.zeros((design.shape[1], target.shape[1]))
+        weights[order] = inverse @ explained
+        rest, edges = left.reshape(len(weighted), n, -1), self._edges()
+        shapes = [f @ w for f, w in zip(self.functions, np.split(weights, edges), strict=True)]
+        moved = np.einsum("jiak,ajl->ijkl", slopes, shapes).reshape(n, *target.shape)
+        pulls = np.einsum("jiak,jkl->aijl", slopes, rest)
+        reached = [f.T @ pull for f, pull in zip(self.functions, pulls, strict=True)]
+        inside = inverse.T @ np.concatenate(reached, axis=1)[:, order] - Q.T @ moved
+        return left, -(moved + Q @ inside).reshape(n, -1).T
+
+    def _edges(self):
+        return np.cumsum([f.shape[1] for f in self.functions])[:-1]
+
+
+def _decays(rates, n_phases):
+    """e^{R t} at 0, 1/n_phases, … 1, shape (n_phases + 1, n, n), and its derivatives by the
+    coefficients of R, (n_phases + 1, n, n, n)."""
+    n = sum(len(block) for block, _ in rates)
+    both, at = np.zeros((n, 2 * n, 2 * n)), 0
+    for block, slopes in rates:
+        here, there = slice(at, at + len(block)), slice(n + at, n + at + len(block))
+        both[:, here, here] = both[:, there, there] = block
+        both[here, there, here] = slopes
+        at = here.stop
+    step = linalg.expm(both / n_phases)
+    powers = np.broadcast_to(np.eye(2 * n), (1, *both.shape))
+    while len(powers) <= n_phases:
+        powers, step = np.concatenate([powers, powers @ step]), step @ step
+    powers = powers[: n_phases + 1]
+    return powers[:, 0, :n, :n], powers[:, :, n:, :n]
 
 
 def _logarithm(block, sign):
