@@ -17,6 +17,7 @@ from sklearn_hd.algorithms.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
 from sklearn_hd.algorithms.triangular import triangle
 from sklearn_hd.algorithms.weighting import Weighting, fixed_model
+from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
 
@@ -175,7 +176,7 @@ class MatchingProblem:
             return np.inf, np.nan
         try:
             value, peak = hinf_norm(*self.error_model(theta))
-        except ArithmeticError:
+        except (ArithmeticError, UnstableModelError):  # a pole that rounding moves across
             return np.inf, np.nan
         gains = self.gains(theta, self.grid)
         low, high = self._brackets(gains, _RIVAL * value)
@@ -191,10 +192,9 @@ class MatchingProblem:
 
     def abscissa(self, theta):
         """Largest real part among the poles of G_s(θ), plus what rounding may hide of it."""
-        A = self.structure.matrices(theta)[0]
-        if len(A) == 0:
+        poles = self.structure.poles(theta)
+        if len(poles) == 0:
             return -np.inf
-        poles = linalg.eigvals(A)
         return poles.real.max() + _ROUNDING * np.abs(poles).max()
 
     def error_and_sensitivity(self, theta, frequencies):
@@ -211,9 +211,10 @@ class MatchingProblem:
         """Least-squares residual over the grid on the line Re s = shift, and ∂/∂θ, as reals."""
         error, slope = self._difference(theta, line(self.grid, shift), self.scaling)
         by_point = np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
-        error, slope = (error * by_point).ravel(), slope * by_point[..., None]
-        slope = slope.reshape(error.size, -1)
-        return np.concatenate([error.real, error.imag]), np.vstack([slope.real, slope.imag])
+        error, slope = error * by_point, slope * by_point[..., None]
+        by_parameter = np.ascontiguousarray(np.moveaxis(slope, -1, 0))
+        jacobian = by_parameter.view(float).reshape(len(by_parameter), -1).T
+        return np.ascontiguousarray(error).view(float).ravel(), jacobian
 
     def _difference(self, theta, s, weighting):
         response, slope = self.structure.response_and_sensitivity(theta, s)
@@ -254,7 +255,7 @@ class MatchingProblem:
         """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long."""
         residual, jacobian = self.residual_and_jacobian(theta)
         size = column_sizes(jacobian)
-        _, singular, adjoint = linalg.svd(jacobian / size, full_matrices=False)
+        _, singular, adjoint = linalg.svd(triangle(jacobian / size), full_matrices=False)
         kept = singular > _RANK * singular.max(initial=0.0)
         return (adjoint[kept] / singular[kept, None]).T / size[:, None] * linalg.norm(residual)
 
