@@ -36,20 +36,20 @@ class TriangularForm:
     def driven(self, B, s):
         """(sI − A)⁻¹ B, shape (n, n_points, m); 0 at s = ∞."""
         drive, decay = self._into @ B, self._decay(s)
-        states = np.empty((*decay.shape, B.shape[1]), dtype=complex)
+        states, flat = _empty(decay, B.shape[1])
         for i in reversed(range(len(decay))):
-            from_others = np.tensordot(self._T[i, i + 1 :], states[i + 1 :], 1)
+            from_others = (self._T[i, i + 1 :] @ flat[i + 1 :]).reshape(states[i].shape)
             np.multiply(from_others + drive[i], decay[i][:, None], out=states[i])
-        return np.tensordot(self._out_of, states, 1)
+        return (self._out_of @ flat).reshape(states.shape)
 
     def seen(self, C, s):
         """(C (sI − A)⁻¹)ᵀ, shape (n, n_points, l); 0 at s = ∞."""
         sight, decay = (C @ self._out_of).T, self._decay(s)
-        states = np.empty((*decay.shape, len(C)), dtype=complex)
+        states, flat = _empty(decay, len(C))
         for i in range(len(decay)):
-            from_others = np.tensordot(self._T[:i, i], states[:i], 1)
+            from_others = (self._T[:i, i] @ flat[:i]).reshape(states[i].shape)
             np.multiply(from_others + sight[i], decay[i][:, None], out=states[i])
-        return np.tensordot(self._into.T, states, 1)
+        return (self._into.T @ flat).reshape(states.shape)
 
     def _decay(self, s):
         """1 / (s − t) for all poles t, (n, n_points)."""
@@ -63,6 +63,12 @@ class TriangularForm:
         decay = np.zeros((len(self.poles), len(s)), dtype=complex)
         decay[:, finite] = 1.0 / gaps
         return decay
+
+
+def _empty(decay, n_columns):
+    """States (n, n_points, n_columns) to be filled in, and the same as rows."""
+    states = np.empty((*decay.shape, n_columns), dtype=complex)
+    return states, states.reshape(len(states), -1)
 
 
 def triangular_form(A):

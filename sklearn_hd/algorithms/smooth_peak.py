@@ -169,9 +169,10 @@ class _Bound:
 
     def _bent(self, weights):
         """Σ weights · Re(u_jᴴ ∂²E/∂θ² v_j)."""
-        point, which = np.nonzero(weights > _SLIGHT * weights.max())
-        left = self._left[point, :, which] * weights[point, which][:, None]
-        frequencies, right = self.frequencies[point], self._right[point, :, which]
+        large = weights > _SLIGHT * weights.max()
+        here, n = np.any(large, axis=1), weights.shape[1]
+        left = self._left[here, :, :n].swapaxes(1, 2) * (weights * large)[here, :, None]
+        frequencies, right = self.frequencies[here], self._right[here, :, :n].swapaxes(1, 2)
         curvature = self.problem.error_curvature(self.theta, frequencies, left, right)
         return self.directions.T @ curvature @ self.directions
 

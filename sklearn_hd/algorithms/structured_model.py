@@ -19,6 +19,8 @@ from sklearn_hd.algorithms.resolvent import triangular_form
 
 __all__ = ["AffineStructure"]
 
+_PIECE = 100_000  # entries of second derivatives that are summed together
+
 
 @dataclass(frozen=True, eq=False)
 class AffineStructure:
@@ -136,31 +138,32 @@ class AffineStructure:
         return _response(matrices, right), np.moveaxis(slope, 0, -1)
 
     def curvature(self, theta, s, left_vectors, right_vectors):
-        """Σ_i Re(p_iᴴ ∂²G(s_i)/∂θ² v_i), shape (k, k).
+        """Σ_ij Re(p_ijᴴ ∂²G(s_i)/∂θ² v_ij), shape (k, k).
 
         Parameters
         ----------
         theta : ndarray, shape (k,)
         s : complex ndarray, shape (n_points,)
-            Finite ones only count; points may repeat.
-        left_vectors, right_vectors : complex ndarray, shapes (n_points, l), (n_points, m)
-            p_i and v_i.
+            At infinity G is affine.
+        left_vectors, right_vectors : complex ndarray
+            p_ij and v_ij, shapes (n_points, n_vectors, l) and (n_points, n_vectors, m); one a
+            point without their second axis.
         """
         matrices, n = self.matrices(theta), self.n_states
         finite = np.isfinite(s)
-        s, which = np.unique(s[finite], return_inverse=True)
-        left_vectors, right_vectors = left_vectors[finite], right_vectors[finite]
-        before = np.einsum("il,ail->ia", left_vectors.conj(), self._seen(matrices, s)[:, which])
-        after = np.einsum("bim,im->ib", self._driven(matrices, s)[:, which], right_vectors)
-        resolvent = np.linalg.inv(s[:, None, None] * np.eye(n) - matrices[0])
+        s = s[finite]
+        p = left_vectors[finite].reshape(len(s), -1, self.n_outputs)
+        v = right_vectors[finite].reshape(len(s), -1, self.n_inputs)
         rows, columns, rates = self._entries
-        first, second = columns < n, rows < n  # S_j K S_k: out of states, into states
-        before, after = before[:, rows[first]], after[:, columns[second]]
-        places = np.ix_(columns[first], rows[second])
-        half = np.zeros((before.shape[1], after.shape[1]))
-        for k, K in enumerate(resolvent):
-            here = which == k
-            half += (before[here].T @ after[here] * K[places]).real
+        first, second = columns < n, rows < n  # of S_j K S_k: out of states, into states
+        before = p.conj() @ self._seen(matrices, s)[rows[first]].transpose(1, 2, 0)
+        after = v @ self._driven(matrices, s)[columns[second]].transpose(1, 2, 0)
+        places = (slice(None), *np.ix_(columns[first], rows[second]))
+        half = np.zeros((before.shape[2], after.shape[2]))
+        size = max(1, _PIECE // max(half.size, 1))
+        for here in (slice(k, k + size) for k in range(0, len(s), size)):
+            K = np.linalg.inv(s[here, None, None] * np.eye(n) - matrices[0])
+            half += np.sum((before[here].swapaxes(1, 2) @ after[here]) * K[places], axis=0).real
         half = rates[first].T @ half @ rates[second]
         return half + half.T
 
@@ -174,7 +177,8 @@ def _response(matrices, right):
     """C R_x + D, shape (n_points, l, m)."""
     C, D = matrices[2:]
     states = right[: C.shape[1]]
-    return np.moveaxis(np.tensordot(C, states, 1), 0, 1) + D
+    seen = C @ states.reshape(len(states), -1)
+    return seen.reshape(len(C), *states.shape[1:]).swapaxes(0, 1) + D
 
 
 def column_sizes(matrix):
