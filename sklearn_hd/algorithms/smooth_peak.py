@@ -116,10 +116,7 @@ class _Bound:
 
     def __init__(self, problem, theta, peak):
         self.problem, self.theta = problem, theta
-        resolved = problem.active_frequencies(theta, np.inf, [peak])
-        self.frequencies = np.union1d(problem.grid, resolved)
-        self.directions = problem.orthonormal_directions(theta)
-        error, slope = problem.error_and_sensitivity(theta, self.frequencies)
+        self.frequencies, error, slope, self.directions = problem.linearised(theta, [peak])
         self._left, self._sizes, adjoint = np.linalg.svd(error)
         self._right = adjoint.conj().swapaxes(1, 2)
         n_points, n_rows, n_columns, k = slope.shape
