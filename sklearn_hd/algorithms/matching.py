@@ -309,20 +309,21 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
     best = min(range(len(runs)), key=lambda k: runs[k].value)
     run, found = runs[best], _Found.by_least_squares(ways[near[best]][0], False, tol)
     passed = descents[near[best]][1] + run.history[1:]
-    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
-    if run.converged or short == max_iter:
-        return found
-    told = stage(report, "minimax, steps from the best", max_iter - short)
-    run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol, report=told)
-    return found.further(
-        "minimax", run.theta, run.predicted_decrease, run.converged, run.history[1:]
-    )
+    n_left, told = max_iter - run.n_iter, None
+    while not run.converged and n_left > 0:
+        theta, values = smooth_descent(problem, run.theta, first=_CLOSE, gap=_CLOSER)
+        before, short = run.value, min(_SCREENING, n_left)
+        run = minimise_peak(problem, theta, max_iter=short, tol=tol, report=told)
+        passed += values[1:] + run.history[1:]
+        n_left -= short
+    return found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
 
 
 _FIRSTS = (3.0, 1.5, 10.0)  # bounds, over the norm, where smooth descents begin
 _SMALL = 200  # parameters times states up to which all of them cost a second or two
 _SMOOTH = 1.5  # Newton steps of a smooth descent, over the largest number of iterations
 _RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
+_CLOSE, _CLOSER = 1.001, 1e-5  # bound, over the norm, where the close descents begin and end
 _SCREENING = 20  # convex steps of a short run
 
 
