@@ -380,6 +380,17 @@ def test_sensitivity_and_curvature_agree_with_differences():
     np.testing.assert_allclose(structure.curvature(theta, s, left, right), bent, atol=1e-5)
 
 
+def test_curvature_of_several_vectors_at_a_point_is_the_sum():
+    random = np.random.default_rng(22)
+    structure = AffineStructure(
+        random.standard_normal((5, 6)), random.standard_normal((4, 5, 6)), 3, tuple("abcd")
+    )
+    theta, s = random.standard_normal(4), np.array([1j, 2 + 3j, np.inf])
+    left, right = random.standard_normal((3, 2, 2)), random.standard_normal((3, 2, 3))
+    each = sum(structure.curvature(theta, s, left[:, j], right[:, j]) for j in range(2))
+    np.testing.assert_allclose(structure.curvature(theta, s, left, right), each, rtol=1e-10)
+
+
 def test_channel_scales_equalise_and_survive_a_zero_channel():
     random = np.random.default_rng(21)
     response = random.standard_normal((50, 3, 2)) * np.array([[1e-1], [1.0], [1e3]]) * [1.0, 1e2]

@@ -337,7 +337,7 @@ def _remembered_response(model, points):
 def _as_reals(error, slope):
     """Residual and Jacobian: real and imaginary parts of each entry side by side."""
     by_parameter = np.ascontiguousarray(np.moveaxis(slope, -1, 0))
-    jacobian = by_parameter.view(float).reshape(len(by_parameter), -1).T
+    jacobian = by_parameter.view(float).reshape(len(by_parameter), 2 * error.size).T
     return np.ascontiguousarray(error).view(float).ravel(), jacobian
 
 

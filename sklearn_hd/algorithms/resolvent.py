@@ -68,7 +68,7 @@ class TriangularForm:
 def _empty(decay, n_columns):
     """States (n, n_points, n_columns) to be filled in, and the same as rows."""
     states = np.empty((*decay.shape, n_columns), dtype=complex)
-    return states, states.reshape(len(states), -1)
+    return states, states.reshape(len(states), decay.shape[1] * n_columns)
 
 
 def triangular_form(A):

@@ -133,8 +133,9 @@ class AffineStructure:
         left, right = self._seen(matrices, s), self._driven(matrices, s)
         rows, columns, rates = self._entries
         moved = left[rows][..., None] * right[columns][:, :, None]
-        slope = rates.T @ moved.view(float).reshape(len(rows), -1)
-        slope = slope.view(complex).reshape(self.n_parameters, *moved.shape[1:])
+        each = moved.shape[1:]
+        slope = rates.T @ moved.view(float).reshape(len(rows), 2 * np.prod(each))
+        slope = slope.view(complex).reshape(self.n_parameters, *each)
         return _response(matrices, right), np.moveaxis(slope, 0, -1)
 
     def curvature(self, theta, s, left_vectors, right_vectors):
@@ -177,8 +178,9 @@ def _response(matrices, right):
     """C R_x + D, shape (n_points, l, m)."""
     C, D = matrices[2:]
     states = right[: C.shape[1]]
-    seen = C @ states.reshape(len(states), -1)
-    return seen.reshape(len(C), *states.shape[1:]).swapaxes(0, 1) + D
+    shape = states.shape[1:]
+    seen = C @ states.reshape(len(states), np.prod(shape))
+    return seen.reshape(len(C), *shape).swapaxes(0, 1) + D
 
 
 def column_sizes(matrix):
