@@ -405,6 +405,7 @@ def test_curvature_of_several_vectors_at_a_point_is_the_sum():
     left, right = random.standard_normal((3, 2, 2)), random.standard_normal((3, 2, 3))
     each = sum(structure.curvature(theta, s, left[:, j], right[:, j]) for j in range(2))
     np.testing.assert_allclose(structure.curvature(theta, s, left, right), each, rtol=1e-10)
+    assert not structure.curvature(theta, s[2:], left[2:], right[2:]).any()
 
 
 def test_channel_scales_equalise_and_survive_a_zero_channel():

@@ -153,8 +153,8 @@ class AffineStructure:
         matrices, n = self.matrices(theta), self.n_states
         finite = np.isfinite(s)
         s = s[finite]
-        p = left_vectors[finite].reshape(len(s), -1, self.n_outputs)
-        v = right_vectors[finite].reshape(len(s), -1, self.n_inputs)
+        pairs = (left_vectors[finite], right_vectors[finite])
+        p, v = (each[:, None] if each.ndim == 2 else each for each in pairs)
         rows, columns, rates = self._entries
         first, second = columns < n, rows < n  # of S_j K S_k: out of states, into states
         before = p.conj() @ self._seen(matrices, s)[rows[first]].transpose(1, 2, 0)
