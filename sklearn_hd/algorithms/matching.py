@@ -313,7 +313,7 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
         short, before = min(_SCREENING, n_left), run.value
         told = stage(report, "minimax, steps from the best", n_left)
         run = minimise_peak(problem, theta, max_iter=short, tol=tol, report=told)
-        creeps = size > _SMALL and run.value > (1.0 - _CREEP) * before
+        creeps = size > _LARGE and run.value > (1.0 - _CREEP) * before
         passed += values[1:] + run.history[1:]
         n_left -= short
     return found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
@@ -325,7 +325,8 @@ _SMOOTH = 1.5  # Newton steps of a smooth descent, over the largest number of it
 _RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
 _CLOSE, _CLOSER = 1.001, 1e-5  # bound, over the norm, where the close descents begin and end
 _VALLEY = 0.1  # distance of responses, relative to the error, within one valley
-_CREEP = 1e-4  # of the norm that a round of steps must earn where each is costly
+_LARGE = 1000  # from which a convex step costs a second, and the last digits minutes
+_CREEP = 1e-4  # of the norm that a round of steps must earn there
 _SCREENING = 20  # convex steps of a short run
 
 
