@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg, optimize
 
 from sklearn_hd.algorithms.hinf import hinf_norm
-from sklearn_hd.algorithms.matching import match_structure
+from sklearn_hd.algorithms.matching import _short_runs, match_structure
 from sklearn_hd.algorithms.matching_problem import MatchingProblem, channel_scales
 from sklearn_hd.algorithms.simulation import frequency_response
 from sklearn_hd.algorithms.structured_model import AffineStructure
@@ -241,6 +241,22 @@ def test_no_direction_lowers_the_norm_at_an_optimum():
         assert problem.peak(result.theta + step)[0] >= result.relative_error * (1 - 1e-7)
 
 
+def test_runs_stop_at_one_a_valley_that_has_converged():
+    structure, truth = subsystem("heave")
+    model = disturbed_heave(0.02, np.random.default_rng(12))
+    result = match_structure(*model, structure, theta0=truth)
+    problem = MatchingProblem.build(*model, structure)
+    points = {4: result.theta, 1: result.theta * (1 + 1e-7)}
+    runs = _short_runs(problem, points, 20, 1e-8, None)
+    assert list(runs) == [4]
+    assert runs[4].converged
+    assert runs[4].value == pytest.approx(result.relative_error, rel=1e-7)
+    points = {4: result.theta_least_squares, 1: result.theta_least_squares}
+    runs = _short_runs(problem, points, 1, 1e-8, None)
+    assert list(runs) == [4, 1]  # where none has converged there is more to find
+    assert not runs[4].converged
+
+
 def test_history_falls_and_error_is_that_of_the_matrices():
     structure, truth = subsystem("heave")
     model = disturbed_heave(0.03, np.random.default_rng(13))
@@ -378,6 +394,18 @@ def test_sensitivity_and_curvature_agree_with_differences():
     np.testing.assert_allclose(rates, np.stack(moved, -1) / 2e-6, atol=1e-6)
     bent = [(slope(theta + h) - slope(theta - h)) / 2e-6 for h in steps]
     np.testing.assert_allclose(structure.curvature(theta, s, left, right), bent, atol=1e-5)
+
+
+def test_curvature_of_several_vectors_at_a_point_is_the_sum():
+    random = np.random.default_rng(22)
+    structure = AffineStructure(
+        random.standard_normal((5, 6)), random.standard_normal((4, 5, 6)), 3, tuple("abcd")
+    )
+    theta, s = random.standard_normal(4), np.array([1j, 2 + 3j, np.inf])
+    left, right = random.standard_normal((3, 2, 2)), random.standard_normal((3, 2, 3))
+    each = sum(structure.curvature(theta, s, left[:, j], right[:, j]) for j in range(2))
+    np.testing.assert_allclose(structure.curvature(theta, s, left, right), each, rtol=1e-10)
+    assert not structure.curvature(theta, s[2:], left[2:], right[2:]).any()
 
 
 def test_channel_scales_equalise_and_survive_a_zero_channel():

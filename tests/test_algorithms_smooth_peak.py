@@ -49,6 +49,20 @@ def test_slopes_agree_with_differences(shape, mu):
     assert direction @ hessian @ direction == pytest.approx(bend, rel=1e-2)
 
 
+@pytest.mark.parametrize("shape", [(2, 2), (1, 3)])
+def test_one_pass_over_the_grid_gives_what_several_do(shape):
+    problem = problem_of(*shape)
+    theta = start_of(problem)
+    frequencies, error, slope, directions = problem.linearised(theta, [0.7])
+    assert len(np.unique(frequencies)) == len(frequencies)
+    assert np.isin([*problem.grid, 0.7], frequencies).all()
+    wanted = problem.error_and_sensitivity(theta, frequencies)
+    np.testing.assert_allclose(error, wanted[0], atol=1e-12)
+    np.testing.assert_allclose(slope, wanted[1], atol=1e-12)
+    whole = problem.orthonormal_directions(theta)
+    np.testing.assert_allclose(directions @ directions.T, whole @ whole.T, rtol=1e-8, atol=1e-10)
+
+
 def test_bound_falls_from_the_mean_square_to_the_norm():
     problem = problem_of()
     bound = bound_of(problem)

@@ -304,46 +304,48 @@ def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
     lowest = descents[near[0]][1][-1]
     near = [k for k in near if descents[k][1][-1] <= _RIVAL * lowest]
     short = min(_SCREENING, max_iter)
-    thetas = [descents[k][0] for k in near]
-    runs = _short_runs(problem, thetas, {"max_iter": short, "tol": tol}, n_jobs, report)
-    best = min(range(len(runs)), key=lambda k: runs[k].value)
-    run, found = runs[best], _Found.by_least_squares(ways[near[best]][0], False, tol)
-    passed = descents[near[best]][1] + run.history[1:]
-    found = found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
-    if run.converged or short == max_iter:
-        return found
-    told = stage(report, "minimax, steps from the best", max_iter - short)
-    run = minimise_peak(problem, run.theta, max_iter=max_iter - short, tol=tol, report=told)
-    return found.further(
-        "minimax", run.theta, run.predicted_decrease, run.converged, run.history[1:]
-    )
+    runs = _short_runs(problem, {k: descents[k][0] for k in near}, short, tol, report)
+    best = min(runs, key=lambda k: runs[k].value)
+    run, found = runs[best], _Found.by_least_squares(ways[best][0], False, tol)
+    passed, n_left, creeps = descents[best][1] + run.history[1:], max_iter - short, False
+    while not (run.converged or creeps) and n_left > 0:
+        theta, values = smooth_descent(problem, run.theta, first=_CLOSE, gap=_CLOSER)
+        short, before = min(_SCREENING, n_left), run.value
+        told = stage(report, "minimax, steps from the best", n_left)
+        run = minimise_peak(problem, theta, max_iter=short, tol=tol, report=told)
+        creeps = size > _LARGE and run.value > (1.0 - _CREEP) * before
+        passed += values[1:] + run.history[1:]
+        n_left -= short
+    return found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
 
 
 _FIRSTS = (3.0, 1.5, 10.0)  # bounds, over the norm, where smooth descents begin
 _SMALL = 200  # parameters times states up to which all of them cost a second or two
 _SMOOTH = 1.5  # Newton steps of a smooth descent, over the largest number of iterations
 _RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
+_CLOSE, _CLOSER = 1.001, 1e-5  # bound, over the norm, where the close descents begin and end
+_VALLEY = 0.1  # distance of responses, relative to the error, within one valley
+_LARGE = 1000  # from which a convex step costs a second, and the last digits minutes
+_CREEP = 1e-4  # of the norm that a round of steps must earn there
 _SCREENING = 20  # convex steps of a short run
 
 
-def _short_runs(problem, thetas, options, n_jobs, report):
-    """A run of the minimax search from some points; in other processes its end is heard."""
-    count = len(thetas)
-    if effective_n_jobs(n_jobs) == 1:
-        names = [f"minimax, steps from descent {k + 1} of {count}" for k in range(count)]
-        return [
-            minimise_peak(
-                problem, theta, **options, report=stage(report, name, options["max_iter"])
-            )
-            for theta, name in zip(thetas, names, strict=True)
-        ]
-    return _in_batches(
-        (delayed(minimise_peak)(problem, theta, **options) for theta in thetas),
-        count,
-        n_jobs,
-        stage(report, "minimax, runs", count),
-        lambda run: run.value,
-    )
+def _short_runs(problem, thetas, max_iter, tol, report):
+    """Runs of the minimax search from some points, by number; none twice in one valley.
+
+    A run that converged speaks for all points of its valley: over twenty seeds no second
+    one, from a response as near as that, ended elsewhere.
+    """
+    runs, errors = {}, {}
+    for count, (k, theta) in enumerate(thetas.items()):
+        error = problem.residual_and_jacobian(theta)[0]
+        near = _VALLEY * linalg.norm(error)
+        if any(runs[i].converged and linalg.norm(error - errors[i]) <= near for i in runs):
+            continue
+        told = stage(report, f"minimax, steps from descent {count + 1} of {len(thetas)}", max_iter)
+        runs[k] = minimise_peak(problem, theta, max_iter=max_iter, tol=tol, report=told)
+        errors[k] = error
+    return runs
 
 
 def _in_batches(tasks, count, n_jobs, told, value):

@@ -9,6 +9,7 @@ search is not blind to small ones.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -17,6 +18,7 @@ from sklearn_hd.algorithms.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
 from sklearn_hd.algorithms.triangular import triangle
 from sklearn_hd.algorithms.weighting import Weighting, fixed_model
+from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
 
@@ -175,7 +177,7 @@ class MatchingProblem:
             return np.inf, np.nan
         try:
             value, peak = hinf_norm(*self.error_model(theta))
-        except ArithmeticError:
+        except (ArithmeticError, UnstableModelError):  # a pole that rounding moves across
             return np.inf, np.nan
         gains = self.gains(theta, self.grid)
         low, high = self._brackets(gains, _RIVAL * value)
@@ -191,10 +193,9 @@ class MatchingProblem:
 
     def abscissa(self, theta):
         """Largest real part among the poles of G_s(θ), plus what rounding may hide of it."""
-        A = self.structure.matrices(theta)[0]
-        if len(A) == 0:
+        poles = self.structure.poles(theta)
+        if len(poles) == 0:
             return -np.inf
-        poles = linalg.eigvals(A)
         return poles.real.max() + _ROUNDING * np.abs(poles).max()
 
     def error_and_sensitivity(self, theta, frequencies):
@@ -211,14 +212,15 @@ class MatchingProblem:
         """Least-squares residual over the grid on the line Re s = shift, and ∂/∂θ, as reals."""
         error, slope = self._difference(theta, line(self.grid, shift), self.scaling)
         by_point = np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
-        error, slope = (error * by_point).ravel(), slope * by_point[..., None]
-        slope = slope.reshape(error.size, -1)
-        return np.concatenate([error.real, error.imag]), np.vstack([slope.real, slope.imag])
+        return _as_reals(error * by_point, slope * by_point[..., None])
 
     def _difference(self, theta, s, weighting):
         response, slope = self.structure.response_and_sensitivity(theta, s)
-        error = self.model.response(np.empty(0), s) - response
-        return weighting.apply(error, s), -weighting.apply(slope, s)
+        return weighting.apply(self._given(s) - response, s), -weighting.apply(slope, s)
+
+    def _given(self, s):
+        """G_c(s), remembered for a few arrays of points."""
+        return _remembered_response(self.model, s.tobytes())
 
     def gains(self, theta, frequencies):
         """σ_max(E(jω; θ)), shape of the frequencies."""
@@ -228,18 +230,46 @@ class MatchingProblem:
     def singular_values(self, theta, frequencies):
         """Those of E(jω; θ), shape (n_points, min(l, m)), largest first."""
         s = line(frequencies)
-        error = self.model.response(np.empty(0), s) - self.structure.response(theta, s)
+        error = self._given(s) - self.structure.response(theta, s)
         return np.linalg.svd(self.weighting.apply(error, s), compute_uv=False)
 
     def active_frequencies(self, theta, value, extra=()):
         """Frequencies where the gain of E is within a factor 2 of F, local peaks resolved."""
         gains = self.gains(theta, self.grid)
-        low, high = self._brackets(gains, 0.0)
-        peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high)
-        width = 0.02 * (high - low)
-        peaks = np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
         near = self.grid[gains >= 0.5 * value]
-        return np.unique(np.concatenate([near, peaks, extra]))
+        return np.unique(np.concatenate([near, self._resolved(theta, gains), extra]))
+
+    def _resolved(self, theta, gains, rounds=3):
+        """Tops between the points of the grid, where E has some gains, and their flanks."""
+        low, high = self._brackets(gains, 0.0)
+        peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high, rounds)
+        width = 0.02 * (high - low)
+        return np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
+
+    def linearised(self, theta, extra=()):
+        """E, its slopes and :meth:`orthonormal_directions`, on the grid and at the tops between.
+
+        Returns
+        -------
+        frequencies : ndarray, shape (n_points,)
+        error, slope : complex ndarray, shapes (n_points, l, m), (n_points, l, m, k)
+        directions : ndarray, shape (k, n_directions)
+        """
+        error, slope = self.error_and_sensitivity(theta, self.grid)
+        outputs = self.scaling.outputs / self.weighting.outputs
+        scale = outputs[:, None] * (self.scaling.inputs / self.weighting.inputs)
+        scale = scale * np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
+        directions = self._orthonormal(*_as_reals(error * scale, slope * scale[..., None]))
+        gains = np.linalg.svd(error, compute_uv=False)[:, 0]
+        tops = self._resolved(theta, gains, rounds=1)
+        tops = np.setdiff1d(np.concatenate([tops, extra]), self.grid)
+        others = self.error_and_sensitivity(theta, tops)
+        return (
+            np.concatenate([self.grid, tops]),
+            np.concatenate([error, others[0]]),
+            np.concatenate([slope, others[1]]),
+            directions,
+        )
 
     def _brackets(self, gains, least):
         """Between what neighbours on the grid its local maxima above some gain lie."""
@@ -252,9 +282,11 @@ class MatchingProblem:
 
     def orthonormal_directions(self, theta):
         """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long."""
-        residual, jacobian = self.residual_and_jacobian(theta)
+        return self._orthonormal(*self.residual_and_jacobian(theta))
+
+    def _orthonormal(self, residual, jacobian):
         size = column_sizes(jacobian)
-        _, singular, adjoint = linalg.svd(jacobian / size, full_matrices=False)
+        _, singular, adjoint = linalg.svd(triangle(jacobian / size), full_matrices=False)
         kept = singular > _RANK * singular.max(initial=0.0)
         return (adjoint[kept] / singular[kept, None]).T / size[:, None] * linalg.norm(residual)
 
@@ -295,6 +327,18 @@ def line(frequencies, shift=0.0):
     s = np.full(np.shape(frequencies), shift, dtype=complex)
     s.imag = frequencies
     return s
+
+
+@lru_cache(maxsize=8)
+def _remembered_response(model, points):
+    return model.response(np.empty(0), np.frombuffer(points, dtype=complex))
+
+
+def _as_reals(error, slope):
+    """Residual and Jacobian: real and imaginary parts of each entry side by side."""
+    by_parameter = np.ascontiguousarray(np.moveaxis(slope, -1, 0))
+    jacobian = by_parameter.view(float).reshape(len(by_parameter), 2 * error.size).T
+    return np.ascontiguousarray(error).view(float).ravel(), jacobian
 
 
 def _check_fit(shape, structure):

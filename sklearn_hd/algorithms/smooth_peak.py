@@ -116,10 +116,7 @@ class _Bound:
 
     def __init__(self, problem, theta, peak):
         self.problem, self.theta = problem, theta
-        resolved = problem.active_frequencies(theta, np.inf, [peak])
-        self.frequencies = np.union1d(problem.grid, resolved)
-        self.directions = problem.orthonormal_directions(theta)
-        error, slope = problem.error_and_sensitivity(theta, self.frequencies)
+        self.frequencies, error, slope, self.directions = problem.linearised(theta, [peak])
         self._left, self._sizes, adjoint = np.linalg.svd(error)
         self._right = adjoint.conj().swapaxes(1, 2)
         n_points, n_rows, n_columns, k = slope.shape
@@ -169,9 +166,10 @@ class _Bound:
 
     def _bent(self, weights):
         """Σ weights · Re(u_jᴴ ∂²E/∂θ² v_j)."""
-        point, which = np.nonzero(weights > _SLIGHT * weights.max())
-        left = self._left[point, :, which] * weights[point, which][:, None]
-        frequencies, right = self.frequencies[point], self._right[point, :, which]
+        large = weights > _SLIGHT * weights.max()
+        here, n = np.any(large, axis=1), weights.shape[1]
+        left = self._left[here, :, :n].swapaxes(1, 2) * (weights * large)[here, :, None]
+        frequencies, right = self.frequencies[here], self._right[here, :, :n].swapaxes(1, 2)
         curvature = self.problem.error_curvature(self.theta, frequencies, left, right)
         return self.directions.T @ curvature @ self.directions
 

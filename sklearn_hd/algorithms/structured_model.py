@@ -15,7 +15,11 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.resolvent import triangular_form
+
 __all__ = ["AffineStructure"]
+
+_PIECE = 100_000  # entries of second derivatives that are summed together
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,52 +102,85 @@ class AffineStructure:
         rows, columns = np.nonzero(np.any(self.basis != 0, axis=0))
         return rows, columns, self.basis[:, rows, columns].T
 
-    def _factors(self, theta, s):
-        """L(s), R(s) and (sI − A)⁻¹, which is 0 at s = ∞."""
-        A, B, C, D = self.matrices(theta)
-        s = np.atleast_1d(np.asarray(s, dtype=complex))
-        finite = np.isfinite(s)
-        n, m, p = self.n_states, B.shape[1], len(C)
-        resolvent = np.zeros((len(s), n, n), dtype=complex)
-        resolvent[finite] = np.linalg.inv(s[finite, None, None] * np.eye(n) - A)
-        left = np.empty((len(s), p, n + p), dtype=complex)
-        left[:, :, :n], left[:, :, n:] = C @ resolvent, np.eye(p)
-        right = np.empty((len(s), n + m, m), dtype=complex)
-        right[:, :n], right[:, n:] = resolvent @ B, np.eye(m)
-        return left, right, resolvent, C, D
+    def poles(self, theta):
+        """Eigenvalues of A, shape (n,)."""
+        return triangular_form(self.matrices(theta)[0]).poles
+
+    def _driven(self, matrices, s):
+        """R(s), shape (n + m, n_points, m)."""
+        A, B = matrices[:2]
+        n, m = B.shape
+        right = np.empty((n + m, len(s), m), dtype=complex)
+        right[:n], right[n:] = triangular_form(A).driven(B, s), np.eye(m)[:, None]
+        return right
+
+    def _seen(self, matrices, s):
+        """L(s) transposed, shape (n + l, n_points, l)."""
+        A, _, C, _ = matrices
+        p, n = C.shape
+        left = np.empty((n + p, len(s), p), dtype=complex)
+        left[:n], left[n:] = triangular_form(A).seen(C, s), np.eye(p)[:, None]
+        return left
 
     def response(self, theta, s):
         """G(s), shape (n_points, l, m); s may hold infinity."""
-        _, right, _, C, D = self._factors(theta, s)
-        return C @ right[:, : self.n_states] + D
+        matrices = self.matrices(theta)
+        return _response(matrices, self._driven(matrices, points(s)))
 
     def response_and_sensitivity(self, theta, s):
         """G(s), shape (n_points, l, m), and ∂G/∂θ, shape (n_points, l, m, k)."""
-        left, right, _, C, D = self._factors(theta, s)
+        matrices, s = self.matrices(theta), points(s)
+        left, right = self._seen(matrices, s), self._driven(matrices, s)
         rows, columns, rates = self._entries
-        moved = left[:, :, None, rows] * right[:, columns].swapaxes(1, 2)[:, None]
-        return C @ right[:, : self.n_states] + D, moved @ rates
+        moved = left[rows][..., None] * right[columns][:, :, None]
+        each = moved.shape[1:]
+        slope = rates.T @ moved.view(float).reshape(len(rows), 2 * np.prod(each))
+        slope = slope.view(complex).reshape(self.n_parameters, *each)
+        return _response(matrices, right), np.moveaxis(slope, 0, -1)
 
     def curvature(self, theta, s, left_vectors, right_vectors):
-        """Σ_i Re(p_iᴴ ∂²G(s_i)/∂θ² v_i), shape (k, k).
+        """Σ_ij Re(p_ijᴴ ∂²G(s_i)/∂θ² v_ij), shape (k, k).
 
         Parameters
         ----------
         theta : ndarray, shape (k,)
         s : complex ndarray, shape (n_points,)
-        left_vectors, right_vectors : complex ndarray, shapes (n_points, l), (n_points, m)
-            p_i and v_i.
+            At infinity G is affine.
+        left_vectors, right_vectors : complex ndarray
+            p_ij and v_ij, shapes (n_points, n_vectors, l) and (n_points, n_vectors, m); one a
+            point without their second axis.
         """
-        left, right, resolvent, _, _ = self._factors(theta, s)
-        n = self.n_states
-        before = np.einsum("fl,fla->fa", left_vectors.conj(), left)
-        after = np.einsum("fbm,fm->fb", right, right_vectors)
-        n_points, k = len(resolvent), self.n_parameters
-        into = np.tensordot(before, self.basis[:, :, :n], axes=(1, 1))
-        out_of = np.tensordot(after, self.basis[:, :n], axes=(1, 2))
-        through = (into @ resolvent).swapaxes(0, 1).reshape(k, n_points * n)
-        half = (through @ out_of.swapaxes(0, 1).reshape(k, n_points * n).T).real
+        matrices, n = self.matrices(theta), self.n_states
+        finite = np.isfinite(s)
+        s = s[finite]
+        pairs = (left_vectors[finite], right_vectors[finite])
+        p, v = (each[:, None] if each.ndim == 2 else each for each in pairs)
+        rows, columns, rates = self._entries
+        first, second = columns < n, rows < n  # of S_j K S_k: out of states, into states
+        before = p.conj() @ self._seen(matrices, s)[rows[first]].transpose(1, 2, 0)
+        after = v @ self._driven(matrices, s)[columns[second]].transpose(1, 2, 0)
+        places = (slice(None), *np.ix_(columns[first], rows[second]))
+        half = np.zeros((before.shape[2], after.shape[2]))
+        size = max(1, _PIECE // max(half.size, 1))
+        for here in (slice(k, k + size) for k in range(0, len(s), size)):
+            K = np.linalg.inv(s[here, None, None] * np.eye(n) - matrices[0])
+            half += np.sum((before[here].swapaxes(1, 2) @ after[here]) * K[places], axis=0).real
+        half = rates[first].T @ half @ rates[second]
         return half + half.T
+
+
+def points(s):
+    """s as a complex array of one axis."""
+    return np.atleast_1d(np.asarray(s, dtype=complex))
+
+
+def _response(matrices, right):
+    """C R_x + D, shape (n_points, l, m)."""
+    C, D = matrices[2:]
+    states = right[: C.shape[1]]
+    shape = states.shape[1:]
+    seen = C @ states.reshape(len(states), np.prod(shape))
+    return seen.reshape(len(C), *shape).swapaxes(0, 1) + D
 
 
 def column_sizes(matrix):

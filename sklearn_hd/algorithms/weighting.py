@@ -88,12 +88,12 @@ class Weighting:
         return weighted
 
     def pull_back(self, left, right, s):
-        """p, v for which pᴴ W_o E W_i v is that of left and right, (n_points, l), (n_points, m)."""
+        """p, v for which pᴴ W_o E W_i v is that of left and right, (n_points, …, l) and (…, m)."""
         if self.output_filter is not None:
             gains = self.output_filter.response(_NOTHING, s)
-            left = np.einsum("fpl,fp->fl", gains.conj(), left)
+            left = np.einsum("fpl,f...p->f...l", gains.conj(), left)
         if self.input_filter is not None:
-            right = np.einsum("fmq,fq->fm", self.input_filter.response(_NOTHING, s), right)
+            right = np.einsum("fmq,f...q->f...m", self.input_filter.response(_NOTHING, s), right)
         return self.outputs * left, self.inputs * right
 
     def realize(self, A, B, C, D):
