@@ -8,8 +8,8 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import extremes, within_range
-from sklearn_hd._containers import as_container, without_inputs
-from sklearn_hd._data import (
+from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._records.data import (
     as_frame,
     check_features,
     hop_means,
@@ -17,12 +17,12 @@ from sklearn_hd._data import (
     read_experiment,
     read_signals,
 )
-from sklearn_hd._frame import FrameTransformer, HarmonicFrame
-from sklearn_hd._sampling import joined
-from sklearn_hd._small_signal import read_for_fit
-from sklearn_hd._states import initial_states
+from sklearn_hd._records.sampling import joined
+from sklearn_hd._records.small_signal import read_for_fit
+from sklearn_hd._records.states import initial_states
+from sklearn_hd._tables.containers import as_container, without_inputs
+from sklearn_hd._tables.time import STEP_TOLERANCE
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd._validation import (
     check_output_names,
     check_outputs_given,

@@ -11,8 +11,15 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._containers import check_has_signals
-from sklearn_hd._data import (
+from sklearn_hd._frame import (
+    PERIOD,
+    FrameTransformer,
+    HarmonicBasis,
+    HarmonicFrame,
+    Reading,
+    coefficient_names,
+)
+from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
     mean_waveforms,
@@ -22,16 +29,9 @@ from sklearn_hd._data import (
     warn_of_jitter,
     without_trim,
 )
-from sklearn_hd._frame import (
-    PERIOD,
-    FrameTransformer,
-    HarmonicBasis,
-    HarmonicFrame,
-    Reading,
-    coefficient_names,
-)
-from sklearn_hd._sampling import lay_grid, warn_of_resampling
-from sklearn_hd._time import why_short
+from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
+from sklearn_hd._tables.containers import check_has_signals
+from sklearn_hd._tables.time import why_short
 from sklearn_hd._validation import (
     PERIOD_TOLERANCE,
     RAISE,

@@ -8,9 +8,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import extremes, square_sums, within_range
 from sklearn_hd._base import ModelStep
-from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._fit_checks import (
     check_outputs_move,
     moving_inputs,
@@ -20,16 +18,18 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
 )
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._innovation_model import InnovationModel
-from sklearn_hd._more_rows import MoreRows, is_sliding
-from sklearn_hd._partitioned_fit import PartitionedFit
-from sklearn_hd._partitions import is_partitioned
-from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._progress import progress
-from sklearn_hd._sliding_inputs import modulated_inputs
-from sklearn_hd._small_signal import read_for_fit
-from sklearn_hd._streamed_fit import StreamedFit
-from sklearn_hd._subspace_checks import PREDICTOR, SubspaceChecks, is_lifted
+from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
+from sklearn_hd._records.sliding_inputs import modulated_inputs
+from sklearn_hd._records.small_signal import read_for_fit
+from sklearn_hd._subspace.checks import PREDICTOR, SubspaceChecks, is_lifted
+from sklearn_hd._subspace.innovation_model import InnovationModel
+from sklearn_hd._subspace.more_rows import MoreRows, is_sliding
+from sklearn_hd._subspace.partitioned_fit import PartitionedFit
+from sklearn_hd._subspace.partitions import is_partitioned
+from sklearn_hd._subspace.products_cache import KeptSums
+from sklearn_hd._subspace.streamed_fit import StreamedFit
+from sklearn_hd._tables.containers import as_container, without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import COMMON, check_outputs_given, signal_names
 from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns

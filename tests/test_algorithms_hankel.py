@@ -9,8 +9,8 @@ from conftest import random_stable
 from scipy import linalg, optimize, signal
 
 from sklearn_hd import HarmonicAnalyzer
-from sklearn_hd._data import read_experiment, rows_read
-from sklearn_hd._sliding_inputs import modulated_inputs
+from sklearn_hd._records.data import read_experiment, rows_read
+from sklearn_hd._records.sliding_inputs import modulated_inputs
 from sklearn_hd.algorithms import hankel, triangular
 from sklearn_hd.algorithms.hankel import factor_of_products, hankel_factor
 from sklearn_hd.algorithms.lag_products import lag_products, stretch

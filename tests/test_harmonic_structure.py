@@ -14,7 +14,7 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd._frame import HarmonicBasis
-from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd._matching.periodic import PeriodicModel
 from sklearn_hd.algorithms.fourier import harmonic_functions
 
 STATES, INPUTS = ("x", "v"), ("u",)

@@ -12,7 +12,7 @@ from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd._data import read_signals, sample
+from sklearn_hd._records.data import read_signals, sample
 from sklearn_hd.exceptions import JitterWarning
 
 OMEGA = 2 * np.pi * 5  # mean speed, rad/s

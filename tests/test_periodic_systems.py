@@ -10,7 +10,7 @@ from periodic_cases import record, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
-from sklearn_hd._free_response import _unless_it_explains_less
+from sklearn_hd._matching.free_response import _unless_it_explains_less
 from sklearn_hd.algorithms.equation_error import equation_error
 from sklearn_hd.algorithms.multipliers import (
     characteristic,

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 
-from sklearn_hd import MOESPRegressor, _products_cache
-from sklearn_hd._products_cache import KeptSums
+from sklearn_hd import MOESPRegressor
+from sklearn_hd._subspace import products_cache
+from sklearn_hd._subspace.products_cache import KeptSums
 from sklearn_hd.algorithms.hankel import hankel_factor
 from sklearn_hd.algorithms.lag_products import lag_products
 
@@ -32,7 +33,7 @@ def counted(monkeypatch):
         calls.append(n_lags)
         return lag_products(records, n_lags, exact)
 
-    monkeypatch.setattr(_products_cache, "lag_products", count)
+    monkeypatch.setattr(products_cache, "lag_products", count)
     return calls
 
 
@@ -91,8 +92,8 @@ def test_other_data_have_other_products(tmp_path, rng, change):
 
 
 def test_a_fit_hashes_its_data_once(tmp_path, data, monkeypatch):
-    digest, calls = _products_cache._digest, []
-    monkeypatch.setattr(_products_cache, "_digest", lambda z: calls.append(1) or digest(z))
+    digest, calls = products_cache._digest, []
+    monkeypatch.setattr(products_cache, "_digest", lambda z: calls.append(1) or digest(z))
     model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
     for _ in range(2):
         model.fit(*data)
@@ -119,7 +120,7 @@ def test_other_choices_are_not_at_hand(tmp_path, data):
 
 
 def test_no_more_is_at_hand_than_stated():
-    recent = _products_cache._Recent(3000)
+    recent = products_cache._Recent(3000)
     for k in range(5):
         recent.get(k, lambda: (np.zeros(100), np.zeros(25)))  # 1000 bytes
         recent.get(0, lambda: np.zeros(125))  # asked for last, so it stays
@@ -131,8 +132,8 @@ def test_no_more_is_at_hand_than_stated():
 
 def test_rows_and_columns_of_one_table_have_digests_of_their_own(rng):
     z = rng.standard_normal((6, 6))
-    other = _products_cache._digest([(np.asfortranarray(z.T), z)])
-    assert _products_cache._digest([(z, z)]) != other
+    other = products_cache._digest([(np.asfortranarray(z.T), z)])
+    assert products_cache._digest([(z, z)]) != other
 
 
 def test_very_many_lags_are_not_kept(tmp_path, rng, counted):

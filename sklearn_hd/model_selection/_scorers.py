@@ -8,7 +8,7 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd._base import ModelStep, power_of_two, scored_simulation, weights_of
-from sklearn_hd._containers import as_container, to_float
+from sklearn_hd._tables.containers import as_container, to_float
 from sklearn_hd._validation import check_count
 
 

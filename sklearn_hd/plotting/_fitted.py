@@ -7,7 +7,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._base import ModelStep
-from sklearn_hd._time import read_time
+from sklearn_hd._tables.time import read_time
 from sklearn_hd._validation import FIRST
 from sklearn_hd.plotting._style import SAMPLES, TIME
 

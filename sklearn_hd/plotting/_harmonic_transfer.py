@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._data import read_experiment
-from sklearn_hd._time import read_time
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._tables.time import read_time
 from sklearn_hd._validation import FIRST
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._bode import chosen

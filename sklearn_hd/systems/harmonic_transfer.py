@@ -11,8 +11,8 @@ from scipy.signal import get_window
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._containers import as_container, to_float
-from sklearn_hd._time import read_time
+from sklearn_hd._tables.containers import as_container, to_float
+from sklearn_hd._tables.time import read_time
 from sklearn_hd._validation import (
     check_count,
     check_finite,

@@ -2,9 +2,9 @@
 
 import warnings
 
-from sklearn_hd._products_cache import KeptSums
 from sklearn_hd._progress import check_verbose
-from sklearn_hd._time import why_short
+from sklearn_hd._subspace.products_cache import KeptSums
+from sklearn_hd._tables.time import why_short
 from sklearn_hd._validation import check_choice, check_count, check_flag
 from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.predictor_subspace import rows_remembered

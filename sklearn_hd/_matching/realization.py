@@ -13,14 +13,14 @@ from itertools import combinations
 import numpy as np
 
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._data import lifted_periods
-from sklearn_hd._free_response import (
+from sklearn_hd._matching.free_response import (
     GrowthError,
     most_directions,
     output_shapes,
     predictor_states,
 )
-from sklearn_hd._input_problem import InputProblem
+from sklearn_hd._matching.input_problem import InputProblem
+from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.equation_error import equation_error
 from sklearn_hd.algorithms.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.fourier import sampled_harmonics

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sklearn_hd._sliding_inputs import changes_at_one_phase, inputs_by_phase
-from sklearn_hd._subspace_checks import is_lifted
+from sklearn_hd._records.sliding_inputs import changes_at_one_phase, inputs_by_phase
+from sklearn_hd._subspace.checks import is_lifted
 from sklearn_hd.algorithms.hankel import n_hankel_columns
 from sklearn_hd.algorithms.modes import FAINT, agreeing_copies, is_window_pole
 
@@ -62,8 +62,8 @@ class MoreRows:
             if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
                 agreeing = self._n_agreeing(found, basis)
                 if agreeing > most:
-                    kept = self.singular_values_, self.noise_floor_, self.order_
-                    best, most = (found, i, *kept), agreeing
+                    left = self.singular_values_, self.noise_floor_, self.order_
+                    best, most = (found, i, *left), agreeing
         found, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_ = best
         return found
 

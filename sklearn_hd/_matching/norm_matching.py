@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd._weights import read_weights
+from sklearn_hd._matching.weights import read_weights
 from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.simulation import frequency_response

@@ -5,9 +5,9 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._containers import without_inputs
-from sklearn_hd._states import initial_states
-from sklearn_hd._subspace_checks import PREDICTOR
+from sklearn_hd._records.states import initial_states
+from sklearn_hd._subspace.checks import PREDICTOR
+from sklearn_hd._tables.containers import without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_count, check_outputs_given
 from sklearn_hd.algorithms.innovations import InnovationForm

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd._data import lifted_periods
-from sklearn_hd._free_response import MAX_GROWTH, GrowthError
-from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd._matching.free_response import MAX_GROWTH, GrowthError
+from sklearn_hd._matching.periodic import PeriodicModel
+from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.combined_periods import CombinedPeriods, combined_periods
 from sklearn_hd.algorithms.floquet_coordinates import fixed_scale
 from sklearn_hd.algorithms.nested_least_squares import NestedLeastSquares

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sklearn_hd._data import read_experiment
-from sklearn_hd._sliding_inputs import (
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._records.sliding_inputs import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
-from sklearn_hd._time import STEP_TOLERANCE
+from sklearn_hd._tables.time import STEP_TOLERANCE
 from sklearn_hd._validation import RAISE
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.running_products import RunningRecord, RunningSums

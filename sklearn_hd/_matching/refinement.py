@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from sklearn_hd._match import Uncertainty, periodic_match
+from sklearn_hd._matching.match import Uncertainty, periodic_match
 from sklearn_hd.algorithms.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.reporting import within

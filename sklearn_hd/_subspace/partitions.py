@@ -16,16 +16,16 @@ from functools import cached_property, partial
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._data import Experiment
 from sklearn_hd._frame import HarmonicBasis
-from sklearn_hd._partition_statistics import (
+from sklearn_hd._records.data import Experiment
+from sklearn_hd._records.sliding_inputs import n_modulating_harmonics, steps_at_one_phase
+from sklearn_hd._subspace.partition_statistics import (
     Statistic,
     partition_changes,
     partition_equations,
     partition_sums,
     worded,
 )
-from sklearn_hd._sliding_inputs import n_modulating_harmonics, steps_at_one_phase
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
 from sklearn_hd.algorithms.record_parts import cuts
 

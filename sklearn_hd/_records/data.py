@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from sklearn.utils.validation import validate_data
 
-from sklearn_hd._containers import as_container, to_float, without_inputs
 from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
-from sklearn_hd._sampling import Sampling, lay_grid
-from sklearn_hd._time import TimeBase, read_time
+from sklearn_hd._records.sampling import Sampling, lay_grid
+from sklearn_hd._tables.containers import as_container, to_float, without_inputs
+from sklearn_hd._tables.time import TimeBase, read_time
 from sklearn_hd._validation import (
     GAP,
     RAISE,

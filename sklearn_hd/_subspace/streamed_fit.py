@@ -6,11 +6,11 @@ import warnings
 import numpy as np
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._containers import without_inputs
-from sklearn_hd._data import check_features
 from sklearn_hd._progress import progress
-from sklearn_hd._stream import Stream, read_chunk
-from sklearn_hd._subspace_checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR
+from sklearn_hd._records.data import check_features
+from sklearn_hd._subspace.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR
+from sklearn_hd._subspace.stream import Stream, read_chunk
+from sklearn_hd._tables.containers import without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns

@@ -9,8 +9,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from sklearn_hd._data import read_experiment
-from sklearn_hd._sampling import Piece, Sampling
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._records.sampling import Piece, Sampling
 from sklearn_hd.algorithms.small_signal import (
     extrapolation_weights,
     n_distinct,
@@ -27,7 +27,7 @@ NOISE_GAIN = 10.0  # noise of a twentieth of the signal becomes half of it
 def read_for_fit(X, y):
     """Segments of inputs and outputs that a model is fitted to.
 
-    As :func:`~sklearn_hd._data.read_experiment`, with records at several
+    As :func:`~sklearn_hd._records.data.read_experiment`, with records at several
     amplitudes combined where the analyzer was asked to.
     """
     experiment = read_experiment(X, y)

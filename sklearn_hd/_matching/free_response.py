@@ -8,7 +8,7 @@ one identified in closed loop, the states are those of its predictor.
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._data import beside_trim, lifted_periods, rows_read
+from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd.algorithms.innovations import predicted_states
 from sklearn_hd.algorithms.lifting import input_directions
 from sklearn_hd.algorithms.multipliers import RefinedMap, refine_multipliers

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sklearn_hd._fit_checks import check_outputs_move, moving_inputs, warn_idle
-from sklearn_hd._partitions import Partitions, basis_of
-from sklearn_hd._subspace_checks import PREDICTOR
+from sklearn_hd._subspace.checks import PREDICTOR
+from sklearn_hd._subspace.partitions import Partitions, basis_of
 from sklearn_hd.algorithms.hankel import n_hankel_columns
 
 __all__ = ["PartitionedFit"]

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd._time import TimeBase, even
+from sklearn_hd._tables.time import TimeBase, even
 from sklearn_hd._validation import RAISE
 from sklearn_hd.algorithms.resampling import (
     held_means,

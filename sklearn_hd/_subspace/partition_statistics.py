@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._arithmetic import extremes
-from sklearn_hd._data import (
+from sklearn_hd._records.data import (
     PLAIN,
     Experiment,
     as_frame,
@@ -19,9 +19,9 @@ from sklearn_hd._data import (
     rows_read,
     sample,
 )
-from sklearn_hd._sliding_inputs import largest_changes, modulated
+from sklearn_hd._records.sliding_inputs import largest_changes, modulated
+from sklearn_hd._tables.time import STEP_TOLERANCE
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd.algorithms.lag_products import LagProducts, stretch
 from sklearn_hd.algorithms.record_parts import InputEquations, input_equations
 

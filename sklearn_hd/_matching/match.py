@@ -8,7 +8,7 @@ from scipy.stats import norm
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._periodic import PeriodicModel
+from sklearn_hd._matching.periodic import PeriodicModel
 from sklearn_hd._validation import check_fraction, check_frequencies
 from sklearn_hd.algorithms.matching import MatchResult
 from sklearn_hd.algorithms.matching_problem import numerical_rank

@@ -1,0 +1,1 @@
+"""From the user's rows to evenly sampled segments, small-signal pairs and initial states."""

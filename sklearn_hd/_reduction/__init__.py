@@ -1,0 +1,1 @@
+"""Parts of step 4: which modes are the machine's own, and their refinement on the raw record."""

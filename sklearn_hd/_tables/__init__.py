@@ -1,0 +1,1 @@
+"""Tables and their index as users give them, read as floats and seconds."""
