@@ -33,8 +33,8 @@ from sklearn_hd import (
     MOESPRegressor,
     SpuriousModeReducer,
     StructuredMatcher,
-    _products_cache,
 )
+from sklearn_hd._subspace import products_cache
 from sklearn_hd.algorithms import hankel, lag_products
 from sklearn_hd.datasets import make_flapping_wing
 
@@ -100,7 +100,7 @@ class Counted:
     """Lag products that were multiplied, not looked up, while this is open."""
 
     def __enter__(self):
-        self.count, modules = 0, (hankel, _products_cache)
+        self.count, modules = 0, (hankel, products_cache)
 
         def counted(records, n_lags, exact):
             self.count += 1
