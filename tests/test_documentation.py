@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -86,3 +88,12 @@ def test_messages_quoted_are_those_of_the_code():
     for message in quoted:
         literal = re.compile(".*?".join(map(re.escape, message.split("…"))))
         assert any(literal.search(text) for text in worded), f"no longer said so: {message}"
+
+
+def test_studies_and_benchmarks_find_all_that_they_import():
+    folder = ROOT / "docs" / "benchmarks"
+    names = ", ".join(path.stem for path in sorted(folder.glob("*.py")))
+    found = subprocess.run(
+        [sys.executable, "-c", f"import {names}"], cwd=folder, capture_output=True, text=True
+    )
+    assert found.returncode == 0, found.stderr
