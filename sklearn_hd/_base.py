@@ -35,6 +35,7 @@ from sklearn_hd.exceptions import UnstableModelError
 WARMUP_PERIODS = 5
 WARMUP_SAMPLES = 50
 WARMUP_SHARE = 0.25
+MOST_SCORED = 1e150  # times the measured outputs: squares of more overflow
 
 
 def upstream(step, X, y):
@@ -310,6 +311,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             Before ``fit``.
         ValueError
             If fewer than two rows are left to score, or X and y do not fit the model.
+        UnstableModelError
+            If the simulation grows until R² overflows.
         """
         check_is_fitted(self)
         check_outputs_given(y)
@@ -320,7 +323,14 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 "one row is left to score, which has no R²; give longer records or a smaller warmup"
             )
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
-        columns = (np.asfortranarray(z) / unit for z in (truth, simulated))  # quick to sum
+        columns = [np.asfortranarray(z) / unit for z in (truth, simulated)]  # quick to sum
+        largest = np.max(np.abs(extremes(columns[1])))
+        if not largest < MOST_SCORED:
+            raise UnstableModelError(
+                f"the simulation grows to {largest:.3g} times the measured outputs, so that R² "
+                f"overflows: the model is unstable; drop the growing modes (SpuriousModeReducer), "
+                f"lower the order, or score a shorter span"
+            )
         return float(r2_score(*columns, sample_weight=weight))
 
     def _fitted_simulation(self, X, y, horizon=None):

@@ -1,11 +1,10 @@
 """What the data of a fit say against it: no motion, another fundamental frequency, growth."""
 
-import warnings
-
 import numpy as np
 
 from sklearn_hd._arithmetic import extremes, square_sums
 from sklearn_hd._validation import SMALLEST
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
@@ -30,7 +29,7 @@ CALM = 1e6  # times growth that leaves most of them
 FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 
 
-def warn_of_mismatch(experiment, stacklevel=4):
+def warn_of_mismatch(experiment):
     """Warn if the data repeat themselves at another frequency than omega.
 
     Where inputs never rest for some periods nothing can be said, nor where the
@@ -52,18 +51,17 @@ def warn_of_mismatch(experiment, stacklevel=4):
     periods = max(len(y) for y in outputs) / basis.samples_per_period
     word = "less" if off > 0.0 else "more"
     worse = np.sqrt(estimate.residual_given / max(estimate.residual, np.finfo(float).tiny))
-    warnings.warn(
+    warn(
         f"the data repeat themselves at {estimate.omega:.7g} rad/s, not at omega="
         f"{basis.omega:.7g} rad/s, which is {abs(off):.2%} {word}: there, "
         f"{worse:.3g} times as much (rms) of them is left unexplained from period to period, and "
         f"over the longest segment ({experiment.span()}) the phase drifts by "
         f"{abs(off) * periods:.2g} periods; set omega={estimate.omega:.7g}, or check the clock",
         FrequencyMismatchWarning,
-        stacklevel=stacklevel,
     )
 
 
-def warn_of_growing_data(experiment, stacklevel=4):
+def warn_of_growing_data(experiment):
     """Warn if outputs grow so much that what decays beside them is lost in rounding."""
     basis = experiment.basis
     if basis is None:
@@ -73,13 +71,12 @@ def warn_of_growing_data(experiment, stacklevel=4):
         rate = _growth_rate(y, spp)
         if rate * (len(y) // spp) < np.log(LOST):
             continue
-        warnings.warn(
+        warn(
             f"outputs grow {np.exp(rate):.3g} times a period up to the last of the "
             f"{experiment.span()}: the periodic orbit is unstable, and rounding hides what decays "
             f"beside it; use records of at most {np.log(CALM) / rate * period:.3g} s "
             f"({int(np.log(CALM) / rate)} periods), or fly with a controller that holds the orbit",
             InstabilityWarning,
-            stacklevel=stacklevel,
         )
         return
 
@@ -101,7 +98,7 @@ def _growth_rate(y, spp):
     return float(np.log(size[-1] / size[marks[0]]) / (n - 1 - marks[0])) if steady else 0.0
 
 
-def warn_of_growth(model, experiment, stacklevel=4):
+def warn_of_growth(model, experiment):
     """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
     if experiment.basis is None or model.n_states == 0:
         return
@@ -113,14 +110,13 @@ def warn_of_growth(model, experiment, stacklevel=4):
     period = 2.0 * np.pi / experiment.basis.omega
     folds, multiplier = rate * longest, np.exp(min(rate * period, 700.0))
     if folds > 1.0:
-        warnings.warn(
+        warn(
             f"the periodic orbit is unstable: a Floquet exponent of the model has the real part "
             f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), by which it grows "
             f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment of the "
             f"{experiment.span()}; simulate short spans from known states, or lower the order if "
             f"the orbit is known to be stable",
             InstabilityWarning,
-            stacklevel=stacklevel,
         )
 
 
@@ -134,10 +130,9 @@ def warn_idle(moving, experiment):
                 "their columns of B are zero; StructuredMatcher fits what inputs do within the "
                 "period"
             )
-        warnings.warn(
+        warn(
             f"the inputs {idle} are at rest in the {experiment.span()}: {effect}",
             ExcitationWarning,
-            stacklevel=5,
         )
 
 
@@ -160,11 +155,10 @@ def check_outputs_move(experiment):
     names = experiment.output_names
     resting = [n for n, m, o in zip(names, moves, off, strict=True) if o and not m]
     if resting:
-        warnings.warn(
+        warn(
             f"the outputs {resting} are constant, but not zero, in the {experiment.span()}: no "
             f"input explains them; subtract what they rest at (trim_span), or drop them",
             IdentifiabilityWarning,
-            stacklevel=5,
         )
 
 

@@ -2,7 +2,6 @@
 
 import math
 import numbers
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +43,7 @@ from sklearn_hd._validation import (
     check_span,
     whole_period,
 )
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
 
@@ -266,12 +266,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, reading)
         if inputs.base.counted:
-            warnings.warn(
+            warn(
                 f"no times given: samples are counted, {inputs.base.sample_time:g} s apart and "
                 f"one contiguous record from psi = 0, in the order given; use a DataFrame indexed "
                 f"by seconds",
                 TimeBaseWarning,
-                stacklevel=3,
             )
         kept_in = check_harmonics("input_harmonics", self.input_harmonics, inputs.names)
         kept_out = ()
@@ -404,7 +403,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"fewer periods"
             )
         if self.azimuth is None:
-            warn_of_jitter(signals.base, basis.sample_time, stacklevel=5)
+            warn_of_jitter(signals.base, basis.sample_time)
         times = [piece.grid for piece in sampling.pieces]
         inputs = without_trim(inputs, times, basis, basis.input_trim)
         coefficients = sampling.back(

@@ -1,6 +1,5 @@
 """Step 4: drop the modes that the harmonic analyzer put in."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +23,7 @@ from sklearn_hd._reduction.mode_choice import (
 from sklearn_hd._reduction.raw_modes import periodic_decomposition, refined_modes
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_choice, check_count
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.modes import conjugate_units, family_exponents, invariant_pair
 from sklearn_hd.algorithms.reporting import within
 from sklearn_hd.algorithms.residualization import residualize
@@ -210,11 +210,10 @@ class SpuriousModeReducer(ModelStep):
         reasons = ["" if k else "negative real pole: no continuous-time counterpart" for k in kept]
         exponents = continuous_exponents(z, model.dt)
         self._modes = (exponents, np.arange(len(z)), verdicts.tolist(), reasons)
-        warnings.warn(
+        warn(
             f"{int((~kept).sum())} mode(s) on the negative real axis have no continuous-time "
             f"counterpart and are dropped; sample faster, or lower the order",
             IdentifiabilityWarning,
-            stacklevel=5,
         )
         return self._refit(model, experiment, z, kept, np.zeros(len(z), dtype=bool))
 

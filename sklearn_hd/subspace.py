@@ -1,7 +1,5 @@
 """Step 3: subspace identification of a discrete-time state-space model."""
 
-import warnings
-
 import numpy as np
 from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
@@ -32,6 +30,7 @@ from sklearn_hd._subspace.streamed_fit import StreamedFit
 from sklearn_hd._tables.containers import as_container, without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import COMMON, check_outputs_given, signal_names
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.innovations import InnovationForm
 from sklearn_hd.algorithms.input_matrices import input_matrices
@@ -341,7 +340,7 @@ class MOESPRegressor(
                     f"with hop=None and refine with StructuredMatcher(structure="
                     f"HarmonicStructure(), criterion='output_error')"
                 )
-            warnings.warn(words, ExcitationWarning, stacklevel=4)
+            warn(words, ExcitationWarning)
         return beside_trim(directions, experiment.basis)
 
     def _decompose(self, kept, inputs, outputs, n_moving, experiment, scale):
@@ -417,11 +416,10 @@ class MOESPRegressor(
         """Gain without states, all that a record too short for any dynamics gives."""
         inputs, outputs = experiment.drive, experiment.outputs
         n_outputs = outputs[0].shape[1]
-        warnings.warn(
+        warn(
             f"the {experiment.span()} are too few to identify dynamics from "
             f"{inputs[0].shape[1]} input(s): a static gain is fitted; use a longer record",
             ExcitationWarning,
-            stacklevel=5,
         )
         self.singular_values_, self.noise_floor_, self.order_ = np.zeros(0), 0.0, 0
         A, C = np.zeros((0, 0)), np.zeros((n_outputs, 0))

@@ -207,3 +207,5 @@ def test_cholesky_is_refused_where_digits_are_lost(rng):
     X[:, 2] = X[:, 1] + 1e-6 * X[:, 2]
     assert triangular.safe_cholesky(X.T @ X) is None
     assert triangular.safe_cholesky(np.diag([1.0, 0.0])) is None
+    with np.errstate(all="raise"):
+        assert triangular.safe_cholesky(np.diag([1.0, -1e-17])) is None

@@ -231,7 +231,7 @@ def test_no_direction_lowers_the_norm_at_an_optimum():
     model = disturbed_heave(0.02, random)
     result = match_structure(*model, structure, theta0=truth)
     problem = MatchingProblem.build(*model, structure)
-    directions = problem.orthonormal_directions(result.theta)
+    directions = problem.step_directions(result.theta)
     assert result.converged
     assert abs(result.predicted_decrease) <= 1e-8
     for _ in range(200):
@@ -239,6 +239,20 @@ def test_no_direction_lowers_the_norm_at_an_optimum():
             directions @ random.standard_normal(directions.shape[1]) * 10 ** random.uniform(-6, -1)
         )
         assert problem.peak(result.theta + step)[0] >= result.relative_error * (1 - 1e-7)
+
+
+def test_a_unit_step_is_bounded_in_response_and_in_parameters():
+    structure, truth = subsystem("heave")
+    problem = MatchingProblem.build(*disturbed_heave(0.02, np.random.default_rng(3)), structure)
+    far = truth.copy()
+    far[:2] *= 1e7  # parameters that all but cannot move the response any more
+    for theta in (truth, far):
+        residual, jacobian = problem.residual_and_jacobian(theta)
+        directions, length = problem.step_directions(theta), linalg.norm(residual)
+        reach = 3.0 * np.maximum(np.abs(theta), length / linalg.norm(jacobian, axis=0))
+        moved, own = jacobian @ directions / length, directions / reach[:, None]
+        unit = moved.T @ moved + own.T @ own
+        np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-9)
 
 
 def test_runs_stop_at_one_a_valley_that_has_converged():

@@ -40,3 +40,17 @@ def test_columns_of_zeros_are_unknown_and_zero(rng):
     assert solution.tolist() == [0.0, 0.0]
     np.testing.assert_array_equal(left, fit.target)
     assert unknown.all()
+
+
+def test_what_no_column_adds_does_not_spoil_the_blocks_after_it(rng):
+    """Directions that are rounding must not be taken for new ones."""
+    fit, X = NestedLeastSquares(rng.standard_normal(20)), np.zeros((20, 0))
+    for _ in range(4):
+        block = rng.standard_normal((20, 4))
+        block[:, 0] = 0.0
+        block[:, 1] = X @ rng.standard_normal(X.shape[1])  # known before; of zeros at first
+        fit.extend(block)
+        X, y = np.hstack([X, block]), fit.target
+        left = fit.solve()[1]
+        expected = y - X @ np.linalg.lstsq(X, y, rcond=1e-11)[0]
+        np.testing.assert_allclose(left, expected, atol=1e-12)

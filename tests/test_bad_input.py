@@ -445,6 +445,9 @@ def test_an_overflowing_simulation_is_refused():
     assert model.eigenvalues_[0].real == pytest.approx(1.5, abs=1e-6)
     with pytest.raises(UnstableModelError, match=r"overflows: the model has a pole of size 1.5"):
         model.predict(np.ones((5000, 1)))
+    span = int(360 / np.log10(1.5) / 2)  # outputs reach 1e180, their squares would overflow
+    with pytest.raises(UnstableModelError, match=r"times the measured outputs, so that R² overf"):
+        model.score(np.ones((span, 1)), rng.standard_normal((span, 1)))
 
 
 def test_frames_of_other_libraries_are_refused():

@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_arithmetic", "_validation", "_progress", "_threads", "_tables"},
+    {"exceptions", "_arithmetic", "_validation", "_progress", "_threads", "_warn", "_tables"},
     {"algorithms"},
     {"systems", "structures"},
     {"_frame"},

@@ -126,8 +126,10 @@ def test_no_more_is_at_hand_than_stated():
         recent.get(0, lambda: np.zeros(125))  # asked for last, so it stays
     assert list(recent.values) == [3, 4, 0]
     assert recent.size == 3000
-    recent.get("large", lambda: np.zeros(1000))
-    assert recent.size == 0
+    recent.get("large", lambda: np.zeros(1000))  # than all that may be at hand
+    assert list(recent.values) == [3, 4, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        recent.get("small", lambda: np.zeros(10))[0] = 1.0
 
 
 def test_rows_and_columns_of_one_table_have_digests_of_their_own(rng):

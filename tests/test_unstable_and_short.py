@@ -114,6 +114,47 @@ def test_a_stable_orbit_is_not_called_unstable():
     assert messages(MOESPRegressor(order=2, block_rows=4), X, y) == []  # nothing periodic there
 
 
+@pytest.mark.parametrize("weighting", ["moesp", "n4sid", "cva", "pbsid"])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hammer_is_an_input(seed, weighting):
+    """Columns that hold but a few numbers are sums that rounding can make negative."""
+    rng = np.random.default_rng(seed)
+    u, y = np.zeros((200, 1)), np.zeros((200, 1))
+    u[:6, 0] = rng.standard_normal(6)
+    for k in range(199):
+        y[k + 1] = 0.9 * y[k] + u[k]
+    model = MOESPRegressor(order=1, block_rows=5, weighting=weighting)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of an input that excites few directions
+        model.fit(u, y + 1e-3 * rng.standard_normal(y.shape))
+    assert model.eigenvalues_[0] == pytest.approx(0.9, abs=0.01)
+
+
+def test_a_record_of_one_window_is_no_obstacle(tmp_path):
+    rng = np.random.default_rng(4)
+    lengths, X, Y = (1600, 20, 1200), [], []
+    for n in lengths:
+        u, y = rng.standard_normal((n, 1)), np.zeros((n, 1))
+        for k in range(n - 1):
+            y[k + 1] = 0.9 * y[k] + u[k]
+        index = pd.MultiIndex.from_product([[len(X)], np.arange(n) / 20.0], names=["record", "t"])
+        X.append(pd.DataFrame(u, index, columns=["u"]))
+        Y.append(pd.DataFrame(y, index, columns=["y"]))
+    X, Y = pd.concat(X), pd.concat(Y)
+    models = [
+        Pipeline(
+            [
+                ("harmonics", HarmonicAnalyzer(2 * np.pi, output_harmonics=1)),
+                ("identify", MOESPRegressor(order=2, block_rows=20, memory=memory)),
+            ]
+        ).fit(X, Y)["identify"]
+        for memory in (None, str(tmp_path))
+    ]
+    for model in models:
+        np.testing.assert_array_equal(model.x0_[1], 0.0)
+    np.testing.assert_allclose(models[0].model_.B, models[1].model_.B, rtol=1e-6, atol=1e-9)
+
+
 def test_too_few_periods_are_counted():
     X, y = record(orbit(-0.05), 12)
     message = (

@@ -7,7 +7,6 @@
 3. G(ψ) and Q(ψ) by linear least squares on the raw record.
 """
 
-import warnings
 from itertools import combinations
 
 import numpy as np
@@ -21,6 +20,7 @@ from sklearn_hd._matching.free_response import (
 )
 from sklearn_hd._matching.input_problem import InputProblem
 from sklearn_hd._records.data import lifted_periods
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.equation_error import equation_error
 from sklearn_hd.algorithms.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.fourier import sampled_harmonics
@@ -96,13 +96,12 @@ def _told(realization, model, why):
     """A realization by measured states, after a warning if it has another number of states."""
     n = realization.model.n_states
     if n != model.n_states:
-        warnings.warn(
+        warn(
             f"the model identified has {model.n_states} state(s), and {why}; with the {n} outputs "
             f"{list(realization.model.state_names)} as states all but noise is explained, and they "
             f"are taken; MOESPRegressor(order={n}) asks for them, HarmonicStructure(states=[...]) "
             f"for others",
             IdentifiabilityWarning,
-            stacklevel=7,
         )
     return realization
 

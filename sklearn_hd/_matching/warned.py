@@ -1,9 +1,8 @@
 """What a match is warned of: parameters not determined, searches cut short, poor fits."""
 
-import warnings
-
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._warn import warn
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
@@ -66,20 +65,19 @@ def warn_matched(result, settings, n_found, n_wanted):
             f"the {name[settings.criterion]} match stopped after {result.n_iter} steps at a "
             f"relative error of {result.relative_error:.3g}; it could still fall by "
             f"{result.predicted_decrease:.2g} of itself where tol={settings.search['tol']:g} was "
-            f"asked for; raise max_iter or n_starts",
+            f"asked for; raise max_iter or n_starts (beyond 1000 parameters times states n_starts)",
             ConvergenceWarning,
         )
 
 
 def warn_closed_loop():
     """Of maximum likelihood of a simulation, after a model identified in closed loop."""
-    warnings.warn(
+    warn(
         "criterion='output_error' simulates the record and takes all that is left for noise of the "
         "sensors; where disturbances move the machine and feedback answers, this is biased, and "
         "weighting='pbsid' has told that inputs may answer to outputs: use criterion='hinf', "
         "or ignore this where nothing but sensors is noisy",
         IdentifiabilityWarning,
-        stacklevel=5,
     )
 
 
@@ -100,4 +98,4 @@ def warn_refined(result):
 
 
 def _warn(text, category=IdentifiabilityWarning):
-    warnings.warn(text, category, stacklevel=8)
+    warn(text, category)

@@ -1,6 +1,5 @@
 """Data in: frames, Series and arrays, read as signals, segments and experiments."""
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from sklearn_hd._validation import (
     check_wrap,
     signal_names,
 )
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.lifting import lift
 from sklearn_hd.algorithms.resampling import bridge, unwrap
@@ -131,7 +131,7 @@ def _bridged(values, base, reading, held=False):
     return values
 
 
-def warn_of_jitter(base, step, stacklevel=3):
+def warn_of_jitter(base, step):
     """Say by how much the rows are off the uniform grid that they are resampled onto.
 
     In few digits: Python shows a warning once for each text, and the folds of a
@@ -139,13 +139,12 @@ def warn_of_jitter(base, step, stacklevel=3):
     """
     rms, largest = (float(f"{100.0 * off / step:.1g}") for off in base.jitter)  # percent
     if largest > 0.0:
-        warnings.warn(
+        warn(
             f"the rows are not evenly spaced: they are off a grid of {step:.4g} s by "
             f"{rms / 100.0 * step:.2g} s rms ({rms:g} % of a sample) and by "
             f"{largest / 100.0 * step:.2g} s at most ({largest:g} %); signals are resampled onto "
             f"that grid, and results brought back to the rows given",
             JitterWarning,
-            stacklevel=stacklevel,
         )
 
 
@@ -349,7 +348,7 @@ def read_experiment(X, y=None, decomposition=None):
     base = sampling.base
     times = [base.time[segment] for segment in base.segments]
     if basis is None:
-        warn_of_jitter(signals.base, base.sample_time, stacklevel=6)
+        warn_of_jitter(signals.base, base.sample_time)
         names = signals.names
         inputs = drive
     else:

@@ -18,13 +18,13 @@ mechanism serves every record that is not so:
 """
 
 import itertools
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sklearn_hd._tables.time import TimeBase, even
 from sklearn_hd._validation import RAISE
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.resampling import (
     held_means,
     interpolate,
@@ -189,7 +189,7 @@ def _runs_of(present, segment):
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def warn_of_resampling(basis, inputs, outputs, stacklevel=3):
+def warn_of_resampling(basis, inputs, outputs):
     """Say onto how many samples a period is resampled, and what that costs.
 
     Parameters
@@ -197,18 +197,16 @@ def warn_of_resampling(basis, inputs, outputs, stacklevel=3):
     basis : HarmonicBasis
     inputs : Signals
     outputs : ndarray, shape (n_rows, n_outputs), or None
-    stacklevel : int
     """
     step = inputs.base.sample_time
     samples = 2.0 * np.pi / basis.omega / step
-    warnings.warn(
+    warn(
         f"omega={basis.omega:.9g} rad/s and a sample time of {step:.9g} s give {samples:.6g} "
         f"samples a period, not a whole number: signals are resampled onto "
         f"{basis.samples_per_period} a period, and results brought back to the rows given. "
         f"{_resampling_error(basis, inputs, outputs)}{round(samples)} samples a period would mean "
         f"omega={2.0 * np.pi / step / round(samples):.9g} rad/s",
         ResamplingWarning,
-        stacklevel=stacklevel,
     )
 
 

@@ -4,13 +4,13 @@ Models are fitted to these; ``predict`` and ``score`` read records as they are.
 """
 
 import itertools
-import warnings
 from dataclasses import fields, replace
 
 import numpy as np
 
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._records.sampling import Piece, Sampling
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.small_signal import (
     extrapolation_weights,
     n_distinct,
@@ -131,12 +131,11 @@ def _weights(how, group, amplitudes, labels):
     weights = extrapolation_weights(amplitudes)
     gain = float(np.linalg.norm(weights))
     if gain > NOISE_GAIN:
-        warnings.warn(
+        warn(
             f"extrapolating records {group} of amplitudes {np.round(amplitudes, 3).tolist()} "
             f"to zero makes noise {gain:.3g} times as large; leave the smallest amplitudes out, "
             f"or give pairs of both signs and use small_signal='odd'",
             IdentifiabilityWarning,
-            stacklevel=5,
         )
     return weights[None]
 

@@ -1,6 +1,5 @@
 """Which of the modes identified are the machine's own, decided by the raw signals."""
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from sklearn_hd._continuous import (
     output_scale,
     scaled_outputs,
 )
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.mode_selection import best_modes, residual, unit_regressors
 from sklearn_hd.algorithms.modes import (
     FAINT,
@@ -232,19 +232,17 @@ def warn_of_doubt(choice, n_states):
     """Warn where the modes kept explain much less than all, or no better than others."""
     kept = sum(map(len, choice.units))
     if choice.left_out > DECISIVE_SHARE and n_states is None:
-        warnings.warn(
+        warn(
             f"the {kept} modes kept explain much less than all modes do (of what "
             f"they leave, the others explain {choice.left_out:.0%}); give n_states, or change "
             f"the order of the identified model",
             IdentifiabilityWarning,
-            stacklevel=6,
         )
     if choice.doubtful:
-        warnings.warn(
+        warn(
             f"{len(choice.rivals)} other set(s) of {kept} modes explain the data as well "
             f"as the one kept; see modes_, change n_states, or use a richer record",
             IdentifiabilityWarning,
-            stacklevel=6,
         )
 
 

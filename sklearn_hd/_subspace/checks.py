@@ -1,11 +1,10 @@
 """What block rows, order and weighting the data allow."""
 
-import warnings
-
 from sklearn_hd._progress import check_verbose
 from sklearn_hd._subspace.products_cache import KeptSums
 from sklearn_hd._tables.time import why_short
 from sklearn_hd._validation import check_choice, check_count, check_flag
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.predictor_subspace import rows_remembered
 from sklearn_hd.algorithms.projections import PROJECTIONS
@@ -139,12 +138,11 @@ class SubspaceChecks:
         """Warn of Hankel matrices of deficient rank, where directions were counted."""
         need = 2 * self.block_rows_ * n_moving
         if excited is not None and excited < need:
-            warnings.warn(
+            warn(
                 f"the inputs in the {experiment.span()} excite {excited} directions, but "
                 f"block_rows={self.block_rows_} with {n_moving} input(s) asks for {need}; "
                 f"use a richer input or fewer block rows, and trust the order with care",
                 ExcitationWarning,
-                stacklevel=6,
             )
 
     def _rows_of_predictor(self, factor, lengths, n_inputs, n_outputs, lifted):
@@ -163,12 +161,11 @@ class SubspaceChecks:
             excited = n_excited(R, most, n_inputs)
             if excited < 2 * most * n_inputs:
                 most = max(2, excited // (2 * n_inputs))
-                warnings.warn(
+                warn(
                     f"the inputs excite {excited} directions, so that a predictor may reach back "
                     f"{most} rows and no further: what it has not forgotten by then is lost; use "
                     f"a richer input",
                     ExcitationWarning,
-                    stacklevel=5,
                 )
                 R = factor(most)
         columns = n_hankel_columns(lengths, most)

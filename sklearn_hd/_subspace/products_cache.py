@@ -106,9 +106,11 @@ class _Recent:
                 self.values.move_to_end(key)
                 return self.values[key][0]
         value = make()
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
         size = _n_bytes(value)
         with self.lock:
-            if key not in self.values:
+            if key not in self.values and size <= self.most:
                 self.values[key] = value, size
                 self.size += size
             while self.size > self.most:

@@ -1,7 +1,6 @@
 """``partial_fit`` of MOESPRegressor: a model of all chunks so far."""
 
 import copy
-import warnings
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from sklearn_hd._subspace.stream import Stream, read_chunk
 from sklearn_hd._tables.containers import without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.hankel import factor_of_products, n_hankel_columns
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.running_equations import (
@@ -176,10 +176,9 @@ def _moving(stream):
     if not idle and answered:
         return moving
     what = f"the inputs {idle} are" if idle else "all outputs are"
-    warnings.warn(
+    warn(
         f"{what} at rest in the {stream.span()}: there is no model until a chunk comes in which "
         f"they move",
         ExcitationWarning,
-        stacklevel=6,
     )
     return None

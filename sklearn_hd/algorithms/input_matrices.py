@@ -258,7 +258,7 @@ class RecordFactors:
 
     def of_products(self, u, y):
         """Of one record, from its normal equations; None where these would not do."""
-        if self._normal is None or u.shape[1] == 0:
+        if self._normal is None or 0 in u.shape:
             return None
         return products_factor(self._normal, u, y, self.feedthrough, self.scales)
 

@@ -52,6 +52,7 @@ CHUNK = 8192  # rows: they fit into a cache, the sums of their slices' products 
 LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
 MOST_EXPONENT = 300  # of two
 TOGETHER = 24  # channels times rows on the left side of one product
+REMEMBERED_ROWS = 1024  # of a Gram matrix, whose table of places is kept for the next (8 MB)
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,8 @@ class LagProducts:
         rows.add(np.s_[1:], (-self.head).map(lambda half: _along_diagonals(half, p)))
         rows.accumulate()
         order = np.arange(n_rows) if order is None else order
-        place = _places(p, order.tobytes())
+        places = _places_remembered if n_rows <= REMEMBERED_ROWS else _places
+        place = places(p, order.tobytes())
         return rows.map(lambda half: half.take(place))
 
 
@@ -212,7 +214,6 @@ def _along_diagonals(ends, p):
     return np.ndarray((width // p, p, width + p), buffer=padded, strides=strides)
 
 
-@functools.lru_cache(maxsize=1)
 def _places(p, order):
     """Where blocks [a, c, (b − a) p + d], in one row, hold each entry of a symmetric matrix."""
     column = np.frombuffer(order, int)
@@ -220,6 +221,9 @@ def _places(p, order):
     place = np.minimum.outer(row, row)
     place += np.maximum.outer(column, column)
     return place
+
+
+_places_remembered = functools.lru_cache(maxsize=1)(_places)
 
 
 @dataclass(frozen=True)

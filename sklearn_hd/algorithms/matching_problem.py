@@ -27,6 +27,7 @@ _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
 _NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
+_FARTHEST = 3.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _ROUNDING = 1e-13  # of a pole, relative to the largest
 _RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
 # structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
@@ -247,7 +248,7 @@ class MatchingProblem:
         return np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
 
     def linearised(self, theta, extra=()):
-        """E, its slopes and :meth:`orthonormal_directions`, on the grid and at the tops between.
+        """E, its slopes and :meth:`step_directions`, on the grid and at the tops between.
 
         Returns
         -------
@@ -259,7 +260,9 @@ class MatchingProblem:
         outputs = self.scaling.outputs / self.weighting.outputs
         scale = outputs[:, None] * (self.scaling.inputs / self.weighting.inputs)
         scale = scale * np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
-        directions = self._orthonormal(*_as_reals(error * scale, slope * scale[..., None]))
+        directions = self._step_directions(
+            theta, *_as_reals(error * scale, slope * scale[..., None])
+        )
         gains = np.linalg.svd(error, compute_uv=False)[:, 0]
         tops = self._resolved(theta, gains, rounds=1)
         tops = np.setdiff1d(np.concatenate([tops, extra]), self.grid)
@@ -280,15 +283,24 @@ class MatchingProblem:
         high = np.where(np.isfinite(high), high, 10.0 * self.grid[-2])
         return np.minimum(low, high), high
 
-    def orthonormal_directions(self, theta):
-        """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long."""
-        return self._orthonormal(*self.residual_and_jacobian(theta))
+    def step_directions(self, theta):
+        """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long, or less.
 
-    def _orthonormal(self, residual, jacobian):
-        size = column_sizes(jacobian)
+        Less where parameters would move by more than a few times their own size: on the way to
+        infinity (a pole that becomes a feedthrough) the response saturates, and one such
+        direction would hold up the others.
+        """
+        return self._step_directions(theta, *self.residual_and_jacobian(theta))
+
+    def _step_directions(self, theta, residual, jacobian):
+        size, length = column_sizes(jacobian), linalg.norm(residual)
         _, singular, adjoint = linalg.svd(triangle(jacobian / size), full_matrices=False)
         kept = singular > _RANK * singular.max(initial=0.0)
-        return (adjoint[kept] / singular[kept, None]).T / size[:, None] * linalg.norm(residual)
+        if length == 0.0 or not kept.any():
+            return np.zeros((len(theta), np.sum(kept)))
+        reach = _FARTHEST * np.maximum(size * np.abs(theta), length)
+        metric = np.vstack([np.diag(singular[kept] / length), adjoint[kept].T / reach[:, None]])
+        return linalg.solve_triangular(triangle(metric), adjoint[kept], trans=1).T / size[:, None]
 
     def identifiability(self, theta):
         """Singular values of the sensitivity (columns of length one), and undetermined names."""

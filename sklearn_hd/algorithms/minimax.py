@@ -8,7 +8,8 @@ part and linearises the smooth one,
 
     min_{t, ζ} t   subject to   σ_max(E_i + Σ_k ζ_k ∂E_i/∂ζ_k) ≤ t for active ω_i,  |ζ| ≤ Δ
 
-with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal. A spectral norm is
+with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal, but for parameters on
+their way to infinity. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
 singular vectors. Few frequencies and directions begin; those that are violated join,
 frequencies to which the step moves a peak among them, until none is. A step is accepted
@@ -65,7 +66,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     problem : object
         ``peak(theta)`` -> (F, ω of the peak), F = inf where G_s is unstable;
         ``error_and_sensitivity(theta, frequencies)`` -> E and ∂E/∂θ;
-        ``active_frequencies(theta, value)``; ``orthonormal_directions(theta)`` -> M.
+        ``active_frequencies(theta, value)``; ``step_directions(theta)`` -> M.
     theta : ndarray, shape (k,)
     max_iter : int
         Largest number of convex subproblems.
@@ -79,7 +80,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     result : MinimaxResult
     """
     value, peak = problem.peak(theta)
-    directions = problem.orthonormal_directions(theta)
+    directions = problem.step_directions(theta)
     history, top = [value], peak
     radius, n_iter, predicted, moved, converged, n_again = 1.0, 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
@@ -116,7 +117,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
             if second_value < trial_value:
                 step, trial, trial_value, trial_peak = corrected, second, second_value, second_peak
                 gain = (value - trial_value) / (value * predicted)
-        fresh = problem.orthonormal_directions(trial) if gain > _LEAST_GAIN else directions
+        fresh = problem.step_directions(trial) if gain > _LEAST_GAIN else directions
         if fresh.shape[1] < directions.shape[1]:
             gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
         radius = _next_radius(radius, gain, np.linalg.norm(step))
@@ -146,7 +147,7 @@ def certify(problem, theta, value):
     -------
     certificate : Certificate
     """
-    directions = problem.orthonormal_directions(theta)
+    directions = problem.step_directions(theta)
     frequencies = problem.active_frequencies(theta, value, (problem.peak(theta)[1],))
     model = _Linearisation.at(problem, theta, frequencies, directions, value)
     flat = np.zeros((directions.shape[1],) * 2)

@@ -8,6 +8,7 @@ from sklearn_hd.algorithms.structured_model import column_sizes
 __all__ = ["NestedLeastSquares"]
 
 RANK = 1e-11  # singular values relative to the largest; deficient regressors have 1e-15
+NEW = 1e-13  # of a column's length: rounding is what is left of one that Q spans
 NULL_SHARE = 1e-6  # of a parameter's direction in the null space
 
 
@@ -59,8 +60,12 @@ class NestedLeastSquares:
                 rest -= Q @ share
             if shares:
                 inside += np.vstack(shares)
-        Q, R = linalg.qr(rest, mode="economic", overwrite_a=True, check_finite=False)
-        below = np.zeros((len(R), len(self.factor)))
+        Q, own, order = linalg.qr(
+            rest, mode="economic", pivoting=True, overwrite_a=True, check_finite=False
+        )
+        new = np.sum(np.abs(np.diagonal(own)) > NEW)  # of what is none, Q would hold what it has
+        R, below = np.zeros((new, len(order))), np.zeros((new, self.factor.shape[1]))
+        Q, R[:, order] = Q[:, :new], own[:new]
         self.factor = np.block([[self.factor, inside], [below, R]])
         self.size, self.seen = np.append(self.size, size), np.append(self.seen, Q.T @ self.target)
         self.columns.append(columns)
@@ -78,11 +83,11 @@ class NestedLeastSquares:
         unknown : ndarray of bool, shape (k,)
             What y does not determine.
         """
-        U, values, Vt = linalg.svd(self.factor)
-        kept = values > RANK * np.max(values, initial=0.0)
-        solution = Vt[kept].T @ (U[:, kept].T @ self.seen / values[kept]) / self.size
+        U, values, Vt = np.linalg.svd(self.factor)
+        rank = np.sum(values > RANK * np.max(values, initial=0.0))
+        solution = Vt[:rank].T @ (U[:, :rank].T @ self.seen / values[:rank]) / self.size
         left = self.target.copy()
         edges = np.cumsum([columns.shape[1] for columns in self.columns])[:-1]
         for columns, part in zip(self.columns, np.split(solution, edges), strict=True):
             left -= columns @ part
-        return solution, left, np.linalg.norm(Vt[~kept], axis=0) > NULL_SHARE
+        return solution, left, np.linalg.norm(Vt[rank:], axis=0) > NULL_SHARE

@@ -112,7 +112,7 @@ def _region_step(gradient, hessian, radius):
 
 
 class _Bound:
-    """f_μ at some θ, its slopes along the problem's orthonormal directions."""
+    """f_μ at some θ, its slopes along the problem's directions."""
 
     def __init__(self, problem, theta, peak):
         self.problem, self.theta = problem, theta

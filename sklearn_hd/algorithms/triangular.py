@@ -54,9 +54,10 @@ def safe_cholesky(G, rounding=EPS):
     -------
     R : ndarray, shape (r, r), or None
     """
-    size = np.sqrt(np.diagonal(G))
-    if not np.all(size > 0.0):
+    squares = np.diagonal(G)
+    if not np.all(squares > 0.0):  # less than zero by rounding, where columns hold next to nothing
         return None
+    size = np.sqrt(squares)
     L, fault = linalg.lapack.dpotrf(G.T, lower=1, clean=1)
     if fault:
         return None

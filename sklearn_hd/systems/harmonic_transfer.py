@@ -25,6 +25,7 @@ from sklearn_hd._validation import (
     check_time_origin,
     signal_names,
 )
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.floquet import transition_matrices
 from sklearn_hd.algorithms.harmonic_transfer import (
     effective_averages,
@@ -238,13 +239,12 @@ def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
         max_harmonics=max_internal_harmonics(N, max_harmonics),
     )
     if change > tolerance:
-        warnings.warn(
+        warn(
             f"the harmonic transfer function still changes by {change:.2g} of its largest value "
             f"at the {max_harmonics} internal harmonics allowed (tolerance {tolerance:g}); F, G, "
             f"P or Q has kinks or jumps: raise max_internal_harmonics, or give sample_time, which "
             f"needs no truncation",
             ConvergenceWarning,
-            stacklevel=4,
         )
     return blocks
 
