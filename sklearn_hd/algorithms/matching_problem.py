@@ -27,7 +27,7 @@ _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
 _NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
-_FARTHEST = 3.0  # sizes of a parameter, or of the residual, that a unit step moves at most
+_FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _ROUNDING = 1e-13  # of a pole, relative to the largest
 _RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
 # structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
@@ -286,7 +286,7 @@ class MatchingProblem:
     def step_directions(self, theta):
         """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long, or less.
 
-        Less where parameters would move by more than a few times their own size: on the way to
+        Less where parameters would move by more than many times their own size: on the way to
         infinity (a pole that becomes a feedthrough) the response saturates, and one such
         direction would hold up the others.
         """
