@@ -358,8 +358,9 @@ def save(rows, folder):
     figure, axes = plt.subplots(
         1, len(kinds), figsize=(4 * len(kinds) + 1, 4), sharey=True, squeeze=False
     )
+    lines = {}  # by peer, in whichever panel it comes first
     for axis, kind in zip(axes[0], kinds, strict=True):
-        for peer in dict.fromkeys(row["peer"] for row in rows):
+        for k, peer in enumerate(dict.fromkeys(row["peer"] for row in rows)):
             points = [
                 (row["n_samples"], row["seconds"])
                 for row in rows
@@ -367,11 +368,14 @@ def save(rows, folder):
             ]
             if points:
                 style = "o-" if peer in OURS else "s--"
-                axis.loglog(*zip(*points, strict=True), style, ms=4, label=peer)
+                drawn = axis.loglog(*zip(*points, strict=True), style, ms=4, color=f"C{k}")
+                lines.setdefault(peer, drawn[0])
         axis.set(title=kind, xlabel="samples")
         axis.grid(alpha=0.3)
     axes[0, 0].set_ylabel("processor time, s")
-    axes[0, -1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    axes[0, -1].legend(
+        lines.values(), lines.keys(), fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0)
+    )
     figure.tight_layout()
     figure.savefig(folder / "moesp.png", dpi=150, bbox_inches="tight")
 
