@@ -129,6 +129,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         elif np.isfinite(trial_value):
             model = model.join([trial_peak])
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)
+    theta, value = _on_bounds(problem, theta, value)
     return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter)
 
 
@@ -204,6 +205,7 @@ _SHARE = 0.3  # of the decrease predicted that is let pass too: the next step ha
 _APART = 1e-9  # distance of frequencies, relative, that are worth a peak of their own
 _ALIKE = 1.0 - 1e-6  # product of directions that are one
 _LEAST_DUAL = 1e-7  # multiplier of a cone, of 1 in all, that holds a step
+_NEXT_TO = 1e-9  # distance from a bound, relative, that the cone programs leave
 _LARGE = 0.8  # singular values, relative to F, that have a cone from the first round on
 
 
@@ -350,6 +352,17 @@ def _tops_between(frequencies, gains, least):
     top = y[k] + 0.5 * slope * move
     apart = np.abs(move) > _APART * w[k]
     return (w[k] + np.clip(move, 0.9 * left, 0.9 * right))[(top > least) & apart]
+
+
+def _on_bounds(problem, theta, value):
+    """Parameters that end next to a bound set on it, if the norm is no worse there."""
+    near = _NEXT_TO * np.abs(theta)
+    there = np.where(theta - problem.lower <= near, problem.lower, theta)
+    there = np.where(problem.upper - theta <= near, problem.upper, there)
+    if np.array_equal(there, theta):
+        return theta, value
+    at = problem.peak(there)[0]
+    return (there, at) if at <= value else (theta, value)
 
 
 def _walls(problem, theta, directions):
