@@ -328,8 +328,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         if not largest < MOST_SCORED:
             raise UnstableModelError(
                 f"the simulation grows to {largest:.3g} times the measured outputs, so that R² "
-                f"overflows: the model is unstable; drop the growing modes (SpuriousModeReducer), "
-                f"lower the order, or score a shorter span"
+                f"overflows: the model is unstable, or not of these outputs; drop its "
+                f"growing modes (SpuriousModeReducer), lower the order, or score a shorter span"
             )
         return float(r2_score(*columns, sample_weight=weight))
 

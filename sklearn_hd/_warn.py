@@ -1,12 +1,13 @@
 """Warnings that point at the user's line, however deep they arise."""
 
+import os
 import sys
 import warnings
 from pathlib import Path
 
 __all__ = ["warn"]
 
-HERE = str(Path(__file__).parent)
+HERE = str(Path(__file__).parent) + os.sep
 
 
 def warn(message, category):

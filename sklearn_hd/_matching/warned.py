@@ -65,7 +65,7 @@ def warn_matched(result, settings, n_found, n_wanted):
             f"the {name[settings.criterion]} match stopped after {result.n_iter} steps at a "
             f"relative error of {result.relative_error:.3g}; it could still fall by "
             f"{result.predicted_decrease:.2g} of itself where tol={settings.search['tol']:g} was "
-            f"asked for; raise max_iter or n_starts (beyond 1000 parameters times states n_starts)",
+            f"asked for; raise n_starts, or max_iter (up to 1000 parameters times states)",
             ConvergenceWarning,
         )
 
