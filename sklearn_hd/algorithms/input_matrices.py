@@ -47,6 +47,7 @@ from sklearn_hd.algorithms.two_sided import products_of_pieces
 __all__ = [
     "InitialState",
     "RecordFactors",
+    "alike_states",
     "carry",
     "input_matrices",
     "pieces_of",
@@ -64,6 +65,7 @@ CHUNK_BYTES = 2**25  # of equations at a time
 LEAST_CHUNK = 256
 CARRIED_STEPS = 64
 ROUND_BYTES = 2**24  # of responses of pieces, at a time
+WHOLE, LONG = 16, 4  # rows that long pieces are multiples of
 FEWEST = 4  # pieces of one length that are worth going through together
 STEPS = 64  # of one after the other that take as long as a piece by itself
 
@@ -151,22 +153,27 @@ def input_matrices(
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
+    A, C, size = alike_states(A, C)
     pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
     starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
-    alike = _alike(pieces, firsts) if observe is None and m > 0 else []
-    together = factor.of_pieces([pieces[k] for k in alike], inputs, outputs) if alike else None
-    if together is None:
-        alike = []
-    else:
-        shared = together
+    alike, two_sided = _alike(pieces, firsts) if observe is None and m > 0 else [], None
+    if alike:
+        two_sided = factor.two_sided([pieces[k] for k in alike], inputs, outputs)
+        if two_sided is not None:
+            shared = two_sided.R
+        else:
+            alike = sorted(set(alike) - set(firsts))
+            together = factor.of_short([pieces[k] for k in alike], inputs, outputs)
+            shared, alike = (shared, []) if together is None else (together, alike)
     for k in sorted(set(range(len(pieces))) - set(alike)):
         s, rows = pieces[k]
         u, y = inputs[s][rows], outputs[s][rows]
         R = factor.of_products(u, y) if observe is None else None
         if R is not None and len(pieces) == 1:  # of good condition
             theta = linalg.lapack.dtrtrs(R[:-1, :-1], R[:-1, -1])[0]
-            found = *split(theta[n:], n, m, n_outputs), theta[None, :n]
+            B, D = split(theta[n:], n, m, n_outputs)
+            found = B / size[:, None], D, theta[None, :n] / size
             return (*found, float(R[-1, -1] ** 2)) if return_residual else found
         if R is None:
             R = factor.of_rows(u, y, None if observe is None else observe[s][rows])
@@ -174,19 +181,50 @@ def input_matrices(
         shared = triangle(shared, left)
     theta = solve_shared(shared)
     B, D = split(theta, n, m, n_outputs)
-    x0 = np.array([starts[first].solve(theta) for first in firsts])
+
+    def start(k):
+        if k in starts:
+            return starts[k].solve(theta)
+        signals = (z[pieces[k][0]][pieces[k][1]] for z in (inputs, outputs))
+        return two_sided.initial_state(*map(np.divide, signals, scales), B, D)
+
+    found = B / size[:, None], D, np.array([start(k) for k in firsts]) / size
     if not return_residual:
-        return B, D, x0
-    return B, D, x0, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
+        return found
+    return *found, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
+
+
+def alike_states(A, C):
+    """The same model with states that outputs see about alike, by powers of two.
+
+    Those of an order too high are seen 10⁷ times less without noise: then what tells good
+    coordinates from bad ones would take them for unseen.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+
+    Returns
+    -------
+    A, C : ndarray
+    size : ndarray, shape (n,)
+        What each state is multiplied by; rows of B and initial states as well.
+    """
+    squares, seen = np.zeros(len(A)), C
+    for _ in range(len(A)):
+        squares = squares + np.sum(seen**2, axis=0)
+        seen = seen @ A
+    size = np.sqrt(np.where((squares > 0.0) & np.isfinite(squares), squares, 1.0))
+    size = np.ldexp(1.0, np.frexp(size)[1])
+    return A * (size[:, None] / size), C / size, size
 
 
 def _alike(pieces, firsts):
-    """Which pieces are of one length and quicker together; not those whose start is asked for."""
+    """Which pieces are of the greatest length, where some but the first of records are."""
     lengths = np.array([rows.stop - rows.start for _, rows in pieces])
-    alike = lengths == np.max(lengths, initial=0)
-    alike[firsts] = False
-    many = max(FEWEST, np.max(lengths, initial=0) / STEPS)
-    return np.flatnonzero(alike).tolist() if np.sum(alike) >= many else []
+    alike = np.flatnonzero(lengths == np.max(lengths, initial=0)).tolist()
+    return alike if set(alike) - set(firsts) else []
 
 
 def _stacked(pieces, inputs, outputs, scales, n_states):
@@ -244,17 +282,22 @@ class RecordFactors:
         R = self.of_products(u, y)
         return self.of_rows(u, y) if R is None else R
 
-    def of_pieces(self, pieces, inputs, outputs):
+    def two_sided(self, pieces, inputs, outputs):
+        """Of many pieces of one length, from normal equations; None where these would not do."""
+        if self._basis is None:
+            return None
+        some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
+        m = inputs[0].shape[1]
+        return products_of_pieces(self._basis, self.C, some, m, self.feedthrough)
+
+    def of_short(self, pieces, inputs, outputs):
         """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
-        m, R = inputs[0].shape[1], None
-        if self._basis is not None:
-            some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
-            R = products_of_pieces(self._basis, self.C, some, m, self.feedthrough)
-        rows = pieces[0][1]
-        if R is None and is_short(rows.stop - rows.start, len(self.A), len(self.C)):
-            some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
-            R = equations_of_pieces(self.A, self.C, some, m, self.feedthrough)
-        return R
+        length = pieces[0][1].stop - pieces[0][1].start
+        short = is_short(length, len(self.A), len(self.C))
+        if not short or len(pieces) < max(FEWEST, length / STEPS):
+            return None
+        some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
+        return equations_of_pieces(self.A, self.C, some, inputs[0].shape[1], self.feedthrough)
 
     def of_products(self, u, y):
         """Of one record, from its normal equations; None where these would not do."""
@@ -288,6 +331,7 @@ def pieces_of(A, lengths):
     if radius > 1.0:
         longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))
         longest = max(2, min(longest, int(OVERFLOW_GROWTH / np.log(radius))))
+        longest -= longest % WHOLE if longest > LONG * WHOLE else 0
     pieces, firsts = [], []
     for s, length in enumerate(lengths):
         firsts.append(len(pieces))

@@ -20,7 +20,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.simulation import propagate
 
-__all__ = ["ResponseBasis", "response_basis", "run"]
+__all__ = ["ResponseBasis", "pulses", "response_basis", "run"]
 
 STEPS = 16  # of the recursion
 LARGEST_TRANSFORMATION = 100.0
@@ -107,6 +107,15 @@ def _block_numbers(block):
     F = centre * np.eye(k) + size * np.eye(k, k=-1)
     F[:, -1] -= size * np.poly(N)[:0:-1]
     return F, np.stack(powers)
+
+
+def pulses(F, g, count):
+    """g, F g, F² g, …, shape (count, q)."""
+    found, step = g[None], F
+    while len(found) < count:
+        found = np.concatenate([found, found @ step.T])
+        step = step @ step
+    return found[:count]
 
 
 def run(F, x, state, steps=STEPS):

@@ -6,6 +6,8 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.innovations import InnovationForm
+from sklearn_hd.algorithms.input_matrices import alike_states
+from sklearn_hd.algorithms.response_basis import pulses
 from sklearn_hd.algorithms.response_products import (
     ResponseProducts,
     normal_equations,
@@ -41,6 +43,7 @@ def input_matrices_of_sums(A, C, sums, feedthrough, scales):
         None instead of all three where the model remembers more rows than the sums reach,
         or rounding would show.
     """
+    A, C, size = alike_states(A, C)
     model = output_normal(A, C)
     if model is None or len(scales[0]) == 0:
         return None
@@ -58,10 +61,10 @@ def input_matrices_of_sums(A, C, sums, feedthrough, scales):
         starts.append((inverse @ G[:n, n:-1], inverse @ G[:n, -1]))
         loss = loss + np.diagonal(G)[n : n + n * m]
         shared = shared + G[n:, n:] - G[n:, :n] @ inverse @ G[:n, n:]
-    size = np.tile(np.diagonal(records[0].inputs), n)
+    whole = np.tile(np.diagonal(records[0].inputs), n)
     if not np.all(loss > 0.0):
         return None
-    R = safe_cholesky(shared[:-1, :-1], model.error * np.max(size / loss))
+    R = safe_cholesky(shared[:-1, :-1], model.error * np.max(whole / loss))
     if R is None:
         return None
     theta = linalg.cho_solve((R, False), shared[:-1, -1])
@@ -70,7 +73,7 @@ def input_matrices_of_sums(A, C, sums, feedthrough, scales):
     if feedthrough:
         D = theta[n * m :].reshape(n_outputs, m)
     B, x0 = linalg.solve_triangular(model.T, B), linalg.solve_triangular(model.T, x0.T).T
-    return B, D, x0
+    return B / size[:, None], D, x0 / size
 
 
 def _record_products(basis, sums, scales):
@@ -79,10 +82,10 @@ def _record_products(basis, sums, scales):
     Normal equations are linear in these.
     """
     m, scale, reach = len(scales[0]), np.concatenate(scales), len(sums.lags) - 1
-    pulses = _pulses(basis, reach)
-    if np.max(np.abs(pulses[-1])) > FORGOTTEN and any(e.n_rows > reach for e in sums.ends):
+    answers = pulses(basis.F, basis.g, reach)
+    if np.max(np.abs(answers[-1])) > FORGOTTEN and any(e.n_rows > reach for e in sums.ends):
         return None
-    forced = np.tensordot(pulses, sums.lags[1:], ((0,), (0,))).transpose(1, 0, 2)
+    forced = np.tensordot(answers, sums.lags[1:], ((0,), (0,))).transpose(1, 0, 2)
     lags = sums.lags[0] / scales[0][:, None] / scale
     first = ResponseProducts(
         forced=forced / scales[0][:, None, None] / scale,
@@ -95,20 +98,11 @@ def _record_products(basis, sums, scales):
     nothing = replace(first, forced=0.0 * first.forced, inputs=0.0 * lags, outputs=0.0)
     records = []
     for k, ends in enumerate(sums.ends):
-        free = pulses[: len(ends.head)].T @ ends.head / scale
-        last = ends.tail[::-1].T @ pulses[: len(ends.tail)] / scales[0][:, None]
+        free = answers[: len(ends.head)].T @ ends.head / scale
+        last = ends.tail[::-1].T @ answers[: len(ends.tail)] / scales[0][:, None]
         common = nothing if k else first
         records.append(replace(common, free=free, last=last, n_samples=ends.n_rows))
     return records
-
-
-def _pulses(basis, count):
-    """g, F g, F² g, …"""
-    pulses, step = basis.g[None], basis.F
-    while len(pulses) < count:
-        pulses = np.concatenate([pulses, pulses @ step.T])
-        step = step @ step
-    return pulses[:count]
 
 
 def input_matrices_of_factor(A, C, R, directions, block_rows, n_inputs, feedthrough):

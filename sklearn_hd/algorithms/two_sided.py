@@ -1,9 +1,9 @@
 """Normal equations of B and D over pieces of one length of an unstable model's records.
 
-Each piece has an initial state of its own, free and not asked for. So the response to an input
-may be any that obeys x[k+1] = A x[k] + B u[k]: modes that decay are followed forwards from rest
-at the start of a piece, modes that grow backwards from rest at its end. Nothing grows, and sums
-of products lose no digits to it.
+Each piece has an initial state of its own, free. So the response to an input may be any that
+obeys x[k+1] = A x[k] + B u[k]: modes that decay are followed forwards from rest at the start of
+a piece, modes that grow backwards from rest at its end. Nothing grows, and sums of products
+lose no digits to it.
 
 In coordinates in which A is block diagonal (:mod:`~sklearn_hd.algorithms.response_basis`) a
 response is made of q numbers w. With V the w of pulses at both ends, X = [C; C A; …] in bounded
@@ -11,18 +11,56 @@ coordinates is linear in V, the equations F of the entries of B and D in the w a
 
     Σ F'F,  X'F                    follow from Σ w w', Σ w u', Σ V w', …
     Σ F'(I − X (X'X)⁻¹ X') F       is what is left beside the initial states.
+
+Within a block of T samples everything is linear in a = [w, u_0 … u_{T-1}], w at the block's start
+for modes that decay and at its end for those that grow: w_t = M_t a and V_t = P_t V. So only
+products of the a of whole blocks are summed.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
+from sklearn_hd.algorithms.response_basis import pulses, run
 from sklearn_hd.algorithms.triangular import safe_cholesky
 
-__all__ = ["products_of_pieces"]
+__all__ = ["TwoSidedFactor", "products_of_pieces"]
 
 EPS = np.finfo(float).eps
 LARGEST_CONDITION = 1e5  # of the responses to initial states, brought to equal length
+LONGEST_BLOCK = 16  # samples
+LEAST_NOISE = 1e-3  # of the outputs' size: what it does is far above rounding
+
+
+@dataclass(frozen=True, eq=False)
+class TwoSidedFactor:
+    """What pieces of one length say of B and D, and then of their initial states.
+
+    Attributes
+    ----------
+    R : ndarray, shape (c, c)
+        Upper triangular; columns: B (row by row), D, and the outputs.
+    responses : object
+    """
+
+    R: np.ndarray
+    responses: object
+
+    def initial_state(self, u, y, B, D):
+        """Least-squares initial state of one piece beside some B and D.
+
+        Parameters
+        ----------
+        u, y : ndarray, shapes (L, m), (L, l)
+        B, D : ndarray, shapes (n, m), (l, m)
+
+        Returns
+        -------
+        x0 : ndarray, shape (n,)
+        """
+        return self.responses.initial_state(u, y, B, D)
 
 
 def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
@@ -42,8 +80,7 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
 
     Returns
     -------
-    R : ndarray, shape (c, c), or None
-        Columns: B (row by row), D, and the outputs.
+    factor : TwoSidedFactor or None
     """
     responses, sums = None, None
     for some in pieces:
@@ -51,7 +88,7 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
             responses = _Responses(basis, C, some.shape[1])
             if responses.start is None:
                 return None
-        own = responses.products(np.ascontiguousarray(some.swapaxes(0, 1)), n_inputs, feedthrough)
+        own = responses.products(some, n_inputs, feedthrough)
         sums = own if sums is None else [a + b for a, b in zip(sums, own, strict=True)]
     G, whole = _equations(responses.seen, *sums[:-1], n_inputs, feedthrough)
     G -= sums[-1]
@@ -60,7 +97,23 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
         return None
     with np.errstate(over="ignore"):
         rounding = EPS * responses.condition * np.max(whole / left)
-    return safe_cholesky(G, rounding)
+    R = _factor(G, rounding)
+    return None if R is None else TwoSidedFactor(R, responses)
+
+
+def _factor(G, rounding):
+    """R factor, the outputs last, where noise hides what rounding does to B and D."""
+    R = np.zeros_like(G)
+    own = safe_cholesky(G[:-1, :-1], rounding)
+    if own is None:
+        return None
+    R[:-1, :-1] = own
+    R[:-1, -1] = linalg.solve_triangular(own, G[:-1, -1], trans=1)
+    rest = G[-1, -1] - R[:-1, -1] @ R[:-1, -1]
+    if not rest > LEAST_NOISE**2 * G[-1, -1]:
+        return None
+    R[-1, -1] = np.sqrt(rest)
+    return R
 
 
 class _Responses:
@@ -72,6 +125,10 @@ class _Responses:
         Outputs of each w for each entry of a column of B.
     pulses : ndarray, shape (L, q)
         V.
+    block : int
+        T.
+    maps : ndarray, shape (T, q, q + T)
+        M_t; its first q columns are P_t.
     start : ndarray, shape (l, r, q), or None
         From V'F to Q'F, with Q an orthonormal basis of X; None where that would lose digits.
     condition : float
@@ -79,57 +136,123 @@ class _Responses:
     """
 
     def __init__(self, basis, C, length):
-        F, g = basis.F, basis.g
+        F, g, q = basis.F, basis.g, len(basis.g)
         labels = connected_components(F != 0.0)[1]
-        sizes = [np.max(np.abs(linalg.eigvals(F[labels == k][:, labels == k]))) for k in labels]
-        self.grows = np.array(sizes) > 1.0
-        self.step = F[~self.grows][:, ~self.grows], g[~self.grows]
-        back = linalg.inv(F[self.grows][:, self.grows])
-        self.back = back, back @ g[self.grows]
-        self.seen = basis.seen(C)
-        self.pulses = np.zeros((length, len(g)))
-        ahead, behind = g[~self.grows], self.back[1]
-        for k in range(length):
-            self.pulses[k, ~self.grows], self.pulses[-1 - k, self.grows] = ahead, behind
-            ahead, behind = self.step[0] @ ahead, back @ behind
-        X = np.einsum("oiq,kq->koi", self.seen, self.pulses).reshape(-1, len(F))
+        self.modes = [np.flatnonzero(labels == k) for k in range(labels.max() + 1)]
+        grows = [np.max(np.abs(linalg.eigvals(F[np.ix_(k, k)]))) > 1.0 for k in self.modes]
+        self.grows = np.array(grows)[labels]
+        self.ahead, self.back = np.where(self.grows, 0.0, F), np.zeros((q, q))
+        growing = np.ix_(self.grows, self.grows)
+        self.back[growing] = linalg.inv(F[growing])
+        self.pulse = np.where(self.grows, 0.0, g), np.where(self.grows, g, 0.0)
+        self.seen, self.units = basis.seen(C), basis.units
+        self.block = next(T for T in range(LONGEST_BLOCK, 0, -1) if length % T == 0)
+        forward, backward = self._pulses(length)
+        self.pulses = forward + backward[::-1]
+        self.of_blocks = forward[:: self.block] + self._ends(length)
+        self.maps = self._maps()
+        self._set_start(np.einsum("oiq,kq->koi", self.seen, self.pulses).reshape(-1, q))
+
+    def _pulses(self, count):
+        """F^k g of what decays, and F^{-k-1} g of what grows, k = 0, 1, …"""
+        return pulses(self.ahead, self.pulse[0], count), pulses(
+            self.back, self.back @ self.pulse[1], count
+        )
+
+    def _ends(self, length):
+        """V of what grows, at the end of each block."""
+        step = np.linalg.matrix_power(self.back, self.block)
+        return pulses(step, self.pulse[1], length // self.block)[::-1]
+
+    def _maps(self):
+        T, q = self.block, len(self.grows)
+        maps = np.zeros((T, q, q + T))
+        ahead, behind = np.diag(1.0 - self.grows), self.back
+        forward, backward = self._pulses(T)
+        for t in range(T):
+            maps[t, :, :q] += ahead
+            maps[T - 1 - t, :, :q] += behind
+            maps[t, :, q : q + t] = forward[:t][::-1].T
+            maps[t, :, q + t :] -= backward[: T - t].T
+            ahead, behind = self.ahead @ ahead, self.back @ behind
+        return maps
+
+    def _set_start(self, X):
         size = np.linalg.norm(X, axis=0)
         size[size == 0.0] = 1.0
         values, directions = linalg.svd(X / size, full_matrices=False)[1:]
         self.condition, self.start = values[0] / max(values[-1], EPS), None
         if self.condition <= LARGEST_CONDITION:
-            start = directions / values[:, None] / size
-            self.start = np.einsum("ri,oiq->orq", start, self.seen)
+            self.inverse = directions / values[:, None] / size
+            self.start = np.einsum("ri,oiq->orq", self.inverse, self.seen)
 
     def _numbers(self, u):
-        """The numbers w of the response to each input, shape (L, n_pieces, m, q)."""
-        w = np.zeros((*u.shape, len(self.grows)))
-        ahead = np.zeros((*u.shape[1:], int(np.sum(~self.grows))))
-        behind = np.zeros((*u.shape[1:], int(np.sum(self.grows))))
-        (F, g), (back, g_back) = self.step, self.back
-        for k in range(len(u)):
-            w[k][..., ~self.grows] = ahead
-            ahead = ahead @ F.T + u[k, ..., None] * g
-            behind = behind @ back.T - u[-1 - k, ..., None] * g_back
-            w[-1 - k][..., self.grows] = behind
-        return w
+        """The numbers a of each block and input, shape (n_blocks, n_pieces, m, q + T)."""
+        T, q = self.block, len(self.grows)
+        count, length, m = u.shape
+        inputs = u.reshape(count, -1, T, m).transpose(1, 0, 3, 2).reshape(-1, T)
+        forward, backward = self._pulses(T)
+        w = inputs @ (forward[::-1] - backward)
+        w = w.reshape(length // T, count * m, q)
+        w[..., self.grows] = w[::-1][..., self.grows]
+        step = np.linalg.matrix_power(self.ahead, T) + np.linalg.matrix_power(self.back, T)
+        run(step, w, np.zeros(w.shape[1:]))
+        w[..., self.grows] = w[::-1][..., self.grows]
+        a = np.concatenate([w.reshape(len(inputs), q), inputs], axis=1)
+        return a.reshape(len(w), count, m, q + T)
 
     def products(self, z, m, feedthrough):
-        """Σ w w', Σ w z', Σ z z' of some pieces, (L, n_pieces, m + l), and what X takes of F'F."""
-        length, count, _ = z.shape
-        w, q = self._numbers(z[..., :m]), self.pulses.shape[1]
-        wide, flat = w.reshape(length * count, m * q), z.reshape(length * count, -1)
-        beside = self.pulses.T @ w.reshape(length, -1)
-        beside = (self.start @ beside).reshape(*self.start.shape[:2], count, m, q)  # o r p j s
+        """Σ w w', Σ w z', Σ z z' of some pieces, (n_pieces, L, m + l), and what X takes of F'F."""
+        (count, length, p), (T, q, _) = z.shape, self.maps.shape
+        a, flat = self._numbers(z[..., :m]), z.reshape(count * length, p)
+        own = a.reshape(-1, m * (q + T))
+        channels = z.reshape(count, -1, T * p).swapaxes(0, 1).reshape(len(own), -1)
+        wz = (own.T @ channels).reshape(m, q + T, T, p)
+        wz = np.einsum("tqe,cetz->cqz", self.maps, wz, optimize=True)
+        taken = self._taken(a, z, feedthrough)
+        return self._squares(own.T @ own, m), wz.reshape(m * q, p), flat.T @ flat, taken.T @ taken
+
+    def _squares(self, squares, m):
+        """Σ w w' from Σ a a'."""
+        T, q, width = self.maps.shape
+        squares = squares.reshape(m, width, m, width).transpose(0, 2, 1, 3)
+        left = self.maps.reshape(T * q, width) @ squares
+        left = left.reshape(m, m, T, q, width).transpose(0, 1, 3, 2, 4).reshape(m, m, q, -1)
+        found = left @ self.maps.transpose(0, 2, 1).reshape(T * width, q)
+        return found.transpose(0, 2, 1, 3).reshape(m * q, m * q)
+
+    def _taken(self, a, z, feedthrough):
+        """Q'F, and Q' of the outputs, of each piece, one below the other."""
+        n_blocks, count, m, width = a.shape
+        q = len(self.grows)
+        beside = np.empty((q, count, m, q))  # V'w
+        numbers = (self.of_blocks.T @ a.reshape(n_blocks, -1)).reshape(q, count * m, width)
+        for mode in self.modes:
+            own = self.maps[:, mode[:, None], mode]
+            K = np.einsum("tia,tse->aeis", own, self.maps, optimize=True)
+            parts = numbers[mode].transpose(1, 0, 2).reshape(count * m, -1)
+            parts = parts @ K.reshape(parts.shape[1], -1)
+            beside[mode] = parts.reshape(count, m, len(mode), q).transpose(2, 0, 1, 3)
+        beside = self.start @ beside.reshape(q, -1)
+        beside = beside.reshape(*self.start.shape[:2], count, m, q)  # o r p j s
         of_B = np.einsum("orpjs,ois->prij", beside, self.seen, optimize=True)
         parts = [of_B.reshape(count, of_B.shape[1], -1)]
-        ends = self.start @ (self.pulses.T @ z.reshape(length, -1))
-        ends = ends.reshape(*self.start.shape[:2], count, -1)  # o r p c
+        ends = np.tensordot(self.start, self.pulses.T @ z, ((2,), (1,)))  # o r p c
         if feedthrough:
             parts.append(ends[..., :m].transpose(2, 1, 0, 3).reshape(count, of_B.shape[1], -1))
         parts.append(np.einsum("orpo->pr", ends[..., m:])[..., None])
-        taken = np.concatenate(parts, axis=-1).reshape(-1, sum(p.shape[-1] for p in parts))
-        return wide.T @ wide, wide.T @ flat, flat.T @ flat, taken.T @ taken
+        return np.concatenate(parts, axis=-1).reshape(-1, sum(p.shape[-1] for p in parts))
+
+    def initial_state(self, u, y, B, D):
+        """The initial state of one piece."""
+        a = self._numbers(u[None])[:, 0]
+        w = np.einsum("tqe,bje->btjq", self.maps, a, optimize=True)
+        w = w.reshape(len(u), u.shape[1], -1)
+        forced = np.einsum("kjs,ois,ij->ko", w, self.seen, B, optimize=True)
+        left = self.pulses.T @ (y - forced - u @ D.T)
+        free = self.inverse.T @ np.einsum("orq,qo->r", self.start, left)
+        free = np.einsum("s,sij,j->i", self.pulses[0], self.units, free, optimize=True)
+        return free + np.einsum("js,sil,lj->i", w[0], self.units, B, optimize=True)
 
 
 def _equations(seen, ww, wz, zz, m, feedthrough):
