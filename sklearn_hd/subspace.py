@@ -102,7 +102,7 @@ class MOESPRegressor(
         Folder in which lag products of the data are kept: one for all orders and for all
         block rows up to 32, 64 or 128, so that a search over both goes through each of its
         folds once (twice without noise: exactly, too). Up to 64 MB of what a process asked for
-        last stay in its memory.
+        last stay in its memory, and as much of the data, by which it knows them again.
     verbose : int, default=0
         1 shows how far ``partial_fit`` is with a chunk, and ``order="auto"`` with orders
         period by period: a progress bar in terminals and notebooks.

@@ -91,13 +91,40 @@ def test_other_data_have_other_products(tmp_path, rng, change):
         np.testing.assert_allclose(kept.factor(inputs, outputs, 3, None), expected, atol=1e-12)
 
 
-def test_a_fit_hashes_its_data_once(tmp_path, data, monkeypatch):
+@pytest.fixture
+def hashed(monkeypatch):
+    """Calls that really hash, in a process that knows no data yet."""
     digest, calls = products_cache._digest, []
     monkeypatch.setattr(products_cache, "_digest", lambda z: calls.append(1) or digest(z))
+    monkeypatch.setattr(products_cache, "_DATA", products_cache._Recent(2**20))
+    return calls
+
+
+def test_data_are_hashed_once(tmp_path, data, hashed):
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
+    for _ in range(2):
+        model.fit(*map(np.copy, data))
+    assert len(hashed) == 1
+
+
+def test_data_too_large_to_be_at_hand_are_hashed_once_a_fit(tmp_path, data, hashed, monkeypatch):
+    monkeypatch.setattr(products_cache._DATA, "most", 1000)
     model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
     for _ in range(2):
         model.fit(*data)
-    assert len(calls) == 2
+    assert len(hashed) == 2
+    assert products_cache._DATA.size == 0
+
+
+@pytest.mark.parametrize("value", [0.5, -0.0])
+def test_data_that_were_changed_in_place_are_others(tmp_path, data, hashed, value):
+    u, y = data
+    u[701, 1] = 0.0  # in none of the rows that are looked up
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
+    for change in (0.0, value, value):
+        u[701, 1] = change
+        same_model(model.fit(u, y), MOESPRegressor(3, block_rows=6).fit(u, y))
+    assert len(hashed) == 2
 
 
 def test_what_is_at_hand_is_not_read_again(tmp_path, data, counted):
