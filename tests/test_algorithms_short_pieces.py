@@ -7,8 +7,8 @@ from conftest import random_stable
 from sklearn_hd.algorithms import input_matrices as module
 from sklearn_hd.algorithms import short_pieces
 from sklearn_hd.algorithms.input_matrices import input_matrices, pieces_of
+from sklearn_hd.algorithms.response_products import products_factor
 from sklearn_hd.algorithms.simulation import propagate
-from sklearn_hd.algorithms.two_sided import products_of_pieces
 
 GROWN = 1e-5  # rounding of responses that grow e²⁰ times within a piece
 
@@ -103,20 +103,57 @@ def test_products_are_as_exact_as_extended_precision_tells(rng, radius):
     assert np.max(np.abs(off)) < 1e-9 * np.sqrt(residual @ residual)
 
 
-def test_without_noise_products_are_refused(rng, monkeypatch):
+@pytest.mark.parametrize("size", [0.0, 1e-9])
+def test_without_noise_products_are_corrected(rng, monkeypatch, size):
+    """Sums alone are right to 1e-12 or so of the outputs, which grow to 1e8."""
     A, B, C, D = unstable(rng, 3, 1.3)
     u, y = rng.standard_normal((3000, 2)), np.empty((3000, 3))
     for _, rows in pieces_of(A, [len(u)])[0]:
-        y[rows] = propagate(A, u[rows] @ B.T, rng.standard_normal(3)) @ C.T + u[rows] @ D.T
-    found = []
+        x0 = 1e-6 * rng.standard_normal(3)
+        y[rows] = propagate(A, u[rows] @ B.T, x0) @ C.T + u[rows] @ D.T
+    y += size * rng.standard_normal(y.shape)
+    found = input_matrices(A, C, [u], [y], True, return_residual=True)
+    one_by_one(monkeypatch)
+    expected = input_matrices(A, C, [u], [y], True, return_residual=True)
+    off = max(1e-17 * np.max(np.abs(y)), size)
+    for one, other in zip(found[:2], (B, D), strict=True):
+        np.testing.assert_allclose(one, other, atol=10.0 * off)
+    np.testing.assert_allclose(found[2], expected[2], atol=100.0 * off)
+    if size:
+        assert found[3] == pytest.approx(expected[3], rel=0.1)
+
+
+def test_short_records_of_an_unstable_model_have_starts_of_their_own(rng, monkeypatch):
+    A, _, C, _ = unstable(rng, 3, 1.3)
+    u = [rng.standard_normal((n, 2)) for n in (300, 20, 300)]
+    y = [rng.standard_normal((len(z), 3)) for z in u]
+    found = input_matrices(A, C, u, y, False)
+    one_by_one(monkeypatch)
+    for one, other in zip(found, input_matrices(A, C, u, y, False), strict=True):
+        np.testing.assert_allclose(one, other, rtol=GROWN, atol=GROWN * np.max(np.abs(other)))
+
+
+def test_states_that_outputs_hardly_see_change_nothing(rng, monkeypatch):
+    """As those of an order too high, without noise."""
+    A, _, C, _ = unstable(rng, 4, 0.9)
+    size = np.array([1.0, 1.0, 1e-7, 1e-9])
+    A, C = A * (size / size[:, None]), C * size
+    u, y = rng.standard_normal((4000, 2)), rng.standard_normal((4000, 3))
+    factor = []
 
     def watched(*arguments):
-        found.append(products_of_pieces(*arguments))
-        return found[-1]
+        factor.append(products_factor(*arguments))
+        return factor[-1]
 
-    monkeypatch.setattr(module, "products_of_pieces", watched)
-    input_matrices(A, C, [u], [y], True)
-    assert found == [None]
+    monkeypatch.setattr(module, "products_factor", watched)
+    found = input_matrices(A, C, [u], [y], True)
+    assert factor[0] is not None
+    monkeypatch.setattr(module, "products_factor", lambda *_: None)
+    expected = input_matrices(A, C, [u], [y], True)
+    for one, other, unit in zip(
+        found, expected, (1.0 / size[:, None], 1.0, 1.0 / size), strict=True
+    ):
+        np.testing.assert_allclose(one / unit, other / unit, atol=1e-9)
 
 
 def test_states_that_are_not_seen_take_no_equations(rng, monkeypatch):

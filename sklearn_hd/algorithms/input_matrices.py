@@ -30,7 +30,7 @@ where the one before it would not do:
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import linalg
@@ -286,7 +286,7 @@ class RecordFactors:
         """Of many pieces of one length, from normal equations; None where these would not do."""
         if self._basis is None:
             return None
-        some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
+        some = partial(_stacked, pieces, inputs, outputs, self.scales, len(self.A))
         m = inputs[0].shape[1]
         return products_of_pieces(self._basis, self.C, some, m, self.feedthrough)
 

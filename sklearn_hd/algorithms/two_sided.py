@@ -14,10 +14,12 @@ coordinates is linear in V, the equations F of the entries of B and D in the w a
 
 Within a block of T samples everything is linear in a = [w, u_0 … u_{T-1}], w at the block's start
 for modes that decay and at its end for those that grow: w_t = M_t a and V_t = P_t V. So only
-products of the a of whole blocks are summed.
+products of the a of whole blocks are summed. Without noise rounding would show: then what B and
+D leave of the outputs takes their place, and gives their correction (Björck, 1987).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -31,7 +33,9 @@ __all__ = ["TwoSidedFactor", "products_of_pieces"]
 EPS = np.finfo(float).eps
 LARGEST_CONDITION = 1e5  # of the responses to initial states, brought to equal length
 LONGEST_BLOCK = 16  # samples
-LEAST_NOISE = 1e-3  # of the outputs' size: what it does is far above rounding
+MANY = 2  # pieces, times inputs, beside samples of one
+TWICE = 2  # what initial states take, as Gram and Schmidt
+LEAST_NOISE = 1e-3  # of the outputs' size: beside what it does, rounding is nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +75,9 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
     basis : ResponseBasis
         Of A.
     C : ndarray, shape (l, n)
-    pieces : iterable of ndarray, shapes (n_pieces, L, m + l)
-        Inputs and outputs, some pieces at a time.
+    pieces : callable
+        Gives an iterator over arrays, shapes (n_pieces, L, m + l): inputs and outputs, some
+        pieces at a time.
     n_inputs : int
         The first of the channels, m.
     feedthrough : bool
@@ -82,38 +87,52 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
     -------
     factor : TwoSidedFactor or None
     """
-    responses, sums = None, None
+    responses = _Responses(basis, C, next(pieces()).shape[1])
+    if responses.start is None:
+        return None
+    G, rounding, squares = _summed(responses, pieces(), n_inputs, feedthrough)
+    own = safe_cholesky(G[:-1, :-1], rounding)
+    if own is None:
+        return None
+    turned, rest = _solved(own, G)
+    if not rest > LEAST_NOISE**2 * squares:
+        B, D = _entries(linalg.solve_triangular(own, turned), C, n_inputs)
+        left = (responses.left(some, B, D) for some in pieces())
+        G, *_ = _summed(responses, left, n_inputs, feedthrough)
+        change, rest = _solved(own, G)
+        turned = turned + change
+    last = np.sqrt(max(rest, 0.0))
+    R = np.block([[own, turned[:, None]], [np.zeros((1, len(own))), last]])
+    return TwoSidedFactor(R, responses)
+
+
+def _summed(responses, pieces, n_inputs, feedthrough):
+    """Normal equations, the outputs last, what rounding may do to them, and Σ y'y."""
+    sums = None
     for some in pieces:
-        if responses is None:
-            responses = _Responses(basis, C, some.shape[1])
-            if responses.start is None:
-                return None
         own = responses.products(some, n_inputs, feedthrough)
         sums = own if sums is None else [a + b for a, b in zip(sums, own, strict=True)]
     G, whole = _equations(responses.seen, *sums[:-1], n_inputs, feedthrough)
     G -= sums[-1]
-    left = np.diagonal(G)
+    left = np.diagonal(G)[:-1]
     if not np.all(left > 0.0):
-        return None
+        return G, np.inf, whole[-1]
     with np.errstate(over="ignore"):
-        rounding = EPS * responses.condition * np.max(whole / left)
-    R = _factor(G, rounding)
-    return None if R is None else TwoSidedFactor(R, responses)
+        rounding = EPS * responses.condition * np.max(whole[:-1] / left)
+    return G, rounding, whole[-1]
 
 
-def _factor(G, rounding):
-    """R factor, the outputs last, where noise hides what rounding does to B and D."""
-    R = np.zeros_like(G)
-    own = safe_cholesky(G[:-1, :-1], rounding)
-    if own is None:
-        return None
-    R[:-1, :-1] = own
-    R[:-1, -1] = linalg.solve_triangular(own, G[:-1, -1], trans=1)
-    rest = G[-1, -1] - R[:-1, -1] @ R[:-1, -1]
-    if not rest > LEAST_NOISE**2 * G[-1, -1]:
-        return None
-    R[-1, -1] = np.sqrt(rest)
-    return R
+def _solved(own, G):
+    """The outputs' column of the factor, and the sum of squares left."""
+    turned = linalg.solve_triangular(own, G[:-1, -1], trans=1)
+    return turned, G[-1, -1] - turned @ turned
+
+
+def _entries(theta, C, m):
+    """B and D of their entries."""
+    n_outputs, n = C.shape
+    D = theta[n * m :].reshape(-1, m) if len(theta) > n * m else np.zeros((n_outputs, m))
+    return theta[: n * m].reshape(n, m), D
 
 
 class _Responses:
@@ -133,6 +152,10 @@ class _Responses:
         From V'F to Q'F, with Q an orthonormal basis of X; None where that would lose digits.
     condition : float
         Of X.
+    inverse : ndarray, shape (r, n)
+        From Q'y to the coordinates of X.
+    free : ndarray, shape (L l, n)
+        X.
     """
 
     def __init__(self, basis, C, length):
@@ -178,7 +201,7 @@ class _Responses:
         return maps
 
     def _set_start(self, X):
-        size = np.linalg.norm(X, axis=0)
+        self.free, size = X, np.linalg.norm(X, axis=0)
         size[size == 0.0] = 1.0
         values, directions = linalg.svd(X / size, full_matrices=False)[1:]
         self.condition, self.start = values[0] / max(values[-1], EPS), None
@@ -223,6 +246,23 @@ class _Responses:
 
     def _taken(self, a, z, feedthrough):
         """Q'F, and Q' of the outputs, of each piece, one below the other."""
+        _, count, m, _ = a.shape
+        if count * m > MANY * z.shape[1]:
+            inputs = np.ascontiguousarray(z[..., :m].swapaxes(1, 2)).reshape(count * m, -1)
+            of_B = (inputs @ self._of_samples).reshape(count, m, -1, self.seen.shape[1])
+            of_B = of_B.transpose(0, 2, 3, 1)
+        else:
+            of_B = self._of_B(a)
+        r = of_B.shape[1]
+        parts = [of_B.reshape(count, r, -1)]
+        ends = np.tensordot(self.start, self.pulses.T @ z, ((2,), (1,)))  # o r p c
+        if feedthrough:
+            parts.append(ends[..., :m].transpose(2, 1, 0, 3).reshape(count, r, -1))
+        parts.append(np.einsum("orpo->pr", ends[..., m:])[..., None])
+        return np.concatenate(parts, axis=-1).reshape(count * r, -1)
+
+    def _of_B(self, a):
+        """Q'F of the entries of B, for each piece, shape (n_pieces, r, n, m)."""
         n_blocks, count, m, width = a.shape
         q = len(self.grows)
         beside = np.empty((q, count, m, q))  # V'w
@@ -235,24 +275,41 @@ class _Responses:
             beside[mode] = parts.reshape(count, m, len(mode), q).transpose(2, 0, 1, 3)
         beside = self.start @ beside.reshape(q, -1)
         beside = beside.reshape(*self.start.shape[:2], count, m, q)  # o r p j s
-        of_B = np.einsum("orpjs,ois->prij", beside, self.seen, optimize=True)
-        parts = [of_B.reshape(count, of_B.shape[1], -1)]
-        ends = np.tensordot(self.start, self.pulses.T @ z, ((2,), (1,)))  # o r p c
-        if feedthrough:
-            parts.append(ends[..., :m].transpose(2, 1, 0, 3).reshape(count, of_B.shape[1], -1))
-        parts.append(np.einsum("orpo->pr", ends[..., m:])[..., None])
-        return np.concatenate(parts, axis=-1).reshape(-1, sum(p.shape[-1] for p in parts))
+        return np.einsum("orpjs,ois->prij", beside, self.seen, optimize=True)
+
+    @cached_property
+    def _of_samples(self):
+        """The same for a single input that is one at one sample, shape (L, r n)."""
+        length = len(self.pulses)
+        return self._of_B(self._numbers(np.eye(length)[..., None])).reshape(length, -1)
+
+    def left(self, z, B, D):
+        """Pieces whose outputs are what B, D and their best initial states leave of them."""
+        left, _, _ = self._fitted(z, B, D)
+        return np.concatenate([z[..., : B.shape[1]], left], axis=-1)
 
     def initial_state(self, u, y, B, D):
         """The initial state of one piece."""
-        a = self._numbers(u[None])[:, 0]
-        w = np.einsum("tqe,bje->btjq", self.maps, a, optimize=True)
-        w = w.reshape(len(u), u.shape[1], -1)
-        forced = np.einsum("kjs,ois,ij->ko", w, self.seen, B, optimize=True)
-        left = self.pulses.T @ (y - forced - u @ D.T)
-        free = self.inverse.T @ np.einsum("orq,qo->r", self.start, left)
-        free = np.einsum("s,sij,j->i", self.pulses[0], self.units, free, optimize=True)
-        return free + np.einsum("js,sil,lj->i", w[0], self.units, B, optimize=True)
+        _, starts, a = self._fitted(np.hstack([u, y])[None], B, D)
+        first = a[0, 0] @ self.maps[0].T  # w of each input
+        x0 = np.einsum("s,sij,j->i", self.pulses[0], self.units, starts[0], optimize=True)
+        return x0 + np.einsum("js,sil,lj->i", first, self.units, B, optimize=True)
+
+    def _fitted(self, z, B, D):
+        """What is left of the outputs, what X took of it, and the numbers a."""
+        m, count, (T, _, width) = B.shape[1], len(z), self.maps.shape
+        u, y = z[..., :m], z[..., m:]
+        a = self._numbers(u)
+        answers = np.einsum("tse,ois,ij->jeto", self.maps, self.seen, B, optimize=True)
+        forced = a.reshape(-1, m * width) @ answers.reshape(m * width, -1)
+        forced = forced.reshape(len(a), count, T, -1).swapaxes(0, 1).reshape(y.shape)
+        left, starts = y - forced - u @ D.T, 0.0
+        for _ in range(TWICE):
+            taken = np.tensordot(self.pulses.T @ left, self.start, ((1, 2), (2, 0)))  # Q'
+            taken = taken @ self.inverse
+            left -= (taken @ self.free.T).reshape(left.shape)
+            starts = starts + taken
+        return left, starts, a
 
 
 def _equations(seen, ww, wz, zz, m, feedthrough):
@@ -260,8 +317,9 @@ def _equations(seen, ww, wz, zz, m, feedthrough):
     n_outputs, n, q = seen.shape
     B, D = n * m, n * m + feedthrough * n_outputs * m
     G = np.zeros((D + 1, D + 1))
-    pairs = np.einsum("ois,jskt,oht->ijhk", seen, ww.reshape(m, q, m, q), seen, optimize=True)
-    G[:B, :B] = pairs.reshape(B, B)
+    pairs = seen[:, None, None] @ ww.reshape(m, q, m, q).transpose(0, 2, 1, 3)  # o j k i t
+    pairs = np.sum(pairs @ seen.transpose(0, 2, 1)[:, None, None], axis=0)
+    G[:B, :B] = pairs.transpose(2, 0, 3, 1).reshape(B, B)
     shown = np.einsum("ois,jsc->oijc", seen, wz.reshape(m, q, -1))
     G[:B, D] = np.einsum("oijo->ij", shown[..., m:]).reshape(-1)
     G[D, D] = np.trace(zz[m:, m:])
