@@ -211,10 +211,12 @@ def alike_states(A, C):
     size : ndarray, shape (n,)
         What each state is multiplied by; rows of B and initial states as well.
     """
-    squares, seen = np.zeros(len(A)), C
-    for _ in range(len(A)):
-        squares = squares + np.sum(seen**2, axis=0)
-        seen = seen @ A
+    squares = np.zeros(len(A))
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = C / (np.max(np.abs(C), initial=0.0) or 1.0)
+        for _ in range(len(A)):
+            squares += np.sum(seen**2, axis=0)
+            seen = seen @ A
     size = np.sqrt(np.where((squares > 0.0) & np.isfinite(squares), squares, 1.0))
     size = np.ldexp(1.0, np.frexp(size)[1])
     return A * (size[:, None] / size), C / size, size

@@ -17,10 +17,12 @@ __all__ = [
     "logarithm",
     "propagate",
     "real_logarithm",
+    "simulate",
 ]
 
 LOGARITHM_TOLERANCE = 1e-6
 BLOCK_STEPS = 16
+LONGEST_BLOCK = 16  # samples whose outputs follow at once from the state before them
 LEAST_BLOCKS = 8
 GROUP = 1024  # blocks whose states fit into a cache
 _GLOBAL_RANDOM = threading.Lock()
@@ -95,6 +97,69 @@ def _double(A, forcing, x0, x):
             break  # nilpotent, or decayed below the smallest number
         x[..., step:, :] += x[..., :-step, :] @ power
         power, step = power @ power, 2 * step
+
+
+def simulate(A, B, C, D, inputs, x0):
+    """Outputs of x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k] from x[0] = x0.
+
+    In blocks of T samples, all at once: y is linear in the state before a block and in the
+    inputs of the block, and so is the state after it; only states at the starts of blocks are
+    found one after the other.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
+    inputs : ndarray, shape (n_samples, m)
+    x0 : ndarray, shape (n,)
+
+    Returns
+    -------
+    outputs : ndarray, shape (n_samples, l)
+        Infinite or NaN where an unstable A makes the states overflow.
+
+    Examples
+    --------
+    >>> one = np.ones((1, 1))
+    >>> simulate(0.5 * one, one, one, 0.0 * one, np.ones((4, 1)), np.zeros(1)).ravel().tolist()
+    [0.0, 1.0, 1.5, 1.75]
+    """
+    (n, m), n_outputs = B.shape, len(C)
+    T = _outputs_block(n, m, n_outputs, len(inputs))
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        if T < 2:
+            return propagate(A, inputs @ B.T, x0) @ C.T + inputs @ D.T
+        seen, reached = np.empty((T, n_outputs, n)), np.empty((T, n, m))
+        last, ahead = C, B
+        for k in range(T):
+            seen[k], reached[T - 1 - k] = last, ahead
+            last, ahead = last @ A, A @ ahead
+        pulses = np.concatenate([D[None], seen[:-1] @ B])  # outputs of a pulse, k samples later
+        within = np.zeros((T, m, T, n_outputs))
+        for k in range(T):
+            within[k, :, k:] = pulses[: T - k].transpose(2, 0, 1)
+        whole = len(inputs) // T * T
+        u = np.ascontiguousarray(inputs[:whole]).reshape(-1, T * m)
+        forcing = u @ reached.transpose(0, 2, 1).reshape(T * m, n)
+        forcing = np.concatenate([forcing, np.zeros((1, n))])
+        states = propagate(np.linalg.matrix_power(A, T), forcing, x0)
+        outputs = np.empty((len(inputs), n_outputs))
+        blocks = outputs[:whole].reshape(len(u), T * n_outputs)
+        np.matmul(u, within.reshape(T * m, -1), out=blocks)
+        blocks += states[:-1] @ seen.reshape(-1, n).T
+        rest = inputs[whole:]
+        left = propagate(A, rest @ B.T, states[-1])
+        outputs[whole:] = left @ C.T + rest @ D.T
+    return outputs
+
+
+def _outputs_block(n_states, n_inputs, n_outputs, n_samples):
+    """Samples in a block, for the least work; 1 where there are too few."""
+
+    def work(T):
+        return T * n_inputs * n_outputs + 5 * n_states * (n_states + n_inputs) / T
+
+    blocks = [T for T in (1, 2, 4, 8, LONGEST_BLOCK) if 4 * T * LEAST_BLOCKS <= n_samples]
+    return min(blocks, key=work, default=1) if n_states and n_outputs else 1
 
 
 def continuous_to_discrete(A, B, dt):

@@ -26,7 +26,7 @@ from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
 from sklearn_hd.algorithms.response_basis import pulses, run
-from sklearn_hd.algorithms.triangular import safe_cholesky
+from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
 __all__ = ["TwoSidedFactor", "products_of_pieces"]
 
@@ -203,7 +203,7 @@ class _Responses:
     def _set_start(self, X):
         self.free, size = X, np.linalg.norm(X, axis=0)
         size[size == 0.0] = 1.0
-        values, directions = linalg.svd(X / size, full_matrices=False)[1:]
+        values, directions = linalg.svd(triangle(X / size))[1:]
         self.condition, self.start = values[0] / max(values[-1], EPS), None
         if self.condition <= LARGEST_CONDITION:
             self.inverse = directions / values[:, None] / size
