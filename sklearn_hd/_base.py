@@ -6,7 +6,7 @@ from scipy import linalg
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import extremes, within_range
+from sklearn_hd._arithmetic import extremes, mean_r2, within_range
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._records.data import (
     as_frame,
@@ -477,21 +477,6 @@ def fit_initial_state(simulator, outputs, rows):
     scale[scale == 0.0] = 1.0
     target = ((outputs[rows] - forced) / unit).reshape(-1)
     return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
-
-
-def mean_r2(truth, simulated, weight=None):
-    """scikit-learn's ``r2_score``, without its checks, which take several times as long.
-
-    An output that does not move scores 1 where it is met exactly, else 0.
-    """
-
-    def total(squares):
-        return squares.sum(axis=0) if weight is None else weight @ squares
-
-    left = total((truth - simulated) ** 2)
-    spread = total((truth - np.average(truth, axis=0, weights=weight)) ** 2)
-    scores = 1.0 - left / np.where(spread > 0.0, spread, 1.0)
-    return float(np.mean(np.where(spread > 0.0, scores, left == 0.0)))
 
 
 def power_of_two(values):

@@ -12,6 +12,7 @@ from sklearn_hd.algorithms.simulation import (
     frequency_response,
     propagate,
     real_logarithm,
+    simulate,
 )
 
 
@@ -50,6 +51,32 @@ def test_unstable_states_end_in_infinities_not_in_numbers(rng):
 def test_nilpotent_states_vanish_exactly():
     states = propagate(np.array([[0.0, 1.0], [0.0, 0.0]]), np.zeros((40, 2)), np.array([1.0, 1.0]))
     assert np.all(states[2:] == 0.0)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 60, 64, 1000, 1023, 4001])
+@pytest.mark.parametrize("shape", [(0, 2, 3), (2, 1, 1), (5, 2, 3), (3, 0, 2), (4, 2, 12)])
+def test_outputs_are_those_of_the_states(rng, steps, shape):
+    n, m, n_outputs = shape
+    A, B = 0.9 * linalg.orth(rng.standard_normal((n, n))), rng.standard_normal((n, m))
+    C, D = rng.standard_normal((n_outputs, n)), rng.standard_normal((n_outputs, m))
+    u, x0 = np.asfortranarray(rng.standard_normal((steps, m))), rng.standard_normal(n)
+    expected = propagate(A, u @ B.T, x0) @ C.T + u @ D.T
+    np.testing.assert_allclose(simulate(A, B, C, D, u, x0), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("u_unit", "y_unit"), [(1e170, 1e-170), (1e-170, 1e-170), (1e170, 1e170)])
+def test_units_scale_outputs_alone(rng, u_unit, y_unit):
+    A, B, C = 0.5 * np.eye(2), rng.standard_normal((2, 1)), rng.standard_normal((1, 2))
+    u, x0, D = rng.standard_normal((2000, 1)), np.ones(2), np.zeros((1, 1))
+    found = simulate(A, B / u_unit, C * y_unit, D, u * u_unit, x0)
+    np.testing.assert_allclose(found / y_unit, simulate(A, B, C, D, u, x0), atol=1e-13)
+
+
+def test_unstable_outputs_end_in_no_numbers():
+    one = np.ones((1, 1))
+    outputs = simulate(2.0 * one, one, one, 0.0 * one, np.zeros((5000, 1)), np.ones(1))[:, 0]
+    np.testing.assert_array_equal(outputs[:1000], 2.0 ** np.arange(1000))
+    assert not np.isfinite(outputs[1100:]).any()
 
 
 def test_zero_order_hold_agrees_with_scipy():

@@ -175,7 +175,8 @@ def _factor(digest, block_rows, scale, records, memory):
             return lag_products(records, n_lags, exact)
         lags = max(LEAST_LAGS, 1 << (n_lags - 1).bit_length())
         kept = memory.cache(_products, ignore=["records"])
-        return kept(digest, lags, exact, records).fewer(n_lags)
+        key = str(getattr(memory, "location", "")), "products", digest, lags, exact
+        return _RECENT.get(key, lambda: kept(digest, lags, exact, records)).fewer(n_lags)
 
     return hankel_factor(*map(list, zip(*records, strict=True)), block_rows, scale, products)
 

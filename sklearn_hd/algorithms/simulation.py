@@ -128,6 +128,9 @@ def simulate(A, B, C, D, inputs, x0):
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         if T < 2:
             return propagate(A, inputs @ B.T, x0) @ C.T + inputs @ D.T
+        C, y_unit = _in_units(C)
+        _, u_unit = _in_units(np.vstack([B, D / y_unit]))
+        inputs, B, D = inputs * u_unit, B / u_unit, D / y_unit / u_unit
         seen, reached = np.empty((T, n_outputs, n)), np.empty((T, n, m))
         last, ahead = C, B
         for k in range(T):
@@ -138,7 +141,7 @@ def simulate(A, B, C, D, inputs, x0):
         for k in range(T):
             within[k, :, k:] = pulses[: T - k].transpose(2, 0, 1)
         whole = len(inputs) // T * T
-        u = np.ascontiguousarray(inputs[:whole]).reshape(-1, T * m)
+        u = inputs[:whole].reshape(-1, T * m)
         forcing = u @ reached.transpose(0, 2, 1).reshape(T * m, n)
         forcing = np.concatenate([forcing, np.zeros((1, n))])
         states = propagate(np.linalg.matrix_power(A, T), forcing, x0)
@@ -149,7 +152,14 @@ def simulate(A, B, C, D, inputs, x0):
         rest = inputs[whole:]
         left = propagate(A, rest @ B.T, states[-1])
         outputs[whole:] = left @ C.T + rest @ D.T
+        outputs *= y_unit
     return outputs
+
+
+def _in_units(matrix):
+    """A matrix beside about its largest entry, as a power of two, so that products are numbers."""
+    _, exponent = np.frexp(np.max(np.abs(matrix), initial=0.0))
+    return np.ldexp(matrix, -exponent), np.ldexp(1.0, exponent)
 
 
 def _outputs_block(n_states, n_inputs, n_outputs, n_samples):
@@ -158,8 +168,8 @@ def _outputs_block(n_states, n_inputs, n_outputs, n_samples):
     def work(T):
         return T * n_inputs * n_outputs + 5 * n_states * (n_states + n_inputs) / T
 
-    blocks = [T for T in (1, 2, 4, 8, LONGEST_BLOCK) if 4 * T * LEAST_BLOCKS <= n_samples]
-    return min(blocks, key=work, default=1) if n_states and n_outputs else 1
+    blocks = [T for T in (1, 2, 4, 8, LONGEST_BLOCK) if n_samples >= 4 * T * LEAST_BLOCKS]
+    return min(blocks, key=work, default=1) if n_states and n_inputs and n_outputs else 1
 
 
 def continuous_to_discrete(A, B, dt):
