@@ -42,7 +42,7 @@ from sklearn_hd.algorithms.response_products import output_normal, products_fact
 from sklearn_hd.algorithms.short_pieces import equations_of_pieces, is_short
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.algorithms.triangular import triangle
-from sklearn_hd.algorithms.two_sided import products_of_pieces
+from sklearn_hd.algorithms.two_sided import products_of_pieces, whole_block
 
 __all__ = [
     "InitialState",
@@ -65,7 +65,7 @@ CHUNK_BYTES = 2**25  # of equations at a time
 LEAST_CHUNK = 256
 CARRIED_STEPS = 64
 ROUND_BYTES = 2**24  # of responses of pieces, at a time
-WHOLE, LONG = 16, 4  # rows that long pieces are multiples of
+LONG, LEAST_BLOCK = 64, 9  # pieces that are made of whole blocks, of so many rows
 FEWEST = 4  # pieces of one length that are worth going through together
 STEPS = 64  # of one after the other that take as long as a piece by itself
 
@@ -153,7 +153,6 @@ def input_matrices(
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
-    A, C, size = alike_states(A, C)
     pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
     starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
@@ -161,7 +160,7 @@ def input_matrices(
     if alike:
         two_sided = factor.two_sided([pieces[k] for k in alike], inputs, outputs)
         if two_sided is not None:
-            shared = two_sided.R
+            shared, two_sided = two_sided
         else:
             alike = sorted(set(alike) - set(firsts))
             together = factor.of_short([pieces[k] for k in alike], inputs, outputs)
@@ -172,8 +171,7 @@ def input_matrices(
         R = factor.of_products(u, y) if observe is None else None
         if R is not None and len(pieces) == 1:  # of good condition
             theta = linalg.lapack.dtrtrs(R[:-1, :-1], R[:-1, -1])[0]
-            B, D = split(theta[n:], n, m, n_outputs)
-            found = B / size[:, None], D, theta[None, :n] / size
+            found = *split(theta[n:], n, m, n_outputs), theta[None, :n]
             return (*found, float(R[-1, -1] ** 2)) if return_residual else found
         if R is None:
             R = factor.of_rows(u, y, None if observe is None else observe[s][rows])
@@ -186,9 +184,9 @@ def input_matrices(
         if k in starts:
             return starts[k].solve(theta)
         signals = (z[pieces[k][0]][pieces[k][1]] for z in (inputs, outputs))
-        return two_sided.initial_state(*map(np.divide, signals, scales), B, D)
+        return factor.start(two_sided, *signals, B, D)
 
-    found = B / size[:, None], D, np.array([start(k) for k in firsts]) / size
+    found = B, D, np.array([start(k) for k in firsts])
     if not return_residual:
         return found
     return *found, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
@@ -270,14 +268,24 @@ class RecordFactors:
 
     def __init__(self, A, C, feedthrough, scales):
         self.A, self.C, self.feedthrough, self.scales = A, C, feedthrough, scales
+        self._own_A, self._own_C, self._size = alike_states(A, C)
 
     @cached_property
     def _normal(self):
-        return output_normal(self.A, self.C)
+        return output_normal(self._own_A, self._own_C)
 
     @cached_property
     def _basis(self):
-        return response_basis(self.A)
+        return response_basis(self._own_A)
+
+    def _of_own_states(self, R):
+        """A factor in the coordinates given; its columns end with B, D and the outputs."""
+        m = len(self.scales[0])
+        units = np.repeat(self._size, m)
+        last = R.shape[1] - 1 - self.feedthrough * len(self.C) * m
+        R[:, last - len(units) : last] *= units
+        R[:, : last - len(units)] *= self._size[: last - len(units)]
+        return R
 
     def of(self, u, y):
         """Of one record."""
@@ -290,7 +298,13 @@ class RecordFactors:
             return None
         some = partial(_stacked, pieces, inputs, outputs, self.scales, len(self.A))
         m = inputs[0].shape[1]
-        return products_of_pieces(self._basis, self.C, some, m, self.feedthrough)
+        found = products_of_pieces(self._basis, self._own_C, some, m, self.feedthrough)
+        return None if found is None else (self._of_own_states(found.R), found)
+
+    def start(self, found, u, y, B, D):
+        """The initial state of one of these pieces beside some B and D."""
+        u, y = u / self.scales[0], y / self.scales[1]
+        return found.initial_state(u, y, B * self._size[:, None], D) / self._size
 
     def of_short(self, pieces, inputs, outputs):
         """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
@@ -299,20 +313,24 @@ class RecordFactors:
         if not short or len(pieces) < max(FEWEST, length / STEPS):
             return None
         some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
-        return equations_of_pieces(self.A, self.C, some, inputs[0].shape[1], self.feedthrough)
+        m = inputs[0].shape[1]
+        R = equations_of_pieces(self._own_A, self._own_C, some, m, self.feedthrough)
+        return self._of_own_states(R)
 
     def of_products(self, u, y):
         """Of one record, from its normal equations; None where these would not do."""
         if self._normal is None or 0 in u.shape:
             return None
-        return products_factor(self._normal, u, y, self.feedthrough, self.scales)
+        R = products_factor(self._normal, u, y, self.feedthrough, self.scales)
+        return None if R is None else self._of_own_states(R)
 
     def of_rows(self, u, y, observe=None):
         """Of one record without them, its outputs perhaps seen through a matrix that varies."""
         n, m, n_outputs = len(self.A), u.shape[1], len(self.C)
         compressed = observe is None and m > 0 and self._basis is not None
         if compressed and best_block(len(u), n, m, n_outputs):
-            return compressed_equations(self._basis, self.C, u, y, self.feedthrough, self.scales)
+            own = self._basis, self._own_C, u, y, self.feedthrough, self.scales
+            return self._of_own_states(compressed_equations(*own))
         return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
 
 
@@ -333,7 +351,8 @@ def pieces_of(A, lengths):
     if radius > 1.0:
         longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))
         longest = max(2, min(longest, int(OVERFLOW_GROWTH / np.log(radius))))
-        longest -= longest % WHOLE if longest > LONG * WHOLE else 0
+        while longest > LONG and whole_block(longest) < LEAST_BLOCK:
+            longest -= 1
     pieces, firsts = [], []
     for s, length in enumerate(lengths):
         firsts.append(len(pieces))

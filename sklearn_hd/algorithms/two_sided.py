@@ -28,13 +28,14 @@ from scipy.sparse.csgraph import connected_components
 from sklearn_hd.algorithms.response_basis import pulses, run
 from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
-__all__ = ["TwoSidedFactor", "products_of_pieces"]
+__all__ = ["TwoSidedFactor", "products_of_pieces", "whole_block"]
 
 EPS = np.finfo(float).eps
 LARGEST_CONDITION = 1e5  # of the responses to initial states, brought to equal length
 LONGEST_BLOCK = 16  # samples
 MANY = 2  # pieces, times inputs, beside samples of one
 TWICE = 2  # what initial states take, as Gram and Schmidt
+SAFER = 100.0  # than what has to be corrected
 LEAST_NOISE = 1e-3  # of the outputs' size: beside what it does, rounding is nothing
 
 
@@ -67,6 +68,11 @@ class TwoSidedFactor:
         return self.responses.initial_state(u, y, B, D)
 
 
+def whole_block(length):
+    """Samples in a block, of which a piece of some length is made of whole ones."""
+    return next(T for T in range(LONGEST_BLOCK, 0, -1) if length % T == 0)
+
+
 def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
     """Triangular factor of what pieces of one length say of B and D, where rounding allows it.
 
@@ -95,7 +101,8 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
     if own is None:
         return None
     turned, rest = _solved(own, G)
-    if not rest > LEAST_NOISE**2 * squares:
+    exact = safe_cholesky(G[:-1, :-1], SAFER * rounding) is not None
+    if not (exact and rest > LEAST_NOISE**2 * squares):
         B, D = _entries(linalg.solve_triangular(own, turned), C, n_inputs)
         left = (responses.left(some, B, D) for some in pieces())
         G, *_ = _summed(responses, left, n_inputs, feedthrough)
@@ -169,7 +176,7 @@ class _Responses:
         self.back[growing] = linalg.inv(F[growing])
         self.pulse = np.where(self.grows, 0.0, g), np.where(self.grows, g, 0.0)
         self.seen, self.units = basis.seen(C), basis.units
-        self.block = next(T for T in range(LONGEST_BLOCK, 0, -1) if length % T == 0)
+        self.block = whole_block(length)
         forward, backward = self._pulses(length)
         self.pulses = forward + backward[::-1]
         self.of_blocks = forward[:: self.block] + self._ends(length)
