@@ -103,7 +103,7 @@ def test_products_are_as_exact_as_extended_precision_tells(rng, radius):
     assert np.max(np.abs(off)) < 1e-9 * np.sqrt(residual @ residual)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9])
+@pytest.mark.parametrize("size", [0.0, 1e-6])
 def test_without_noise_products_are_corrected(rng, monkeypatch, size):
     """Sums alone are right to 1e-12 or so of the outputs, which grow to 1e8."""
     A, B, C, D = unstable(rng, 3, 1.3)
@@ -120,7 +120,7 @@ def test_without_noise_products_are_corrected(rng, monkeypatch, size):
         np.testing.assert_allclose(one, other, atol=10.0 * off)
     np.testing.assert_allclose(found[2], expected[2], atol=100.0 * off)
     if size:
-        assert found[3] == pytest.approx(expected[3], rel=0.1)
+        assert found[3] == pytest.approx(expected[3], rel=0.02)
 
 
 def test_short_records_of_an_unstable_model_have_starts_of_their_own(rng, monkeypatch):
