@@ -7,7 +7,8 @@ from conftest import random_stable
 from sklearn_hd.algorithms import input_matrices as module
 from sklearn_hd.algorithms import short_pieces
 from sklearn_hd.algorithms.input_matrices import input_matrices, pieces_of
-from sklearn_hd.algorithms.response_products import products_factor
+from sklearn_hd.algorithms.running_equations import input_matrices_of_sums
+from sklearn_hd.algorithms.running_products import correlations
 from sklearn_hd.algorithms.simulation import propagate
 
 GROWN = 1e-5  # rounding of responses that grow e²⁰ times within a piece
@@ -133,27 +134,22 @@ def test_short_records_of_an_unstable_model_have_starts_of_their_own(rng, monkey
         np.testing.assert_allclose(one, other, rtol=GROWN, atol=GROWN * np.max(np.abs(other)))
 
 
-def test_states_that_outputs_hardly_see_change_nothing(rng, monkeypatch):
-    """As those of an order too high, without noise."""
-    A, _, C, _ = unstable(rng, 4, 0.9)
+@pytest.mark.parametrize("radius", [0.9, 1.3])
+def test_states_that_outputs_hardly_see_change_nothing(rng, radius):
+    """As those of an order too high, without noise: sums and products take them as they are."""
+    A, _, C, _ = unstable(rng, 4, radius)
     size = np.array([1.0, 1.0, 1e-7, 1e-9])
-    A, C = A * (size / size[:, None]), C * size
-    u, y = rng.standard_normal((4000, 2)), rng.standard_normal((4000, 3))
-    factor = []
-
-    def watched(*arguments):
-        factor.append(products_factor(*arguments))
-        return factor[-1]
-
-    monkeypatch.setattr(module, "products_factor", watched)
-    found = input_matrices(A, C, [u], [y], True)
-    assert factor[0] is not None
-    monkeypatch.setattr(module, "products_factor", lambda *_: None)
-    expected = input_matrices(A, C, [u], [y], True)
-    for one, other, unit in zip(
-        found, expected, (1.0 / size[:, None], 1.0, 1.0 / size), strict=True
-    ):
-        np.testing.assert_allclose(one / unit, other / unit, atol=1e-9)
+    weak = A * (size / size[:, None]), C * size
+    u, y = rng.standard_normal((3000, 2)), rng.standard_normal((3000, 3))
+    scales = np.ones(2), np.ones(3)
+    if radius < 1.0:
+        sums = correlations([(u, y)])
+        found = [input_matrices_of_sums(*model, sums, True, scales) for model in ((A, C), weak)]
+    else:
+        found = [input_matrices(*model, [u], [y], True, scales=scales) for model in ((A, C), weak)]
+    units = 1.0 / size[:, None], 1.0, 1.0 / size
+    for one, other, unit in zip(*found, units, strict=True):
+        np.testing.assert_allclose(one, other / unit, rtol=1e-9, atol=1e-9)
 
 
 def test_states_that_are_not_seen_take_no_equations(rng, monkeypatch):

@@ -195,8 +195,8 @@ def input_matrices(
 def alike_states(A, C):
     """The same model with states that outputs see about alike, by powers of two.
 
-    Those of an order too high are seen 10⁷ times less without noise: then what tells good
-    coordinates from bad ones would take them for unseen.
+    Without noise, those of an order too high are seen 10⁷ times less than others: what tells
+    good coordinates from bad ones would take them for unseen.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ class RecordFactors:
 
     @cached_property
     def _normal(self):
-        return output_normal(self._own_A, self._own_C)
+        return output_normal(self.A, self.C)
 
     @cached_property
     def _basis(self):
@@ -321,8 +321,7 @@ class RecordFactors:
         """Of one record, from its normal equations; None where these would not do."""
         if self._normal is None or 0 in u.shape:
             return None
-        R = products_factor(self._normal, u, y, self.feedthrough, self.scales)
-        return None if R is None else self._of_own_states(R)
+        return products_factor(self._normal, u, y, self.feedthrough, self.scales)
 
     def of_rows(self, u, y, observe=None):
         """Of one record without them, its outputs perhaps seen through a matrix that varies."""
