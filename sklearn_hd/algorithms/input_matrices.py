@@ -156,15 +156,11 @@ def input_matrices(
     pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
     starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
-    alike, two_sided = _alike(pieces, firsts) if observe is None and m > 0 else [], None
+    alike, together, two_sided = [], None, None
+    if observe is None and m > 0 and len(pieces) > len(firsts):
+        alike, together, two_sided = _together(factor, pieces, firsts, inputs, outputs)
     if alike:
-        two_sided = factor.two_sided([pieces[k] for k in alike], inputs, outputs)
-        if two_sided is not None:
-            shared, two_sided = two_sided
-        else:
-            alike = sorted(set(alike) - set(firsts))
-            together = factor.of_short([pieces[k] for k in alike], inputs, outputs)
-            shared, alike = (shared, []) if together is None else (together, alike)
+        shared = together
     for k in sorted(set(range(len(pieces))) - set(alike)):
         s, rows = pieces[k]
         u, y = inputs[s][rows], outputs[s][rows]
@@ -220,11 +216,19 @@ def alike_states(A, C):
     return A * (size[:, None] / size), C / size, size
 
 
-def _alike(pieces, firsts):
-    """Which pieces are of the greatest length, where some but the first of records are."""
+def _together(factor, pieces, firsts, inputs, outputs):
+    """Pieces that are found together, their equations, and what gives their initial states."""
     lengths = np.array([rows.stop - rows.start for _, rows in pieces])
-    alike = np.flatnonzero(lengths == np.max(lengths, initial=0)).tolist()
-    return alike if set(alike) - set(firsts) else []
+    alike = np.flatnonzero(lengths == np.max(lengths)).tolist()
+    later = sorted(set(alike) - set(firsts))
+    if later:
+        found = factor.two_sided([pieces[k] for k in alike], inputs, outputs)
+        if found is not None:
+            return alike, *found
+        R = factor.of_short([pieces[k] for k in later], inputs, outputs)
+        if R is not None:
+            return later, R, None
+    return [], None, None
 
 
 def _stacked(pieces, inputs, outputs, scales, n_states):
@@ -268,7 +272,11 @@ class RecordFactors:
 
     def __init__(self, A, C, feedthrough, scales):
         self.A, self.C, self.feedthrough, self.scales = A, C, feedthrough, scales
-        self._own_A, self._own_C, self._size = alike_states(A, C)
+
+    @cached_property
+    def _own(self):
+        """A, C and sizes of states that outputs see about alike."""
+        return alike_states(self.A, self.C)
 
     @cached_property
     def _normal(self):
@@ -276,15 +284,15 @@ class RecordFactors:
 
     @cached_property
     def _basis(self):
-        return response_basis(self._own_A)
+        return response_basis(self._own[0])
 
     def _of_own_states(self, R):
         """A factor in the coordinates given; its columns end with B, D and the outputs."""
         m = len(self.scales[0])
-        units = np.repeat(self._size, m)
+        units = np.repeat(self._own[2], m)
         last = R.shape[1] - 1 - self.feedthrough * len(self.C) * m
         R[:, last - len(units) : last] *= units
-        R[:, : last - len(units)] *= self._size[: last - len(units)]
+        R[:, : last - len(units)] *= self._own[2][: last - len(units)]
         return R
 
     def of(self, u, y):
@@ -298,13 +306,13 @@ class RecordFactors:
             return None
         some = partial(_stacked, pieces, inputs, outputs, self.scales, len(self.A))
         m = inputs[0].shape[1]
-        found = products_of_pieces(self._basis, self._own_C, some, m, self.feedthrough)
+        found = products_of_pieces(self._basis, self._own[1], some, m, self.feedthrough)
         return None if found is None else (self._of_own_states(found.R), found)
 
     def start(self, found, u, y, B, D):
         """The initial state of one of these pieces beside some B and D."""
-        u, y = u / self.scales[0], y / self.scales[1]
-        return found.initial_state(u, y, B * self._size[:, None], D) / self._size
+        u, y, size = u / self.scales[0], y / self.scales[1], self._own[2]
+        return found.initial_state(u, y, B * size[:, None], D) / size
 
     def of_short(self, pieces, inputs, outputs):
         """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
@@ -314,7 +322,7 @@ class RecordFactors:
             return None
         some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
         m = inputs[0].shape[1]
-        R = equations_of_pieces(self._own_A, self._own_C, some, m, self.feedthrough)
+        R = equations_of_pieces(*self._own[:2], some, m, self.feedthrough)
         return self._of_own_states(R)
 
     def of_products(self, u, y):
@@ -328,7 +336,7 @@ class RecordFactors:
         n, m, n_outputs = len(self.A), u.shape[1], len(self.C)
         compressed = observe is None and m > 0 and self._basis is not None
         if compressed and best_block(len(u), n, m, n_outputs):
-            own = self._basis, self._own_C, u, y, self.feedthrough, self.scales
+            own = self._basis, self._own[1], u, y, self.feedthrough, self.scales
             return self._of_own_states(compressed_equations(*own))
         return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
 
