@@ -40,6 +40,10 @@ class Pair:
     def __getitem__(self, key):
         return Pair(self.high[key], None if self.low is None else self.low[key])
 
+    def __setitem__(self, key, other):
+        for half, new in zip(self.halves(), other.halves(), strict=True):
+            half[key] = new
+
     def __add__(self, other):
         if self.low is None or other.low is None:
             return Pair(self.high + other.high)
@@ -58,9 +62,7 @@ class Pair:
         if self.low is None:
             self.high[key] += other.high
             return
-        part = self[key] + other
-        for half, new in zip(self.halves(), part.halves(), strict=True):
-            half[key] = new
+        self[key] = self[key] + other
 
     def total(self):
         """Sum along the first axis."""

@@ -89,7 +89,7 @@ def factor_of_products(products, n_inputs, scale=None):
     n_lags = len(products.lags)
     order = _block_order(n_lags, len(products.exponents), n_inputs)
     G = products.gram(order)
-    R = safe_cholesky(G.high)
+    R = safe_cholesky(G.high, overwrite=not products.exact)
     if R is None and products.exact:
         R = cholesky(G.high, G.low)
     if R is None:
