@@ -57,12 +57,12 @@ class Pair:
             return Pair(self.high - other.high)
         return self + (-other)
 
-    def add(self, key, other):
-        """Add to a part, in place."""
+    def subtract(self, key, other):
+        """Subtract from a part, in place."""
         if self.low is None:
-            self.high[key] += other.high
-            return
-        self[key] = self[key] + other
+            self.high[key] -= other.high
+        else:
+            self[key] = self[key] - other
 
     def total(self):
         """Sum along the first axis."""
@@ -73,7 +73,10 @@ class Pair:
     def accumulate(self):
         """Turn parts along the first axis into the sums up to them, in place."""
         for k in range(1, len(self)):  # np.cumsum would walk through memory in strides
-            self.add(k, self[k - 1])
+            if self.low is None:
+                self.high[k] += self.high[k - 1]
+            else:
+                self[k] = self[k] + self[k - 1]
 
     def halves(self):
         """The arrays that there are."""

@@ -18,6 +18,8 @@ where the one before it would not do:
 3. Orthogonal transformations of the Hankel columns, block by block, where there are few.
 """
 
+import functools
+
 import numpy as np
 
 from sklearn_hd.algorithms.double_double import cholesky
@@ -124,6 +126,7 @@ def _lengths(scale, n_lags, n_inputs):
     return np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
 
 
+@functools.lru_cache(maxsize=8)
 def _block_order(n_lags, n_channels, n_inputs):
     """Where the rows U_f, U_p, Y_p, Y_f stand among rows ordered by time."""
     rows = np.arange(n_lags * n_channels).reshape(n_lags, n_channels)

@@ -154,7 +154,7 @@ def input_matrices(
     pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
     starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
-    alike = _alike(pieces, firsts) if observe is None and m > 0 else []
+    alike = _alike(pieces, firsts) if observe is None and m > 0 and len(pieces) > 1 else []
     together = factor.of_pieces([pieces[k] for k in alike], inputs, outputs) if alike else None
     if together is None:
         alike = []

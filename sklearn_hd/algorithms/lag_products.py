@@ -212,7 +212,7 @@ class LagProducts:
         first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1))
         blocks[0] = first - blocks[1:].total()
         for start, stop in spans:
-            blocks.add(np.s_[start + 1 : stop + 1], -self.head.by_lag(p, start, stop))
+            blocks.subtract(np.s_[start + 1 : stop + 1], self.head.by_lag(p, start, stop))
         blocks.accumulate()
         return blocks
 
@@ -353,9 +353,9 @@ def lag_products(records, n_lags, exact):
             exponents = np.zeros_like(exponents)
     ends = []
     for part in _ends(n_lags):
-        rows = [np.hstack([z[part] for z in signals]) for signals in long]
-        rows = np.ldexp(np.stack(rows), -exponents).reshape(len(long), -1)
-        ends.append(end_products(rows, exact))
+        rows = np.array([np.hstack([z[part] for z in signals]) for signals in long])
+        rows = np.ldexp(rows, -exponents) if exponents.any() else rows
+        ends.append(end_products(rows.reshape(len(long), -1), exact))
     n_rows = sum(len(signals[0]) for signals in long)
     return LagProducts(lags, *ends, exponents, n_rows, len(long), short)
 

@@ -296,7 +296,8 @@ def normal_equations(model, products, feedthrough):
     both -= last.transpose(0, 2, 1)[:, None] @ last
     start = (A @ free[:m]).transpose(0, 2, 1) - power.T @ last
     seen, seen_free = C @ forced, C @ free
-    B, D, y = np.cumsum([n, n * m, feedthrough * n_outputs * m])  # where columns of each begin
+    B, D = n, n + n * m  # where columns of each begin
+    y = D + feedthrough * n_outputs * m
     G = np.zeros((y + 1, y + 1))
     G[:B, :B] = np.eye(n) - power.T @ power
     G[:B, B:D] = start.transpose(1, 2, 0).reshape(n, -1)
@@ -310,7 +311,7 @@ def normal_equations(model, products, feedthrough):
         for own in range(D, y, m):
             G[own : own + m, own : own + m] = U
         G[D:y, y] = products.inputs[:, m:].T.reshape(-1)
-    left = np.diagonal(G)[:D]
-    whole = np.concatenate([np.ones(n), np.tile(np.diagonal(U), n)])
+    left, whole = np.diagonal(G)[:D], np.ones(D)
+    whole[B:].reshape(n, m)[:] = np.diagonal(U)
     loss = np.max(whole / left) if np.all(left > 0.0) else np.inf
     return G, model.error * loss

@@ -75,8 +75,7 @@ def _inverse_square(L, size):
     for first in range(0, n, STRIP):  # twice as fast as the inverse itself
         rest = np.empty((n - first, n - first), np.float32, order="F")
         np.divide(L[first:, first:], size[first:, None], out=rest, casting="same_kind")
-        unit = np.zeros((n - first, min(STRIP, n - first)), np.float32, order="F")
-        np.fill_diagonal(unit, 1.0)
+        unit = np.eye(n - first, min(STRIP, n - first), dtype=np.float32, order="F")
         part, fault = linalg.lapack.strtrs(rest, unit, lower=1, overwrite_b=1)
         if fault:
             return np.inf
