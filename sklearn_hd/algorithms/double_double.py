@@ -10,6 +10,7 @@ A pair carries 106 bits. What is needed of its arithmetic are error-free sums (K
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -72,11 +73,12 @@ class Pair:
 
     def accumulate(self):
         """Turn parts along the first axis into the sums up to them, in place."""
-        for k in range(1, len(self)):  # np.cumsum would walk through memory in strides
-            if self.low is None:
-                self.high[k] += self.high[k - 1]
-            else:
-                self[k] = self[k] + self[k - 1]
+        if self.low is None:
+            for before, part in pairwise(self.high):  # np.cumsum walks through memory in strides
+                part += before
+            return
+        for k in range(1, len(self)):
+            self[k] = self[k] + self[k - 1]
 
     def halves(self):
         """The arrays that there are."""

@@ -68,7 +68,10 @@ def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
             return R
     if n_columns >= FEW_COLUMNS * width:
         return factor_of_products(products(records, n_lags, exact=True), n_inputs, scale)
-    return _orthogonal_factor(records, block_rows) / _lengths(scale, n_lags, n_inputs)
+    R = _orthogonal_factor(records, block_rows)
+    if scale is not None:
+        R /= np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
+    return R
 
 
 def factor_of_products(products, n_inputs, scale=None):
@@ -96,8 +99,10 @@ def factor_of_products(products, n_inputs, scale=None):
         R = cholesky(G.high, G.low)
     if R is None:
         return None
-    units = np.ldexp(1.0, np.tile(products.exponents, n_lags)[order])
-    R *= units / _lengths(scale, n_lags, n_inputs)
+    units = np.ldexp(1.0, products.exponents)
+    units = units if scale is None else units / scale
+    if np.any(units != 1.0):
+        R *= np.tile(units, n_lags)[order]
     return R
 
 
@@ -117,13 +122,6 @@ def n_excited(R, block_rows, n_inputs):
     size = 2 * block_rows * n_inputs
     values = np.linalg.svd(R[:size, :size], compute_uv=False)
     return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
-
-
-def _lengths(scale, n_lags, n_inputs):
-    """What the columns of R are divided by, where channels are divided by a scale."""
-    if scale is None:
-        return 1.0
-    return np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
 
 
 @functools.lru_cache(maxsize=8)

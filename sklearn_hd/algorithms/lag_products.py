@@ -400,8 +400,8 @@ def _lag_sums(records, n_lags, exponents, exact):
     span = n_lags + together - 1
     period = -(-span // together) * together
     chunk = max(CHUNK // period, 1) * period
-    factor, buffer = np.ldexp(1.0, -exponents), np.empty((chunk + span, p))
-    factor = factor if exponents.any() else None
+    factor = np.ldexp(1.0, -exponents) if exponents.any() else None
+    buffer = np.empty((chunk + span, p))
     zeros = np.zeros((n_lags, p, p))
     total = Pair(zeros, zeros if exact else None)
     for signals in records:

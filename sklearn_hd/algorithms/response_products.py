@@ -60,13 +60,15 @@ class OutputNormal:
     error: float
 
 
-def output_normal(A, C):
+def output_normal(A, C, radius=None):
     """Output-normal coordinates of a stable model.
 
     Parameters
     ----------
     A : ndarray, shape (n, n)
     C : ndarray, shape (l, n)
+    radius : float, optional
+        Size of the largest eigenvalue, where it is known.
 
     Returns
     -------
@@ -76,7 +78,7 @@ def output_normal(A, C):
     n = len(A)
     if n == 0:
         return None
-    radius = np.max(np.abs(np.linalg.eigvals(A)))
+    radius = np.max(np.abs(np.linalg.eigvals(A))) if radius is None else radius
     if radius > MOST_RADIUS:
         return None
     shown, padded = C if len(C) <= n else triangle(C), np.zeros((n, n))
