@@ -24,7 +24,7 @@ import numpy as np
 
 from sklearn_hd.algorithms.double_double import cholesky
 from sklearn_hd.algorithms.lag_products import lag_products
-from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
+from sklearn_hd.algorithms.triangular import all_above, safe_cholesky, triangle
 
 __all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
 
@@ -120,6 +120,8 @@ def n_excited(R, block_rows, n_inputs):
     n_directions : int
     """
     size = 2 * block_rows * n_inputs
+    if all_above(R[:size, :size], RANK_TOLERANCE):
+        return size
     values = np.linalg.svd(R[:size, :size], compute_uv=False)
     return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
 

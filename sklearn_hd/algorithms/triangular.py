@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import linalg
 
-__all__ = ["safe_cholesky", "solve_within_rank", "triangle"]
+__all__ = ["all_above", "safe_cholesky", "solve_within_rank", "triangle"]
 
 EPS = np.finfo(float).eps
 ROUNDING = 1e-11  # of the longest direction
@@ -82,6 +82,37 @@ def _inverse_square(L, size):
         with np.errstate(over="ignore"):
             total += float(np.linalg.norm(part)) ** 2
     return total
+
+
+def all_above(R, share):
+    """Whether all singular values surely are above a share of the largest.
+
+    By ‖R‖ ‖R⁻¹‖ in Frobenius norms, which takes a tenth of the time of the singular values.
+
+    Parameters
+    ----------
+    R : ndarray, shape (r, r)
+        Upper triangular.
+    share : float
+        Well above the rounding of R.
+
+    Returns
+    -------
+    surely : bool
+        False where they may be or not.
+
+    Examples
+    --------
+    >>> all_above(np.diag([1.0, 1e-3]), 1e-4), all_above(np.diag([1.0, 1e-5]), 1e-4)
+    (True, False)
+    """
+    if len(R) == 0:
+        return True
+    inverse, fault = linalg.lapack.dtrtri(R)
+    if fault:
+        return False
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(share * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
 
 
 def solve_within_rank(X, Y, size=None):
