@@ -24,6 +24,7 @@ STEPS = 16  # of the recursion
 FEW_STRETCHES = 256  # of steps, whose starts go by doubling
 LARGEST_TRANSFORMATION = 100.0
 CONDITION = 1e6
+WORK = 64  # columns that LAPACK takes together
 LARGEST_BLOCK = 6  # powers of larger ones are too much alike
 
 
@@ -71,7 +72,9 @@ def response_basis(A):
     n = len(A)
     if n == 0:
         return None
-    T, Z = linalg.schur(A)
+    T, _, _, _, Z, _, fault = linalg.lapack.dgees(_unsorted, A, lwork=WORK * n)
+    if fault:
+        return None
     T, X, sizes, _ = slycot.mb03rd(n, T, Z, sort="S", pmax=LARGEST_TRANSFORMATION)
     inverse = np.linalg.inv(X)
     if np.linalg.norm(X) * np.linalg.norm(inverse) > CONDITION or max(sizes) > LARGEST_BLOCK:
@@ -83,6 +86,10 @@ def response_basis(A):
         own[block, block, block], g[first] = powers, 1.0
         first += size
     return ResponseBasis(F, g, X @ own @ inverse)
+
+
+def _unsorted(*_):
+    return False
 
 
 def _block_numbers(block):
