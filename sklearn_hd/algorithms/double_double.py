@@ -227,8 +227,7 @@ def cholesky(high, low):
     n = len(high)
     exponent = np.frexp(np.sqrt(np.maximum(np.diagonal(high), 0.0)))[1]
     exponent = np.where(np.diagonal(high) > 0.0, exponent, 0)
-    shift = -exponent[:, None] - exponent
-    high, low = np.ldexp(high, shift), np.ldexp(low, shift)
+    high, low = (np.ldexp(np.ldexp(half, -exponent), -exponent[:, None]) for half in (high, low))
     R = np.zeros((n, n))
     parts = np.zeros((PAIR_SLICES, n, n))  # of the rows found, [slice, row, column]
     for j in range(n):
