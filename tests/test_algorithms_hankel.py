@@ -116,7 +116,7 @@ def test_faint_noise_is_no_excuse(hard):
 def test_every_way_squares_to_the_hankel_products(rng, monkeypatch, way, scale):
     u, y = rng.standard_normal((2000, 2)), rng.standard_normal((2000, 1))
     if way != "plain":
-        monkeypatch.setattr(hankel, "safe_cholesky", lambda G: None)
+        monkeypatch.setattr(hankel, "safe_cholesky", lambda G, overwrite: None)
     if way == "exact":
         monkeypatch.setattr(hankel, "FEW_COLUMNS", 1)
     R = hankel_factor([u, u[:25]], [y, y[:25]], 4, scale)
@@ -166,6 +166,16 @@ def test_no_array_of_hankel_size_is_ever_allocated(rng, noise):
     assert peak < 2 * (u.nbytes + y.nbytes + 8 * (2 * BLOCK_ROWS * 4) ** 2)
 
 
+def test_a_large_factor_takes_twice_its_own_size(rng):
+    u, y = rng.standard_normal((2, 6000, 4))
+    r_bytes = 8 * (2 * 40 * 8) ** 2
+    tracemalloc.start()
+    hankel_factor([u], [y], 40)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 * (u.nbytes + y.nbytes + r_bytes)
+
+
 def test_blocks_lose_no_more_than_one_factorisation(hard):
     """Merged below the rows so far, not above them, they lost two to six times as much."""
     A, u, y = hard
@@ -191,12 +201,24 @@ def test_cholesky_is_refused_wherever_a_column_is_nearly_another(rng, column):
 def test_the_size_of_an_inverse_is_that_of_the_inverse(rng, size):
     L = np.tril(0.05 * rng.standard_normal((size, size)), -1)
     L += np.diag(rng.uniform(0.1, 1.0, size))
-    np.testing.assert_allclose(
-        triangular._inverse_square(L), linalg.norm(linalg.inv(L)) ** 2, rtol=1e-3
-    )
+    rows = rng.uniform(0.1, 1.0, size)
+    found = triangular._inverse_square(L * rows[:, None], rows)
+    np.testing.assert_allclose(found, linalg.norm(linalg.inv(L)) ** 2, rtol=1e-3)
     for tiny in (1e-30, 1e-60):  # beyond single precision: squared, and itself
         L[-1, -1] = tiny
-        assert triangular._inverse_square(L) == np.inf
+        assert triangular._inverse_square(L, np.ones(size)) == np.inf
+
+
+@pytest.mark.parametrize("smallest", [0.0, 1e-300, 1e-6, 1e-2, 1.0])
+def test_all_singular_values_are_above_a_share_only_where_they_are(rng, smallest):
+    left, right = linalg.qr(rng.standard_normal((2, 6, 6)))[0]
+    R = linalg.qr((left * [1.0, 0.9, 0.5, 0.3, 0.2, smallest]) @ right, mode="r")[0]
+    values = linalg.svdvals(R)
+    for share in (1e-10, 1e-4, 0.1):
+        if triangular.all_above(R, share):
+            assert values[-1] > share * values[0]
+    assert triangular.all_above(R, 1e-10) == (smallest >= 1e-6)
+    assert triangular.all_above(R[:0, :0], 1e-10)
 
 
 def test_cholesky_is_refused_where_digits_are_lost(rng):

@@ -144,10 +144,11 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     sampling : Sampling
     """
     pieces, records = [], []
+    as_read = places is base.time and step == base.sample_time and base.jitter[1] == 0.0
     for segment, record in zip(base.segments, base.records, strict=True):
         for rows in _runs_of(present, segment):
             own = places[rows]
-            uniform = not (reading.azimuth or reading.resampled) and even(own, step)
+            uniform = not (reading.azimuth or reading.resampled) and (as_read or even(own, step))
             grid = own if uniform else uniform_grid(own[0], own[-1], step)
             if len(grid) >= shortest or reading.missing == RAISE:
                 pieces.append(Piece(rows, own, grid, step))

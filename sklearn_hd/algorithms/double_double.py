@@ -10,6 +10,7 @@ A pair carries 106 bits. What is needed of its arithmetic are error-free sums (K
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,6 +41,10 @@ class Pair:
     def __getitem__(self, key):
         return Pair(self.high[key], None if self.low is None else self.low[key])
 
+    def __setitem__(self, key, other):
+        for half, new in zip(self.halves(), other.halves(), strict=True):
+            half[key] = new
+
     def __add__(self, other):
         if self.low is None or other.low is None:
             return Pair(self.high + other.high)
@@ -53,14 +58,12 @@ class Pair:
             return Pair(self.high - other.high)
         return self + (-other)
 
-    def add(self, key, other):
-        """Add to a part, in place."""
+    def subtract(self, key, other):
+        """Subtract from a part, in place."""
         if self.low is None:
-            self.high[key] += other.high
-            return
-        part = self[key] + other
-        for half, new in zip(self.halves(), part.halves(), strict=True):
-            half[key] = new
+            self.high[key] -= other.high
+        else:
+            self[key] = self[key] - other
 
     def total(self):
         """Sum along the first axis."""
@@ -70,8 +73,12 @@ class Pair:
 
     def accumulate(self):
         """Turn parts along the first axis into the sums up to them, in place."""
-        for k in range(1, len(self)):  # np.cumsum would walk through memory in strides
-            self.add(k, self[k - 1])
+        if self.low is None:
+            for before, part in pairwise(self.high):  # np.cumsum walks through memory in strides
+                part += before
+            return
+        for k in range(1, len(self)):
+            self[k] = self[k] + self[k - 1]
 
     def halves(self):
         """The arrays that there are."""
@@ -220,8 +227,7 @@ def cholesky(high, low):
     n = len(high)
     exponent = np.frexp(np.sqrt(np.maximum(np.diagonal(high), 0.0)))[1]
     exponent = np.where(np.diagonal(high) > 0.0, exponent, 0)
-    shift = -exponent[:, None] - exponent
-    high, low = np.ldexp(high, shift), np.ldexp(low, shift)
+    high, low = (np.ldexp(np.ldexp(half, -exponent), -exponent[:, None]) for half in (high, low))
     R = np.zeros((n, n))
     parts = np.zeros((PAIR_SLICES, n, n))  # of the rows found, [slice, row, column]
     for j in range(n):

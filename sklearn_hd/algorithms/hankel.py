@@ -18,11 +18,13 @@ where the one before it would not do:
 3. Orthogonal transformations of the Hankel columns, block by block, where there are few.
 """
 
+import functools
+
 import numpy as np
 
 from sklearn_hd.algorithms.double_double import cholesky
 from sklearn_hd.algorithms.lag_products import lag_products
-from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
+from sklearn_hd.algorithms.triangular import all_above, safe_cholesky, triangle
 
 __all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
 
@@ -66,7 +68,10 @@ def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
             return R
     if n_columns >= FEW_COLUMNS * width:
         return factor_of_products(products(records, n_lags, exact=True), n_inputs, scale)
-    return _orthogonal_factor(records, block_rows) / _lengths(scale, n_lags, n_inputs)
+    R = _orthogonal_factor(records, block_rows)
+    if scale is not None:
+        R /= np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
+    return R
 
 
 def factor_of_products(products, n_inputs, scale=None):
@@ -89,13 +94,15 @@ def factor_of_products(products, n_inputs, scale=None):
     n_lags = len(products.lags)
     order = _block_order(n_lags, len(products.exponents), n_inputs)
     G = products.gram(order)
-    R = safe_cholesky(G.high)
+    R = safe_cholesky(G.high, overwrite=not products.exact)
     if R is None and products.exact:
         R = cholesky(G.high, G.low)
     if R is None:
         return None
-    units = np.ldexp(1.0, np.tile(products.exponents, n_lags)[order])
-    R *= units / _lengths(scale, n_lags, n_inputs)
+    units = np.ldexp(1.0, products.exponents)
+    units = units if scale is None else units / scale
+    if np.any(units != 1.0):
+        R *= np.tile(units, n_lags)[order]
     return R
 
 
@@ -113,17 +120,13 @@ def n_excited(R, block_rows, n_inputs):
     n_directions : int
     """
     size = 2 * block_rows * n_inputs
+    if all_above(R[:size, :size], RANK_TOLERANCE):
+        return size
     values = np.linalg.svd(R[:size, :size], compute_uv=False)
     return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
 
 
-def _lengths(scale, n_lags, n_inputs):
-    """What the columns of R are divided by, where channels are divided by a scale."""
-    if scale is None:
-        return 1.0
-    return np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
-
-
+@functools.lru_cache(maxsize=8)
 def _block_order(n_lags, n_channels, n_inputs):
     """Where the rows U_f, U_p, Y_p, Y_f stand among rows ordered by time."""
     rows = np.arange(n_lags * n_channels).reshape(n_lags, n_channels)

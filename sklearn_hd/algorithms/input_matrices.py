@@ -153,8 +153,8 @@ def input_matrices(
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
-    pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     factor = RecordFactors(A, C, feedthrough, scales)
+    pieces, firsts = pieces_of(A, [len(u) for u in inputs], factor.radius)
     starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
     alike, together, two_sided = [], None, None
     if observe is None and m > 0 and len(pieces) > len(firsts):
@@ -279,8 +279,13 @@ class RecordFactors:
         return alike_states(self.A, self.C)
 
     @cached_property
+    def radius(self):
+        """Size of the largest eigenvalue."""
+        return _radius(self.A)
+
+    @cached_property
     def _normal(self):
-        return output_normal(self.A, self.C)
+        return output_normal(self.A, self.C, self.radius)
 
     @cached_property
     def _basis(self):
@@ -341,10 +346,11 @@ class RecordFactors:
         return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
 
 
-def pieces_of(A, lengths):
+def pieces_of(A, lengths, radius=None):
     """Rows of each segment in pieces over which an unstable A does not overflow.
 
-    Each piece gets an initial state of its own; a stable A leaves segments whole.
+    Each piece gets an initial state of its own; a stable A leaves segments whole. ``radius`` is the
+    size of the largest eigenvalue, where it is known.
 
     Returns
     -------
@@ -353,7 +359,7 @@ def pieces_of(A, lengths):
     firsts : list of int
         The first piece of each segment.
     """
-    radius = np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
+    radius = _radius(A) if radius is None else radius
     longest = max(lengths, default=0)
     if radius > 1.0:
         longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))
@@ -366,6 +372,10 @@ def pieces_of(A, lengths):
         starts = range(0, length, longest) if length else [0]
         pieces += [(s, slice(start, min(start + longest, length))) for start in starts]
     return pieces, firsts
+
+
+def _radius(A):
+    return np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
 
 
 @dataclass(frozen=True)

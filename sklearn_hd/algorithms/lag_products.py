@@ -11,9 +11,10 @@ which is constant along block diagonals but for the ends of the record:
     G[a+1, b+1] = G[a, b] − z_a z_bᵀ + z_{j+a} z_{j+b}ᵀ
 
 So it takes the lag products T, n · 2i · p² products instead of n · (2i p)² / 2, and the
-products of the first and of the last 2i − 1 rows of each record among themselves. All
-three are sums over records: they add up in any order, and for fewer block rows they are
-parts of the same arrays. Records too short for all lags are kept as they are.
+products of the first and of the last 2i − 1 rows of each record among themselves
+(:mod:`~sklearn_hd.algorithms.end_products`). All three are sums over records: they add up in
+any order, and for fewer block rows they are parts of the same arrays. Records too short for
+all lags are kept as they are.
 
 Chunks of one record
     Each row belongs to one chunk (a ``Stretch``), which is rounded once and on its own.
@@ -45,6 +46,7 @@ from sklearn_hd.algorithms.double_double import (
     slices,
     sum_of_slices,
 )
+from sklearn_hd.algorithms.end_products import EndRows, EndSum, end_products, times_powers
 
 __all__ = ["LagProducts", "Stretch", "lag_products", "power_exponents", "stretch"]
 
@@ -52,7 +54,9 @@ CHUNK = 8192  # rows: they fit into a cache, the sums of their slices' products 
 LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
 MOST_EXPONENT = 300  # of two
 TOGETHER = 24  # channels times rows on the left side of one product
-REMEMBERED_ROWS = 1024  # of a Gram matrix, whose table of places is kept for the next (8 MB)
+REMEMBERED_ROWS = 256  # of a Gram matrix, whose table of places is kept for the next (0.5 MB)
+PLACED_ROWS = 32  # of a larger one at a time: their table of places fits into a cache
+BLOCK_BYTES = 2**19  # of products of ends at a time
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ class LagProducts:
     ----------
     lags : Pair, shape (n_lags, p, p)
         T[b], of channels divided by 2 to the power of ``exponents``.
-    head, tail : Pair, shape ((n_lags - 1) p, (n_lags - 1) p)
+    head, tail : EndRows or EndSum, w = (n_lags - 1) p
         Products of the first, and of the last, n_lags − 1 rows of each record.
     exponents : ndarray of int, shape (p,)
     n_rows, n_records : int
@@ -73,8 +77,8 @@ class LagProducts:
     """
 
     lags: Pair
-    head: Pair
-    tail: Pair
+    head: EndRows | EndSum
+    tail: EndRows | EndSum
     exponents: np.ndarray
     n_rows: int
     n_records: int
@@ -105,9 +109,9 @@ class LagProducts:
             return self
         return replace(
             self,
-            lags=_times_powers(self.lags, change),
-            head=_times_powers(self.head, np.tile(change, len(self.lags) - 1)),
-            tail=_times_powers(self.tail, np.tile(change, len(self.lags) - 1)),
+            lags=times_powers(self.lags, change),
+            head=self.head.times_powers(np.tile(change, len(self.lags) - 1)),
+            tail=self.tail.times_powers(np.tile(change, len(self.lags) - 1)),
             exponents=exponents,
         )
 
@@ -132,12 +136,11 @@ class LagProducts:
         if n_lags == len(self.lags):
             return self
         w = (n_lags - 1) * len(self.exponents)
-        first = len(self.tail) - w
         kept = replace(
             self,
             lags=self.lags[:n_lags],
-            head=self.head[:w, :w],
-            tail=self.tail[first:, first:],
+            head=self.head.part(slice(0, w)),
+            tail=self.tail.part(slice(-w, None)),
             short=tuple(z for z in self.short if len(z) < n_lags),
         )
         longer = [(z,) for z in self.short if len(z) >= n_lags]
@@ -155,8 +158,8 @@ class LagProducts:
         return replace(
             self,
             lags=self.lags.map(lambda half: half[:, which][:, :, which]),
-            head=self.head.map(lambda half: half[rows][:, rows]),
-            tail=self.tail.map(lambda half: half[rows][:, rows]),
+            head=self.head.part(rows),
+            tail=self.tail.part(rows),
             exponents=self.exponents[which],
             short=tuple(z[:, which] for z in self.short),
         )
@@ -184,46 +187,48 @@ class LagProducts:
             By lag, block (a, b) is Σ_k z_{k+a} z_{k+b}ᵀ, of channels divided by their powers
             of two.
         """
-        p = len(self.exponents)
+        blocks, p = self._by_lag(), len(self.exponents)
         n_rows = len(self.lags) * p
-        tail = self.tail.map(lambda half: _along_diagonals(half, p))
-        first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(1, p, n_rows))
-        first = first - tail.total()
-        rows = first.map(lambda *halves: np.concatenate(halves), tail)
-        rows.add(np.s_[1:], (-self.head).map(lambda half: _along_diagonals(half, p)))
-        rows.accumulate()
         order = np.arange(n_rows) if order is None else order
-        places = _places_remembered if n_rows <= REMEMBERED_ROWS else _places
-        place = places(p, order.tobytes())
-        return rows.map(lambda half: half.take(place))
+        if n_rows <= REMEMBERED_ROWS:
+            place = _places_remembered(p, order.tobytes())
+            return blocks.map(lambda half: half.take(place))
+        G = blocks.map(lambda half: np.empty((n_rows, n_rows)))
+        for start in range(0, n_rows, PLACED_ROWS):
+            some = slice(start, start + PLACED_ROWS)
+            place = _places(p, order, some)
+            for half, into in zip(blocks.halves(), G.halves(), strict=True):
+                half.take(place, out=into[some], mode="clip")  # else by way of a buffer
+        return G
+
+    def _by_lag(self):
+        """Blocks of the same, [a, c, (b − a) p + d], shape (n_lags, p, n_lags p)."""
+        n_lags, p = self.lags.high.shape[:2]
+        blocks = self.lags.map(lambda half: np.empty((n_lags, p, n_lags * p)))
+        some = max(1, BLOCK_BYTES // blocks.high[0].nbytes)
+        spans = [(a, min(a + some, n_lags - 1)) for a in range(0, n_lags - 1, some)]
+        for start, stop in spans:
+            blocks[start + 1 : stop + 1] = self.tail.by_lag(p, start, stop)
+        first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1))
+        blocks[0] = first - blocks[1:].total()
+        for start, stop in spans:
+            blocks.subtract(np.s_[start + 1 : stop + 1], self.head.by_lag(p, start, stop))
+        blocks.accumulate()
+        return blocks
 
 
-def _times_powers(products, exponents):
-    shift = exponents[:, None] + exponents
-    return products.map(lambda half: np.ldexp(half, shift))
-
-
-def _along_diagonals(ends, p):
-    """Upper block triangle [a p + c, b p + d] as [a, c, (b − a) p + d], zeros after it."""
-    width = len(ends)
-    padded = np.zeros((width + 1, width + p))
-    for a in range(0, width, p):
-        padded[a : a + p, a:width] = ends[a : a + p, a:]
-    row = padded.strides[0]
-    strides = p * (row + padded.itemsize), row, padded.itemsize
-    return np.ndarray((width // p, p, width + p), buffer=padded, strides=strides)
-
-
-def _places(p, order):
-    """Where blocks [a, c, (b − a) p + d], in one row, hold each entry of a symmetric matrix."""
-    column = np.frombuffer(order, int)
-    row = column * len(column) - column // p * p
-    place = np.minimum.outer(row, row)
-    place += np.maximum.outer(column, column)
+def _places(p, order, some=np.s_[:]):
+    """Where blocks [a, c, (b − a) p + d], in one row, hold rows of a symmetric matrix."""
+    row = order * len(order) - order // p * p
+    place = np.minimum.outer(row[some], row)
+    place += np.maximum.outer(order[some], order)
     return place
 
 
-_places_remembered = functools.lru_cache(maxsize=1)(_places)
+@functools.lru_cache(maxsize=1)
+def _places_remembered(p, order):
+    """The same for all rows, in an order given as bytes."""
+    return _places(p, np.frombuffer(order, int))
 
 
 @dataclass(frozen=True)
@@ -251,7 +256,7 @@ class Stretch:
         """This stretch and the rows right after it, as one."""
         e = np.maximum(self.exponents, later.exponents)
         kept, changes = len(self.lags) - 1, (self.exponents - e, later.exponents - e)
-        lags = _times_powers(self.lags, changes[0]) + _times_powers(later.lags, changes[1])
+        lags = times_powers(self.lags, changes[0]) + times_powers(later.lags, changes[1])
         shift = changes[0][:, None] + changes[1]
         seam = _seam(self, later).map(lambda half: np.ldexp(half, shift))
         return Stretch(
@@ -268,7 +273,7 @@ class Stretch:
         if self.n_rows < n_lags:
             return _nothing(n_lags, self.exponents, exact, (self.first,))
         ends = [np.ldexp(rows, -self.exponents).reshape(1, -1) for rows in (self.first, self.last)]
-        ends = [product(rows, rows, exact, PAIR_SLICES) for rows in ends]
+        ends = [EndRows(rows, exact, PAIR_SLICES) for rows in ends]
         return LagProducts(self.lags, *ends, self.exponents, self.n_rows, 1)
 
 
@@ -348,9 +353,9 @@ def lag_products(records, n_lags, exact):
             exponents = np.zeros_like(exponents)
     ends = []
     for part in _ends(n_lags):
-        rows = [np.hstack([z[part] for z in signals]) for signals in long]
-        rows = np.ldexp(np.stack(rows), -exponents).reshape(len(long), -1)
-        ends.append(product(rows, rows, exact))
+        rows = np.array([np.hstack([z[part] for z in signals]) for signals in long])
+        rows = np.ldexp(rows, -exponents) if exponents.any() else rows
+        ends.append(end_products(rows.reshape(len(long), -1), exact))
     n_rows = sum(len(signals[0]) for signals in long)
     return LagProducts(lags, *ends, exponents, n_rows, len(long), short)
 
@@ -383,9 +388,8 @@ def _nothing(n_lags, exponents, exact, short):
         return Pair(np.zeros(shape), np.zeros(shape) if exact else None)
 
     p = len(exponents)
-    width = (n_lags - 1) * p
-    ends = zeros(width, width), zeros(width, width)
-    return LagProducts(zeros(n_lags, p, p), *ends, exponents, 0, 0, short)
+    ends = EndRows(np.zeros((0, (n_lags - 1) * p)), exact)
+    return LagProducts(zeros(n_lags, p, p), ends, ends, exponents, 0, 0, short)
 
 
 def _lag_sums(records, n_lags, exponents, exact):
@@ -396,8 +400,8 @@ def _lag_sums(records, n_lags, exponents, exact):
     span = n_lags + together - 1
     period = -(-span // together) * together
     chunk = max(CHUNK // period, 1) * period
-    factor, buffer = np.ldexp(1.0, -exponents), np.empty((chunk + span, p))
-    factor = factor if exponents.any() else None
+    factor = np.ldexp(1.0, -exponents) if exponents.any() else None
+    buffer = np.empty((chunk + span, p))
     zeros = np.zeros((n_lags, p, p))
     total = Pair(zeros, zeros if exact else None)
     for signals in records:

@@ -12,7 +12,7 @@ With A and C known, y is linear in B, D and the initial states
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.triangular import triangle
+from sklearn_hd.algorithms.triangular import all_above, triangle
 
 __all__ = [
     "noise_floor",
@@ -73,6 +73,8 @@ def release_idle_directions(R, n_future_inputs):
         Upper block triangular; RᵀR as before, but for what is below rounding in U_f.
     """
     n = n_future_inputs
+    if all_above(R[:n, :n], IDLE_SHARE):
+        return R
     rotation, sizes, _ = linalg.svd(R[:n, :n])
     idle = sizes <= IDLE_SHARE * sizes[0]
     if not idle.any():
@@ -110,12 +112,14 @@ def noise_floor(R, block_rows, n_inputs, n_columns):
     future = _future_width(R, block_rows, n_inputs)
     start = R.shape[0] - future
     past = start - block_rows * n_inputs
-    left = n_columns - start
-    rounding = 10.0 * EPS * np.sqrt(n_columns) * np.linalg.norm(R[:, start:], 2)
-    if left < future:
-        return rounding  # too few columns to see a residual
-    sigma = np.linalg.norm(R[start:, start:]) / np.sqrt(future * left)
-    return max(rounding, sigma * (np.sqrt(future) + np.sqrt(past)))
+    left, noise = n_columns - start, 0.0
+    if left >= future:  # else too few columns to see a residual
+        sigma = np.linalg.norm(R[start:, start:]) / np.sqrt(future * left)
+        noise = sigma * (np.sqrt(future) + np.sqrt(past))
+    unit = 10.0 * EPS * np.sqrt(n_columns)
+    if noise > unit * np.linalg.norm(R[:, start:]):  # Frobenius, no less than the largest
+        return noise
+    return max(unit * np.linalg.norm(R[:, start:], 2), noise)
 
 
 def order_by_gap(singular_values, floor, max_order):

@@ -18,13 +18,13 @@ import numpy as np
 import slycot
 from scipy import linalg
 
-from sklearn_hd.algorithms.simulation import propagate
-
 __all__ = ["ResponseBasis", "pulses", "response_basis", "run"]
 
 STEPS = 16  # of the recursion
+FEW_STRETCHES = 256  # of steps, whose starts go by doubling
 LARGEST_TRANSFORMATION = 100.0
 CONDITION = 1e6
+WORK = 64  # columns that LAPACK takes together
 LARGEST_BLOCK = 6  # powers of larger ones are too much alike
 
 
@@ -72,7 +72,9 @@ def response_basis(A):
     n = len(A)
     if n == 0:
         return None
-    T, Z = linalg.schur(A)
+    T, _, _, _, Z, _, fault = linalg.lapack.dgees(_unsorted, A, lwork=WORK * n)
+    if fault:
+        return None
     T, X, sizes, _ = slycot.mb03rd(n, T, Z, sort="S", pmax=LARGEST_TRANSFORMATION)
     inverse = np.linalg.inv(X)
     if np.linalg.norm(X) * np.linalg.norm(inverse) > CONDITION or max(sizes) > LARGEST_BLOCK:
@@ -84,6 +86,10 @@ def response_basis(A):
         own[block, block, block], g[first] = powers, 1.0
         first += size
     return ResponseBasis(F, g, X @ own @ inverse)
+
+
+def _unsorted(*_):
+    return False
 
 
 def _block_numbers(block):
@@ -138,13 +144,12 @@ def run(F, x, state, steps=STEPS):
     whole = len(x) // steps * steps
     if whole:
         parts = x[:whole].reshape(-1, steps, *state.shape)
-        ends = parts[:, 0].copy()
+        now = parts[:, 0].copy()
         for k in range(1, steps):
-            ends = _advance(F, ends)
-            ends += parts[:, k]
-        ends = np.concatenate([ends, np.zeros((1, *state.shape))]).transpose(1, 0, 2)
-        starts = propagate(np.linalg.matrix_power(F, steps), ends, state).transpose(1, 0, 2)
-        state, now = starts[-1], np.ascontiguousarray(starts[:-1])
+            now = _advance(F, now)
+            now += parts[:, k]
+        over = _double if len(now) < FEW_STRETCHES else run
+        state = over(np.linalg.matrix_power(F, steps), now, state)
         for k in range(steps):
             then = _advance(F, now)
             then += parts[:, k]
@@ -152,6 +157,17 @@ def run(F, x, state, steps=STEPS):
     for k in range(whole, len(x)):
         x[k], state = state, _advance(F, state) + x[k]
     return state
+
+
+def _double(F, x, state):
+    """As ``run``, by recursive doubling (Kogge and Stone, 1973)."""
+    states = np.concatenate([state[None], x])
+    rows, step, power = states.reshape(-1, len(F)), len(state), F.T
+    while step < len(rows) and power.any():  # else decayed below the smallest number
+        rows[step:] += rows[:-step] @ power
+        step, power = 2 * step, power @ power
+    x[...] = states[:-1]
+    return states[-1]
 
 
 def _advance(F, states):

@@ -16,6 +16,7 @@ equations need of the data are S and H: no more than the products of each signal
 numbers w that responses are made of (:mod:`~sklearn_hd.algorithms.block_responses`).
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +61,15 @@ class OutputNormal:
     error: float
 
 
-def output_normal(A, C):
+def output_normal(A, C, radius=None):
     """Output-normal coordinates of a stable model.
 
     Parameters
     ----------
     A : ndarray, shape (n, n)
     C : ndarray, shape (l, n)
+    radius : float, optional
+        Size of the largest eigenvalue, where it is known.
 
     Returns
     -------
@@ -76,25 +79,26 @@ def output_normal(A, C):
     n = len(A)
     if n == 0:
         return None
-    radius = np.max(np.abs(np.linalg.eigvals(A)))
+    one = np.eye(n)
+    radius = np.max(np.abs(np.linalg.eigvals(A))) if radius is None else radius
     if radius > MOST_RADIUS:
         return None
     shown, padded = C if len(C) <= n else triangle(C), np.zeros((n, n))
     padded[: len(shown)] = shown
-    T, scale, _ = slycot.sb03od(n, len(shown), A.copy(), np.eye(n), padded, "D")
+    T, scale, _ = slycot.sb03od(n, len(shown), A.copy(), one.copy(), padded, "D")
     T = np.triu(T) / scale
     size = np.abs(np.diagonal(T))
     if not size.min() > size.max() / LARGEST_CONDITION:
         return None
     shown = linalg.lapack.dtrtrs(T, np.vstack([T @ A, C]).T, trans=1)[0].T
     gramian = shown.T @ shown
-    if not np.linalg.norm(gramian - np.eye(n)) < NEARLY:
+    if not np.linalg.norm(gramian - one) < NEARLY:
         return None
-    shown = shown @ (1.5 * np.eye(n) - 0.5 * gramian)  # columns orthonormal to the last digits
+    shown = shown @ (1.5 * one - 0.5 * gramian)  # columns orthonormal to the last digits
     basis = response_basis(shown[:n])
     if basis is None:
         return None
-    off = np.linalg.norm(shown.T @ shown - np.eye(n))
+    off = np.linalg.norm(shown.T @ shown - one)
     error = (n * EPS + off) / (1.0 - radius**2)
     return OutputNormal(shown[:n], shown[n:], T, basis, error)
 
@@ -223,6 +227,7 @@ def _pulse_responses(powers, g):
     return pulses[L - 1 + np.arange(L + 1)[:, None] - np.arange(L)]
 
 
+@functools.lru_cache(maxsize=64)
 def _block(n_states, n_inputs, n_outputs, n_samples):
     """Samples in a block, for the least work."""
 
@@ -283,7 +288,7 @@ def normal_equations(model, products, feedthrough):
         Of its entries, beside the lengths of columns.
     """
     A, C, units = model.A, model.C, model.basis.units
-    n, m, n_outputs = len(A), len(products.last), len(C)
+    n, m, n_outputs, one = len(A), len(products.last), len(C), np.eye(len(A))
     flat = units.reshape(len(units), -1)
     forced = (products.forced.transpose(0, 2, 1) @ flat).reshape(m, -1, n, n)
     free = (products.free.T @ flat).reshape(-1, n, n)
@@ -292,13 +297,14 @@ def normal_equations(model, products, feedthrough):
     U = products.inputs[:, :m]
     ahead = A @ forced[:, :m]
     both = ahead.transpose(0, 1, 3, 2) + ahead.transpose(1, 0, 2, 3)
-    both += U[:, :, None, None] * np.eye(n)
+    both += U[:, :, None, None] * one
     both -= last.transpose(0, 2, 1)[:, None] @ last
     start = (A @ free[:m]).transpose(0, 2, 1) - power.T @ last
     seen, seen_free = C @ forced, C @ free
-    B, D, y = np.cumsum([n, n * m, feedthrough * n_outputs * m])  # where columns of each begin
+    B, D = n, n + n * m  # where columns of each begin
+    y = D + feedthrough * n_outputs * m
     G = np.zeros((y + 1, y + 1))
-    G[:B, :B] = np.eye(n) - power.T @ power
+    G[:B, :B] = one - power.T @ power
     G[:B, B:D] = start.transpose(1, 2, 0).reshape(n, -1)
     G[:B, y] = np.einsum("ooi->i", seen_free[m:])
     G[B:D, B:D] = both.transpose(2, 0, 3, 1).reshape(n * m, n * m)
@@ -310,7 +316,7 @@ def normal_equations(model, products, feedthrough):
         for own in range(D, y, m):
             G[own : own + m, own : own + m] = U
         G[D:y, y] = products.inputs[:, m:].T.reshape(-1)
-    left = np.diagonal(G)[:D]
-    whole = np.concatenate([np.ones(n), np.tile(np.diagonal(U), n)])
+    left, whole = np.diagonal(G)[:D], np.ones(D)
+    whole[B:].reshape(n, m)[:] = np.diagonal(U)
     loss = np.max(whole / left) if np.all(left > 0.0) else np.inf
     return G, model.error * loss

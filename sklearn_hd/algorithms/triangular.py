@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import linalg
 
-__all__ = ["safe_cholesky", "solve_within_rank", "triangle"]
+__all__ = ["all_above", "safe_cholesky", "solve_within_rank", "triangle"]
 
 EPS = np.finfo(float).eps
 ROUNDING = 1e-11  # of the longest direction
@@ -37,7 +37,7 @@ def triangle(*stacked):
     return np.triu(linalg.lapack.dgeqrf(X, lwork=n_work, overwrite_a=1)[0][:n_columns])
 
 
-def safe_cholesky(G, rounding=EPS):
+def safe_cholesky(G, rounding=EPS, overwrite=False):
     """R factor from a product XᵀX in double, or None where rounding would be seen in it.
 
     With columns brought to equal length, rounding of G by ε perturbs them by about ε ‖R⁻¹‖²
@@ -49,6 +49,8 @@ def safe_cholesky(G, rounding=EPS):
         The upper triangle is read.
     rounding : float, default=machine epsilon
         Of its entries, beside the lengths of columns.
+    overwrite : bool, default=False
+        Whether R may take the place of G.
 
     Returns
     -------
@@ -58,24 +60,59 @@ def safe_cholesky(G, rounding=EPS):
     if not np.all(squares > 0.0):  # less than zero by rounding, where columns hold next to nothing
         return None
     size = np.sqrt(squares)
-    L, fault = linalg.lapack.dpotrf(G.T, lower=1, clean=1)
+    L, fault = linalg.lapack.dpotrf(G.T, lower=1, clean=1, overwrite_a=overwrite)
     if fault:
         return None
-    safe = rounding * _inverse_square(L / size[:, None]) <= TOLERATED_LOSS
-    return L.T if safe else None
+    return L.T if rounding * _inverse_square(L, size) <= TOLERATED_LOSS else None
 
 
-def _inverse_square(L):
-    """Squared Frobenius norm of the inverse of a lower triangular matrix, to a digit."""
-    L, total = L.astype(np.float32), 0.0  # beside the tolerance, its rounding is nothing
-    for first in range(0, len(L), STRIP):  # twice as fast as the inverse itself
-        unit = np.eye(STRIP, len(L) - first, dtype=np.float32)[: len(L) - first].T
-        part, fault = linalg.lapack.strtrs(L[first:, first:], unit, lower=1)
+def _inverse_square(L, size):
+    """Squared Frobenius norm of the inverse of a lower triangular L, rows divided by their size.
+
+    To a digit, which will do beside the tolerance: in single precision.
+    """
+    n, total = len(L), 0.0
+    for first in range(0, n, STRIP):  # twice as fast as the inverse itself
+        rest = np.empty((n - first, n - first), np.float32, order="F")
+        np.divide(L[first:, first:], size[first:, None], out=rest, casting="same_kind")
+        unit = np.eye(n - first, min(STRIP, n - first), dtype=np.float32, order="F")
+        part, fault = linalg.lapack.strtrs(rest, unit, lower=1, overwrite_b=1)
         if fault:
             return np.inf
         with np.errstate(over="ignore"):
             total += float(np.linalg.norm(part)) ** 2
     return total
+
+
+def all_above(R, share):
+    """Whether all singular values surely are above a share of the largest.
+
+    By ‖R‖ ‖R⁻¹‖ in Frobenius norms, which takes a tenth of the time of the singular values.
+
+    Parameters
+    ----------
+    R : ndarray, shape (r, r)
+        Upper triangular.
+    share : float
+        Well above the rounding of R.
+
+    Returns
+    -------
+    surely : bool
+        False where they may be or not.
+
+    Examples
+    --------
+    >>> all_above(np.diag([1.0, 1e-3]), 1e-4), all_above(np.diag([1.0, 1e-5]), 1e-4)
+    (True, False)
+    """
+    if len(R) == 0:
+        return True
+    inverse, fault = linalg.lapack.dtrtri(R)
+    if fault:
+        return False
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(share * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
 
 
 def solve_within_rank(X, Y, size=None):
