@@ -35,7 +35,6 @@ LARGEST_CONDITION = 1e5  # of the responses to initial states, brought to equal 
 LONGEST_BLOCK = 16  # samples
 MANY = 2  # pieces, times inputs, beside samples of one
 TWICE = 2  # what initial states take, as Gram and Schmidt
-SAFER = 100.0  # than what has to be corrected
 LEAST_NOISE = 1e-3  # of the outputs' size: beside what it does, rounding is nothing
 
 
@@ -101,8 +100,7 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
     if own is None:
         return None
     turned, rest = _solved(own, G)
-    exact = safe_cholesky(G[:-1, :-1], SAFER * rounding) is not None
-    if not (exact and rest > LEAST_NOISE**2 * squares):
+    if not rest > LEAST_NOISE**2 * squares:
         B, D = _entries(linalg.solve_triangular(own, turned), C, n_inputs)
         left = (responses.left(some, B, D) for some in pieces())
         G, *_ = _summed(responses, left, n_inputs, feedthrough)
