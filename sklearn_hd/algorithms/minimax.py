@@ -60,7 +60,7 @@ class MinimaxResult:
     n_iter: int
 
 
-def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
+def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=None):
     """Parameters of least H∞ matching error, reached downhill from a stable start.
 
     Parameters
@@ -71,6 +71,8 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         ``active_frequencies(theta, value)``; ``step_directions(theta)`` -> M;
         ``curved_steps(theta)`` -> :class:`CurvedSteps`.
     theta : ndarray, shape (k,)
+    radius : float
+        Of the first trust region; far from a minimum 1, the length of E.
     max_iter : int
         Largest number of convex subproblems.
     tol : float
@@ -89,7 +91,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         return problem.inside(curves.move(theta, directions @ step))
 
     history, top = [value], peak
-    radius, n_iter, predicted, fresh_point, converged, n_again = 1.0, 0, np.inf, True, False, 0
+    n_iter, predicted, fresh_point, converged, n_again = 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
         if fresh_point:

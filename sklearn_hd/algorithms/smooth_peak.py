@@ -99,7 +99,9 @@ def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
 
 def _round(point, mu, radius, max_steps):
     """Newton steps with one μ: where they end, the region's radius, their number."""
-    for n_steps in range(1, max_steps + 1):
+    n_steps = 0
+    while n_steps < max_steps:
+        n_steps += 1
         slopes = BoundSlopes(point.bound, mu)
         hessian = slopes.hessian + point.curvature(slopes)
         step, promised, solve = _region_step(slopes.gradient, hessian, radius)
