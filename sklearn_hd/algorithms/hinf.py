@@ -12,7 +12,7 @@ from scipy import linalg
 from sklearn_hd._validation import real_array
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["check_stable", "h2_norm", "hinf_norm", "refine_peaks"]
+__all__ = ["check_stable", "h2_norm", "hinf_norm", "refine_peaks", "tops_between"]
 
 
 def hinf_norm(A, B, C, D, dt=None):
@@ -139,6 +139,45 @@ def refine_peaks(gains, low, high, rounds=3):
     values = np.stack([values[rows, best], gains(vertex)], axis=1)
     top = np.argmax(values, axis=1)
     return frequencies[rows, top], values[rows, top]
+
+
+def tops_between(frequencies, gains):
+    """Where parabolas through three neighbours have their top, and how high.
+
+    Parameters
+    ----------
+    frequencies, gains : ndarray, shape (n_points,)
+        In any order; infinite frequencies are left out.
+
+    Returns
+    -------
+    tops, heights, sampled : ndarray, shape (n_tops,)
+        Frequencies of tops that are none of the points, heights of the parabolas there, and
+        the largest gain of the three neighbours.
+
+    Examples
+    --------
+    >>> tops, heights, sampled = tops_between(np.array([0.0, 1.0, 3.0]), np.array([0.0, 3.0, 3.0]))
+    >>> tops.tolist(), heights.tolist(), sampled.tolist()
+    ([2.0], [4.0], [3.0])
+    """
+    order = np.argsort(frequencies)
+    order = order[np.isfinite(frequencies[order])]
+    w, y = frequencies[order], gains[order]
+    new = np.concatenate([[True], np.diff(w) > _APART * w[1:]])
+    w, y = w[new], y[new]
+    k = 1 + np.flatnonzero((y[1:-1] >= y[:-2]) & (y[1:-1] >= y[2:]))
+    left, right = w[k - 1] - w[k], w[k + 1] - w[k]
+    rise, fall = (y[k - 1] - y[k]) / left, (y[k + 1] - y[k]) / right
+    bend = (fall - rise) / (right - left)
+    slope = rise - bend * left
+    move = -0.5 * slope / np.where(bend < 0, bend, -np.inf)
+    apart = np.abs(move) > _APART * w[k]
+    tops = w[k] + np.clip(move, 0.9 * left, 0.9 * right)
+    return tops[apart], (y[k] + 0.5 * slope * move)[apart], y[k][apart]
+
+
+_APART = 1e-9  # distance of frequencies, relative, of two points
 
 
 def h2_norm(A, B, C, D, dt=None):

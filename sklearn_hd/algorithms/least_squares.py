@@ -26,6 +26,7 @@ _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become ro
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
 _ROUNDING = 1e-31  # sum of squares, relative to that of G_c
 _PATIENCE = 25  # steps that must earn a tenth; a creep goes to parameters at infinity
+_RUNAWAY = 1e6  # times the fastest pole: one that has become a feedthrough
 _LINES = 40  # largest number of lines Re s = α on the way to the axis
 
 
@@ -72,6 +73,7 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
     -------
     fit : GridFit
     """
+    problem = problem.limited(theta, _RUNAWAY)
     residual, jacobian = problem.residual_and_jacobian(theta, shift)
     cost, damping, growth = residual @ residual, 1e-3, 2.0
     costs = [cost]

@@ -12,17 +12,16 @@ sensitivity at the end say which parameters the outputs determine, the certifica
 the norm can still fall.
 """
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs
 from scipy import linalg
 
 from sklearn_hd.algorithms.h2_matching import h2_error, minimise_h2
 from sklearn_hd.algorithms.least_squares import Start, levenberg_marquardt, local_fits
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
-from sklearn_hd.algorithms.minimax import Certificate, certify, minimise_peak
+from sklearn_hd.algorithms.minimax import Certificate, certify
+from sklearn_hd.algorithms.norm_descent import least_norm
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.similarity import (
     draw_transformation,
@@ -30,7 +29,6 @@ from sklearn_hd.algorithms.similarity import (
     project_transformed,
     solve_similarity,
 )
-from sklearn_hd.algorithms.smooth_peak import smooth_descent
 from sklearn_hd.algorithms.structured_model import AffineStructure
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
@@ -229,7 +227,10 @@ def match_structure(
         predicted = best.predicted_decrease
         found = found.further("h2", best.theta, predicted, predicted <= tol, best.history)
         return _result(problem, fit, found, fits, exact)
-    found = minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report)
+    start, run = least_norm(problem, fits, max_iter, tol, n_jobs, report)
+    found = _Found.by_least_squares(start, False, tol)
+    end = run.theta, run.predicted_decrease, run.converged, run.history
+    found = found.further("minimax", *end)
     last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
     if last.residual < fit.residual:  # the minimax steps have left a poor valley
         fit, exact = exact_match(problem, last, exact_tol)
@@ -273,89 +274,6 @@ def exact_match(problem, fit, tol):
         error = linalg.norm(problem.residual_and_jacobian(inside)[0])
         return replace(fit, theta=inside, residual=float(error)), True
     return fit, bool(fit.residual <= tol)
-
-
-def minimax_from_fits(problem, fits, max_iter, tol, n_jobs, report=None):
-    """Least norm reached from the least-squares matches, by several ways into the valleys.
-
-    The ranking by squares is not the ranking by peaks, so the match best in squares and
-    those best in peaks go down in smooth bounds of the norm; where such a descent begins
-    decides on the valley, so the first has several. Those that come near the lowest have
-    short runs in the norm itself, and the best one is finished.
-    """
-    fit, others = fits[0], sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])
-    size = problem.structure.n_parameters * problem.structure.n_states
-    firsts, n_others, n_runs = (_FIRSTS, 3, 2) if size <= _SMALL else (_FIRSTS[:2], 1, 1)
-    ways = [(fit, first) for first in firsts]
-    ways += [(other, _FIRSTS[0]) for other in others[:n_others]]
-    descents = _in_batches(
-        (
-            delayed(smooth_descent)(
-                problem, fit.theta, first=first, max_iter=round(_SMOOTH * max_iter)
-            )
-            for fit, first in ways
-        ),
-        len(ways),
-        n_jobs,
-        stage(report, "minimax, smooth descents", len(ways)),
-        lambda descent: descent[1][-1],
-    )
-    near = sorted(range(len(descents)), key=lambda k: descents[k][1][-1])[:n_runs]
-    lowest = descents[near[0]][1][-1]
-    near = [k for k in near if descents[k][1][-1] <= _RIVAL * lowest]
-    short = min(_SCREENING, max_iter)
-    runs = _short_runs(problem, {k: descents[k][0] for k in near}, short, tol, report)
-    best = min(runs, key=lambda k: runs[k].value)
-    run, found = runs[best], _Found.by_least_squares(ways[best][0], False, tol)
-    passed, n_left, creeps = descents[best][1] + run.history[1:], max_iter - short, False
-    while not (run.converged or creeps) and n_left > 0:
-        theta, values = smooth_descent(problem, run.theta, first=_CLOSE, gap=_CLOSER)
-        short, before = min(_SCREENING, n_left), run.value
-        told = stage(report, "minimax, steps from the best", n_left)
-        run = minimise_peak(problem, theta, max_iter=short, tol=tol, report=told)
-        creeps = size > _LARGE and run.value > (1.0 - _CREEP) * before
-        passed += values[1:] + run.history[1:]
-        n_left -= short
-    return found.further("minimax", run.theta, run.predicted_decrease, run.converged, passed)
-
-
-_FIRSTS = (3.0, 1.5, 10.0)  # bounds, over the norm, where smooth descents begin
-_SMALL = 200  # parameters times states up to which all of them cost a second or two
-_SMOOTH = 1.5  # Newton steps of a smooth descent, over the largest number of iterations
-_RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
-_CLOSE, _CLOSER = 1.001, 1e-5  # bound, over the norm, where the close descents begin and end
-_VALLEY = 0.1  # distance of responses, relative to the error, within one valley
-_LARGE = 1000  # from which a convex step costs a second, and the last digits minutes
-_CREEP = 1e-4  # of the norm that a round of steps must earn there
-_SCREENING = 20  # convex steps of a short run
-
-
-def _short_runs(problem, thetas, max_iter, tol, report):
-    """Runs of the minimax search from some points, by number; none twice in one valley.
-
-    A run that converged speaks for all points of its valley: over twenty seeds no second
-    one, from a response as near as that, ended elsewhere.
-    """
-    runs, errors = {}, {}
-    for count, (k, theta) in enumerate(thetas.items()):
-        error = problem.residual_and_jacobian(theta)[0]
-        near = _VALLEY * linalg.norm(error)
-        if any(runs[i].converged and linalg.norm(error - errors[i]) <= near for i in runs):
-            continue
-        told = stage(report, f"minimax, steps from descent {count + 1} of {len(thetas)}", max_iter)
-        runs[k] = minimise_peak(problem, theta, max_iter=max_iter, tol=tol, report=told)
-        errors[k] = error
-    return runs
-
-
-def _in_batches(tasks, count, n_jobs, told, value):
-    """Results of tasks, all at once, or as many as there are processes where someone is told."""
-    size, results = count if told is None else effective_n_jobs(n_jobs), []
-    while len(results) < count:
-        results += Parallel(n_jobs)(itertools.islice(tasks, size))
-        if told is not None:
-            told(len(results), f"error {min(map(value, results)):.3g}")
-    return results
 
 
 def _result(problem, fit, found, fits, exact, certified=False):

@@ -8,12 +8,13 @@ frequency, but constants of its own that make all channels of W_o G_c W_i alike,
 search is not blind to small ones.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.curved_steps import CurvedSteps
 from sklearn_hd.algorithms.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.structured_model import AffineStructure, column_sizes
 from sklearn_hd.algorithms.triangular import triangle
@@ -105,6 +106,8 @@ class MatchingProblem:
         Bounds of θ; infinite where there are none.
     grid_weights : ndarray, shape (n_points,), or float
         Factors of the least-squares residual by frequency.
+    speed_limit : float
+        rad/s; G_s with faster poles counts as unstable.
     """
 
     model: AffineStructure
@@ -116,6 +119,7 @@ class MatchingProblem:
     lower: np.ndarray
     upper: np.ndarray
     grid_weights: np.ndarray | float = 1.0
+    speed_limit: float = np.inf
 
     @classmethod
     def build(cls, A, B, C, D, structure, weighting=None, bounds=None, emphasis=None):
@@ -149,6 +153,15 @@ class MatchingProblem:
         """Largest magnitude among the poles of G_c and of the weights (rad/s)."""
         poles = [linalg.eigvals(self.model.matrices(np.empty(0))[0]), self.weighting.poles]
         return np.abs(np.concatenate(poles)).max(initial=0.0) or 1.0
+
+    def limited(self, theta, factor):
+        """The same with a limit to poles, relative to the fastest of G_c, W_o, W_i and G_s(θ).
+
+        Where the best match has a feedthrough that D_s excludes, a pole runs to infinity, and
+        rounding in it would hide the stability of the others.
+        """
+        speed = np.abs(self.structure.poles(theta)).max(initial=self.fastest)
+        return replace(self, speed_limit=factor * speed)
 
     def inside(self, theta):
         """The parameters nearest to θ within the bounds."""
@@ -193,11 +206,15 @@ class MatchingProblem:
         return float(values[best]), float(frequencies[best])
 
     def abscissa(self, theta):
-        """Largest real part among the poles of G_s(θ), plus what rounding may hide of it."""
+        """Largest real part among the poles of G_s(θ), plus what rounding may hide of it.
+
+        Infinite beyond the speed limit.
+        """
         poles = self.structure.poles(theta)
         if len(poles) == 0:
             return -np.inf
-        return poles.real.max() + _ROUNDING * np.abs(poles).max()
+        fastest = np.abs(poles).max()
+        return poles.real.max() + _ROUNDING * fastest if fastest <= self.speed_limit else np.inf
 
     def error_and_sensitivity(self, theta, frequencies):
         """E(jω; θ) and ∂E/∂θ in the criterion's weights and unit."""
@@ -228,11 +245,14 @@ class MatchingProblem:
         frequencies = np.asarray(frequencies)
         return self.singular_values(theta, frequencies.ravel())[:, 0].reshape(frequencies.shape)
 
+    def error(self, theta, frequencies):
+        """E(jω; θ), shape (n_points, l, m)."""
+        s = line(frequencies)
+        return self.weighting.apply(self._given(s) - self.structure.response(theta, s), s)
+
     def singular_values(self, theta, frequencies):
         """Those of E(jω; θ), shape (n_points, min(l, m)), largest first."""
-        s = line(frequencies)
-        error = self._given(s) - self.structure.response(theta, s)
-        return np.linalg.svd(self.weighting.apply(error, s), compute_uv=False)
+        return np.linalg.svd(self.error(theta, frequencies), compute_uv=False)
 
     def active_frequencies(self, theta, value, extra=()):
         """Frequencies where the gain of E is within a factor 2 of F, local peaks resolved."""
@@ -240,39 +260,39 @@ class MatchingProblem:
         near = self.grid[gains >= 0.5 * value]
         return np.unique(np.concatenate([near, self._resolved(theta, gains), extra]))
 
-    def _resolved(self, theta, gains, rounds=3):
+    def _resolved(self, theta, gains):
         """Tops between the points of the grid, where E has some gains, and their flanks."""
         low, high = self._brackets(gains, 0.0)
-        peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high, rounds)
+        peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high)
         width = 0.02 * (high - low)
         return np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
 
-    def linearised(self, theta, extra=()):
-        """E, its slopes and :meth:`step_directions`, on the grid and at the tops between.
+    def sampling(self, theta, extra=()):
+        """The grid, then the tops between its points at θ, their flanks and some more."""
+        tops = self._resolved(theta, self.gains(theta, self.grid))
+        return np.concatenate([self.grid, np.setdiff1d(np.concatenate([tops, extra]), self.grid)])
+
+    def linearised(self, theta, frequencies):
+        """E, its slopes and :meth:`step_directions`.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (k,)
+        frequencies : ndarray, shape (n_points,)
+            The grid, then others.
 
         Returns
         -------
-        frequencies : ndarray, shape (n_points,)
         error, slope : complex ndarray, shapes (n_points, l, m), (n_points, l, m, k)
         directions : ndarray, shape (k, n_directions)
         """
-        error, slope = self.error_and_sensitivity(theta, self.grid)
+        error, slope = self.error_and_sensitivity(theta, frequencies)
         outputs = self.scaling.outputs / self.weighting.outputs
         scale = outputs[:, None] * (self.scaling.inputs / self.weighting.inputs)
         scale = scale * np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
-        directions = self._step_directions(
-            theta, *_as_reals(error * scale, slope * scale[..., None])
-        )
-        gains = np.linalg.svd(error, compute_uv=False)[:, 0]
-        tops = self._resolved(theta, gains, rounds=1)
-        tops = np.setdiff1d(np.concatenate([tops, extra]), self.grid)
-        others = self.error_and_sensitivity(theta, tops)
-        return (
-            np.concatenate([self.grid, tops]),
-            np.concatenate([error, others[0]]),
-            np.concatenate([slope, others[1]]),
-            directions,
-        )
+        n = len(self.grid)
+        scaled = _as_reals(error[:n] * scale, slope[:n] * scale[..., None])
+        return error, slope, self._step_directions(theta, *scaled)
 
     def _brackets(self, gains, least):
         """Between what neighbours on the grid its local maxima above some gain lie."""
@@ -291,6 +311,11 @@ class MatchingProblem:
         direction would hold up the others.
         """
         return self._step_directions(theta, *self.residual_and_jacobian(theta))
+
+    def curved_steps(self, theta):
+        """Along which curves to go from θ: straight below what alone moves E by its length."""
+        residual, jacobian = self.residual_and_jacobian(theta)
+        return CurvedSteps(max(linalg.norm(residual), 1e-300) / column_sizes(jacobian))
 
     def _step_directions(self, theta, residual, jacobian):
         size, length = column_sizes(jacobian), linalg.norm(residual)

@@ -8,8 +8,8 @@ part and linearises the smooth one,
 
     min_{t, ζ} t   subject to   σ_max(E_i + Σ_k ζ_k ∂E_i/∂ζ_k) ≤ t for active ω_i,  |ζ| ≤ Δ
 
-with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal, but for parameters on
-their way to infinity. A spectral norm is
+with θ = θ₀ + M ζ at first order (the step bends as sinh coordinates do), M making the
+response's sensitivity orthonormal, but for parameters on their way to infinity. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
 singular vectors. Few frequencies and directions begin; those that are violated join,
 frequencies to which the step moves a peak among them, until none is. A step is accepted
@@ -25,6 +25,8 @@ from dataclasses import dataclass, replace
 import clarabel
 import numpy as np
 from scipy import sparse
+
+from sklearn_hd.algorithms.hinf import tops_between
 
 __all__ = ["Certificate", "MinimaxResult", "certify", "minimise_peak"]
 
@@ -58,7 +60,7 @@ class MinimaxResult:
     n_iter: int
 
 
-def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
+def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=None):
     """Parameters of least H∞ matching error, reached downhill from a stable start.
 
     Parameters
@@ -66,8 +68,11 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     problem : object
         ``peak(theta)`` -> (F, ω of the peak), F = inf where G_s is unstable;
         ``error_and_sensitivity(theta, frequencies)`` -> E and ∂E/∂θ;
-        ``active_frequencies(theta, value)``; ``step_directions(theta)`` -> M.
+        ``active_frequencies(theta, value)``; ``step_directions(theta)`` -> M;
+        ``curved_steps(theta)`` -> :class:`CurvedSteps`.
     theta : ndarray, shape (k,)
+    radius : float
+        Of the first trust region; far from a minimum 1, the length of E.
     max_iter : int
         Largest number of convex subproblems.
     tol : float
@@ -80,12 +85,16 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     result : MinimaxResult
     """
     value, peak = problem.peak(theta)
-    directions = problem.step_directions(theta)
+    directions, curves = problem.step_directions(theta), problem.curved_steps(theta)
+
+    def moved(step):
+        return problem.inside(curves.move(theta, directions @ step))
+
     history, top = [value], peak
-    radius, n_iter, predicted, moved, converged, n_again = 1.0, 0, np.inf, True, False, 0
+    n_iter, predicted, fresh_point, converged, n_again = 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
-        if moved:
+        if fresh_point:
             frequencies = problem.active_frequencies(theta, value, [top])
             model = _Linearisation.at(problem, theta, frequencies, directions, value)
         step, level, duals, _, model = _convex_step(model, curvature, radius, cuts)
@@ -99,7 +108,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
             remaining = 1.0 - _convex_step(model, flat, 1.0, cuts)[1]
             converged = remaining <= np.sqrt(tol)
             if converged or n_again == _AGAIN:
-                last = problem.inside(theta + directions @ step)
+                last = moved(step)
                 last_value, _ = problem.peak(last)
                 if converged and last_value < value:  # costs little, certifies more
                     theta, value = last, last_value
@@ -107,12 +116,12 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
                 break
             radius, curvature, n_again = 1.0, flat, n_again + 1  # the region had shrunk too far
             continue
-        trial = problem.inside(theta + directions @ step)
+        trial = moved(step)
         trial_value, trial_peak = problem.peak(trial)
         gain = (value - trial_value) / (value * predicted)
         if gain < 0.75 and np.isfinite(trial_value):
             corrected = _second_order_correction(model, trial, step, radius, cuts)
-            second = problem.inside(theta + directions @ corrected)
+            second = moved(corrected)
             second_value, second_peak = problem.peak(second)
             if second_value < trial_value:
                 step, trial, trial_value, trial_peak = corrected, second, second_value, second_peak
@@ -121,8 +130,8 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         if fresh.shape[1] < directions.shape[1]:
             gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
         radius = _next_radius(radius, gain, np.linalg.norm(step))
-        moved = gain > _LEAST_GAIN
-        if moved:
+        fresh_point = gain > _LEAST_GAIN
+        if fresh_point:
             theta, value = trial, trial_value
             history.append(value)
             top, directions = trial_peak, fresh
@@ -202,7 +211,6 @@ _AGAIN = 3  # times that a search begins anew with a region of size one
 _LEAST_RADIUS = 1e-12  # below it a step is lost in the rounding of θ
 _SLACK = 1e-10  # violation of a singular-value bound, relative to F, that is let pass
 _SHARE = 0.3  # of the decrease predicted that is let pass too: the next step has new vectors
-_APART = 1e-9  # distance of frequencies, relative, that are worth a peak of their own
 _ALIKE = 1.0 - 1e-6  # product of directions that are one
 _LEAST_DUAL = 1e-7  # multiplier of a cone, of 1 in all, that holds a step
 _NEXT_TO = 1e-9  # distance from a bound, relative, that the cone programs leave
@@ -320,9 +328,10 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
         level = np.linalg.norm(vectors + rates @ step, axis=1).max()
         slack = max(_SLACK, _SHARE * (1.0 - level))
         sizes, adjoint = model.after(step)
-        between = _tops_between(model.frequencies, sizes[:, 0], level + slack)
-        if len(between):
-            model = model.join(between)
+        tops, heights, _ = tops_between(model.frequencies, sizes[:, 0])
+        tops = tops[heights > level + slack]
+        if len(tops):
+            model = model.join(tops)
             sizes, adjoint = model.after(step)
         order = np.argsort(model.frequencies)
         violated = (sizes > level + slack) & _tops(sizes[:, 0], order)[:, None]
@@ -334,24 +343,6 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > _LEAST_DUAL)
     duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
     return step, level, duals, pull, model
-
-
-def _tops_between(frequencies, gains, least):
-    """Where parabolas through three neighbours have their top, if that is above ``least``."""
-    order = np.argsort(frequencies)
-    order = order[np.isfinite(frequencies[order])]
-    w, y = frequencies[order], gains[order]
-    new = np.concatenate([[True], np.diff(w) > _APART * w[1:]])
-    w, y = w[new], y[new]
-    k = 1 + np.flatnonzero((y[1:-1] >= y[:-2]) & (y[1:-1] >= y[2:]))
-    left, right = w[k - 1] - w[k], w[k + 1] - w[k]
-    rise, fall = (y[k - 1] - y[k]) / left, (y[k + 1] - y[k]) / right
-    bend = (fall - rise) / (right - left)
-    slope = rise - bend * left
-    move = -0.5 * slope / np.where(bend < 0, bend, -np.inf)
-    top = y[k] + 0.5 * slope * move
-    apart = np.abs(move) > _APART * w[k]
-    return (w[k] + np.clip(move, 0.9 * left, 0.9 * right))[(top > least) & apart]
 
 
 def _on_bounds(problem, theta, value):
