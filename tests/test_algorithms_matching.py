@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg, optimize
 
 from sklearn_hd.algorithms.hinf import hinf_norm
-from sklearn_hd.algorithms.matching import _short_runs, match_structure
+from sklearn_hd.algorithms.matching import match_structure
 from sklearn_hd.algorithms.matching_problem import MatchingProblem, channel_scales
 from sklearn_hd.algorithms.simulation import frequency_response
 from sklearn_hd.algorithms.structured_model import AffineStructure
@@ -253,22 +253,6 @@ def test_a_unit_step_is_bounded_in_response_and_in_parameters():
         moved, own = jacobian @ directions / length, directions / reach[:, None]
         unit = moved.T @ moved + own.T @ own
         np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-9)
-
-
-def test_runs_stop_at_one_a_valley_that_has_converged():
-    structure, truth = subsystem("heave")
-    model = disturbed_heave(0.02, np.random.default_rng(12))
-    result = match_structure(*model, structure, theta0=truth)
-    problem = MatchingProblem.build(*model, structure)
-    points = {4: result.theta, 1: result.theta * (1 + 1e-7)}
-    runs = _short_runs(problem, points, 20, 1e-8, None)
-    assert list(runs) == [4]
-    assert runs[4].converged
-    assert runs[4].value == pytest.approx(result.relative_error, rel=1e-7)
-    points = {4: result.theta_least_squares, 1: result.theta_least_squares}
-    runs = _short_runs(problem, points, 1, 1e-8, None)
-    assert list(runs) == [4, 1]  # where none has converged there is more to find
-    assert not runs[4].converged
 
 
 def test_history_falls_and_error_is_that_of_the_matrices():

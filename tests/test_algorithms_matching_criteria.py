@@ -280,10 +280,15 @@ def test_certificate_refuses_a_point_that_is_not_stationary():
 
 
 def test_a_search_that_is_cut_short_is_not_called_converged():
-    for seed in range(10):
-        start = START * np.random.default_rng(seed).uniform(0.7, 1.3, 5)
-        result = match(theta0=start, max_iter=1, n_starts=0)
-        assert result.converged == (result.certificate.predicted_decrease <= 1e-4)
+    starts = [START * np.random.default_rng(seed).uniform(0.7, 1.3, 5) for seed in range(10)]
+    short = [match(theta0=start, max_iter=1, n_starts=0) for start in starts]
+    whole = match(theta0=START)
+    assert whole.converged
+    assert whole.certificate.predicted_decrease <= 1e-4
+    for result in short:
+        assert result.certificate.predicted_decrease >= 0.0
+        assert not result.converged or result.hinf_error <= whole.hinf_error * (1 + 1e-6)
+    assert not all(result.converged for result in short)
 
 
 def test_static_gain_without_a_start():

@@ -8,8 +8,8 @@ part and linearises the smooth one,
 
     min_{t, ζ} t   subject to   σ_max(E_i + Σ_k ζ_k ∂E_i/∂ζ_k) ≤ t for active ω_i,  |ζ| ≤ Δ
 
-with θ = θ₀ + M ζ at first order (the step bends as sinh coordinates do), M making the
-response's sensitivity orthonormal, but for parameters on their way to infinity. A spectral norm is
+with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal, but for parameters on
+their way to infinity. A spectral norm is
 held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
 singular vectors. Few frequencies and directions begin; those that are violated join,
 frequencies to which the step moves a peak among them, until none is. A step is accepted
@@ -21,6 +21,7 @@ distance from zero: :func:`certify` reports both.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import clarabel
 import numpy as np
@@ -60,7 +61,7 @@ class MinimaxResult:
     n_iter: int
 
 
-def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=None):
+def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
     """Parameters of least H∞ matching error, reached downhill from a stable start.
 
     Parameters
@@ -68,11 +69,8 @@ def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=
     problem : object
         ``peak(theta)`` -> (F, ω of the peak), F = inf where G_s is unstable;
         ``error_and_sensitivity(theta, frequencies)`` -> E and ∂E/∂θ;
-        ``active_frequencies(theta, value)``; ``step_directions(theta)`` -> M;
-        ``curved_steps(theta)`` -> :class:`CurvedSteps`.
+        ``active_frequencies(theta, value)``; ``step_directions(theta)`` -> M.
     theta : ndarray, shape (k,)
-    radius : float
-        Of the first trust region; far from a minimum 1, the length of E.
     max_iter : int
         Largest number of convex subproblems.
     tol : float
@@ -85,30 +83,27 @@ def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=
     result : MinimaxResult
     """
     value, peak = problem.peak(theta)
-    directions, curves = problem.step_directions(theta), problem.curved_steps(theta)
-
-    def moved(step):
-        return problem.inside(curves.move(theta, directions @ step))
-
+    directions = problem.step_directions(theta)
     history, top = [value], peak
-    n_iter, predicted, fresh_point, converged, n_again = 0, np.inf, True, False, 0
+    radius, n_iter, predicted, moved, converged, n_again = 1.0, 0, np.inf, True, False, 0
     curvature, cuts = np.zeros((directions.shape[1],) * 2), ()
     while n_iter < max_iter and value > 0:
-        if fresh_point:
+        if moved:
             frequencies = problem.active_frequencies(theta, value, [top])
             model = _Linearisation.at(problem, theta, frequencies, directions, value)
-        step, level, duals, _, model = _convex_step(model, curvature, radius, cuts)
+        found = _convex_step(model, curvature, radius, cuts)
+        step, duals, model = found.step, found.duals, found.model
         cuts = tuple(zip(model.frequencies[duals[0]], duals[2], strict=True))
         n_iter += 1
         if report is not None:
             report(n_iter, f"error {value:.3g}")
-        predicted = 1.0 - level
+        predicted = 1.0 - found.bound
         if predicted <= tol or radius < _LEAST_RADIUS:
             flat = np.zeros_like(curvature)
-            remaining = 1.0 - _convex_step(model, flat, 1.0, cuts)[1]
+            remaining = 1.0 - _convex_step(model, flat, 1.0, cuts).bound
             converged = remaining <= np.sqrt(tol)
             if converged or n_again == _AGAIN:
-                last = moved(step)
+                last = problem.inside(theta + directions @ step)
                 last_value, _ = problem.peak(last)
                 if converged and last_value < value:  # costs little, certifies more
                     theta, value = last, last_value
@@ -116,12 +111,12 @@ def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=
                 break
             radius, curvature, n_again = 1.0, flat, n_again + 1  # the region had shrunk too far
             continue
-        trial = moved(step)
+        trial = problem.inside(theta + directions @ step)
         trial_value, trial_peak = problem.peak(trial)
         gain = (value - trial_value) / (value * predicted)
         if gain < 0.75 and np.isfinite(trial_value):
             corrected = _second_order_correction(model, trial, step, radius, cuts)
-            second = moved(corrected)
+            second = problem.inside(theta + directions @ corrected)
             second_value, second_peak = problem.peak(second)
             if second_value < trial_value:
                 step, trial, trial_value, trial_peak = corrected, second, second_value, second_peak
@@ -130,8 +125,8 @@ def minimise_peak(problem, theta, *, radius=1.0, max_iter=100, tol=1e-8, report=
         if fresh.shape[1] < directions.shape[1]:
             gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
         radius = _next_radius(radius, gain, np.linalg.norm(step))
-        fresh_point = gain > _LEAST_GAIN
-        if fresh_point:
+        moved = gain > _LEAST_GAIN
+        if moved:
             theta, value = trial, trial_value
             history.append(value)
             top, directions = trial_peak, fresh
@@ -161,8 +156,9 @@ def certify(problem, theta, value):
     frequencies = problem.active_frequencies(theta, value, (problem.peak(theta)[1],))
     model = _Linearisation.at(problem, theta, frequencies, directions, value)
     flat = np.zeros((directions.shape[1],) * 2)
-    _, level, (which, duals, _), pull, model = _convex_step(model, flat, 1.0)
-    order, frequencies = np.argsort(model.frequencies), np.sort(model.frequencies)
+    found = _convex_step(model, flat, 1.0)
+    (which, duals, _), frequencies = found.duals, found.model.frequencies
+    order, frequencies = np.argsort(frequencies), np.sort(frequencies)
     weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))[order]
     active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
     frequencies, weights = frequencies[active], weights[active] / weights[active].sum()
@@ -172,7 +168,8 @@ def certify(problem, theta, value):
     )
     tops = [each[np.argmax(errors[each])] for each in peaks]
     weights = np.array([weights[each].sum() for each in peaks])
-    return Certificate(frequencies[tops], errors[tops], weights, float(pull), float(1.0 - level))
+    predicted = max(0.0, 1.0 - found.bound)
+    return Certificate(frequencies[tops], errors[tops], weights, found.pull, predicted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +285,7 @@ def _second_order_correction(model, trial, step, radius, cuts):
     direction, and steps would stay short (Maratos, 1978).
     """
     moved = model.corrected(trial, step)
-    return _convex_step(moved, np.zeros((len(step),) * 2), radius, cuts)[0]
+    return _convex_step(moved, np.zeros((len(step),) * 2), radius, cuts).step
 
 
 def _lagrangian_curvature(problem, theta, model, duals, directions, value):
@@ -309,15 +306,39 @@ def _next_radius(radius, gain, length):
     return max(radius, 2.5 * length) if gain > 0.75 else radius
 
 
+class _ConvexStep(NamedTuple):
+    """Where :func:`_convex_step` ended.
+
+    Attributes
+    ----------
+    step : ndarray
+        ζ.
+    level : float
+        Of the convex model there.
+    bound : float
+        Lower bound of the model's least level: that of the cones alone.
+    duals : tuple
+        Multipliers as (which frequency, left vectors, right vectors); their sum weighs E as
+        the optimality conditions do.
+    pull : float
+        Multiplier of the ball.
+    model : _Linearisation
+        With the frequencies that joined.
+    """
+
+    step: np.ndarray
+    level: float
+    bound: float
+    duals: tuple
+    pull: float
+    model: object
+
+
 def _convex_step(model, curvature, radius, known=(), max_rounds=60):
-    """Minimiser ζ of the convex model within a ball and the bounds, its value, the multipliers.
+    """Minimiser ζ of the convex model within a ball and the bounds.
 
     ``known`` are pairs of a frequency and a direction v that held the step before. Peaks
     that the step moves between the model's frequencies join them (exchange method).
-
-    The multipliers come as (which frequency, left vectors, right vectors), so that their
-    sum weighs E as the optimality conditions do, and as that of the ball; last the model
-    with the frequencies that joined.
     """
     walls = _walls(model.problem, model.theta, model.directions)
     which, cuts = _first_directions(model, known)
@@ -339,10 +360,11 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
             break
         which = np.concatenate([which, np.nonzero(violated)[0]])
         cuts = np.concatenate([cuts, adjoint[violated].conj()])
-    level = sizes[:, 0].max() + 0.5 * step @ curvature @ step
+    bend = 0.5 * step @ curvature @ step
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > _LEAST_DUAL)
     duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
-    return step, level, duals, pull, model
+    level = float(sizes[:, 0].max() + bend), float(level + bend)
+    return _ConvexStep(step, *level, duals, float(pull), model)
 
 
 def _on_bounds(problem, theta, value):

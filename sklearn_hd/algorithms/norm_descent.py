@@ -23,7 +23,6 @@ _RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lo
 _CLOSE = 1.001  # bound, over the norm, where further descents begin
 _GROUND = 1e-5  # relative distance of its bound from the norm, where a descent ends
 _ABOVE = 1e-4  # of another's end, from where nothing lower is found any more
-_NEAR = 0.01  # first region of the convex steps from there
 _VALLEY = 0.1  # distance of responses, relative to the error, within one valley
 _CREEP = 1e-4  # of the norm that a round of steps must earn in a large structure
 _SCREENING = 20  # convex steps of a round
@@ -126,7 +125,5 @@ def _to_the_ground(problem, theta, first, n_steps, tol, told, lowest=np.inf):
     descent = smooth_descent(problem, theta, first=first, gap=_GROUND, max_iter=_DEEP * n_steps)
     if descent.value > (1.0 + _ABOVE) * lowest:
         return MinimaxResult(descent.theta, descent.value, np.inf, False, descent.history, 0)
-    run = minimise_peak(
-        problem, descent.theta, radius=_NEAR, max_iter=n_steps, tol=tol, report=told
-    )
+    run = minimise_peak(problem, descent.theta, max_iter=n_steps, tol=tol, report=told)
     return replace(run, history=descent.history + run.history[1:])

@@ -1,0 +1,77 @@
+"""Ways into the valleys of the H∞ norm, and which of them go on to the ground."""
+
+import numpy as np
+import pytest
+
+from sklearn_hd.algorithms.least_squares import GridFit
+from sklearn_hd.algorithms.matching_problem import MatchingProblem
+from sklearn_hd.algorithms.norm_descent import _runs, _to_the_ground, least_norm
+from sklearn_hd.algorithms.smooth_peak import SmoothDescent
+from sklearn_hd.structures import MatrixStructure
+
+NAN = np.nan
+A = np.array([[-1.0, 5.0, 0.0], [-5.0, -1.0, 1.0], [0.0, 0.3, -2.0]])
+START = np.array([-1.0, 5.0, 0.5, 0.5, 0.5, 0.5])
+LAG = MatrixStructure([["a"]], [["b"]], [[1.0]]).affine
+
+
+def two_state_problem():
+    """Three states to be matched by two."""
+    random = np.random.default_rng(3)
+    B, C = random.standard_normal((3, 2)), random.standard_normal((2, 3))
+    structure = MatrixStructure([["a", "w"], ["-w", "a"]], np.full((2, 2), NAN)).affine
+    return MatchingProblem.build(A, B, C, np.zeros((2, 2)), structure)
+
+
+def fit_at(theta):
+    return GridFit(np.asarray(theta, dtype=float), 1.0, 0.0, (1.0,))
+
+
+def descent_at(problem, theta):
+    return SmoothDescent(theta, (problem.peak(theta)[0],), 1.001)
+
+
+def test_runs_stop_at_one_a_valley_that_has_converged():
+    problem = two_state_problem()
+    _, run = least_norm(problem, [fit_at(START)], 100, 1e-8)
+    assert run.converged
+    points = {4: run.theta, 1: run.theta * (1 + 1e-7)}
+    starts = {k: descent_at(problem, theta) for k, theta in points.items()}
+    runs = _runs(problem, starts, 20, 1e-8, None)
+    assert list(runs) == [4]
+    assert runs[4].converged
+    assert runs[4].value == pytest.approx(run.value, rel=1e-7)
+    starts = {4: descent_at(problem, START), 1: descent_at(problem, START)}
+    runs = _runs(problem, starts, 0, 1e-8, None)
+    assert list(runs) == [4, 1]  # where none has converged there is more to find
+    assert not runs[4].converged
+
+
+def test_a_ground_above_another_is_left():
+    problem = two_state_problem()
+    run = _to_the_ground(problem, START, 3.0, 20, 1e-8, None)
+    assert run.converged
+    left = _to_the_ground(problem, START, 3.0, 20, 1e-8, None, lowest=0.5 * run.value)
+    assert not left.converged
+    assert left.n_iter == 0
+    assert left.value == pytest.approx(run.value, rel=1e-3)
+
+
+def test_the_history_is_that_of_the_whole_way_down():
+    problem = two_state_problem()
+    start, run = least_norm(problem, [fit_at(START)], 100, 1e-8)
+    assert start.theta is not None
+    assert run.history[0] == problem.peak(START)[0]
+    assert run.history[-1] == run.value == problem.peak(run.theta)[0]
+    assert np.all(np.diff(run.history) < 0)
+
+
+def test_faster_poles_than_the_limit_count_as_unstable():
+    problem = MatchingProblem.build([[-1.0]], [[1.0]], [[1.0]], [[0.0]], LAG)
+    limited = problem.limited(np.array([-20.0, 1.0]), 10.0)
+    assert limited.speed_limit == pytest.approx(200.0)
+    assert limited.abscissa(np.array([-199.0, 1.0])) == problem.abscissa(np.array([-199.0, 1.0]))
+    assert limited.abscissa(np.array([-201.0, 1.0])) == np.inf
+    assert limited.peak(np.array([-201.0, 1.0]))[0] == np.inf
+    slow = problem.limited(np.array([-1e-3, 1.0]), 10.0)
+    assert slow.speed_limit == pytest.approx(10.0)  # of the model's own pole
