@@ -68,10 +68,10 @@ def test_the_history_is_that_of_the_whole_way_down():
 
 def test_faster_poles_than_the_limit_count_as_unstable():
     problem = MatchingProblem.build([[-1.0]], [[1.0]], [[1.0]], [[0.0]], LAG)
-    limited = problem.limited(np.array([-20.0, 1.0]), 10.0)
-    assert limited.speed_limit == pytest.approx(200.0)
+    limited = problem.limited(np.array([-2.0, 1.0]), 200.0)
+    assert limited.speed_limit == pytest.approx(200.0)  # of the model's own pole
     assert limited.abscissa(np.array([-199.0, 1.0])) == problem.abscissa(np.array([-199.0, 1.0]))
     assert limited.abscissa(np.array([-201.0, 1.0])) == np.inf
     assert limited.peak(np.array([-201.0, 1.0]))[0] == np.inf
-    slow = problem.limited(np.array([-1e-3, 1.0]), 10.0)
-    assert slow.speed_limit == pytest.approx(10.0)  # of the model's own pole
+    again = limited.limited(np.array([-199.0, 1.0]), 200.0)
+    assert again.speed_limit == pytest.approx(1990.0)  # a fast pole to begin with raises it

@@ -196,10 +196,24 @@ def test_feedthrough_that_decides_the_error_is_named(record):
     with warnings.catch_warnings():
         # the best parameters lie at infinity: how far the search gets hangs on rounding
         warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.filterwarnings("ignore", message="the match has a pole of")
         with pytest.warns(IdentifiabilityWarning, match="entries of D that are fixed leave"):
             match(model, (u, y), tol=1e-6)
     with pytest.raises(ValueError, match="the H2 norm is infinite: the model's D = "):
         match(model, (u, y), criterion="h2")
+
+
+def test_a_pole_on_its_way_to_infinity_is_named_and_has_a_limit(record):
+    u, y = record
+    y = y + 5.0 * u.to_numpy()
+    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(u, y))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.filterwarnings("ignore", message="the feedthrough of the model")
+        with pytest.warns(IdentifiabilityWarning, match="times the fastest of the model: the best"):
+            matcher = match(model, (u, y), tol=1e-6)
+    fastest, speed = (np.abs(linalg.eigvals(each)).max() for each in (A, matcher.system_.A))
+    assert 1e4 * fastest < speed < 1.001e8 * fastest
 
 
 def test_a_search_cut_short_says_by_how_much(identified, record):

@@ -1,5 +1,7 @@
 """What a match is warned of: parameters not determined, searches cut short, poor fits."""
 
+import numpy as np
+from scipy.linalg import eigvals
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._warn import warn
@@ -8,6 +10,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 MOST_SYSTEMATIC = 0.01  # share of the variance left in a rest that is not white
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
+RUNAWAY = 1e4  # speed of a pole, relative to the model's fastest, that is a feedthrough's
 FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
 
 
@@ -39,8 +42,9 @@ def warn_realized(found):
         )
 
 
-def warn_matched(result, settings, n_found, n_wanted):
-    """Of a match in a norm between models of some orders."""
+def warn_matched(result, settings, poles, n_wanted):
+    """Of a match in a norm of a structure of some order to a model with some poles."""
+    n_found = len(poles)
     if n_found != n_wanted and result.relative_error > POOR_MATCH:
         _warn(
             f"the model has {n_found} states, the structure {n_wanted}, and the match leaves a "
@@ -53,6 +57,13 @@ def warn_matched(result, settings, n_found, n_wanted):
             f"fixed leave {result.feedthrough_floor / result.hinf_error:.0%} of the error, at "
             f"infinite frequency, whatever the parameters; free them, or weigh high frequencies "
             f"less (output_weights)"
+        )
+    fastest, speed = (np.abs(each).max(initial=0.0) for each in (poles, eigvals(result.A)))
+    if speed > RUNAWAY * fastest > 0 and not result.exact:
+        _warn(
+            f"the match has a pole of {speed:.2g} rad/s, {speed / fastest:.1g} times the fastest "
+            f"of the model: the best one lies at infinity, where that pole is a feedthrough; free "
+            f"entries of D, or give bounds to the parameters that grew"
         )
     if result.unidentified:
         _warn(

@@ -73,7 +73,6 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
     -------
     fit : GridFit
     """
-    problem = problem.limited(theta, _RUNAWAY)
     residual, jacobian = problem.residual_and_jacobian(theta, shift)
     cost, damping, growth = residual @ residual, 1e-3, 2.0
     costs = [cost]
@@ -158,6 +157,7 @@ def fit_from_the_right(problem, theta, max_iter=100):
 
 def fit_from(problem, start, max_iter):
     """Least-squares match from a :class:`Start`, or None if no stable model is reached."""
+    problem = problem.limited(start.theta, _RUNAWAY)
     if start.near and problem.abscissa(start.theta) < 0:
         return levenberg_marquardt(problem, start.theta, max_iter=max_iter)
     return fit_from_the_right(problem, start.theta, max_iter)

@@ -231,7 +231,8 @@ def match_structure(
     found = _Found.by_least_squares(start, False, tol)
     end = run.theta, run.predicted_decrease, run.converged, run.history
     found = found.further("minimax", *end)
-    last = levenberg_marquardt(problem, found.theta, max_iter=max_iter)
+    near = problem.limited(found.theta, 1.0)
+    last = levenberg_marquardt(near, found.theta, max_iter=max_iter)
     if last.residual < fit.residual:  # the minimax steps have left a poor valley
         fit, exact = exact_match(problem, last, exact_tol)
         found = _Found.by_least_squares(fit, exact, tol) if exact else found

@@ -29,6 +29,7 @@ _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel
 _NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
+_OWN = 10.0  # times the fastest pole of G_s to begin with
 _ROUNDING = 1e-13  # of a pole, relative to the largest
 _RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
 # structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
@@ -155,13 +156,14 @@ class MatchingProblem:
         return np.abs(np.concatenate(poles)).max(initial=0.0) or 1.0
 
     def limited(self, theta, factor):
-        """The same with a limit to poles, relative to the fastest of G_c, W_o, W_i and G_s(θ).
+        """The same with a limit to poles: so many times the fastest of G_c, W_o and W_i.
 
         Where the best match has a feedthrough that D_s excludes, a pole runs to infinity, and
-        rounding in it would hide the stability of the others.
+        rounding in it would hide the stability of the others. Fast poles of G_s(θ) raise
+        the limit.
         """
-        speed = np.abs(self.structure.poles(theta)).max(initial=self.fastest)
-        return replace(self, speed_limit=factor * speed)
+        own = np.abs(self.structure.poles(theta)).max(initial=0.0)
+        return replace(self, speed_limit=max(factor * self.fastest, _OWN * own))
 
     def inside(self, theta):
         """The parameters nearest to θ within the bounds."""
