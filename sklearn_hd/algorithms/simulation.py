@@ -129,7 +129,7 @@ def simulate(A, B, C, D, inputs, x0):
         if T < 2:
             return propagate(A, inputs @ B.T, x0) @ C.T + inputs @ D.T
         y_unit, u_unit = _units(C, axis=1), _units(B, axis=0)
-        drive, B, C = inputs * u_unit, B / u_unit, C / y_unit[:, None]
+        B, C = B / u_unit, C / y_unit[:, None]
         seen, reached = np.empty((T, n_outputs, n)), np.empty((T, n, m))
         last, ahead = C, B
         for k in range(T):
@@ -140,7 +140,7 @@ def simulate(A, B, C, D, inputs, x0):
         for k in range(T - 1):
             within[k, :, k + 1 :] = pulses[:, : T - 1 - k]
         whole = len(inputs) // T * T
-        u = drive[:whole].reshape(-1, T * m)
+        u, rest = inputs[:whole].reshape(-1, T * m) * np.tile(u_unit, T), inputs[whole:] * u_unit
         forcing = u @ reached.transpose(0, 2, 1).reshape(T * m, n)
         forcing = np.concatenate([forcing, np.zeros((1, n))])
         states = propagate(np.linalg.matrix_power(A, T), forcing, x0)
@@ -148,8 +148,8 @@ def simulate(A, B, C, D, inputs, x0):
         blocks = outputs[:whole].reshape(len(u), T * n_outputs)
         np.matmul(u, within.reshape(T * m, -1), out=blocks)
         blocks += states[:-1] @ seen.reshape(-1, n).T
-        outputs[whole:] = propagate(A, drive[whole:] @ B.T, states[-1]) @ C.T
-        outputs *= y_unit
+        blocks *= np.tile(y_unit, T)
+        outputs[whole:] = propagate(A, rest @ B.T, states[-1]) @ C.T * y_unit
         outputs += inputs @ D.T
     return outputs
 
