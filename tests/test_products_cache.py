@@ -266,6 +266,13 @@ def test_a_search_without_noise_keeps_exact_products(tmp_path, rng, counted):
     assert counted == [64, 64]  # in double, which does not do, and exactly
 
 
+def test_outputs_alone_are_kept_as_well(tmp_path, data):
+    y = data[1]
+    for _ in range(2):
+        kept = MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(None, y)
+        same_model(kept, MOESPRegressor(3, block_rows=6).fit(None, y))
+
+
 def test_a_folder_that_may_not_be_written_is_named(tmp_path, data, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)  # root may write anywhere
     with pytest.raises(ValueError, match=r"cannot be written; give a folder that can"):

@@ -68,7 +68,7 @@ class KeptSums:
     def input_matrices(self, A, C, inputs, outputs, feedthrough, scales):
         """:func:`~sklearn_hd.algorithms.input_matrices.input_matrices`."""
         found = None
-        if self.memory is not None:
+        if self.memory is not None and inputs[0].shape[1] > 0:
             records = list(zip(inputs, outputs, strict=True))
 
             def load():
