@@ -31,21 +31,6 @@ def within_range(call):
     return checked
 
 
-def mean_r2(truth, simulated, weight=None):
-    """scikit-learn's ``r2_score``, without its checks, which take several times as long.
-
-    An output that does not move scores 1 where it is met exactly, else 0.
-    """
-
-    def total(squares):
-        return squares.sum(axis=0) if weight is None else weight @ squares
-
-    left = total((truth - simulated) ** 2)
-    spread = total((truth - np.average(truth, axis=0, weights=weight)) ** 2)
-    scores = 1.0 - left / np.where(spread > 0.0, spread, 1.0)
-    return float(np.mean(np.where(spread > 0.0, scores, left == 0.0)))
-
-
 def square_sums(signal):
     """Sum of squares of each column, infinite or NaN where it holds such values.
 

@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import extremes, mean_r2, within_range
+from sklearn_hd._arithmetic import extremes, within_range
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._records.data import (
     as_frame,
@@ -329,7 +330,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 f"overflows: the model is unstable, or not of these outputs; drop its "
                 f"growing modes (SpuriousModeReducer), lower the order, or score a shorter span"
             )
-        return mean_r2(*columns, weight)
+        return float(r2_score(*columns, sample_weight=weight))
 
     def _fitted_simulation(self, X, y, horizon=None):
         """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""

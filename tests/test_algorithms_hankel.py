@@ -180,7 +180,7 @@ def test_blocks_lose_no_more_than_one_factorisation(hard):
     """Merged below the rows so far, not above them, they lost two to six times as much."""
     A, u, y = hard
     ratios = []
-    for start in range(0, 20_000, 4000):
+    for start in range(0, 16_000, 1000):  # they scatter: quartiles of 0.6 and 2
         rows = slice(start, start + 4000)
         Z = hankel._columns(u[rows], y[rows], BLOCK_ROWS, 0, 4000 - 2 * BLOCK_ROWS + 1)
         blocked = hankel._orthogonal_factor([(u[rows], y[rows])], BLOCK_ROWS)

@@ -256,3 +256,16 @@ def test_coordinates_are_output_normal_for_more_outputs_than_states_and_fewer(rn
     np.testing.assert_allclose(model.A.T @ model.A + model.C.T @ model.C, np.eye(n), atol=1e-14)
     np.testing.assert_allclose(model.A @ model.T, model.T @ A, atol=1e-12 * linalg.norm(model.T))
     np.testing.assert_allclose(model.C @ model.T, C, atol=1e-12 * linalg.norm(C))
+
+
+@pytest.mark.parametrize("radius", [0.9, 1.0, 1.3])
+@pytest.mark.parametrize("n_inputs", [0, 2])
+def test_records_without_rows_say_nothing(rng, radius, n_inputs):
+    A, C = radius * np.eye(2), rng.standard_normal((1, 2))
+    inputs = [rng.standard_normal((n, n_inputs)) for n in (80, 0, 33)]
+    outputs = [rng.standard_normal((len(u), 1)) for u in inputs]
+    B, D, x0 = input_matrices(A, C, inputs, outputs, True)
+    expected = input_matrices(A, C, inputs[::2], outputs[::2], True)
+    for found, each in zip((B, D, x0[::2]), expected, strict=True):
+        np.testing.assert_allclose(found, each, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(x0[1], 0.0)

@@ -72,6 +72,19 @@ def test_units_scale_outputs_alone(rng, u_unit, y_unit):
     np.testing.assert_allclose(found / y_unit, simulate(A, B, C, D, u, x0), atol=1e-13)
 
 
+def test_each_input_and_output_may_have_units_of_its_own(rng):
+    """An input in 1e100 beside one in 1e-100 loses no digits, nor does a model of D alone."""
+    A = 0.9 * linalg.orth(rng.standard_normal((3, 3)))
+    B, C, D = rng.standard_normal((3, 3)), rng.standard_normal((3, 3)), rng.standard_normal((3, 3))
+    B[:, 2], C[2] = 0.0, 0.0
+    u, x0 = rng.standard_normal((600, 3)), rng.standard_normal(3)
+    units, y_units = np.array([1e100, 1e-100, 1e-120]), np.array([1e-110, 1e100, 1e120])
+    found = simulate(
+        A, B / units, C * y_units[:, None], D / units * y_units[:, None], u * units, x0
+    )
+    np.testing.assert_allclose(found / y_units, simulate(A, B, C, D, u, x0), atol=1e-13)
+
+
 def test_unstable_outputs_end_in_no_numbers():
     one = np.ones((1, 1))
     outputs = simulate(2.0 * one, one, one, 0.0 * one, np.zeros((5000, 1)), np.ones(1))[:, 0]

@@ -32,7 +32,6 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._arithmetic import mean_r2
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.model_selection import (
     PeriodBlockSplit,
@@ -74,17 +73,6 @@ def test_r2_by_simulation_is_the_estimators_own_score(lti, ltp_records):
         assert scorer(estimator, data.inputs, data.outputs) == pipe.score(data.inputs, data.outputs)
         found = scorer(estimator, data.inputs, data.outputs, sample_weight=weight)
         assert found == pipe.score(data.inputs, data.outputs, sample_weight=weight)
-
-
-@pytest.mark.parametrize("weighed", [False, True])
-def test_mean_r2_is_scikit_learns(rng, weighed):
-    truth = rng.standard_normal((50, 4))
-    simulated = truth + 0.1 * rng.standard_normal((50, 4))
-    truth[:, 2:] = 3.0
-    simulated[:, 2] = 3.0  # met exactly; the last one is not
-    weight = rng.integers(0, 4, 50) if weighed else None  # sums of these do not round
-    found = mean_r2(truth, simulated, weight)
-    assert found == pytest.approx(r2_score(truth, simulated, sample_weight=weight), abs=1e-14)
 
 
 def test_raw_measurements_score_as_their_pipeline_does(nltp):

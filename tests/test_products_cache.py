@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import fields
 
 import joblib
 import numpy as np
@@ -11,8 +12,13 @@ from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 from sklearn_hd import MOESPRegressor
 from sklearn_hd._subspace import products_cache
 from sklearn_hd._subspace.products_cache import KeptSums
+from sklearn_hd.algorithms.double_double import Pair
+from sklearn_hd.algorithms.end_products import EndRows, EndSum
 from sklearn_hd.algorithms.hankel import hankel_factor
-from sklearn_hd.algorithms.lag_products import lag_products
+from sklearn_hd.algorithms.lag_products import LagProducts, lag_products
+from sklearn_hd.algorithms.running_products import RecordEnds, RunningSums
+
+STORED = (LagProducts, EndRows, EndSum, Pair, RunningSums, RecordEnds)
 
 
 @pytest.fixture
@@ -127,6 +133,84 @@ def test_data_that_were_changed_in_place_are_others(tmp_path, data, hashed, valu
     assert len(hashed) == 2
 
 
+@pytest.fixture
+def forgetful(monkeypatch):
+    """A process with nothing at hand, as one that has just begun."""
+
+    def begin():
+        for name in ("_RECENT", "_DATA"):
+            monkeypatch.setattr(products_cache, name, products_cache._Recent(2**20))
+
+    begin()
+    return begin
+
+
+def test_files_of_another_layout_are_not_found(tmp_path, data, counted, forgetful, monkeypatch):
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
+    for layout in (1, 1, 2, 2, 1):
+        monkeypatch.setattr(products_cache, "LAYOUT", layout)
+        forgetful()
+        model.fit(*data)
+    assert counted == [64, 64]  # the first of each
+
+
+def test_the_layout_is_the_one_that_is_numbered():
+    """Whoever changes a field raises LAYOUT."""
+    kept = {each.__name__: [f.name for f in fields(each)] for each in STORED}
+    assert (products_cache.LAYOUT, kept) == (
+        2,
+        {
+            "LagProducts": ["lags", "head", "tail", "exponents", "n_rows", "n_records", "short"],
+            "EndRows": ["rows", "exact", "n_slices"],
+            "EndSum": ["sum"],
+            "Pair": ["high", "low"],
+            "RunningSums": ["products", "lags", "squares", "ends"],
+            "RecordEnds": ["head", "tail", "n_rows"],
+        },
+    )
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda content: content[: len(content) // 2],
+        lambda content: content.replace(b"sklearn_hd", b"sklearn_hx").replace(b"numpy", b"nunpy"),
+        lambda content: b"",
+    ],
+    ids=["truncated", "other version", "empty"],
+)
+def test_files_that_cannot_be_read_are_made_anew(tmp_path, data, forgetful, caplog, spoil):
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
+    first = model.fit(*data).model_
+    stored = list(tmp_path.rglob("output.pkl"))
+    assert len(stored) == 3  # products, factor, correlations
+    for file in stored:
+        file.write_bytes(spoil(file.read_bytes()))
+    for told in (3, 0):
+        forgetful()
+        caplog.clear()
+        again = model.fit(*data).model_
+        assert caplog.text.count("Exception while loading results") == told
+        assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in "ABCD")
+
+
+def test_another_thread_may_put_its_data_in_between(forgetful):
+    """Data that differ only where they are not looked up, under one key."""
+    one = np.arange(400.0).reshape(-1, 1)
+    other = np.where(one == 201.0, 0.0, one)
+    known, digest = products_cache._known_digest, products_cache._digest
+    known([(one, one)], (one, one))
+    recent, forget = products_cache._DATA, products_cache._DATA.forget
+
+    def forget_and_be_interrupted(key):
+        forget(key)
+        recent.forget = forget
+        known([(one, one)], (one, one))
+
+    recent.forget = forget_and_be_interrupted
+    assert known([(other, other)], (other, other)) == digest([(other, other)])
+
+
 def test_what_is_at_hand_is_not_read_again(tmp_path, data, counted):
     model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
     first = model.fit(*data).model_
@@ -180,6 +264,13 @@ def test_a_search_without_noise_keeps_exact_products(tmp_path, rng, counted):
     for order in (1, 2):
         MOESPRegressor(order, block_rows=4, memory=str(tmp_path)).fit(u, y)
     assert counted == [64, 64]  # in double, which does not do, and exactly
+
+
+def test_outputs_alone_are_kept_as_well(tmp_path, data):
+    y = data[1]
+    for _ in range(2):
+        kept = MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(None, y)
+        same_model(kept, MOESPRegressor(3, block_rows=6).fit(None, y))
 
 
 def test_a_folder_that_may_not_be_written_is_named(tmp_path, data, monkeypatch):

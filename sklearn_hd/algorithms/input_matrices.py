@@ -37,7 +37,7 @@ from scipy import linalg
 from scipy.signal import fftconvolve
 
 from sklearn_hd.algorithms.block_responses import best_block, compressed_equations
-from sklearn_hd.algorithms.response_basis import response_basis
+from sklearn_hd.algorithms.response_basis import response_basis, split
 from sklearn_hd.algorithms.response_products import output_normal, products_factor
 from sklearn_hd.algorithms.short_pieces import equations_of_pieces, is_short
 from sklearn_hd.algorithms.simulation import propagate
@@ -53,7 +53,6 @@ __all__ = [
     "pieces_of",
     "response_regressors",
     "solve_shared",
-    "split",
     "without_start",
 ]
 
@@ -100,7 +99,7 @@ def response_regressors(A, C, u, feedthrough):
     blocks = [_forced_responses(A, C, u, free)]
     if feedthrough:
         direct = np.einsum("ab,tk->tbak", np.eye(n_outputs), u)
-        blocks.append(direct.reshape(len(u), n_outputs, -1))
+        blocks.append(direct.reshape(len(u), n_outputs, n_outputs * u.shape[1]))
     return free, np.concatenate(blocks, axis=-1)
 
 
@@ -253,12 +252,6 @@ def solve_shared(shared):
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
     return linalg.lstsq(regressors / scale, target, lapack_driver="gelsy")[0] / scale
-
-
-def split(theta, n, m, n_outputs):
-    """B and D of their entries; a D that was not asked for is zero."""
-    D = theta[n * m :].reshape(-1, m) if len(theta) > n * m else np.zeros((n_outputs, m))
-    return theta[: n * m].reshape(n, m), D
 
 
 class RecordFactors:

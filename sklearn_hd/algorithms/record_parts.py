@@ -27,9 +27,9 @@ from sklearn_hd.algorithms.input_matrices import (
     carry,
     pieces_of,
     solve_shared,
-    split,
     without_start,
 )
+from sklearn_hd.algorithms.response_basis import split
 from sklearn_hd.algorithms.triangular import triangle
 
 __all__ = ["InputEquations", "RecordPart", "cuts", "input_equations", "record_part"]

@@ -18,7 +18,7 @@ import numpy as np
 import slycot
 from scipy import linalg
 
-__all__ = ["ResponseBasis", "pulses", "response_basis", "run"]
+__all__ = ["ResponseBasis", "pulses", "response_basis", "run", "split"]
 
 STEPS = 16  # of the recursion
 FEW_STRETCHES = 256  # of steps, whose starts go by doubling
@@ -122,6 +122,12 @@ def pulses(F, g, count):
         found = np.concatenate([found, found @ step.T])
         step = step @ step
     return found[:count]
+
+
+def split(theta, n, m, n_outputs):
+    """B and D of their entries; a D that was not asked for is zero."""
+    D = theta[n * m :].reshape(-1, m) if len(theta) > n * m else np.zeros((n_outputs, m))
+    return theta[: n * m].reshape(n, m), D
 
 
 def run(F, x, state, steps=STEPS):

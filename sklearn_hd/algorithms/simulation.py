@@ -128,20 +128,19 @@ def simulate(A, B, C, D, inputs, x0):
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         if T < 2:
             return propagate(A, inputs @ B.T, x0) @ C.T + inputs @ D.T
-        C, y_unit = _in_units(C)
-        _, u_unit = _in_units(np.vstack([B, D / y_unit]))
-        inputs, B, D = inputs * u_unit, B / u_unit, D / y_unit / u_unit
+        y_unit, u_unit = _units(C, axis=1), _units(B, axis=0)
+        B, C = B / u_unit, C / y_unit[:, None]
         seen, reached = np.empty((T, n_outputs, n)), np.empty((T, n, m))
         last, ahead = C, B
         for k in range(T):
             seen[k], reached[T - 1 - k] = last, ahead
             last, ahead = last @ A, A @ ahead
-        pulses = np.concatenate([D[None], seen[:-1] @ B])  # outputs of a pulse, k samples later
+        pulses = (seen[:-1] @ B).transpose(2, 0, 1)  # outputs of a pulse, k + 1 samples later
         within = np.zeros((T, m, T, n_outputs))
-        for k in range(T):
-            within[k, :, k:] = pulses[: T - k].transpose(2, 0, 1)
+        for k in range(T - 1):
+            within[k, :, k + 1 :] = pulses[:, : T - 1 - k]
         whole = len(inputs) // T * T
-        u = inputs[:whole].reshape(-1, T * m)
+        u, rest = inputs[:whole].reshape(-1, T * m) * np.tile(u_unit, T), inputs[whole:] * u_unit
         forcing = u @ reached.transpose(0, 2, 1).reshape(T * m, n)
         forcing = np.concatenate([forcing, np.zeros((1, n))])
         states = propagate(np.linalg.matrix_power(A, T), forcing, x0)
@@ -149,17 +148,16 @@ def simulate(A, B, C, D, inputs, x0):
         blocks = outputs[:whole].reshape(len(u), T * n_outputs)
         np.matmul(u, within.reshape(T * m, -1), out=blocks)
         blocks += states[:-1] @ seen.reshape(-1, n).T
-        rest = inputs[whole:]
-        left = propagate(A, rest @ B.T, states[-1])
-        outputs[whole:] = left @ C.T + rest @ D.T
-        outputs *= y_unit
+        blocks *= np.tile(y_unit, T)
+        outputs[whole:] = propagate(A, rest @ B.T, states[-1]) @ C.T * y_unit
+        outputs += inputs @ D.T
     return outputs
 
 
-def _in_units(matrix):
-    """A matrix beside about its largest entry, as a power of two, so that products are numbers."""
-    _, exponent = np.frexp(np.max(np.abs(matrix), initial=0.0))
-    return np.ldexp(matrix, -exponent), np.ldexp(1.0, exponent)
+def _units(matrix, axis):
+    """About the largest entry of each row or column, as a power of two; one where all are zero."""
+    _, exponent = np.frexp(np.max(np.abs(matrix), axis=axis))
+    return np.ldexp(1.0, exponent)
 
 
 def _outputs_block(n_states, n_inputs, n_outputs, n_samples):

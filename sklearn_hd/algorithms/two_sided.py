@@ -25,7 +25,7 @@ import numpy as np
 from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
-from sklearn_hd.algorithms.response_basis import pulses, run
+from sklearn_hd.algorithms.response_basis import pulses, run, split
 from sklearn_hd.algorithms.triangular import safe_cholesky, triangle
 
 __all__ = ["TwoSidedFactor", "products_of_pieces", "whole_block"]
@@ -101,7 +101,8 @@ def products_of_pieces(basis, C, pieces, n_inputs, feedthrough):
         return None
     turned, rest = _solved(own, G)
     if not rest > LEAST_NOISE**2 * squares:
-        B, D = _entries(linalg.solve_triangular(own, turned), C, n_inputs)
+        theta = linalg.solve_triangular(own, turned)
+        B, D = split(theta, C.shape[1], n_inputs, len(C))
         left = (responses.left(some, B, D) for some in pieces())
         G, *_ = _summed(responses, left, n_inputs, feedthrough)
         change, rest = _solved(own, G)
@@ -131,13 +132,6 @@ def _solved(own, G):
     """The outputs' column of the factor, and the sum of squares left."""
     turned = linalg.solve_triangular(own, G[:-1, -1], trans=1)
     return turned, G[-1, -1] - turned @ turned
-
-
-def _entries(theta, C, m):
-    """B and D of their entries."""
-    n_outputs, n = C.shape
-    D = theta[n * m :].reshape(-1, m) if len(theta) > n * m else np.zeros((n_outputs, m))
-    return theta[: n * m].reshape(n, m), D
 
 
 class _Responses:
