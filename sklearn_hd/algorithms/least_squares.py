@@ -143,6 +143,7 @@ def fit_from_the_right(problem, theta, max_iter=100):
     one output, from starts 50 % off: 98-100 % end at the exact match this way, about 35 %
     when the search begins on the axis. None if no stable model is reached.
     """
+    problem = problem.limited(theta, _RUNAWAY)  # once: from line to line it would grow
     history, fastest = (), problem.fastest
     shift = max(fastest, 2.0 * problem.abscissa(theta))
     for _ in range(_LINES):
