@@ -157,8 +157,8 @@ class MatchingProblem:
     def limited(self, theta, factor):
         """The same with a limit to poles, relative to the fastest of G_c, W_o, W_i and G_s(θ).
 
-        A tighter one stays. Where the best match has a feedthrough that D_s excludes, a pole runs to infinity, and
-        rounding in it would hide the stability of the others.
+        A tighter one stays. Where the best match has a feedthrough that D_s excludes, a pole runs
+        to infinity, and rounding in it would hide the stability of the others.
         """
         speed = np.abs(self.structure.poles(theta)).max(initial=self.fastest)
         return replace(self, speed_limit=min(self.speed_limit, factor * speed))
