@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.least_squares import GridFit
+from sklearn_hd.algorithms.least_squares import GridFit, Start, fit_from
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.norm_descent import _runs, _to_the_ground, least_norm
 from sklearn_hd.algorithms.smooth_peak import SmoothDescent
@@ -75,3 +75,18 @@ def test_faster_poles_than_the_limit_count_as_unstable():
     assert limited.peak(np.array([-201.0, 1.0]))[0] == np.inf
     again = limited.limited(np.array([-199.0, 1.0]), 200.0)
     assert again.speed_limit == pytest.approx(1990.0)  # a fast pole to begin with raises it
+
+
+def test_poles_of_least_squares_stay_below_one_limit_from_line_to_line():
+    cells = np.diag(["a", "c", "e"]).astype(object)
+    cells[cells == ""] = 0.0
+    structure = MatrixStructure(cells, [["b"], ["d"], ["f"]], np.ones((1, 3))).affine
+    random = np.random.default_rng(923)
+    A = random.standard_normal((3, 3))
+    A -= (np.linalg.eigvals(A).real.max() + random.uniform(0.1, 0.5)) * np.eye(3)
+    B, C, D = (random.standard_normal(shape) for shape in ((3, 1), (1, 3), (1, 1)))
+    problem = MatchingProblem.build(A, B, C, D, structure)
+    start = np.append(-random.uniform(0.3, 3.0, 3), random.standard_normal(3))
+    fit = fit_from(problem, Start(start, near=False), 100)
+    fastest = [np.abs(structure.poles(theta)).max() for theta in (start, fit.theta)]
+    assert 1e4 * fastest[0] < fastest[1] <= 1e6 * max(fastest[0], problem.fastest)

@@ -187,3 +187,12 @@ def test_a_descent_goes_on_where_another_was_cut_short():
     rest = smooth_descent(problem, short.theta, first=short.ratio, gap=1e-6)
     assert rest.history[0] == short.value
     assert rest.value == pytest.approx(whole.value, rel=1e-5)
+
+
+def test_a_start_beyond_the_speed_limit_is_where_the_descent_ends(monkeypatch):
+    problem = problem_of()
+    limited, fast = problem.limited(START, 10.0), START * [1e6, 1, 1, 1, 1, 1]
+    monkeypatch.setattr(MatchingProblem, "sampling", None)  # has no frequency to begin with
+    descent = smooth_descent(limited, fast)
+    assert descent.value == np.inf
+    np.testing.assert_array_equal(descent.theta, fast)

@@ -157,7 +157,7 @@ def fit_from_the_right(problem, theta, max_iter=100):
 
 def fit_from(problem, start, max_iter):
     """Least-squares match from a :class:`Start`, or None if no stable model is reached."""
-    problem = problem.limited(start.theta, _RUNAWAY)
+    problem = problem.limited(start.theta, _RUNAWAY)  # once: from line to line it would grow
     if start.near and problem.abscissa(start.theta) < 0:
         return levenberg_marquardt(problem, start.theta, max_iter=max_iter)
     return fit_from_the_right(problem, start.theta, max_iter)

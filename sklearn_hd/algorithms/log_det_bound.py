@@ -5,8 +5,9 @@
 t lies above every σ_max(E_i), by less and less as μ falls: f_μ goes from the logarithm of
 the root of Σ |E_i|² (μ → ∞) to that of the largest singular value (μ → 0).
 
-With E = U Σ Vᴴ, x = σ / t, D = Uᴴ (∂E/∂ζ) V / t, a = 1 / (1 − x²), b = x a and E linear in
-ζ, the sum B has, at the t for which μ Σ 2 x b = 1,
+With E = U Σ Vᴴ, x = σ / t, D = Uᴴ (∂E/∂ζ) V / t, a = 1 / (1 − x²) (1 in rows and columns
+without σ), b = x a and E linear in ζ, the sum B = −Σ_i log det has, at the t for which
+μ Σ 2 x b = 1,
 
     ∂B/∂ζ_k = 2 Σ_j b_j Re D_jj,k,      ∂²B/∂ζ_k∂log t = −4 Σ_j a_j b_j Re D_jj,k
     ∂²B/∂ζ_k∂ζ_m = 2 Σ_ij a_i a_j Re(D̄_ij,k D_ij,m) + b_i b_j Re(D_ij,k D_ji,m)

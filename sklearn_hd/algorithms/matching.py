@@ -163,8 +163,9 @@ def match_structure(
     n_jobs : int, optional
         Starts tried at once, in processes of their own; the result is the same.
     max_iter : int
-        Largest number of iterations of each stage; the descent through smooth bounds of
-        the H∞ norm has half as many again.
+        Largest number of iterations of each stage. In the H∞ norm these are convex steps;
+        the smooth descents before them have 0.6 times as many Newton steps, and those that
+        go on to the ground twenty for each convex step to come.
     tol : float
         Relative decrease of the criterion promised at first order, at which to stop.
     exact_tol : float

@@ -9,11 +9,10 @@ part and linearises the smooth one,
     min_{t, ζ} t   subject to   σ_max(E_i + Σ_k ζ_k ∂E_i/∂ζ_k) ≤ t for active ω_i,  |ζ| ≤ Δ
 
 with θ = θ₀ + M ζ, M making the response's sensitivity orthonormal, but for parameters on
-their way to infinity. A spectral norm is
-held below t by second-order cones |(E_i + …) v| ≤ t, where the directions v are right
-singular vectors. Few frequencies and directions begin; those that are violated join,
-frequencies to which the step moves a peak among them, until none is. A step is accepted
-by the exact norm and by the stability of G_s.
+their way to infinity. A spectral norm is held below t by second-order cones
+|(E_i + …) v| ≤ t, where the directions v are right singular vectors. Few frequencies and
+directions begin; those that are violated join, frequencies to which the step moves a peak
+among them, until none is. A step is accepted by the exact norm and by the stability of G_s.
 
 At a minimum zero lies in the convex hull of the gradients of the active peaks. The
 multipliers of the cones are the weights of that hull, and the ball's multiplier is its
@@ -313,10 +312,8 @@ class _ConvexStep(NamedTuple):
     ----------
     step : ndarray
         ζ.
-    level : float
-        Of the convex model there.
     bound : float
-        Lower bound of the model's least level: that of the cones alone.
+        Lower bound of the convex model's least level: that of the cones alone.
     duals : tuple
         Multipliers as (which frequency, left vectors, right vectors); their sum weighs E as
         the optimality conditions do.
@@ -327,7 +324,6 @@ class _ConvexStep(NamedTuple):
     """
 
     step: np.ndarray
-    level: float
     bound: float
     duals: tuple
     pull: float
@@ -360,11 +356,10 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
             break
         which = np.concatenate([which, np.nonzero(violated)[0]])
         cuts = np.concatenate([cuts, adjoint[violated].conj()])
-    bend = 0.5 * step @ curvature @ step
+    bound = float(level + 0.5 * step @ curvature @ step)
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > _LEAST_DUAL)
     duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
-    level = float(sizes[:, 0].max() + bend), float(level + bend)
-    return _ConvexStep(step, *level, duals, float(pull), model)
+    return _ConvexStep(step, bound, duals, float(pull), model)
 
 
 def _on_bounds(problem, theta, value):

@@ -60,7 +60,7 @@ def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
     ----------
     problem : MatchingProblem
     theta : ndarray, shape (k,)
-        Stable.
+        Returned as it is where G_s is unstable or the error zero.
     first : float
         t over the norm where the descent begins; which valley it ends in depends on it.
     gap : float
@@ -78,8 +78,10 @@ def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
     """
     value, peak = problem.peak(theta)
     best, history = theta, [value]
+    if not 0 < value < np.inf:
+        return SmoothDescent(best, tuple(history), first)
     point = _Point(problem, problem.curved_steps(theta), theta, problem.sampling(theta, [peak]))
-    if value == 0 or point.n_directions == 0:
+    if point.n_directions == 0:
         return SmoothDescent(best, tuple(history), first)
     mu, radius, n_left = point.bound.weight_for(first), 1.0, max_iter
     while True:
