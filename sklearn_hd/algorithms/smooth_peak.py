@@ -118,10 +118,9 @@ def _round(point, mu, radius, max_steps):
             radius = max(radius, 2.0 * length)
         if gain > _LEAST_GAIN:
             after = point.at(trial).completed(mu)
-            if after.n_directions < point.n_directions:  # parameters on their way to infinity
-                radius = 0.3 * length
-            else:
-                point = after
+            if after.n_directions == 0:
+                break
+            point = after
     return point, radius, n_steps
 
 
@@ -153,9 +152,10 @@ def _followed(point, mu, lower):
 
     step = solve((lower - mu) * slopes.drift)
     theta, value = _corrected(point, slopes, lower, step, solve, -np.inf)
-    if value < point.bound.value(lower):
-        return point.at(theta), float(np.linalg.norm(step))
-    return point, 0.0
+    after = point.at(theta) if value < point.bound.value(lower) else point
+    if after is point or after.n_directions == 0:
+        return point, 0.0
+    return after, float(np.linalg.norm(step))
 
 
 def _region_step(gradient, hessian, radius):
