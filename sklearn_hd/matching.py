@@ -328,7 +328,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
             search={name: getattr(self, name) for name in SEARCH},
         )
         result = settings.match(model, affine, initial, bounds, report)
-        warn_matched(result, settings, np.linalg.eigvals(model.A), affine.n_states)
+        warn_matched(result, settings, np.linalg.eigvals(model.A), affine)
         return result
 
     # ---- periodic structures -----------------------------------------------------------------

@@ -44,6 +44,15 @@ def identified(record):
     return FrozenEstimator(MOESPRegressor(order=3, block_rows=8).fit(*record))
 
 
+@pytest.fixture(scope="module")
+def fed_through(record):
+    """A model with a feedthrough, which the structure has not, and its record."""
+    u, y = record
+    y = y + 5.0 * u.to_numpy()
+    model = MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(u, y)
+    return FrozenEstimator(model), (u, y)
+
+
 def match(identified, record, structure=STRUCTURE, **options):
     matcher = StructuredMatcher(identified, structure=structure, **options)
     with warnings.catch_warnings():
@@ -189,10 +198,8 @@ def test_rounding_in_the_feedthrough_is_no_feedthrough(record):
     assert np.isfinite(match(model, record, criterion="h2").h2_error_)
 
 
-def test_feedthrough_that_decides_the_error_is_named(record):
-    u, y = record
-    y = y + 5.0 * u.to_numpy()
-    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(u, y))
+def test_feedthrough_that_decides_the_error_is_named(fed_through):
+    model, (u, y) = fed_through
     with warnings.catch_warnings():
         # the best parameters lie at infinity: how far the search gets hangs on rounding
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -203,10 +210,8 @@ def test_feedthrough_that_decides_the_error_is_named(record):
         match(model, (u, y), criterion="h2")
 
 
-def test_a_pole_on_its_way_to_infinity_is_named_and_has_a_limit(record):
-    u, y = record
-    y = y + 5.0 * u.to_numpy()
-    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(u, y))
+def test_a_pole_on_its_way_to_infinity_is_named_and_has_a_limit(fed_through):
+    model, (u, y) = fed_through
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.filterwarnings("ignore", message="the feedthrough of the model")
@@ -214,6 +219,14 @@ def test_a_pole_on_its_way_to_infinity_is_named_and_has_a_limit(record):
             matcher = match(model, (u, y), tol=1e-6)
     fastest, speed = (np.abs(linalg.eigvals(each)).max() for each in (A, matcher.system_.A))
     assert 1e4 * fastest < speed < 1.001e8 * fastest
+
+
+def test_a_fast_pole_that_is_known_is_no_runaway(identified, record):
+    A, B = CELLS
+    cells = [[*A[0], 0.0], [*A[1], 0.0], [0.0, 0.0, -1e6]], [*B, [1.0, 1.0]]
+    structure = MatrixStructure(*cells, [[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]], initial=INITIAL)
+    matcher = match(identified, record, structure)  # warnings are errors here
+    assert np.abs(linalg.eigvals(matcher.system_.A)).max() == pytest.approx(1e6)
 
 
 def test_a_search_cut_short_says_by_how_much(identified, record):

@@ -1,7 +1,6 @@
 """What a match is warned of: parameters not determined, searches cut short, poor fits."""
 
 import numpy as np
-from scipy.linalg import eigvals
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._warn import warn
@@ -42,9 +41,9 @@ def warn_realized(found):
         )
 
 
-def warn_matched(result, settings, poles, n_wanted):
-    """Of a match in a norm of a structure of some order to a model with some poles."""
-    n_found = len(poles)
+def warn_matched(result, settings, poles, affine):
+    """Of a match in a norm of an affine structure to a model with some poles."""
+    n_found, n_wanted = len(poles), affine.n_states
     if n_found != n_wanted and result.relative_error > POOR_MATCH:
         _warn(
             f"the model has {n_found} states, the structure {n_wanted}, and the match leaves a "
@@ -58,8 +57,12 @@ def warn_matched(result, settings, poles, n_wanted):
             f"infinite frequency, whatever the parameters; free them, or weigh high frequencies "
             f"less (output_weights)"
         )
-    fastest, speed = (np.abs(each).max(initial=0.0) for each in (poles, eigvals(result.A)))
-    if speed > RUNAWAY * fastest > 0 and not result.exact:
+    fastest = np.abs(poles).max(initial=0.0)
+    speed, halfway = (
+        np.abs(affine.poles(share * result.theta)).max(initial=0.0) for share in (1.0, 0.5)
+    )
+    held_by_parameters = abs(speed - halfway) > 0.01 * speed
+    if speed > RUNAWAY * fastest > 0 and held_by_parameters and not result.exact:
         _warn(
             f"the match has a pole of {speed:.2g} rad/s, {speed / fastest:.1g} times the fastest "
             f"of the model: the best one lies at infinity, where that pole is a feedthrough; free "
