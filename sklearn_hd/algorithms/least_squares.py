@@ -28,6 +28,7 @@ _ROUNDING = 1e-31  # sum of squares, relative to that of G_c
 _PATIENCE = 25  # steps that must earn a tenth; a creep goes to parameters at infinity
 _RUNAWAY = 1e6  # times the fastest pole: one that has become a feedthrough
 _LINES = 40  # largest number of lines Re s = α on the way to the axis
+_HELD_UP = 5, 0.9  # over so many lines, α must fall below this share: a pole runs along before it
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +145,9 @@ def fit_from_the_right(problem, theta, max_iter=100):
     """
     history, fastest = (), problem.fastest
     shift = max(fastest, 2.0 * problem.abscissa(theta))
-    for _ in range(_LINES):
+    shifts, (n_lines, share) = [], _HELD_UP
+    while len(shifts) < _LINES:
+        shifts.append(shift)
         fit = levenberg_marquardt(problem, theta, shift=shift, max_iter=15)
         theta, history = fit.theta, history + fit.history
         abscissa = problem.abscissa(theta)
@@ -152,6 +155,8 @@ def fit_from_the_right(problem, theta, max_iter=100):
             fit = levenberg_marquardt(problem, theta, max_iter=max_iter)
             return replace(fit, history=history + fit.history)
         shift = max(0.4 * shift, 0.5 * (shift + abscissa))
+        if shift > share * min(shifts[:-n_lines][-1:], default=np.inf):
+            return None
     return None
 
 

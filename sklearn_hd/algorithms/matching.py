@@ -237,7 +237,11 @@ def match_structure(
     if last.residual < fit.residual:  # the minimax steps have left a poor valley
         fit, exact = exact_match(problem, last, exact_tol)
         found = _Found.by_least_squares(fit, exact, tol) if exact else found
-    return _result(problem, fit, found, fits, exact, certified=not exact)
+    if exact or not run.value > 0:
+        return _result(problem, fit, found, fits, exact)
+    certificate = run.certificate or certify(problem, found.theta, run.value)
+    found = replace(found, predicted_decrease=certificate.predicted_decrease)
+    return _result(problem, fit, found, fits, exact, certificate)
 
 
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
@@ -278,11 +282,9 @@ def exact_match(problem, fit, tol):
     return fit, bool(fit.residual <= tol)
 
 
-def _result(problem, fit, found, fits, exact, certified=False):
+def _result(problem, fit, found, fits, exact, certificate=None):
     """The result in the user's units."""
     unit, (value, peak) = problem.unit, problem.peak(found.theta)
-    certificate = certify(problem, found.theta, value) if certified and value > 0 else None
-    predicted = found.predicted_decrease if certificate is None else certificate.predicted_decrease
     singular_values, unidentified = problem.identifiability(found.theta)
     return MatchResult(
         found.theta,
@@ -296,7 +298,7 @@ def _result(problem, fit, found, fits, exact, certified=False):
         feedthrough_floor=problem.feedthrough_floor() * unit,
         exact=exact,
         converged=bool(found.converged),
-        predicted_decrease=float(predicted),
+        predicted_decrease=float(found.predicted_decrease),
         certificate=certificate,
         n_iter=sum(each.n_iter for each in fits) + found.n_iter,
         history=found.history,

@@ -22,13 +22,58 @@ distance from zero: :func:`certify` reports both.
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import clarabel
 import numpy as np
-from scipy import sparse
 
-from sklearn_hd.algorithms.hinf import tops_between
+from sklearn_hd.algorithms.cone_programs import least_level
+from sklearn_hd.algorithms.hinf import same_tops, tops_between
 
-__all__ = ["Certificate", "MinimaxResult", "certify", "minimise_peak"]
+__all__ = [
+    "Certificate",
+    "MinimaxResult",
+    "certify",
+    "minimise_peak",
+    "region_radius",
+    "walls_of",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """First-order conditions of a least H∞ norm.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n_active,)
+        rad/s, of the peaks that hold the norm where it is.
+    errors : ndarray, shape (n_active,)
+        σ_max(E) there.
+    weights : ndarray, shape (n_active,)
+        Of their gradients in the convex combination nearest to zero; they sum to 1.
+    distance : float
+        Length of that combination, in units of F, where θ is counted in moves of the
+        response as long as the residual; bounds that are touched take their share. The
+        gradients are those of all peaks within ``predicted_decrease`` of the top (the
+        ε-subdifferential of F), so that both numbers together certify.
+    predicted_decrease : float
+        Largest decrease, relative to F, that the linearised peaks promise within one such
+        move. 0 at a stationary point.
+    """
+
+    frequencies: np.ndarray
+    errors: np.ndarray
+    weights: np.ndarray
+    distance: float
+    predicted_decrease: float
+
+    @classmethod
+    def of(cls, frequencies, errors, weights, distance, predicted_decrease):
+        """The same from weights of frequencies in any order, several of them on one peak."""
+        active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
+        active = active[np.argsort(frequencies[active])]
+        groups = [active[each] for each in same_tops(frequencies[active])]
+        tops = [each[np.argmax(errors[each])] for each in groups]
+        weights = np.array([weights[each].sum() for each in groups]) / weights[active].sum()
+        return cls(frequencies[tops], errors[tops], weights, distance, predicted_decrease)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +95,8 @@ class MinimaxResult:
         F after each step that was accepted, the start first.
     n_iter : int
         Convex subproblems solved.
+    certificate : Certificate or None
+        Where there is one already.
     """
 
     theta: np.ndarray
@@ -58,6 +105,7 @@ class MinimaxResult:
     converged: bool
     history: tuple
     n_iter: int
+    certificate: Certificate | None = None
 
 
 def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
@@ -123,7 +171,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         fresh = problem.step_directions(trial) if gain > _LEAST_GAIN else directions
         if fresh.shape[1] < directions.shape[1]:
             gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
-        radius = _next_radius(radius, gain, np.linalg.norm(step))
+        radius = region_radius(radius, gain, np.linalg.norm(step))
         moved = gain > _LEAST_GAIN
         if moved:
             theta, value = trial, trial_value
@@ -157,50 +205,12 @@ def certify(problem, theta, value):
     flat = np.zeros((directions.shape[1],) * 2)
     found = _convex_step(model, flat, 1.0)
     (which, duals, _), frequencies = found.duals, found.model.frequencies
-    order, frequencies = np.argsort(frequencies), np.sort(frequencies)
-    weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))[order]
-    active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
-    frequencies, weights = frequencies[active], weights[active] / weights[active].sum()
-    errors = problem.gains(theta, frequencies)
-    peaks = np.split(
-        np.arange(len(active)), 1 + np.flatnonzero(np.diff(frequencies) > _SAME * frequencies[:-1])
-    )
-    tops = [each[np.argmax(errors[each])] for each in peaks]
-    weights = np.array([weights[each].sum() for each in peaks])
+    weights = np.bincount(which, np.linalg.norm(duals, axis=1), len(frequencies))
     predicted = max(0.0, 1.0 - found.bound)
-    return Certificate(frequencies[tops], errors[tops], weights, found.pull, predicted)
+    heights = problem.gains(theta, frequencies)
+    return Certificate.of(frequencies, heights, weights, found.pull, predicted)
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """First-order conditions of a least H∞ norm.
-
-    Attributes
-    ----------
-    frequencies : ndarray, shape (n_active,)
-        rad/s, of the peaks that hold the norm where it is.
-    errors : ndarray, shape (n_active,)
-        σ_max(E) there.
-    weights : ndarray, shape (n_active,)
-        Of their gradients in the convex combination nearest to zero; they sum to 1.
-    distance : float
-        Length of that combination, in units of F, where θ is counted in moves of the
-        response as long as the residual; bounds that are touched take their share. The
-        gradients are those of all peaks within ``predicted_decrease`` of the top (the
-        ε-subdifferential of F), so that both numbers together certify.
-    predicted_decrease : float
-        Largest decrease, relative to F, that the linearised peaks promise within one such
-        move. 0 at a stationary point.
-    """
-
-    frequencies: np.ndarray
-    errors: np.ndarray
-    weights: np.ndarray
-    distance: float
-    predicted_decrease: float
-
-
-_SAME = 1e-3  # distance of frequencies, relative, of one and the same peak
 _LEAST_WEIGHT = 1e-4  # of a gradient that takes part in the combination
 _LEAST_GAIN = 1e-3  # actual over predicted decrease below which a step is refused
 _AGAIN = 3  # times that a search begins anew with a region of size one
@@ -298,7 +308,7 @@ def _lagrangian_curvature(problem, theta, model, duals, directions, value):
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
-def _next_radius(radius, gain, length):
+def region_radius(radius, gain, length):
     """Trust-region radius after a step of some length earned part of its prediction."""
     if gain < 0.25 or not np.isfinite(gain):
         return 0.3 * min(radius, length)
@@ -336,13 +346,12 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
     ``known`` are pairs of a frequency and a direction v that held the step before. Peaks
     that the step moves between the model's frequencies join them (exchange method).
     """
-    walls = _walls(model.problem, model.theta, model.directions)
+    walls = walls_of(model.problem, model.theta, model.directions)
     which, cuts = _first_directions(model, known)
     for _ in range(max_rounds):
         vectors = np.einsum("flm,fm->fl", model.error[which], cuts)
         rates = np.einsum("flmk,fm->flk", model.slope[which], cuts)
-        step, duals, pull = _solve_cones(vectors, rates, curvature, radius, walls)
-        level = np.linalg.norm(vectors + rates @ step, axis=1).max()
+        step, level, duals, _, pull = least_level(vectors, rates, curvature, radius, walls)
         slack = max(_SLACK, _SHARE * (1.0 - level))
         sizes, adjoint = model.after(step)
         tops, heights, _ = tops_between(model.frequencies, sizes[:, 0])
@@ -359,7 +368,7 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
     bound = float(level + 0.5 * step @ curvature @ step)
     active = np.flatnonzero(np.linalg.norm(duals, axis=1) > _LEAST_DUAL)
     duals = which[: len(duals)][active], duals[active], cuts[: len(duals)][active]
-    return _ConvexStep(step, bound, duals, float(pull), model)
+    return _ConvexStep(step, bound, duals, pull, model)
 
 
 def _on_bounds(problem, theta, value):
@@ -373,7 +382,7 @@ def _on_bounds(problem, theta, value):
     return (there, at) if at <= value else (theta, value)
 
 
-def _walls(problem, theta, directions):
+def walls_of(problem, theta, directions):
     """Rows and offsets of the bounds, rows · ζ ≤ offsets."""
     above, below = np.isfinite(problem.upper), np.isfinite(problem.lower)
     rows = np.vstack([directions[above], -directions[below]])
@@ -404,47 +413,3 @@ def _first_directions(model, known):
             which.append(k)
             cuts.append(direction)
     return np.array(which), np.array(cuts)
-
-
-def _solve_cones(vectors, slopes, curvature, radius, walls):
-    """min t + ½ ζᵀHζ subject to |vectors_i + slopes_i ζ| ≤ t, |ζ| ≤ radius, W ζ ≤ w.
-
-    Returns ζ, the complex multipliers p_i, for which Σ_i Re(p_iᴴ slopes_i) + H ζ = 0
-    wherever neither ball nor walls are touched, and the length of the ball's multiplier.
-    """
-    n_cones, n_rows, n_directions = slopes.shape
-    size = 1 + 2 * n_rows
-    rows = np.zeros((n_cones, size, 1 + n_directions))
-    rows[:, 0, 0] = -1.0
-    rows[:, 1 : 1 + n_rows, 1:], rows[:, 1 + n_rows :, 1:] = -slopes.real, -slopes.imag
-    offset = np.concatenate([np.zeros((n_cones, 1)), vectors.real, vectors.imag], axis=1)
-    ball = -np.eye(1 + n_directions)
-    ball[0, 0] = 0.0
-    sides = np.hstack([np.zeros((len(walls[1]), 1)), walls[0]])
-    steep = np.maximum(np.linalg.norm(sides, axis=1), 1e-300)
-    constraint = np.vstack([rows.reshape(-1, 1 + n_directions), ball, sides / steep[:, None]])
-    constraint = sparse.csc_matrix(constraint)
-    offset = np.concatenate([offset.ravel(), [radius], np.zeros(n_directions), walls[1] / steep])
-    cones = [clarabel.SecondOrderConeT(size)] * n_cones
-    cones.append(clarabel.SecondOrderConeT(1 + n_directions))
-    if len(steep):
-        cones.append(clarabel.NonnegativeConeT(len(steep)))
-    quadratic = np.zeros((1 + n_directions, 1 + n_directions))
-    quadratic[1:, 1:] = np.triu(curvature)
-    target = np.zeros(1 + n_directions)
-    target[0] = 1.0
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix(quadratic), target, constraint, offset, cones, settings
-    )
-    solution = solver.solve()
-    step = np.asarray(solution.x)[1:]
-    multipliers = np.asarray(solution.z)
-    duals = multipliers[: n_cones * size].reshape(n_cones, size)[:, 1:]
-    pull = np.linalg.norm(multipliers[n_cones * size + 1 :][:n_directions])
-    if not (np.all(np.isfinite(step)) and np.all(np.isfinite(duals))):
-        raise ArithmeticError(f"the cone solver ended with {solution.status} and no numbers")
-    step = step * min(1.0, radius / max(np.linalg.norm(step), radius))
-    return step, -(duals[:, :n_rows] + 1j * duals[:, n_rows:]), pull

@@ -8,6 +8,7 @@ from joblib import Parallel, delayed, effective_n_jobs
 from scipy import linalg
 
 from sklearn_hd.algorithms.minimax import MinimaxResult, minimise_peak
+from sklearn_hd.algorithms.peak_newton import newton_descent
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.smooth_peak import smooth_descent
 
@@ -19,9 +20,10 @@ _SMALL = 200  # parameters times states up to which all of them cost a second or
 _LARGE = 1000  # from which a convex step costs a second, and the last digits minutes
 _SMOOTH = 0.6  # Newton steps of a first descent, over the largest number of iterations
 _DEEP = 20  # of a descent to the ground, over the convex steps there
+_NEWTON = 3  # steps on single peaks, over the convex steps that go on where they do not end
 _RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
 _CLOSE = 1.001  # bound, over the norm, where further descents begin
-_GROUND = 1e-5  # relative distance of its bound from the norm, where a descent ends
+_GROUND = 1e-4  # relative distance of its bound from the norm, where a descent ends
 _ABOVE = 1e-4  # of another's end, from where nothing lower is found any more
 _VALLEY = 0.1  # distance of responses, relative to the error, within one valley
 _CREEP = 1e-4  # of the norm that a round of steps must earn in a large structure
@@ -125,5 +127,9 @@ def _to_the_ground(problem, theta, first, n_steps, tol, told, lowest=np.inf):
     descent = smooth_descent(problem, theta, first=first, gap=_GROUND, max_iter=_DEEP * n_steps)
     if descent.value > (1.0 + _ABOVE) * lowest:
         return MinimaxResult(descent.theta, descent.value, np.inf, False, descent.history, 0)
-    run = minimise_peak(problem, descent.theta, max_iter=n_steps, tol=tol, report=told)
-    return replace(run, history=descent.history + run.history[1:])
+    run = newton_descent(problem, descent.theta, max_iter=_NEWTON * n_steps, tol=tol, report=told)
+    passed = descent.history + run.history[1:]
+    if not run.converged:
+        run = minimise_peak(problem, run.theta, max_iter=n_steps, tol=tol, report=told)
+        passed += run.history[1:]
+    return replace(run, history=passed)

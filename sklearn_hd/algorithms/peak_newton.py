@@ -1,0 +1,249 @@
+"""Newton's method for the least H∞ norm where single peaks hold it up.
+
+    min_θ max_i σ_i(θ),     σ_i(θ) = max_ω σ_max(E(jω; θ)) over the ω next to ω_i
+
+Near a least norm some peaks are equally high, each a smooth function of θ as long as its
+largest singular value is a single one. With multipliers λ_i of the peaks, Σ λ_i = 1, a step
+solves
+
+    min_{t, ζ} t + ½ ζᵀ (Σ λ_i ∂²σ_i/∂ζ²) ζ   subject to   σ_i + ∂σ_i/∂ζ ζ ≤ t,  |ζ| ≤ Δ
+
+which is Newton's on the conditions Σ λ_i ∂σ_i/∂ζ = 0, σ_i = t, so that the last digits cost
+few steps. With E = U Σ Vᴴ, D_k = Uᴴ (∂E/∂ζ_k) V and s the largest singular value, the first,
+
+    ∂σ/∂ζ_k = Re D_11,k
+    ∂²σ/∂ζ² = Re u₁ᴴ (∂²E/∂ζ²) v₁ + d dᵀ / s,    d = Im D_11                       (its turning)
+              + Σ_{i>1} 2 Re(p p̄ᵀ) / (s − σ_i) + 2 Re(q q̄ᵀ) / (s + σ_i)     (that of vectors)
+              − (∂²σ/∂ω∂ζ) (∂²σ/∂ω∂ζ)ᵀ / (∂²σ/∂ω²)                     (the top moves aside)
+
+where p, q = (D_i1 ± conj D_1i)/2, and rows and columns without a singular value count
+|D_i1|²/s each. Derivatives toward ω are differences.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.cone_programs import least_level
+from sklearn_hd.algorithms.minimax import Certificate, MinimaxResult, region_radius, walls_of
+
+__all__ = ["newton_descent"]
+
+_FIRST_RADIUS = 0.03  # where a response moves by as much as this of the residual
+_LEAST_RADIUS = 1e-12
+_LEAST_GAIN = 1e-3  # actual over promised decrease below which a step is refused
+_GOOD = 0.9  # from which it needs no correction
+_REACH = 0.9  # height of a peak, relative to the norm, that may hold it up after a step
+_HELD = 1e-7  # multiplier of a peak that holds a step up
+_APART = 1e-4  # of ω, over which differences are taken
+_SINGLE = 1e-9  # least distance, relative, of a singular value from the largest
+_LEVEL = 1e-8  # singular value of gradients, of the largest, that is none
+_STIFF = 1e-6  # of the curvature, below which nothing is added across for what lies along
+_ROUNDING = 1e-13  # of F: what a step promises below it is none
+_PRECISE = 1e-12  # of the programs: their multipliers are the certificate
+
+
+def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
+    """Parameters of least H∞ matching error, from nearby.
+
+    Parameters
+    ----------
+    problem : MatchingProblem
+    theta : ndarray, shape (k,)
+        With a stable G_s.
+    max_iter : int
+        Largest number of steps.
+    tol : float
+        Predicted decrease, relative to F, at which to stop.
+    report : callable, optional
+        Told the number of steps: ``report(done, note)``.
+
+    Returns
+    -------
+    result : MinimaxResult
+        Where it converged, with a certificate.
+
+    References
+    ----------
+    R. Fletcher, Practical Methods of Optimization (1987), section 14.4.
+    """
+    value, top = problem.peak(theta)
+    history, radius, n_iter, converged = [value], _FIRST_RADIUS, 0, False
+    predicted, certificate, known, refused, weights = np.inf, None, np.array([top]), [], None
+    while value > 0 and n_iter < max_iter and radius > _LEAST_RADIUS:
+        peaks = _Peaks(problem, theta, value, known, refused)
+        if peaks.directions.shape[1] == 0:
+            break
+        weights = peaks.first_weights() if weights is None else peaks.weights_from(known, weights)
+        curvature = peaks.curvature(weights)
+        found = peaks.step(curvature, radius)
+        n_iter += 1
+        if report is not None:
+            report(n_iter, f"error {value:.3g}")
+        known, weights, predicted = peaks.frequencies, found.weights, found.promised
+        if predicted <= tol:
+            certificate = peaks.certificate()
+            left = certificate.predicted_decrease
+            converged = left <= np.sqrt(tol)
+            if converged and (left <= tol or predicted <= _ROUNDING):
+                break
+        step, trial, (trial_value, trial_top) = peaks.best_of(found, curvature, radius)
+        gain = (value - trial_value) / (value * max(predicted, 1e-16))
+        radius = region_radius(radius, gain, linalg.norm(step))
+        if gain > _LEAST_GAIN:
+            theta, value = trial, trial_value
+            history.append(value)
+            held = weights > _HELD
+            known, weights = np.append(known[held], trial_top), np.append(weights[held], 0.0)
+        elif np.isfinite(trial_value):
+            refused.append(trial_top)
+    certificate = certificate if converged else None
+    return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter, certificate)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step ζ, what it promises, and the multipliers of peaks, the ball and walls."""
+
+    zeta: np.ndarray
+    promised: float
+    weights: np.ndarray
+    slack: float  # of the walls, by their multipliers
+    pull: np.ndarray  # Σ λ_i ∂σ_i/∂ζ and the walls' share
+
+
+class _Peaks:
+    """The peaks of E/F at θ that are high enough, and how they move."""
+
+    def __init__(self, problem, theta, value, near, extra):
+        self.problem, self.theta, self.value = problem, theta, value
+        self.directions = problem.step_directions(theta)
+        self.frequencies, heights = problem.high_frequencies(theta, _REACH * value, near, extra)
+        self.heights = heights / value
+        self._at = self._moved(self.frequencies)
+        self.gradients = self._at[3][:, 0, 0].real
+        self._walls = walls_of(problem, theta, self.directions)
+
+    def _moved(self, frequencies):
+        """U, Σ, V and D at some frequencies."""
+        error, slope = self.problem.error_and_sensitivity(self.theta, frequencies)
+        left, sizes, adjoint = np.linalg.svd(error / self.value)
+        n_points, n_rows = slope.shape[:2]
+        slope = slope @ (self.directions / self.value)
+        moved = left.conj().swapaxes(1, 2) @ slope.reshape(n_points, n_rows, -1)
+        moved = adjoint.conj()[:, None] @ moved.reshape(*slope.shape)
+        return left, sizes, adjoint.conj().swapaxes(1, 2), moved
+
+    def first_weights(self):
+        """Multipliers of the linearised peaks."""
+        flat = np.zeros((self.directions.shape[1],) * 2)
+        return self.step(flat, _FIRST_RADIUS).weights
+
+    def weights_from(self, frequencies, weights):
+        """Multipliers given for other frequencies, by the nearest of these."""
+        here, there = (np.log(np.clip(w, 1e-300, 1e300)) for w in (self.frequencies, frequencies))
+        nearest = np.argmin(np.abs(there[:, None] - here), axis=1)
+        return np.bincount(nearest, weights, len(here))
+
+    def curvature(self, weights):
+        """Σ λ_i ∂²σ_i/∂ζ², its positive part."""
+        held = weights > _HELD
+        weights, frequencies = weights[held], self.frequencies[held]
+        left, sizes, right, moved = (each[held] for each in self._at)
+        pairs = weights[:, None] * left[:, :, 0], right[:, :, 0]
+        bent = self.problem.error_curvature(self.theta, frequencies, *pairs)
+        bent = self.directions.T @ bent @ self.directions / self.value
+        parts = [*_turning(sizes, moved), self._aside(frequencies, sizes[:, 0])]
+        for factors, each in parts:
+            each = np.sqrt(factors * weights)[:, None] * each
+            bent += each.real.T @ each.real + each.imag.T @ each.imag
+        return _convex(bent, self.gradients[held])
+
+    def _aside(self, frequencies, heights):
+        """Factors and rows of what tops gain by moving along the axis; 0 where there is none."""
+        moves = (frequencies > 0) & np.isfinite(frequencies)
+        apart = _APART * frequencies[moves]
+        (_, lower, _, before), (_, higher, _, after) = (
+            self._moved(frequencies[moves] + side * apart) for side in (-1.0, 1.0)
+        )
+        heights = heights[moves]
+        is_top = (lower[:, 0] < heights) & (higher[:, 0] < heights)
+        bend = 2.0 * heights - lower[:, 0] - higher[:, 0]
+        factors = np.zeros(len(frequencies))
+        factors[moves] = np.where(is_top, 1.0 / np.where(is_top, bend, 1.0), 0.0)
+        rows = np.zeros((len(frequencies), self.directions.shape[1]))
+        rows[moves] = (after[:, 0, 0].real - before[:, 0, 0].real) / 2.0
+        return factors, rows
+
+    def step(self, curvature, radius, heights=None):
+        """Where the highest peak is lowest, heights those at ζ = 0."""
+        heights = self.heights if heights is None else heights
+        found = least_level(heights, self.gradients, curvature, radius, self._walls, _PRECISE)
+        total = found.multipliers.sum()
+        weights, walls = found.multipliers / total, found.walls / total
+        promised = 1.0 - found.height - 0.5 * found.step @ curvature @ found.step
+        pull = weights @ self.gradients + walls @ self._walls[0]
+        return _Step(found.step, promised, weights, walls @ self._walls[1], pull)
+
+    def best_of(self, found, curvature, radius):
+        """A step, its end and (F, ω) there; those of its second-order correction if lower.
+
+        Where peaks are higher at the trial point than they were linearised, in unequal
+        measure, the step is found once more as if they went on linearly from there
+        (Maratos, 1978).
+        """
+        first = self._tried(found.zeta)
+        value = first[2][0]
+        if not np.isfinite(value) or self.value - value >= _GOOD * found.promised * self.value:
+            return first
+        heights = self.problem.tops_near(first[1], self.frequencies)[1] / self.value
+        corrected = self.step(curvature, radius, heights - self.gradients @ found.zeta)
+        second = self._tried(corrected.zeta)
+        return second if second[2][0] < value else first
+
+    def _tried(self, zeta):
+        trial = self.problem.inside(self.theta + self.directions @ zeta)
+        return zeta, trial, self.problem.peak(trial)
+
+    def certificate(self):
+        """First-order conditions: what the linearised peaks promise in a region of size one."""
+        found = self.step(np.zeros((self.directions.shape[1],) * 2), 1.0)
+        distance = float(linalg.norm(found.pull))
+        bound = found.weights @ self.heights - found.slack - distance
+        heights, promised = self.heights * self.value, max(0.0, float(1.0 - bound))
+        return Certificate.of(self.frequencies, heights, found.weights, distance, promised)
+
+
+def _convex(curvature, gradients):
+    """The curvature made positive, first across the directions in which peaks stay level.
+
+    Held peaks end a step level, so that what is added across changes multipliers but not where
+    the steps lead; what is negative along them is left out.
+    """
+    _, sizes, adjoint = linalg.svd(gradients - gradients.mean(axis=0))
+    n = np.sum(sizes > _LEVEL * sizes.max(initial=0.0))
+    across, along = adjoint[:n], adjoint[n:]
+    values, vectors = linalg.eigh(along @ curvature @ along.T)
+    turned = vectors.T @ (along @ curvature @ across.T)
+    least = _STIFF * max(np.abs(values).max(initial=0.0), linalg.norm(curvature, 2))
+    rest = across @ curvature @ across.T - turned.T @ (turned / np.maximum(values, least)[:, None])
+    needed = max(0.0, -linalg.eigvalsh(rest)[0]) if n else 0.0
+    curvature = curvature + needed * across.T @ across
+    values, vectors = linalg.eigh((curvature + curvature.T) / 2)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _turning(sizes, moved):
+    """Factors and rows of the curvature that comes from singular vectors that turn."""
+    largest, n = sizes[:, 0], sizes.shape[1]
+    yield 1.0 / largest, moved[:, 0, 0].imag
+    for i in range(1, n):
+        down, across = moved[:, i, 0], moved[:, 0, i].conj()
+        left = np.maximum(largest - sizes[:, i], _SINGLE * largest)
+        yield 2.0 / left, (down + across) / 2.0
+        yield 2.0 / (largest + sizes[:, i]), (down - across) / 2.0
+    for i in range(n, moved.shape[1]):
+        yield 1.0 / largest, moved[:, i, 0]
+    for i in range(n, moved.shape[2]):
+        yield 1.0 / largest, moved[:, 0, i]
