@@ -3,24 +3,16 @@
 import numpy as np
 import pytest
 
+from sklearn_hd.algorithms import norm_descent
 from sklearn_hd.algorithms.least_squares import GridFit, Start, fit_from
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.norm_descent import _runs, _to_the_ground, least_norm
+from sklearn_hd.algorithms.peak_newton import newton_descent
 from sklearn_hd.algorithms.smooth_peak import SmoothDescent
 from sklearn_hd.structures import MatrixStructure
+from tests.matching_cases import START, problem_of
 
-NAN = np.nan
-A = np.array([[-1.0, 5.0, 0.0], [-5.0, -1.0, 1.0], [0.0, 0.3, -2.0]])
-START = np.array([-1.0, 5.0, 0.5, 0.5, 0.5, 0.5])
 LAG = MatrixStructure([["a"]], [["b"]], [[1.0]]).affine
-
-
-def two_state_problem():
-    """Three states to be matched by two."""
-    random = np.random.default_rng(3)
-    B, C = random.standard_normal((3, 2)), random.standard_normal((2, 3))
-    structure = MatrixStructure([["a", "w"], ["-w", "a"]], np.full((2, 2), NAN)).affine
-    return MatchingProblem.build(A, B, C, np.zeros((2, 2)), structure)
 
 
 def fit_at(theta):
@@ -32,7 +24,7 @@ def descent_at(problem, theta):
 
 
 def test_runs_stop_at_one_a_valley_that_has_converged():
-    problem = two_state_problem()
+    problem = problem_of()
     _, run = least_norm(problem, [fit_at(START)], 100, 1e-8)
     assert run.converged
     points = {4: run.theta, 1: run.theta * (1 + 1e-7)}
@@ -47,18 +39,35 @@ def test_runs_stop_at_one_a_valley_that_has_converged():
     assert not runs[4].converged
 
 
-def test_a_ground_above_another_is_left():
-    problem = two_state_problem()
+def test_a_ground_above_another_is_left(monkeypatch):
+    problem = problem_of()
     run = _to_the_ground(problem, START, 3.0, 20, 1e-8, None)
     assert run.converged
+    monkeypatch.setattr(norm_descent, "_NEWTON", 0)
+    other = _to_the_ground(problem, START, 3.0, 20, 1e-8, None)
+    assert other.converged
+    assert other.value == pytest.approx(run.value, rel=1e-7)
     left = _to_the_ground(problem, START, 3.0, 20, 1e-8, None, lowest=0.5 * run.value)
     assert not left.converged
     assert left.n_iter == 0
     assert left.value == pytest.approx(run.value, rel=1e-3)
 
 
+def test_convex_steps_go_on_where_the_ground_is_flat():
+    """Within this bound Newton's steps shrink but slowly: the curvature along them fades."""
+    free = newton_descent(problem_of(), START).theta
+    bounds = np.full(6, -np.inf), np.full(6, np.inf)
+    bounds[1][0] = free[0] - 1.0
+    problem = problem_of(bounds=bounds)
+    single = newton_descent(problem, problem.inside(free))
+    run = _to_the_ground(problem, problem.inside(free), 1.001, 20, 1e-8, None)
+    assert not single.converged
+    assert run.converged
+    assert run.value < single.value
+
+
 def test_the_history_is_that_of_the_whole_way_down():
-    problem = two_state_problem()
+    problem = problem_of()
     start, run = least_norm(problem, [fit_at(START)], 100, 1e-8)
     assert start.theta is not None
     assert run.history[0] == problem.peak(START)[0]

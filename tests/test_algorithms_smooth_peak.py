@@ -14,23 +14,7 @@ from sklearn_hd.algorithms.smooth_peak import (
     smooth_descent,
 )
 from sklearn_hd.structures import MatrixStructure
-
-NAN = np.nan
-A = np.array([[-1.0, 5.0, 0.0], [-5.0, -1.0, 1.0], [0.0, 0.3, -2.0]])
-START = np.array([-1.0, 5.0, 0.5, 0.5, 0.5, 0.5])
-
-
-def problem_of(n_inputs=2, n_outputs=2, bounds=None):
-    """Three states to be matched by two."""
-    random = np.random.default_rng(3)
-    B, C = random.standard_normal((3, n_inputs)), random.standard_normal((n_outputs, 3))
-    cells = [["a", "w"], ["-w", "a"]], np.full((2, n_inputs), NAN), np.eye(n_outputs, 2)
-    structure = MatrixStructure(*cells).affine
-    return MatchingProblem.build(A, B, C, np.zeros((n_outputs, n_inputs)), structure, None, bounds)
-
-
-def start_of(problem):
-    return START[: problem.structure.n_parameters]
+from tests.matching_cases import START, problem_of, start_of
 
 
 def point_of(problem):

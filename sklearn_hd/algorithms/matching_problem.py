@@ -283,8 +283,8 @@ class MatchingProblem:
         between, heights = refine_peaks(lambda w: self.gains(theta, w), low, high, _ROUNDS)
         near, near_heights = self.tops_near(theta, np.asarray(near, dtype=float))
         extra = np.asarray(extra, dtype=float)
-        between[between < _LOW * self.grid[1]] = 0.0
         frequencies = np.concatenate([self.grid, between, near, extra])
+        frequencies[frequencies < _LOW * self.grid[1]] = 0.0
         heights = np.concatenate([gains, heights, near_heights, self.gains(theta, extra)])
         kept = np.flatnonzero(heights >= least)
         kept = kept[np.argsort(frequencies[kept])]

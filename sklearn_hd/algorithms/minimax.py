@@ -32,6 +32,7 @@ __all__ = [
     "MinimaxResult",
     "certify",
     "minimise_peak",
+    "on_bounds",
     "region_radius",
     "walls_of",
 ]
@@ -180,7 +181,7 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         elif np.isfinite(trial_value):
             model = model.join([trial_peak])
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)
-    theta, value = _on_bounds(problem, theta, value)
+    theta, value = on_bounds(problem, theta, value)
     return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter)
 
 
@@ -371,7 +372,7 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
     return _ConvexStep(step, bound, duals, pull, model)
 
 
-def _on_bounds(problem, theta, value):
+def on_bounds(problem, theta, value):
     """Parameters that end next to a bound set on it, if the norm is no worse there."""
     near = _NEXT_TO * np.abs(theta)
     there = np.where(theta - problem.lower <= near, problem.lower, theta)

@@ -19,7 +19,8 @@ _FIRSTS = (3.0, 1.5, 10.0)  # bounds, over the norm, where smooth descents begin
 _SMALL = 200  # parameters times states up to which all of them cost a second or two
 _LARGE = 1000  # from which a convex step costs a second, and the last digits minutes
 _SMOOTH = 0.6  # Newton steps of a first descent, over the largest number of iterations
-_DEEP = 20  # of a descent to the ground, over the convex steps there
+_TURNS = 2  # of smooth descents to the ground
+_DEEP = 10  # of a descent to the ground, over the convex steps there
 _NEWTON = 3  # steps on single peaks, over the convex steps that go on where they do not end
 _RIVAL = 1.02  # norm, relative to the lowest, from which a run may still end lowest
 _CLOSE = 1.001  # bound, over the norm, where further descents begin
@@ -123,12 +124,24 @@ def _runs(problem, descents, n_steps, tol, report):
 
 
 def _to_the_ground(problem, theta, first, n_steps, tol, told, lowest=np.inf):
-    """A smooth descent, and convex steps where it ends, unless that is above the lowest."""
-    descent = smooth_descent(problem, theta, first=first, gap=_GROUND, max_iter=_DEEP * n_steps)
-    if descent.value > (1.0 + _ABOVE) * lowest:
-        return MinimaxResult(descent.theta, descent.value, np.inf, False, descent.history, 0)
-    run = newton_descent(problem, descent.theta, max_iter=_NEWTON * n_steps, tol=tol, report=told)
-    passed = descent.history + run.history[1:]
+    """Steps on single peaks and smooth descents by turns, unless one ends above the lowest.
+
+    Convex steps where the turns do not converge.
+    """
+    run = newton_descent(problem, theta, max_iter=_NEWTON * n_steps, tol=tol, report=told)
+    passed = run.history
+    for bound in (first, *[_CLOSE] * _TURNS)[:_TURNS]:
+        if run.converged:
+            return replace(run, history=passed)
+        n_deep = _DEEP * n_steps
+        descent = smooth_descent(problem, run.theta, first=bound, gap=_GROUND, max_iter=n_deep)
+        passed += descent.history[1:]
+        if descent.value > (1.0 + _ABOVE) * lowest:
+            return MinimaxResult(descent.theta, descent.value, np.inf, False, passed, 0)
+        run = newton_descent(
+            problem, descent.theta, max_iter=_NEWTON * n_steps, tol=tol, report=told
+        )
+        passed += run.history[1:]
     if not run.converged:
         run = minimise_peak(problem, run.theta, max_iter=n_steps, tol=tol, report=told)
         passed += run.history[1:]

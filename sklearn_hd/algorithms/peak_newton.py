@@ -21,21 +21,32 @@ where p, q = (D_i1 ± conj D_1i)/2, and rows and columns without a singular valu
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.cone_programs import least_level
-from sklearn_hd.algorithms.minimax import Certificate, MinimaxResult, region_radius, walls_of
+from sklearn_hd.algorithms.minimax import (
+    Certificate,
+    MinimaxResult,
+    on_bounds,
+    region_radius,
+    walls_of,
+)
+from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = ["newton_descent"]
 
 _FIRST_RADIUS = 0.03  # where a response moves by as much as this of the residual
-_LEAST_RADIUS = 1e-12
+_LEAST_RADIUS = 1e-9
 _LEAST_GAIN = 1e-3  # actual over promised decrease below which a step is refused
+_PATIENCE = 8  # steps in which must be earned
+_AGAIN = 3  # times that a search begins anew with a region of size one
+_CREEP = 0.2  # of what the linearised peaks promise; where it is not, valleys are curved
 _GOOD = 0.9  # from which it needs no correction
 _REACH = 0.9  # height of a peak, relative to the norm, that may hold it up after a step
-_HELD = 1e-7  # multiplier of a peak that holds a step up
+_HELD = 1e-6  # multiplier of a peak that holds a step up
 _APART = 1e-4  # of ω, over which differences are taken
 _SINGLE = 1e-9  # least distance, relative, of a singular value from the largest
 _LEVEL = 1e-8  # singular value of gradients, of the largest, that is none
@@ -69,36 +80,44 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
     R. Fletcher, Practical Methods of Optimization (1987), section 14.4.
     """
     value, top = problem.peak(theta)
-    history, radius, n_iter, converged = [value], _FIRST_RADIUS, 0, False
-    predicted, certificate, known, refused, weights = np.inf, None, np.array([top]), [], None
-    while value > 0 and n_iter < max_iter and radius > _LEAST_RADIUS:
-        peaks = _Peaks(problem, theta, value, known, refused)
-        if peaks.directions.shape[1] == 0:
-            break
-        weights = peaks.first_weights() if weights is None else peaks.weights_from(known, weights)
-        curvature = peaks.curvature(weights)
-        found = peaks.step(curvature, radius)
-        n_iter += 1
+    if not 0 < value < np.inf:
+        return MinimaxResult(theta, value, np.inf, False, (value,), 0)
+    history, levels, radius, predicted = [value], [], _FIRST_RADIUS, np.inf
+    peaks, passed, converged = _Peaks(problem, theta, value, [top], []), [], False
+    n_again = 0
+    while peaks.n_directions > 0 and len(levels) < max_iter and radius > _LEAST_RADIUS:
+        certificate = peaks.certificate
+        found = peaks.step(peaks.curvature, radius)
+        predicted, left = found.promised, certificate.predicted_decrease
+        levels.append(value)
         if report is not None:
-            report(n_iter, f"error {value:.3g}")
-        known, weights, predicted = peaks.frequencies, found.weights, found.promised
-        if predicted <= tol:
-            certificate = peaks.certificate()
-            left = certificate.predicted_decrease
-            converged = left <= np.sqrt(tol)
-            if converged and (left <= tol or predicted <= _ROUNDING):
-                break
-        step, trial, (trial_value, trial_top) = peaks.best_of(found, curvature, radius)
+            report(len(levels), f"error {value:.3g}")
+        settled = predicted <= tol
+        if settled and n_again < _AGAIN and peaks.step(peaks.curvature, 1.0).promised > tol:
+            radius, n_again = 1.0, n_again + 1  # the region had shrunk too far
+            continue
+        converged = settled and left <= np.sqrt(tol)
+        if converged and (left <= tol or predicted <= _ROUNDING):
+            break
+        if len(levels) > _PATIENCE and levels[-1 - _PATIENCE] - value < _CREEP * left * value:
+            break
+        step, trial, (trial_value, trial_top) = peaks.best_of(found, radius)
         gain = (value - trial_value) / (value * max(predicted, 1e-16))
+        if gain > _LEAST_GAIN:
+            held = peaks.frequencies[found.weights > _HELD]
+            fresh = _Peaks(problem, trial, trial_value, [*held, trial_top], passed)
+            if fresh.n_directions < peaks.n_directions:
+                gain = -np.inf  # parameters on their way to infinity; a lost one goes uncertified
         radius = region_radius(radius, gain, linalg.norm(step))
         if gain > _LEAST_GAIN:
-            theta, value = trial, trial_value
+            theta, value, peaks = trial, trial_value, fresh
             history.append(value)
-            held = weights > _HELD
-            known, weights = np.append(known[held], trial_top), np.append(weights[held], 0.0)
         elif np.isfinite(trial_value):
-            refused.append(trial_top)
+            passed.append(trial_top)
+            peaks.join([trial_top])
+    theta, value = on_bounds(problem, theta, value)
     certificate = certificate if converged else None
+    n_iter = len(levels)
     return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter, certificate)
 
 
@@ -109,7 +128,7 @@ class _Step:
     zeta: np.ndarray
     promised: float
     weights: np.ndarray
-    slack: float  # of the walls, by their multipliers
+    walls: np.ndarray
     pull: np.ndarray  # Σ λ_i ∂σ_i/∂ζ and the walls' share
 
 
@@ -121,9 +140,21 @@ class _Peaks:
         self.directions = problem.step_directions(theta)
         self.frequencies, heights = problem.high_frequencies(theta, _REACH * value, near, extra)
         self.heights = heights / value
-        self._at = self._moved(self.frequencies)
-        self.gradients = self._at[3][:, 0, 0].real
+        self._parts = self._moved(self.frequencies)
+        self.gradients = self._parts[3][:, 0, 0].real
         self._walls = walls_of(problem, theta, self.directions)
+
+    @property
+    def n_directions(self):
+        """How many combinations of parameters the response determines."""
+        return self.directions.shape[1]
+
+    def join(self, frequencies):
+        """Look at further frequencies too."""
+        self.frequencies = np.append(self.frequencies, frequencies)
+        joining = self._moved(np.asarray(frequencies))
+        self._parts = tuple(np.concatenate(each) for each in zip(self._parts, joining, strict=True))
+        self.heights, self.gradients = self._parts[1][:, 0], self._parts[3][:, 0, 0].real
 
     def _moved(self, frequencies):
         """U, Σ, V and D at some frequencies."""
@@ -135,22 +166,25 @@ class _Peaks:
         moved = adjoint.conj()[:, None] @ moved.reshape(*slope.shape)
         return left, sizes, adjoint.conj().swapaxes(1, 2), moved
 
-    def first_weights(self):
-        """Multipliers of the linearised peaks."""
-        flat = np.zeros((self.directions.shape[1],) * 2)
-        return self.step(flat, _FIRST_RADIUS).weights
+    @cached_property
+    def _flat(self):
+        """The step of the linearised peaks alone, in a region of size one."""
+        return self.step(np.zeros((self.n_directions,) * 2), 1.0)
 
-    def weights_from(self, frequencies, weights):
-        """Multipliers given for other frequencies, by the nearest of these."""
-        here, there = (np.log(np.clip(w, 1e-300, 1e300)) for w in (self.frequencies, frequencies))
-        nearest = np.argmin(np.abs(there[:, None] - here), axis=1)
-        return np.bincount(nearest, weights, len(here))
+    @cached_property
+    def certificate(self):
+        """What the linearised peaks promise there, by their multipliers."""
+        found, distance = self._flat, float(linalg.norm(self._flat.pull))
+        bound = found.weights @ self.heights - found.walls @ self._walls[1] - distance
+        heights, promised = self.heights * self.value, max(0.0, float(1.0 - bound))
+        return Certificate.of(self.frequencies, heights, found.weights, distance, promised)
 
-    def curvature(self, weights):
-        """Σ λ_i ∂²σ_i/∂ζ², its positive part."""
-        held = weights > _HELD
-        weights, frequencies = weights[held], self.frequencies[held]
-        left, sizes, right, moved = (each[held] for each in self._at)
+    @cached_property
+    def curvature(self):
+        """Σ λ_i ∂²σ_i/∂ζ², made positive, by the multipliers of the linearised peaks."""
+        held = self._flat.weights > _HELD
+        weights, frequencies = self._flat.weights[held], self.frequencies[held]
+        left, sizes, right, moved = (each[held] for each in self._parts)
         pairs = weights[:, None] * left[:, :, 0], right[:, :, 0]
         bent = self.problem.error_curvature(self.theta, frequencies, *pairs)
         bent = self.directions.T @ bent @ self.directions / self.value
@@ -158,7 +192,9 @@ class _Peaks:
         for factors, each in parts:
             each = np.sqrt(factors * weights)[:, None] * each
             bent += each.real.T @ each.real + each.imag.T @ each.imag
-        return _convex(bent, self.gradients[held])
+        level = self.gradients[held] - self._flat.weights @ self.gradients
+        touched = self._walls[0][self._flat.walls > _HELD]
+        return _convex(bent, np.vstack([level, touched]))
 
     def _aside(self, frequencies, heights):
         """Factors and rows of what tops gain by moving along the axis; 0 where there is none."""
@@ -172,7 +208,7 @@ class _Peaks:
         bend = 2.0 * heights - lower[:, 0] - higher[:, 0]
         factors = np.zeros(len(frequencies))
         factors[moves] = np.where(is_top, 1.0 / np.where(is_top, bend, 1.0), 0.0)
-        rows = np.zeros((len(frequencies), self.directions.shape[1]))
+        rows = np.zeros((len(frequencies), self.n_directions))
         rows[moves] = (after[:, 0, 0].real - before[:, 0, 0].real) / 2.0
         return factors, rows
 
@@ -184,9 +220,9 @@ class _Peaks:
         weights, walls = found.multipliers / total, found.walls / total
         promised = 1.0 - found.height - 0.5 * found.step @ curvature @ found.step
         pull = weights @ self.gradients + walls @ self._walls[0]
-        return _Step(found.step, promised, weights, walls @ self._walls[1], pull)
+        return _Step(found.step, promised, weights, walls, pull)
 
-    def best_of(self, found, curvature, radius):
+    def best_of(self, found, radius):
         """A step, its end and (F, ω) there; those of its second-order correction if lower.
 
         Where peaks are higher at the trial point than they were linearised, in unequal
@@ -198,7 +234,8 @@ class _Peaks:
         if not np.isfinite(value) or self.value - value >= _GOOD * found.promised * self.value:
             return first
         heights = self.problem.tops_near(first[1], self.frequencies)[1] / self.value
-        corrected = self.step(curvature, radius, heights - self.gradients @ found.zeta)
+        heights = heights - self.gradients @ found.zeta
+        corrected = self.step(self.curvature, radius, heights)
         second = self._tried(corrected.zeta)
         return second if second[2][0] < value else first
 
@@ -206,22 +243,14 @@ class _Peaks:
         trial = self.problem.inside(self.theta + self.directions @ zeta)
         return zeta, trial, self.problem.peak(trial)
 
-    def certificate(self):
-        """First-order conditions: what the linearised peaks promise in a region of size one."""
-        found = self.step(np.zeros((self.directions.shape[1],) * 2), 1.0)
-        distance = float(linalg.norm(found.pull))
-        bound = found.weights @ self.heights - found.slack - distance
-        heights, promised = self.heights * self.value, max(0.0, float(1.0 - bound))
-        return Certificate.of(self.frequencies, heights, found.weights, distance, promised)
 
+def _convex(curvature, rows):
+    """The curvature made positive, first across the directions that leave some rows at zero.
 
-def _convex(curvature, gradients):
-    """The curvature made positive, first across the directions in which peaks stay level.
-
-    Held peaks end a step level, so that what is added across changes multipliers but not where
-    the steps lead; what is negative along them is left out.
+    Peaks that are held end a step level, and walls that are touched stay so: what is added
+    across changes multipliers but not where the steps lead. What is negative along is left out.
     """
-    _, sizes, adjoint = linalg.svd(gradients - gradients.mean(axis=0))
+    _, sizes, adjoint = linalg.svd(rows / column_sizes(rows.T)[:, None])
     n = np.sum(sizes > _LEVEL * sizes.max(initial=0.0))
     across, along = adjoint[:n], adjoint[n:]
     values, vectors = linalg.eigh(along @ curvature @ along.T)
