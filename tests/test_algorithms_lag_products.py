@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sklearn_hd.algorithms import lag_products as lag_module
 from sklearn_hd.algorithms.double_double import Pair, cholesky, product, slices
 from sklearn_hd.algorithms.lag_products import lag_products, stretch
 
@@ -112,8 +113,11 @@ def test_cholesky_of_a_deficient_matrix_has_rows_of_zeros():
     assert np.all(R[1] == 0.0)
 
 
+@pytest.mark.parametrize("remembered", [256, 0], ids=["by a table", "in place"])
 @pytest.mark.parametrize("exact", [False, True])
-def test_gram_is_symmetric_in_any_order(rng, records, exact):
+def test_gram_is_symmetric_in_any_order(rng, monkeypatch, records, exact, remembered):
+    monkeypatch.setattr(lag_module, "REMEMBERED_ROWS", remembered)
+    monkeypatch.setattr(lag_module, "PLACED_ROWS", 3)
     products = lag_products([(z,) for z in records[:3]], 4, exact)
     order = rng.permutation(8)
     for half, turned in zip(products.gram().halves(), products.gram(order).halves(), strict=True):

@@ -104,6 +104,30 @@ def test_a_creep_is_given_up():
     assert run.value < problem.peak(START)[0]
 
 
+def test_a_norm_that_no_frequency_has_is_left_as_it_is(monkeypatch):
+    """So AB13DD has it where a match is exact but for rounding."""
+    problem = problem_of()
+    monkeypatch.setattr(MatchingProblem, "peak", lambda self, theta: (10.0, 1.0))
+    run = newton_descent(problem, START)
+    np.testing.assert_array_equal(run.theta, START)
+    assert run.n_iter == 0
+    assert not run.converged
+
+
+def test_a_peak_at_rest_moves_nowhere_along_the_axis():
+    """|1/(s + 1) − b/(s + 2)| is least for b = 4/3, as high at 0 as somewhere above."""
+    structure = MatrixStructure([[-2.0]], [["b"]], [[1.0]]).affine
+    problem = MatchingProblem.build([[-1.0]], [[1.0]], [[1.0]], [[0.0]], structure)
+    start = np.array([0.5])
+    assert problem.peak(start)[1] == 0.0
+    run = newton_descent(problem, start)
+    bs = np.linspace(1.0, 2.0, 2001)
+    norms = [problem.peak(np.array([b]))[0] for b in bs]
+    assert run.converged
+    assert run.value <= min(norms) * (1 + 1e-9)
+    assert run.theta[0] == pytest.approx(bs[np.argmin(norms)], abs=1e-3)
+
+
 @pytest.mark.parametrize("start", [START * [-1, 1, 1, 1, 1, 1], None], ids=["unstable", "exact"])
 def test_without_an_error_to_lower_the_start_is_the_end(start):
     problem = problem_of()

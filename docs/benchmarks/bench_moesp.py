@@ -92,13 +92,13 @@ def pole_error(A, poles):
 
 def kernel(u, y, n, block_rows):
     """The pure functions below MOESPRegressor."""
-    from sklearn_hd.algorithms.hankel import hankel_factor
     from sklearn_hd.algorithms.input_matrices import input_matrices
-    from sklearn_hd.algorithms.moesp import observability_subspace, state_matrices
+    from sklearn_hd.algorithms.moesp import state_matrices
+
+    subspace = kernel_subspace(u, y, block_rows)
 
     def identify():
-        R = hankel_factor([u], [y], block_rows)
-        A, C = state_matrices(*observability_subspace(R, block_rows, u.shape[1]), n, y.shape[1])
+        A, C = state_matrices(*subspace(), n, y.shape[1])
         input_matrices(A, C, [u], [y], True)
         return A
 
@@ -107,15 +107,19 @@ def kernel(u, y, n, block_rows):
 
 def kernel_state_matrices(u, y, n, block_rows):
     """The same, for A and C alone."""
+    from sklearn_hd.algorithms.moesp import state_matrices
+
+    subspace = kernel_subspace(u, y, block_rows)
+    return lambda: state_matrices(*subspace(), n, y.shape[1])[0]
+
+
+def kernel_subspace(u, y, block_rows):
+    """Singular vectors and values from the triangular factor, which nothing keeps."""
     from sklearn_hd.algorithms.hankel import hankel_factor
-    from sklearn_hd.algorithms.moesp import observability_subspace, state_matrices
+    from sklearn_hd.algorithms.moesp import observability_subspace
 
-    def identify():
-        R = hankel_factor([u], [y], block_rows)
-        subspace = observability_subspace(R, block_rows, u.shape[1])
-        return state_matrices(*subspace, n, y.shape[1])[0]
-
-    return identify
+    m = u.shape[1]
+    return lambda: observability_subspace(hankel_factor([u], [y], block_rows), block_rows, m)
 
 
 def estimator(u, y, n, block_rows):

@@ -55,7 +55,7 @@ LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
 MOST_EXPONENT = 300  # of two
 TOGETHER = 24  # channels times rows on the left side of one product
 REMEMBERED_ROWS = 256  # of a Gram matrix, whose table of places is kept for the next (0.5 MB)
-PLACED_ROWS = 32  # of a larger one at a time: their table of places fits into a cache
+PLACED_ROWS = 32  # of a larger one at a time, which is put in order where it stands
 BLOCK_BYTES = 2**19  # of products of ends at a time
 
 
@@ -179,7 +179,7 @@ class LagProducts:
         Parameters
         ----------
         order : ndarray of int, shape (n_lags p,), optional
-            Which rows are to stand first, second, …; else by lag, then by channel.
+            All rows, that which is to stand first, second, …; else by lag, then by channel.
 
         Returns
         -------
@@ -193,13 +193,7 @@ class LagProducts:
         if n_rows <= REMEMBERED_ROWS:
             place = _places_remembered(p, order.tobytes())
             return blocks.map(lambda half: half.take(place))
-        G = blocks.map(lambda half: np.empty((n_rows, n_rows)))
-        for start in range(0, n_rows, PLACED_ROWS):
-            some = slice(start, start + PLACED_ROWS)
-            place = _places(p, order, some)
-            for half, into in zip(blocks.halves(), G.halves(), strict=True):
-                half.take(place, out=into[some], mode="clip")  # else by way of a buffer
-        return G
+        return blocks.map(lambda half: _in_order(half.reshape(n_rows, n_rows), p, order))
 
     def _by_lag(self):
         """Blocks of the same, [a, c, (b − a) p + d], shape (n_lags, p, n_lags p)."""
@@ -217,18 +211,38 @@ class LagProducts:
         return blocks
 
 
-def _places(p, order, some=np.s_[:]):
-    """Where blocks [a, c, (b − a) p + d], in one row, hold rows of a symmetric matrix."""
+@functools.lru_cache(maxsize=1)
+def _places_remembered(p, order):
+    """Where blocks [a, c, (b − a) p + d], in one row, hold a symmetric matrix, order as bytes."""
+    order = np.frombuffer(order, int)
     row = order * len(order) - order // p * p
-    place = np.minimum.outer(row[some], row)
-    place += np.maximum.outer(order[some], order)
+    place = np.minimum.outer(row, row)
+    place += np.maximum.outer(order, order)
     return place
 
 
-@functools.lru_cache(maxsize=1)
-def _places_remembered(p, order):
-    """The same for all rows, in an order given as bytes."""
-    return _places(p, np.frombuffer(order, int))
+def _in_order(blocks, p, order):
+    """The symmetric matrix that blocks [a, c, (b − a) p + d] are, in the memory they have."""
+    n_rows = len(blocks)
+    for start in range(p, n_rows, p):
+        block_row = blocks[start : start + p]
+        block_row[:, start:] = block_row[:, : n_rows - start].copy()
+    for start in range(0, n_rows - p, p):
+        block_row = blocks[start : start + p]
+        blocks[start + p :, start : start + p] = block_row[:, start + p :].T
+    for start in range(0, n_rows, PLACED_ROWS):
+        some = blocks[start : start + PLACED_ROWS]
+        some[:] = some.take(order, axis=1)
+    to_come = set(range(n_rows))
+    while to_come:  # rows, each where another has just gone
+        first = row = to_come.pop()
+        spare = blocks[first].copy()
+        while order[row] != first:
+            blocks[row] = blocks[order[row]]
+            row = order[row]
+            to_come.remove(row)
+        blocks[row] = spare
+    return blocks
 
 
 @dataclass(frozen=True)
@@ -441,8 +455,10 @@ def _overlapping(rows, size, together, span, period):
     shape = (period // together, size // period, span * width)
     strides = (together * width * item, period * width * item, item)
     windows = np.ndarray(shape, buffer=rows, strides=strides)
-    left = windows[:, :, : together * width].transpose(0, 2, 1)
-    return np.matmul(left, windows).sum(axis=0).reshape(together, width, span, width)
+    sums = 0.0
+    for rows in windows:  # one product at a time: together they would be as large as a factor
+        sums += rows[:, : together * width].T @ rows
+    return sums.reshape(together, width, span, width)
 
 
 def _by_lag(sums, p, exact):

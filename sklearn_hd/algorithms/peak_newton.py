@@ -85,7 +85,7 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
     history, levels, radius, predicted = [value], [], _FIRST_RADIUS, np.inf
     peaks, passed, converged = _Peaks(problem, theta, value, [top], []), [], False
     n_again = 0
-    while peaks.n_directions > 0 and len(levels) < max_iter and radius > _LEAST_RADIUS:
+    while peaks.can_move and len(levels) < max_iter and radius > _LEAST_RADIUS:
         certificate = peaks.certificate
         found = peaks.step(peaks.curvature, radius)
         predicted, left = found.promised, certificate.predicted_decrease
@@ -149,6 +149,11 @@ class _Peaks:
         """How many combinations of parameters the response determines."""
         return self.directions.shape[1]
 
+    @property
+    def can_move(self):
+        """Whether there are any, and peaks: none where the norm is that of rounding."""
+        return self.n_directions > 0 and len(self.frequencies) > 0
+
     def join(self, frequencies):
         """Look at further frequencies too."""
         self.frequencies = np.append(self.frequencies, frequencies)
@@ -160,10 +165,11 @@ class _Peaks:
         """U, Σ, V and D at some frequencies."""
         error, slope = self.problem.error_and_sensitivity(self.theta, frequencies)
         left, sizes, adjoint = np.linalg.svd(error / self.value)
-        n_points, n_rows = slope.shape[:2]
+        n_points, n_rows, n_columns, _ = slope.shape
+        shape = n_points, n_rows, n_columns * self.n_directions
         slope = slope @ (self.directions / self.value)
-        moved = left.conj().swapaxes(1, 2) @ slope.reshape(n_points, n_rows, -1)
-        moved = adjoint.conj()[:, None] @ moved.reshape(*slope.shape)
+        moved = left.conj().swapaxes(1, 2) @ slope.reshape(shape)
+        moved = adjoint.conj()[:, None] @ moved.reshape(slope.shape)
         return left, sizes, adjoint.conj().swapaxes(1, 2), moved
 
     @cached_property

@@ -72,13 +72,20 @@ def _inverse_square(L, size):
     To a digit, which will do beside the tolerance: in single precision.
     """
     n, total = len(L), 0.0
-    for first in range(0, n, STRIP):  # twice as fast as the inverse itself
-        rest = np.empty((n - first, n - first), np.float32, order="F")
-        np.divide(L[first:, first:], size[first:, None], out=rest, casting="same_kind")
-        unit = np.eye(n - first, min(STRIP, n - first), dtype=np.float32, order="F")
-        part, fault = linalg.lapack.strtrs(rest, unit, lower=1, overwrite_b=1)
-        if fault:
-            return np.inf
+    for first in range(0, n, STRIP):  # twice as fast as the inverse itself, and next to no memory
+        part = np.eye(n - first, min(STRIP, n - first), dtype=np.float32, order="F")
+        for start in range(first, n, STRIP):
+            stop = min(start + STRIP, n)
+            rows = np.empty((stop - start, stop - first), np.float32, order="F")
+            np.divide(
+                L[start:stop, first:stop], size[start:stop, None], out=rows, casting="same_kind"
+            )
+            before, right = start - first, part[start - first : stop - first]
+            right = right - rows[:, :before] @ part[:before] if before else right
+            found, fault = linalg.lapack.strtrs(rows[:, before:], right, lower=1)
+            if fault:
+                return np.inf
+            part[before : stop - first] = found
         with np.errstate(over="ignore"):
             total += float(np.linalg.norm(part)) ** 2
     return total
