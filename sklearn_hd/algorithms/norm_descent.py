@@ -27,7 +27,7 @@ _CLOSE = 1.001  # bound, over the norm, where further descents begin
 _GROUND = 1e-4  # relative distance of its bound from the norm, where a descent ends
 _ABOVE = 1e-4  # of another's end, from where nothing lower is found any more
 _VALLEY = 0.1  # distance of responses, relative to the error, within one valley
-_CREEP = 1e-4  # of the norm that a round of steps must earn in a large structure
+_CREEP = 1e-6, 1e-4  # of the norm that a round of steps must earn; in a large structure
 _SCREENING = 20  # convex steps of a round
 
 
@@ -77,7 +77,7 @@ def least_norm(problem, fits, max_iter, tol, n_jobs=None, report=None):
         before, n_steps = run.value, min(_SCREENING, n_left)
         told = stage(report, "minimax, steps from the best", n_left)
         run = _to_the_ground(problem, run.theta, _CLOSE, n_steps, tol, told)
-        creeps = size > _LARGE and run.value > (1.0 - _CREEP) * before
+        creeps = run.value > (1.0 - _CREEP[size > _LARGE]) * before
         passed += run.history[1:]
         n_left -= n_steps
     return ways[best][0], replace(run, history=passed)
