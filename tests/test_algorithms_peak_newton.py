@@ -186,6 +186,8 @@ def test_curvature_is_made_positive_across_what_peaks_leave_free():
     made = _convex(curvature, gradients - gradients.mean(axis=0))
     assert linalg.eigvalsh(made)[0] >= -1e-10
     np.testing.assert_allclose(along.T @ made @ along, along.T @ curvature @ along, atol=1e-7)
+    with np.errstate(all="raise"):
+        np.testing.assert_array_equal(_convex(np.zeros((6, 6)), gradients), 0.0)
     concave = _convex(-np.eye(6), np.zeros((1, 6)))  # one peak leaves all free
     np.testing.assert_allclose(concave, 0.0, atol=1e-12)
 

@@ -261,7 +261,7 @@ def _convex(curvature, rows):
     across, along = adjoint[:n], adjoint[n:]
     values, vectors = linalg.eigh(along @ curvature @ along.T)
     turned = vectors.T @ (along @ curvature @ across.T)
-    least = _STIFF * max(np.abs(values).max(initial=0.0), linalg.norm(curvature, 2))
+    least = max(_STIFF * linalg.norm(curvature, 2), 1e-300)
     rest = across @ curvature @ across.T - turned.T @ (turned / np.maximum(values, least)[:, None])
     needed = max(0.0, -linalg.eigvalsh(rest)[0]) if n else 0.0
     curvature = curvature + needed * across.T @ across
