@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms import norm_descent
+from sklearn_hd.algorithms import least_squares, norm_descent
 from sklearn_hd.algorithms.least_squares import GridFit, Start, fit_from
+from sklearn_hd.algorithms.matching import starting_points
 from sklearn_hd.algorithms.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.norm_descent import _runs, _to_the_ground, least_norm
 from sklearn_hd.algorithms.peak_newton import newton_descent
@@ -99,3 +100,29 @@ def test_poles_of_least_squares_stay_below_one_limit_from_line_to_line():
     fit = fit_from(problem, Start(start, near=False), 100)
     fastest = [np.abs(structure.poles(theta)).max() for theta in (start, fit.theta)]
     assert 1e4 * fastest[0] < fastest[1] <= 1e6 * max(fastest[0], problem.fastest)
+
+
+def test_an_unstable_start_is_tried_once():
+    """On the axis there is nothing to start from: the same again would count as found twice."""
+    problem = problem_of()
+    unstable = START * [-1, 1, 1, 1, 1, 1]
+    kinds = {
+        name: [start.near for start in starting_points(problem, theta, False, 2, 0)][:2]
+        for name, theta in {"stable": START, "unstable": unstable}.items()
+    }
+    assert kinds["stable"] == [False, True]
+    starts = list(starting_points(problem, unstable, False, 2, 0))
+    assert sum(np.array_equal(start.theta, unstable) for start in starts) == 1
+
+
+def test_lines_that_a_pole_holds_up_are_given_up(monkeypatch):
+    problem, lines = problem_of(), []
+
+    def stays(problem, theta, *, shift=0.0, max_iter=100):
+        lines.append(shift)
+        return fit_at(theta)
+
+    monkeypatch.setattr(least_squares, "levenberg_marquardt", stays)
+    assert fit_from(problem, Start(START * [-1, 1, 1, 1, 1, 1], near=False), 100) is None
+    assert len(lines) < 20  # of 40
+    assert np.all(np.diff(lines) < 0)
