@@ -98,7 +98,7 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
                 break
             radius, n_again = 1.0, n_again + 1
             continue
-        converged = settled and (left <= tol or predicted <= _ROUNDING and left <= np.sqrt(tol))
+        converged = settled and (left <= tol or (predicted <= _ROUNDING and left <= np.sqrt(tol)))
         if converged:
             break
         if len(levels) > _PATIENCE and levels[-1 - _PATIENCE] - value < _CREEP * left * value:
