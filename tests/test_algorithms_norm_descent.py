@@ -54,6 +54,19 @@ def test_a_ground_above_another_is_left(monkeypatch):
     assert left.value == pytest.approx(run.value, rel=1e-3)
 
 
+def test_what_is_told_goes_on_from_one_kind_of_step_to_the_next(monkeypatch):
+    """A bar must neither go back nor end before the search."""
+    monkeypatch.setattr(norm_descent, "_TURNS", 1)
+    told, run = [], least_norm(problem_of(), [fit_at(START)], 3, 0.0, report=None)[1]
+    assert not run.converged
+    least_norm(problem_of(), [fit_at(START)], 3, 0.0, report=lambda *words: told.append(words))
+    steps = [words for words in told if words[0].startswith("minimax, steps from descent 1 of")]
+    _, most, done, _ = zip(*steps, strict=True)
+    assert len(set(most)) == 1
+    assert most[0] >= len(done) - 1 > 3
+    assert list(done) == list(range(len(done)))
+
+
 def test_convex_steps_go_on_where_the_ground_is_flat():
     """Within this bound Newton's steps shrink but slowly: the curvature along them fades."""
     free = newton_descent(problem_of(), START).theta

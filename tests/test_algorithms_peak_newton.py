@@ -155,6 +155,8 @@ def test_bounds_that_are_touched_take_their_share(k, side):
     assert run.theta[k] == pytest.approx(bounds[side][k], rel=1e-9)
     np.testing.assert_array_equal(problem.inside(run.theta), run.theta)
     assert run.value == pytest.approx(other.value, rel=1e-8)
+    for each in (run, other):
+        assert each.history[-1] == each.value == problem.peak(each.theta)[0]
     assert run.certificate.distance < 1e-6
     frequencies, errors = run.certificate.frequencies, run.certificate.errors
     moved = [problem.gains(run.theta + h, frequencies) for h in 1e-6 * np.eye(6)]
@@ -162,6 +164,37 @@ def test_bounds_that_are_touched_take_their_share(k, side):
     pull = run.certificate.weights @ gradients
     assert sign * pull[k] > 0  # only the bound holds it
     assert np.all(np.abs(np.delete(pull, k)) < 1e-3 * np.abs(gradients).max())
+
+
+def test_walls_that_are_not_touched_leave_the_curvature_as_it_is():
+    """Peaks that are linearised reach them in a region of size one."""
+    problem = problem_of(bounds=(START - 0.3 * np.abs(START), START + 0.3 * np.abs(START)))
+    peaks, free = peaks_of(problem, START), peaks_of(problem_of(), START)
+    assert peaks._flat.walls.max() > 1e-3
+    free._walls = peaks._walls[0][:0], peaks._walls[1][:0]
+    flat = free.__dict__["_flat"] = SimpleNamespace(**vars(peaks._flat))
+    flat.walls = flat.walls[:0]
+    np.testing.assert_array_equal(peaks.curvature, free.curvature)
+
+
+def test_steps_that_are_refused_are_no_convergence(monkeypatch):
+    """What a step promises in a region shrunk to nothing says nothing of the norm."""
+    problem = problem_of()
+    theta = near_the_ground(problem, 1e-6)
+    left = peaks_of(problem, theta).certificate.predicted_decrease
+    assert 1e-8 < left < 1e-4
+    value, top = problem.peak(theta)
+
+    def peak(self, at):
+        return value * (1.0 + (not np.array_equal(at, theta))), top
+
+    monkeypatch.setattr(MatchingProblem, "peak", peak)
+    monkeypatch.setattr("sklearn_hd.algorithms.peak_newton._PATIENCE", 60)
+    run = newton_descent(problem, theta)
+    assert run.predicted_decrease <= 1e-8
+    assert not run.converged
+    assert run.certificate is None
+    assert run.history == (value,)
 
 
 def test_certificates_of_both_searches_agree():

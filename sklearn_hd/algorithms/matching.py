@@ -6,10 +6,10 @@ in the H∞ norm, the H2 norm, or the mean square over a frequency grid. The sta
 function: channels are scaled alike; where C_s is known and invertible a change of state
 gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
 match over the grid, which is where the mean square stops. The best ones go down through
-smooth bounds of the H∞ norm and end in the exact one by a prox-linear trust region, or go
-down in the H2 norm by least squares on a quadrature. The singular values of the
-sensitivity at the end say which parameters the outputs determine, the certificate whether
-the norm can still fall.
+smooth bounds of the H∞ norm and end in the exact one by Newton's steps on its peaks, or by a
+prox-linear trust region where those do not converge; or they go down in the H2 norm by least
+squares on a quadrature. The singular values of the sensitivity at the end say which
+parameters the outputs determine, the certificate whether the norm can still fall.
 """
 
 from dataclasses import dataclass, replace
@@ -164,8 +164,8 @@ def match_structure(
         Starts tried at once, in processes of their own; the result is the same.
     max_iter : int
         Largest number of iterations of each stage. In the H∞ norm these are convex steps;
-        the smooth descents before them have 0.6 times as many Newton steps, and those that
-        go on to the ground twenty for each convex step to come.
+        the smooth descents before them have 0.6 times as many Newton steps. For each convex
+        step to come, those that go on to the ground have twenty, and the peaks nine.
     tol : float
         Relative decrease of the criterion promised at first order, at which to stop.
     exact_tol : float
@@ -239,7 +239,9 @@ def match_structure(
         found = _Found.by_least_squares(fit, exact, tol) if exact else found
     if exact or not run.value > 0:
         return _result(problem, fit, found, fits, exact)
-    certificate = run.certificate or certify(problem, found.theta, run.value)
+    certificate = run.certificate
+    if certificate is None or certificate.predicted_decrease > tol:  # cones promise less
+        certificate = certify(problem, found.theta, run.value)
     found = replace(found, predicted_decrease=certificate.predicted_decrease)
     return _result(problem, fit, found, fits, exact, certificate)
 

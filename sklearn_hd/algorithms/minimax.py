@@ -181,8 +181,8 @@ def minimise_peak(problem, theta, *, max_iter=100, tol=1e-8, report=None):
         elif np.isfinite(trial_value):
             model = model.join([trial_peak])
         curvature = _lagrangian_curvature(problem, theta, model, duals, directions, value)
-    theta, value = on_bounds(problem, theta, value)
-    return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter)
+    theta, history = on_bounds(problem, theta, history)
+    return MinimaxResult(theta, history[-1], predicted, converged, tuple(history), n_iter)
 
 
 def certify(problem, theta, value):
@@ -372,15 +372,17 @@ def _convex_step(model, curvature, radius, known=(), max_rounds=60):
     return _ConvexStep(step, bound, duals, pull, model)
 
 
-def on_bounds(problem, theta, value):
-    """Parameters that end next to a bound set on it, if the norm is no worse there."""
+def on_bounds(problem, theta, history):
+    """Parameters that end next to a bound set on it if the norm is no worse; norms so far."""
     near = _NEXT_TO * np.abs(theta)
     there = np.where(theta - problem.lower <= near, problem.lower, theta)
     there = np.where(problem.upper - theta <= near, problem.upper, there)
     if np.array_equal(there, theta):
-        return theta, value
-    at = problem.peak(there)[0]
-    return (there, at) if at <= value else (theta, value)
+        return theta, history
+    value = problem.peak(there)[0]
+    if value > history[-1]:
+        return theta, history
+    return there, [*history, value] if value < history[-1] else history
 
 
 def walls_of(problem, theta, directions):

@@ -37,7 +37,7 @@ def least_norm(problem, fits, max_iter, tol, n_jobs=None, report=None):
     The ranking by squares is not the ranking by peaks, so the match best in squares and
     those best in peaks go down in smooth bounds of the norm; where such a descent begins
     decides on the valley, so the first has several. Those that come near the lowest go on
-    to the ground, where convex steps in the norm itself end and certify.
+    to the ground, where steps in the norm itself end and certify.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def least_norm(problem, fits, max_iter, tol, n_jobs=None, report=None):
     n_left, creeps = max_iter - n_steps, False
     while not (run.converged or creeps) and n_left > 0:
         before, n_steps = run.value, min(_SCREENING, n_left)
-        told = stage(report, "minimax, steps from the best", n_left)
+        told = stage(report, "minimax, steps from the best", _most(n_steps))
         run = _to_the_ground(problem, run.theta, _CLOSE, n_steps, tol, told)
         creeps = run.value > (1.0 - _CREEP[size > _LARGE]) * before
         passed += run.history[1:]
@@ -117,7 +117,8 @@ def _runs(problem, descents, n_steps, tol, report):
         near = _VALLEY * linalg.norm(error)
         if any(runs[i].converged and linalg.norm(error - errors[i]) <= near for i in runs):
             continue
-        told = stage(report, f"minimax, steps from descent {count + 1} of {len(descents)}", n_steps)
+        name = f"minimax, steps from descent {count + 1} of {len(descents)}"
+        told = stage(report, name, _most(n_steps))
         runs[k] = _to_the_ground(problem, start.theta, start.ratio, n_steps, tol, told, lowest)
         lowest, errors[k] = min(lowest, runs[k].value), error
     return runs
@@ -128,8 +129,9 @@ def _to_the_ground(problem, theta, first, n_steps, tol, told, lowest=np.inf):
 
     Convex steps where the turns do not converge.
     """
-    run = newton_descent(problem, theta, max_iter=_NEWTON * n_steps, tol=tol, report=told)
-    passed = run.history
+    most = _NEWTON * n_steps
+    run = newton_descent(problem, theta, max_iter=most, tol=tol, report=told)
+    passed, n_done = run.history, run.n_iter
     for bound in (first, *[_CLOSE] * _TURNS)[:_TURNS]:
         if run.converged:
             return replace(run, history=passed)
@@ -138,11 +140,21 @@ def _to_the_ground(problem, theta, first, n_steps, tol, told, lowest=np.inf):
         passed += descent.history[1:]
         if descent.value > (1.0 + _ABOVE) * lowest:
             return MinimaxResult(descent.theta, descent.value, np.inf, False, passed, 0)
-        run = newton_descent(
-            problem, descent.theta, max_iter=_NEWTON * n_steps, tol=tol, report=told
-        )
-        passed += run.history[1:]
+        after = _after(told, n_done)
+        run = newton_descent(problem, descent.theta, max_iter=most, tol=tol, report=after)
+        passed, n_done = passed + run.history[1:], n_done + run.n_iter
     if not run.converged:
-        run = minimise_peak(problem, run.theta, max_iter=n_steps, tol=tol, report=told)
+        after = _after(told, n_done)
+        run = minimise_peak(problem, run.theta, max_iter=n_steps, tol=tol, report=after)
         passed += run.history[1:]
     return replace(run, history=passed)
+
+
+def _most(n_steps):
+    """Steps in the norm that a way to the ground can have."""
+    return (1 + _TURNS) * _NEWTON * n_steps + n_steps
+
+
+def _after(told, n_done):
+    """The callback of steps that come after others; None stays None."""
+    return told and (lambda done, note: told(n_done + done, note))

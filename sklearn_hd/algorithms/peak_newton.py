@@ -47,6 +47,7 @@ _CREEP = 0.2  # of what the linearised peaks promise; where it is not, valleys a
 _GOOD = 0.9  # from which it needs no correction
 _REACH = 0.9  # height of a peak, relative to the norm, that may hold it up after a step
 _HELD = 1e-6  # multiplier of a peak that holds a step up
+_TOUCHED = 1e-6  # distance, in steps, of a wall that is
 _APART = 1e-4  # of ω, over which differences are taken
 _SINGLE = 1e-9  # least distance, relative, of a singular value from the largest
 _LEVEL = 1e-8  # singular value of gradients, of the largest, that is none
@@ -86,18 +87,19 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
     peaks, passed, converged = _Peaks(problem, theta, value, [top], []), [], False
     n_again = 0
     while peaks.can_move and len(levels) < max_iter and radius > _LEAST_RADIUS:
-        certificate = peaks.certificate
-        found = peaks.step(peaks.curvature, radius)
-        predicted, left = found.promised, certificate.predicted_decrease
+        found, left = peaks.step(peaks.curvature, radius), peaks.certificate.predicted_decrease
+        predicted = found.promised
         levels.append(value)
         if report is not None:
             report(len(levels), f"error {value:.3g}")
         settled = predicted <= tol
-        if settled and n_again < _AGAIN and peaks.step(peaks.curvature, 1.0).promised > tol:
-            radius, n_again = 1.0, n_again + 1  # the region had shrunk too far
+        if settled and peaks.step(peaks.curvature, 1.0).promised > tol:  # the region is too small
+            if n_again == _AGAIN:
+                break
+            radius, n_again = 1.0, n_again + 1
             continue
-        converged = settled and left <= np.sqrt(tol)
-        if converged and (left <= tol or predicted <= _ROUNDING):
+        converged = settled and (left <= tol or (predicted <= _ROUNDING and left <= np.sqrt(tol)))
+        if converged:
             break
         if len(levels) > _PATIENCE and levels[-1 - _PATIENCE] - value < _CREEP * left * value:
             break
@@ -115,10 +117,10 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
         elif np.isfinite(trial_value):
             passed.append(trial_top)
             peaks.join([trial_top])
-    theta, value = on_bounds(problem, theta, value)
-    certificate = certificate if converged else None
-    n_iter = len(levels)
-    return MinimaxResult(theta, value, predicted, converged, tuple(history), n_iter, certificate)
+    theta, history = on_bounds(problem, theta, history)
+    certificate = peaks.certificate if converged else None
+    end = predicted, converged, tuple(history), len(levels), certificate
+    return MinimaxResult(theta, history[-1], *end)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +201,8 @@ class _Peaks:
             each = np.sqrt(factors * weights)[:, None] * each
             bent += each.real.T @ each.real + each.imag.T @ each.imag
         level = self.gradients[held] - self._flat.weights @ self.gradients
-        touched = self._walls[0][self._flat.walls > _HELD]
+        rows, offsets = self._walls
+        touched = rows[(self._flat.walls > _HELD) & (offsets <= _TOUCHED * column_sizes(rows.T))]
         return _convex(bent, np.vstack([level, touched]))
 
     def _aside(self, frequencies, heights):
