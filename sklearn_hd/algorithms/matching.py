@@ -239,9 +239,7 @@ def match_structure(
         found = _Found.by_least_squares(fit, exact, tol) if exact else found
     if exact or not run.value > 0:
         return _result(problem, fit, found, fits, exact)
-    certificate = run.certificate
-    if certificate is None or certificate.predicted_decrease > tol:  # cones promise less
-        certificate = certify(problem, found.theta, run.value)
+    certificate = run.certificate or certify(problem, found.theta, run.value)
     found = replace(found, predicted_decrease=certificate.predicted_decrease)
     return _result(problem, fit, found, fits, exact, certificate)
 

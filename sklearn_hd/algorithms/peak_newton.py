@@ -83,28 +83,24 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
     value, top = problem.peak(theta)
     if not 0 < value < np.inf:
         return MinimaxResult(theta, value, np.inf, False, (value,), 0)
-    history, levels, radius, predicted = [value], [], _FIRST_RADIUS, np.inf
-    peaks, passed, converged = _Peaks(problem, theta, value, [top], []), [], False
-    n_again = 0
+    history, levels, passed, radius, n_again = [value], [], [], _FIRST_RADIUS, 0
+    peaks = _Peaks(problem, theta, value, [top], [])
     while peaks.can_move and len(levels) < max_iter and radius > _LEAST_RADIUS:
         found, left = peaks.step(peaks.curvature, radius), peaks.certificate.predicted_decrease
-        predicted = found.promised
         levels.append(value)
         if report is not None:
             report(len(levels), f"error {value:.3g}")
-        settled = predicted <= tol
-        if settled and peaks.step(peaks.curvature, 1.0).promised > tol:  # the region is too small
+        if found.promised <= tol and peaks.promised > tol:  # the region is too small
             if n_again == _AGAIN:
                 break
             radius, n_again = 1.0, n_again + 1
             continue
-        converged = settled and (left <= tol or (predicted <= _ROUNDING and left <= np.sqrt(tol)))
-        if converged:
+        if peaks.promised <= tol and (left <= tol or peaks.promised <= _ROUNDING):
             break
         if len(levels) > _PATIENCE and levels[-1 - _PATIENCE] - value < _CREEP * left * value:
             break
         step, trial, (trial_value, trial_top) = peaks.best_of(found, radius)
-        gain = (value - trial_value) / (value * max(predicted, 1e-16))
+        gain = (value - trial_value) / (value * max(found.promised, 1e-16))
         if gain > _LEAST_GAIN:
             held = peaks.frequencies[found.weights > _HELD]
             fresh = _Peaks(problem, trial, trial_value, [*held, trial_top], passed)
@@ -117,8 +113,10 @@ def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
         elif np.isfinite(trial_value):
             passed.append(trial_top)
             peaks.join([trial_top])
-    theta, history = on_bounds(problem, theta, history)
+    predicted = peaks.promised if peaks.can_move else np.inf
+    converged = predicted <= tol and peaks.certificate.predicted_decrease <= np.sqrt(tol)
     certificate = peaks.certificate if converged else None
+    theta, history = on_bounds(problem, theta, history)
     end = predicted, converged, tuple(history), len(levels), certificate
     return MinimaxResult(theta, history[-1], *end)
 
@@ -178,6 +176,11 @@ class _Peaks:
     def _flat(self):
         """The step of the linearised peaks alone, in a region of size one."""
         return self.step(np.zeros((self.n_directions,) * 2), 1.0)
+
+    @cached_property
+    def promised(self):
+        """By how much, relative to F, the peaks fall at best in a region of size one."""
+        return self.step(self.curvature, 1.0).promised
 
     @cached_property
     def certificate(self):
