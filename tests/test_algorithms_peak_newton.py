@@ -191,7 +191,7 @@ def test_steps_that_are_refused_are_no_convergence(monkeypatch):
     monkeypatch.setattr(MatchingProblem, "peak", peak)
     monkeypatch.setattr("sklearn_hd.algorithms.peak_newton._PATIENCE", 60)
     run = newton_descent(problem, theta)
-    assert run.predicted_decrease <= 1e-8
+    assert run.predicted_decrease > 1e-8  # in a region of size one
     assert not run.converged
     assert run.certificate is None
     assert run.history == (value,)
