@@ -38,16 +38,16 @@ from sklearn_hd.algorithms.structured_model import column_sizes
 
 __all__ = ["newton_descent"]
 
-_FIRST_RADIUS = 0.03  # where a response moves by as much as this of the residual
+_FIRST_RADIUS = 0.03  # of a step: by as much of the residual a response moves
 _LEAST_RADIUS = 1e-9
 _LEAST_GAIN = 1e-3  # actual over promised decrease below which a step is refused
-_PATIENCE = 8  # steps in which must be earned
+_PATIENCE = 8  # steps that together must earn a share
 _AGAIN = 3  # times that a search begins anew with a region of size one
-_CREEP = 0.2  # of what the linearised peaks promise; where it is not, valleys are curved
+_CREEP = 0.2  # that share, of what the linearised peaks promise: else a valley is curved
 _GOOD = 0.9  # from which it needs no correction
 _REACH = 0.9  # height of a peak, relative to the norm, that may hold it up after a step
 _HELD = 1e-6  # multiplier of a peak that holds a step up
-_TOUCHED = 1e-6  # distance, in steps, of a wall that is
+_TOUCHED = 1e-6  # distance of a wall that is touched, in steps of size one
 _APART = 1e-4  # of ω, over which differences are taken
 _SINGLE = 1e-9  # least distance, relative, of a singular value from the largest
 _LEVEL = 1e-8  # singular value of gradients, of the largest, that is none
