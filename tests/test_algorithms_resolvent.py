@@ -1,5 +1,7 @@
 """Responses from one triangular form: as solved point by point, whatever A is like."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,36 @@ def test_states_are_those_solved_point_by_point(kind):
             (seen[:, k].T * size, C @ resolvent * size),
         ):
             np.testing.assert_allclose(made, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+
+
+def test_slow_states_beside_a_fast_one_are_seen_to_the_last_digits():
+    """The form rounds them beside the fast one's entry, 1e8; elimination does not."""
+    A = np.array([[-1.0, 1.0, 100.0], [1.0, -1.001, 50.0], [-20.0, 10.0, -1e8]])
+    B, C = np.array([[1.0], [0.5], [0.0]]), np.array([[1.0, -0.5, 0.0]])
+    s = np.array([0.0, 1e-3, 2.0, np.inf], dtype=complex)
+    form = TriangularForm(A)
+    rounded = form._upwards((form._into @ B)[:, None], form._decay(s), (3, len(s), 1))
+    rounded = np.tensordot(form._out_of, rounded, 1)
+    exact = np.array([exact_solution(at.real * np.eye(3) - A, B[:, 0]) for at in s[:-1]]).T
+    size = np.abs(exact).max(axis=0)
+    driven, seen = form.driven(B, s), form.seen(C, s)
+    assert np.max(np.abs(rounded[:, :-1, 0] - exact) / size) > 1e-8
+    assert np.max(np.abs(driven[:, :-1, 0] - exact) / size) < 1e-11
+    assert not driven[:, -1].any()
+    exact = np.array([exact_solution(at.real * np.eye(3) - A.T, C[0]) for at in s[:-1]]).T
+    assert np.max(np.abs(seen[:, :-1, 0] - exact) / np.abs(exact).max(axis=0)) < 1e-11
+
+
+def exact_solution(matrix, right):
+    """By elimination in fractions."""
+    rows = np.column_stack([matrix, right])
+    rows = [[Fraction(float(entry)) for entry in row] for row in rows]
+    for k, row in enumerate(rows):
+        row[:] = [entry / row[k] for entry in row]
+        for other in rows:
+            if other is not row:
+                other[:] = [x - other[k] * y for x, y in zip(other, row, strict=True)]
+    return [float(row[-1]) for row in rows]
 
 
 @pytest.mark.parametrize("kind", KINDS)
