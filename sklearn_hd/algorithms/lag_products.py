@@ -56,7 +56,7 @@ MOST_EXPONENT = 300  # of two
 TOGETHER = 24  # channels times rows on the left side of one product
 REMEMBERED_ROWS = 256  # of a Gram matrix, whose table of places is kept for the next (0.5 MB)
 PLACED_ROWS = 32  # of a larger one at a time, which is put in order where it stands
-BLOCK_BYTES = 2**19  # of products of ends at a time
+BLOCK_BYTES = 2**19  # of products at a time
 
 
 @dataclass(frozen=True)
@@ -455,9 +455,12 @@ def _overlapping(rows, size, together, span, period):
     shape = (period // together, size // period, span * width)
     strides = (together * width * item, period * width * item, item)
     windows = np.ndarray(shape, buffer=rows, strides=strides)
-    sums = 0.0
-    for rows in windows:  # one product at a time: together they would be as large as a factor
-        sums += rows[:, : together * width].T @ rows
+    some = max(1, BLOCK_BYTES // (together * width * span * width * item))
+    sums = 0.0  # of some products at a time: together they may be as large as a factor
+    for start in range(0, len(windows), some):
+        right = windows[start : start + some]
+        left = right[:, :, : together * width].transpose(0, 2, 1)
+        sums += np.matmul(left, right).sum(axis=0)
     return sums.reshape(together, width, span, width)
 
 
