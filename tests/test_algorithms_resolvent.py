@@ -63,6 +63,8 @@ def test_slow_states_beside_a_fast_one_are_seen_to_the_last_digits():
     assert np.max(np.abs(rounded[:, :-1, 0] - exact) / size) > 1e-8
     assert np.max(np.abs(driven[:, :-1, 0] - exact) / size) < 1e-11
     assert not driven[:, -1].any()
+    beside = form.driven(np.hstack([B, [[0.0], [0.0], [1e12]]]), s)  # a force in another unit
+    assert np.max(np.abs(beside[:, :-1, 0] - exact) / size) < 1e-11
     exact = np.array([exact_solution(at.real * np.eye(3) - A.T, C[0]) for at in s[:-1]]).T
     assert np.max(np.abs(seen[:, :-1, 0] - exact) / np.abs(exact).max(axis=0)) < 1e-11
 

@@ -325,9 +325,7 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
         yield Start(projected, near=True)
     if theta0 is not None:
         yield Start(theta0, near=False)
-        if (
-            problem.abscissa(theta0) < 0
-        ):  # else the same once more, which would count as found twice
+        if problem.abscissa(theta0) < 0:  # else the same again, which would count as found twice
             yield Start(theta0, near=True)
     if first is None:
         yield Start(problem.inside(_plain_start(problem)), near=False)

@@ -18,7 +18,6 @@ from scipy import linalg
 
 __all__ = ["TriangularForm", "triangular_form"]
 
-
 _SEEN = 1e-10  # rounding of the form in a response, relative, that is corrected
 _MOST_CORRECTIONS = 3
 
@@ -57,11 +56,10 @@ class TriangularForm:
         shape = len(A), len(s), forces.shape[1]
         states = solve(drive[:, None], decay, shape)
         answers = (out_of @ states.reshape(shape[0], shape[1] * shape[2])).reshape(shape)
-        strongest, most = np.max(np.abs(states), initial=0.0), np.max(np.abs(drive), initial=0.0)
-        growth = self._rounding * strongest / (most or 1.0)
+        growth = self._rounding * _largest_ratio(states, drive)
         error, finite = growth, np.where(np.isfinite(s), s, 0.0)[:, None]  # elsewhere decay is 0
         for _ in range(_MOST_CORRECTIONS):
-            if not _SEEN < error < np.inf:
+            if not _SEEN < error < 1.0:  # from where corrections may not shrink
                 break
             left = forces[:, None] - finite * answers + np.tensordot(A, answers, 1)
             states = solve(np.tensordot(into, left, 1), decay, shape)
@@ -99,6 +97,13 @@ class TriangularForm:
         decay = np.zeros((len(self.poles), len(s)), dtype=complex)
         decay[:, finite] = 1.0 / gaps
         return decay
+
+
+def _largest_ratio(states, drive):
+    """How strongly states answer at most, force by force."""
+    strongest = np.max(np.abs(states), axis=(0, 1), initial=0.0)
+    most = np.max(np.abs(drive), axis=0, initial=0.0)
+    return np.max(strongest / np.where(most > 0.0, most, np.inf), initial=0.0)
 
 
 def triangular_form(A):
