@@ -29,8 +29,9 @@ from sklearn_hd._validation import (
     check_positive,
     signal_names,
 )
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate, simulate
-from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
 WARMUP_PERIODS = 5
 WARMUP_SAMPLES = 50
@@ -302,7 +303,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Returns
         -------
         score : float
-            1 for a perfect model, 0 for one no better than the mean.
+            1 for a perfect model, 0 for one no better than the mean, −inf for an unstable one
+            whose simulation grows until R² overflows (with an InstabilityWarning).
 
         Raises
         ------
@@ -310,27 +312,20 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             Before ``fit``.
         ValueError
             If fewer than two rows are left to score, or X and y do not fit the model.
-        UnstableModelError
-            If the simulation grows until R² overflows.
         """
         check_is_fitted(self)
         check_outputs_given(y)
-        truth, simulated, rows = self._fitted_simulation(X, y)
+        found = compared(self, X, y)
+        if found is None:
+            return -np.inf
+        truth, simulated, rows = found
         weight = weights_of(rows, sample_weight, len(y))
         if len(truth) < 2:
             raise ValueError(
                 "one row is left to score, which has no R²; give longer records or a smaller warmup"
             )
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
-        columns = [np.asfortranarray(z) / unit for z in (truth, simulated)]  # quick to sum
-        largest = np.max(np.abs(extremes(columns[1])))
-        if not largest < MOST_SCORED:
-            raise UnstableModelError(
-                f"the simulation grows to {largest:.3g} times the measured outputs, so that R² "
-                f"overflows: the model is unstable, or not of these outputs; drop its "
-                f"growing modes (SpuriousModeReducer), lower the order, or score a shorter span"
-            )
-        return float(r2_score(*columns, sample_weight=weight))
+        return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
     def _fitted_simulation(self, X, y, horizon=None):
         """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""
@@ -359,7 +354,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 f"no rows are left to score in {experiment.span()}: every segment is shorter than "
                 f"one analysis window and the warm-up; give longer records or a smaller warmup"
             )
-        return joined(truth), joined(simulated), joined(rows)
+        by_columns = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
+        return *by_columns, joined(rows)  # which are quick to sum
 
     def _fitted_outputs(self, simulator, outputs, rows, horizon):
         """Outputs from the initial state that fits best over some rows."""
@@ -462,6 +458,29 @@ def scored_simulation(step, X, y, horizon=None):
     """
     check_is_fitted(step)
     return step._fitted_simulation(X, y, horizon)
+
+
+def compared(step, X, y, horizon=None):
+    """What ``scored_simulation`` returns; None, and a warning, where no score could be computed.
+
+    That is where outputs grow beyond numbers whose squares are numbers. A search over orders goes
+    on: that candidate is the worst.
+    """
+    try:
+        truth, simulated, rows = scored_simulation(step, X, y, horizon)
+        with np.errstate(over="ignore"):
+            grown = np.max(np.abs(extremes(simulated)) / power_of_two(truth))
+    except UnstableModelError:
+        grown = np.inf
+    if grown < MOST_SCORED:
+        return truth, simulated, rows
+    warn(
+        f"a {type(step).__name__} scores -inf: its model is unstable, or not of these outputs, and "
+        f"its simulation grows until a score would overflow; drop the growing modes "
+        f"(SpuriousModeReducer), lower the order, or score a shorter span",
+        InstabilityWarning,
+    )
+    return None
 
 
 def fit_initial_state(simulator, outputs, rows):

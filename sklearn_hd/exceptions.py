@@ -34,4 +34,4 @@ class FrequencyMismatchWarning(UserWarning):
 
 
 class InstabilityWarning(UserWarning):
-    """The periodic orbit that the data are taken about is unstable."""
+    """A model, or the periodic orbit that the data are taken about, is unstable."""

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from sklearn.compose import ColumnTransformer
+from sklearn.metrics import mean_squared_error
 from sklearn.pipeline import FeatureUnion, Pipeline
 
 from sklearn_hd import (
@@ -13,8 +14,8 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.exceptions import ExcitationWarning, UnstableModelError
-from sklearn_hd.model_selection import fit_percent_scorer
+from sklearn_hd.exceptions import ExcitationWarning, InstabilityWarning, UnstableModelError
+from sklearn_hd.model_selection import fit_percent_scorer, simulation_scorer
 
 OMEGA = 2 * np.pi
 SPP = 16
@@ -435,7 +436,7 @@ def test_too_few_rows_a_period_fold_the_copies_onto_the_modes(u, y):
         pipe.fit(u, y)
 
 
-def test_an_overflowing_simulation_is_refused():
+def test_an_overflowing_simulation_is_refused_and_scores_minus_infinity():
     rng = np.random.default_rng(0)
     u = rng.standard_normal((60, 1))
     y = np.zeros(60)
@@ -446,8 +447,19 @@ def test_an_overflowing_simulation_is_refused():
     with pytest.raises(UnstableModelError, match=r"overflows: the model has a pole of size 1.5"):
         model.predict(np.ones((5000, 1)))
     span = int(360 / np.log10(1.5) / 2)  # outputs reach 1e180, their squares would overflow
-    with pytest.raises(UnstableModelError, match=r"times the measured outputs, so that R² overf"):
-        model.score(np.ones((span, 1)), rng.standard_normal((span, 1)))
+    for rows in (span, 5000):
+        X, noise = np.ones((rows, 1)), rng.standard_normal((rows, 1))
+        scorers = (
+            simulation_scorer(mean_squared_error, greater_is_better=False),
+            fit_percent_scorer(),
+        )
+        for score in (MOESPRegressor.score, *scorers):
+            with pytest.warns(
+                InstabilityWarning, match="scores -inf: its model is unstable, or not"
+            ):
+                assert score(model, X, noise) == -np.inf
+        with pytest.warns(InstabilityWarning, match="scores -inf"):
+            assert model.score(X, noise * 1e-300) == -np.inf
 
 
 def test_frames_of_other_libraries_are_refused():

@@ -1,5 +1,6 @@
 """Choosing the order: scorers that simulate, scikit-learn's searches."""
 
+import dataclasses
 import pickle
 from functools import partial
 
@@ -33,6 +34,7 @@ from sklearn.preprocessing import FunctionTransformer
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import InstabilityWarning
 from sklearn_hd.model_selection import (
     PeriodBlockSplit,
     fit_percent,
@@ -320,6 +322,38 @@ def test_the_rule_refuses_where_grid_search_would_not(lti):
     search.set_params(refit=smallest_within_one_standard_error)
     with pytest.raises(ValueError, match=r"1 of 2 candidates failed.*'order': 40.* on folds \[0, "):
         search.fit(lti.inputs, lti.outputs)
+
+
+class Growing(MOESPRegressor):
+    """Models of more than three states grow, as some do that noise has made."""
+
+    def fit(self, X, y):
+        super().fit(X, y)
+        if self.order > 3:
+            A = np.diag(np.full(self.order, 4.0))
+            self.model_ = dataclasses.replace(self.model_, A=A)
+        return self
+
+
+@pytest.mark.filterwarnings("ignore:One or more of the test scores are non-finite")
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")  # std of -inf
+def test_searches_pass_over_models_that_grow(lti):
+    search = GridSearchCV(
+        Growing(block_rows=8),
+        {"order": [3, 4, 5]},
+        cv=PeriodBlockSplit(2, omega=lti.omega),
+        error_score="raise",
+        refit=smallest_within_one_standard_error,
+    )
+    with pytest.warns(InstabilityWarning, match="a Growing scores -inf: its model is unstable"):
+        search.fit(lti.inputs, lti.outputs)
+    means = search.cv_results_["mean_test_score"]
+    assert means[0] > 0.9
+    assert means[1:].tolist() == [-np.inf, -np.inf]
+    assert search.best_params_ == {"order": 3}
+    search.set_params(refit=True)
+    with pytest.warns(InstabilityWarning):
+        assert search.fit(lti.inputs, lti.outputs).best_params_ == {"order": 3}
 
 
 def test_halving_over_block_rows_works(lti):

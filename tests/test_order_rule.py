@@ -80,6 +80,18 @@ def test_failed_candidates_are_named_with_their_folds():
     assert "error_score='raise'" in str(raised.value)
 
 
+def test_unstable_candidates_are_passed_over():
+    scores = np.array(SCORES)
+    chosen = smallest_within_one_standard_error(results(scores, order=[1, 2, 3, 4]))
+    unstable = np.vstack([scores, scores[-1]])
+    unstable[4, 1] = -np.inf
+    table = results(unstable, order=[1, 2, 3, 4, 5])
+    assert smallest_within_one_standard_error(table) == chosen
+    table = results(np.full((2, 3), -np.inf), order=[1, 2])
+    with pytest.raises(ValueError, match="all 2 candidates are unstable on some fold and score -i"):
+        smallest_within_one_standard_error(table)
+
+
 @pytest.mark.parametrize(
     ("table", "kwargs", "message"),
     [

@@ -250,12 +250,12 @@ def cv_results(scores, orders, **others):
 
 
 def test_failed_candidates_are_marked():
-    results = cv_results([0.5, np.nan, 0.8], [2, 4, 6])
+    results = cv_results([0.5, np.nan, 0.8, -np.inf], [2, 4, 6, 8])
     display = OrderSelectionDisplay.from_cv_results(results, misfit=True)
-    assert display.failed_.get_xdata() == [4]
+    assert display.failed_.get_xdata().tolist() == [4, 8]
     np.testing.assert_allclose(display.lines_["default"][0].get_ydata(), [0.5, 0.2])
     assert display.ax_.get_yscale() == "log"
-    with pytest.raises(ValueError, match="every candidate failed on some fold"):
+    with pytest.raises(ValueError, match="every candidate failed or was unstable on some fold"):
         OrderSelectionDisplay.from_cv_results(cv_results([np.nan], [2]))
 
 

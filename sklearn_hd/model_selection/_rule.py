@@ -51,8 +51,9 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Raises
     ------
     ValueError
-        If a candidate failed on some fold (its score is not finite), there are
-        fewer than two folds, or the candidates cannot be told apart by size.
+        If a candidate failed on some fold (its score is NaN; −inf, that of an
+        unstable model, is a score), none has a finite mean, there are fewer
+        than two folds, or the candidates cannot be told apart by size.
 
     References
     ----------
@@ -90,15 +91,20 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
 
 
 def standard_error(scores, test_share=None):
-    """Standard error of the mean of the scores on some folds, which share training rows."""
+    """Standard error of the mean of the scores on some folds, which share training rows.
+
+    NaN where one of them is not finite.
+    """
     n_folds = len(scores)
     share = 1.0 / (n_folds - 1) if test_share is None else test_share
     check_positive("test_share", share, "rows tested over rows trained on", "None is 1/(k − 1)")
+    if not np.all(np.isfinite(scores)):
+        return np.nan
     return float(scores.std(ddof=1) * np.sqrt(1.0 / n_folds + share))
 
 
 def fold_scores(cv_results, metric):
-    """Test scores, (n_candidates, n_folds); NaN where a candidate failed."""
+    """Test scores, (n_candidates, n_folds); NaN where a candidate failed, −inf where it grew."""
     metrics = [key.removeprefix("mean_test_") for key in cv_results if key.startswith("mean_test_")]
     if metric not in metrics:
         raise ValueError(
@@ -119,13 +125,18 @@ def fold_scores(cv_results, metric):
 
 
 def _check_none_failed(scores, candidates):
-    """Raise ValueError where a candidate has no score on some fold."""
-    if np.all(np.isfinite(scores)):
-        return
+    """Raise ValueError where a candidate has no score on some fold, or none a finite one on all."""
+    if not np.any(np.isnan(scores)):
+        if np.any(np.all(np.isfinite(scores), axis=1)):
+            return
+        raise ValueError(
+            f"all {len(scores)} candidates are unstable on some fold and score -inf; search over "
+            f"smaller orders, or drop growing modes (SpuriousModeReducer)"
+        )
     failed = [
-        f"{params} on folds {np.flatnonzero(~np.isfinite(row)).tolist()}"
+        f"{params} on folds {np.flatnonzero(np.isnan(row)).tolist()}"
         for params, row in zip(candidates, scores, strict=True)
-        if not np.all(np.isfinite(row))
+        if np.any(np.isnan(row))
     ]
     raise ValueError(
         f"{len(failed)} of {len(scores)} candidates failed, so that there is no mean score to "

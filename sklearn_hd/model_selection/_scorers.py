@@ -7,7 +7,7 @@ import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd._base import ModelStep, power_of_two, scored_simulation, weights_of
+from sklearn_hd._base import ModelStep, compared, power_of_two, weights_of
 from sklearn_hd._tables.containers import as_container, to_float
 from sklearn_hd._validation import check_count
 
@@ -42,7 +42,8 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
     scorer : callable
         ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``. The
         estimator is a model step, or a Pipeline, search or FrozenEstimator
-        that ends in one.
+        that ends in one. As with ``score``, an unstable model whose simulation
+        grows beyond what can be squared scores −inf.
 
     Raises
     ------
@@ -82,9 +83,10 @@ class _SimulationScorer:
         self.metric, self.sign, self.horizon, self.kwargs = metric, sign, horizon, kwargs
 
     def __call__(self, estimator, X, y, sample_weight=None):
-        step, truth, simulated, weight = _simulate(
-            estimator, X, y, sample_weight, horizon=self.horizon
-        )
+        found = _simulate(estimator, X, y, sample_weight, horizon=self.horizon)
+        if found is None:
+            return -np.inf
+        step, truth, simulated, weight = found
         if step.target_kind_ in ("series", "vector"):
             truth, simulated = truth[:, 0], simulated[:, 0]
         kwargs = dict(self.kwargs)
@@ -135,9 +137,15 @@ def last_model_step(estimator, X):
 
 
 def _simulate(estimator, X, y, sample_weight, horizon=None):
-    """Last model step, measured and simulated outputs on the rows that score counts, weights."""
+    """Last model step, measured and simulated outputs on the rows that score counts, weights.
+
+    None where the simulation grows until a score would overflow.
+    """
     step, X = last_model_step(estimator, X)
-    truth, simulated, rows = scored_simulation(step, X, y, horizon)
+    found = compared(step, X, y, horizon)
+    if found is None:
+        return None
+    truth, simulated, rows = found
     return step, truth, simulated, weights_of(rows, sample_weight, len(y))
 
 
@@ -240,7 +248,7 @@ def fit_percent_scorer(output=None):
     Returns
     -------
     scorer : callable
-        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``.
+        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``; −inf where ``score`` is.
 
     See Also
     --------
@@ -271,7 +279,10 @@ class _FitPercentScorer:
         self.output = output
 
     def __call__(self, estimator, X, y, sample_weight=None):
-        step, truth, simulated, weight = _simulate(estimator, X, y, sample_weight)
+        found = _simulate(estimator, X, y, sample_weight)
+        if found is None:
+            return -np.inf
+        step, truth, simulated, weight = found
         fit = fit_percent(truth, simulated, sample_weight=weight)
         return float(fit.mean() if self.output is None else fit[self._position(step)])
 

@@ -201,13 +201,13 @@ class OrderSelectionDisplay:
         Raises
         ------
         ValueError
-            If every candidate failed on some fold.
+            If every candidate failed or was unstable on some fold.
         """
         good = self.results[np.isfinite(self.results["score"])]
         if len(good) == 0:
             raise ValueError(
-                "every candidate failed on some fold, so that there is no score to draw; see why "
-                "with error_score='raise'"
+                "every candidate failed or was unstable on some fold, so that there is no score to "
+                "draw; see why with error_score='raise', or search over smaller orders"
             )
         panels = one_axes(ax, (6.4, 4.0))
         self.figure_, self.ax_ = panels.figure, panels.axes[0]
@@ -272,7 +272,7 @@ class OrderSelectionDisplay:
                 [0.0] * failed.nunique(),
                 "x",
                 transform=self.ax_.get_xaxis_transform(),
-                label="failed on some fold",
+                label="failed or unstable on some fold",
                 **style,
             )
 
