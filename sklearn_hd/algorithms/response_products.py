@@ -203,7 +203,7 @@ def response_products(basis, u, y, scales):
         states = w.reshape(len(w), -1, q)
         state[first:] = run(powers[L], states, state[first:], steps)
         for total, z in zip(sums, (inputs, outputs), strict=True):
-            total[first * q : n_states] += w.T @ z
+            total[first * q : n_states] += (z.T @ w).T  # BLAS is faster at tall by slim
             total[n_states:] += inputs.T @ z
         squares = squares + np.array([channel @ channel for channel in y[rows].T])
     rest = n_samples - (n_blocks - 1) * L  # samples of the last block
