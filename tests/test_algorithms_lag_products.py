@@ -214,6 +214,36 @@ def test_long_records_go_chunk_by_chunk_to_the_same_sums(rng):
             np.testing.assert_allclose(found, dense, atol=1e-9)
 
 
+@pytest.mark.parametrize("n_lags", [2, 3, 4, 9, 30])
+@pytest.mark.parametrize("n_rows", [30, 31, 143, 144, 145, 146, 300])
+def test_lags_of_whole_numbers_are_exact_across_chunks(rng, monkeypatch, n_lags, n_rows):
+    """Rows at even and at odd places, odd numbers of lags and rows, ends of chunks."""
+    monkeypatch.setattr(lag_module, "CHUNK", 72)  # pairs of rows
+    record = rng.integers(-9, 10, (n_rows, 3)).astype(float)
+    for exact in (False, True):
+        products = lag_products([(record[:, :1], record[:, 1:])], n_lags, exact)
+        e = products.exponents
+        found = np.ldexp(products.lags.high, e[:, None] + e)
+        for lag in range(n_lags):
+            assert np.array_equal(found[lag], record[: n_rows - lag].T @ record[lag:])
+
+
+def test_the_largest_slices_there_are_round_nothing(rng):
+    """Sums over a whole chunk of values just below one, of one sign and of two."""
+    n_rows = 2 * lag_module.CHUNK + 35
+    whole = 2**53 - rng.integers(1, 2**36, (n_rows, 2)).astype(object)
+    whole[1::2, 1] *= -1
+    record = np.ldexp(whole.astype(float), -53)
+    assert np.array_equal(rounded(record), record)
+    products = lag_products([(record,)], 4, exact=True)
+    for lag in range(4):
+        truth = whole[: n_rows - lag].T @ whole[lag:]
+        halves = (half[lag].ravel().tolist() for half in products.lags.halves())
+        for high, low, value in zip(*halves, truth.ravel(), strict=True):
+            error = Fraction(high) + Fraction(low) - Fraction(value, 2**106)
+            assert abs(error) <= EXACT * n_rows
+
+
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("units", [1e-140, 1.0, 1e140])
 def test_channels_at_rest_and_units_are_no_matter(rng, exact, units):
