@@ -211,7 +211,7 @@ def test_the_size_of_an_inverse_is_that_of_the_inverse(rng, size):
 
 @pytest.mark.parametrize("smallest", [0.0, 1e-300, 1e-6, 1e-2, 1.0])
 def test_all_singular_values_are_above_a_share_only_where_they_are(rng, smallest):
-    left, right = linalg.qr(rng.standard_normal((2, 6, 6)))[0]
+    left, right = np.linalg.qr(rng.standard_normal((2, 6, 6)))[0]
     R = linalg.qr((left * [1.0, 0.9, 0.5, 0.3, 0.2, smallest]) @ right, mode="r")[0]
     values = linalg.svdvals(R)
     for share in (1e-10, 1e-4, 0.1):

@@ -57,9 +57,9 @@ def test_a_ground_above_another_is_left(monkeypatch):
 def test_what_is_told_goes_on_from_one_kind_of_step_to_the_next(monkeypatch):
     """A bar must neither go back nor end before the search."""
     monkeypatch.setattr(norm_descent, "_TURNS", 1)
-    told, run = [], least_norm(problem_of(), [fit_at(START)], 3, 0.0, report=None)[1]
+    told, run = [], least_norm(problem_of(), [fit_at(START)], 1, 0.0, report=None)[1]
     assert not run.converged
-    least_norm(problem_of(), [fit_at(START)], 3, 0.0, report=lambda *words: told.append(words))
+    least_norm(problem_of(), [fit_at(START)], 1, 0.0, report=lambda *words: told.append(words))
     steps = [words for words in told if words[0].startswith("minimax, steps from descent 1 of")]
     _, most, done, _ = zip(*steps, strict=True)
     assert len(set(most)) == 1

@@ -49,7 +49,8 @@ def test_curvature_agrees_with_differences_of_the_peaks(monkeypatch, shape):
             return problem.tops_near(theta + h * moves, frequency)[1][0] / peaks.value
 
         h = 1e-4
-        slope = (moved(h) - moved(-h)) / (2 * h)
+        slopes = [(moved(step) - moved(-step)) / (2 * step) for step in (h, 0.5 * h)]
+        slope = (4.0 * slopes[1] - slopes[0]) / 3.0
         bend = (moved(h) + moved(-h) - 2 * moved(0.0)) / h**2
         assert peaks.gradients[k] @ direction == pytest.approx(slope, rel=1e-5, abs=1e-8)
         assert direction @ peaks.curvature @ direction == pytest.approx(bend, rel=1e-3, abs=1e-4)
@@ -83,8 +84,9 @@ def test_the_last_steps_are_quadratic():
         left.append(linalg.norm(theta - best.theta) / linalg.norm(best.theta))
         theta = newton_descent(problem, theta, max_iter=1).theta
     assert left[0] > 3e-3
-    assert left[2] < 0.1 * left[0]
-    assert left[4] < 1e-3 * left[2]
+    assert left[3] < 500.0 * left[2] ** 2
+    assert left[3] / left[2] < 0.5 * left[2] / left[1]
+    assert left[4] < 1e-6  # a value within rounding of the least gives no more of theta
 
 
 def test_a_search_cut_short_has_no_certificate():
@@ -201,8 +203,10 @@ def test_certificates_of_both_searches_agree():
     problem = problem_of()
     run = newton_descent(problem, near_the_ground(problem))
     other = certify(problem, run.theta, run.value)
-    assert run.certificate.frequencies == pytest.approx(other.frequencies, rel=1e-4)
-    np.testing.assert_allclose(run.certificate.weights, other.weights, atol=1e-4)
+    assert np.sum(other.weights) == pytest.approx(1.0)
+    for frequency, weight in zip(run.certificate.frequencies, run.certificate.weights, strict=True):
+        near = np.abs(other.frequencies - frequency) < 1e-4 * (1.0 + frequency)  # perhaps some
+        assert np.sum(other.weights[near]) == pytest.approx(weight, abs=1e-4)
     assert other.predicted_decrease < 1e-6
 
 
