@@ -13,7 +13,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd.algorithms import running_products
+from sklearn_hd.algorithms import kalman_gain, running_products
 from sklearn_hd.algorithms.hankel import hankel_factor
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lag_products import lag_products
@@ -26,7 +26,7 @@ from sklearn_hd.algorithms.running_equations import (
 from sklearn_hd.algorithms.running_products import RunningRecord
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 
 def simulated(rng, lengths, n=4, noise=0.01, A=None):
@@ -136,12 +136,23 @@ def test_chunks_seen_through_a_sliding_window_give_the_model_of_the_record(excit
 
 def test_modes_that_outlast_the_sums_leave_b_and_d_to_the_factor(rng, monkeypatch):
     """An integrator: without noise B and D are those of the system all the same."""
+    monkeypatch.setattr(running_products, "REACH", 700)
     A = linalg.block_diag(1.0, [[0.6, 0.5], [-0.5, 0.6]], -0.4)
     X, y = simulated(rng, [1500, 900], noise=0.0, A=A)
     settings = {"order": 4, "block_rows": 6, "feedthrough": True}
     parts = in_chunks(MOESPRegressor(**settings), X, y, 500)
     whole = MOESPRegressor(**settings).fit(X, y)
     assert_same_model(parts, whole, 1e-8)
+
+
+@pytest.mark.parametrize("pole", [1.0, 1.002])
+def test_records_shorter_than_the_sums_reach_are_solved_as_by_fit(rng, pole):
+    """Offsets and integrators: whatever mode there is, all rows of such records are at hand."""
+    A = linalg.block_diag(pole, [[0.6, 0.5], [-0.5, 0.6]], -0.4)
+    X, y = simulated(rng, [1500, 5, 900], noise=0.05, A=A)
+    settings = {"order": 4, "block_rows": 6, "feedthrough": True}
+    parts = in_chunks(MOESPRegressor(**settings), X, y, 500)
+    assert_same_model(parts, MOESPRegressor(**settings).fit(X, y))
 
 
 # ---- what is kept -----------------------------------------------------------------------------
@@ -167,6 +178,31 @@ def test_there_is_no_model_before_there_are_rows_enough(rng):
         check_is_fitted(model)
     model.partial_fit(X.iloc[20:], y.iloc[20:])
     check_is_fitted(model)
+
+
+@pytest.mark.parametrize("weighting", ["moesp", "pbsid"])
+def test_there_is_no_model_before_there_are_rows_enough_for_its_order(rng, weighting):
+    """Default block rows shrink with few rows, and so does the rank that they allow."""
+    X, y = (frame.iloc[:, :1] for frame in simulated(rng, [600], noise=0.02))
+    model, whole = (MOESPRegressor(order=5, weighting=weighting) for _ in range(2))
+    assert not hasattr(in_chunks(model, X[:20], y[:20], 10), "model_")
+    in_chunks(model, X[20:], y[20:], 10)
+    assert len(model.model_.A) == 5
+    assert_same_model(model, whole.fit(X, y), 1e-9)
+
+
+def test_rows_that_have_no_model_are_kept(rng, monkeypatch):
+    X, y = simulated(rng, [900])
+    settings = {"order": 4, "block_rows": 6, "disturbance_model": True}
+    model = MOESPRegressor(**settings).partial_fit(X[:300], y[:300])
+    before = model.model_
+    with monkeypatch.context() as patch:
+        patch.setattr(kalman_gain, "PRECISION", -1.0)  # no predictor is that stable
+        with pytest.warns(IdentifiabilityWarning, match="to 59.9 s: no Kalman gain"):
+            model.partial_fit(X[300:600], y[300:600])
+    assert model.model_ is before
+    model.partial_fit(X[600:], y[600:])
+    assert_same_model(model, MOESPRegressor(**settings).fit(X, y))
 
 
 @pytest.mark.parametrize("still", ["a", "p q r"])
