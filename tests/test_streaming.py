@@ -84,6 +84,20 @@ def test_rows_added_up_in_rounds_give_the_same(rng, monkeypatch):
     assert_same_model(parts, MOESPRegressor(**settings).fit(X, y))
 
 
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+@pytest.mark.parametrize("records", [[700], [500, 3, 300]], ids=str)
+def test_dates_go_on_from_chunk_to_chunk(rng, records, zone):
+    X, y = simulated(rng, records)
+    X = X.drop(X.index[300:304])
+    dates = pd.Timestamp("2026-03-29 00:59:30", tz=zone) + pd.to_timedelta(X.index.levels[1], "s")
+    index = X.index.set_levels(dates, level=1)
+    index = index.droplevel(0) if len(records) == 1 else index
+    X, y = X.set_axis(index), y.loc[X.index].set_axis(index)
+    model, whole = (MOESPRegressor(order=4, block_rows=6) for _ in range(2))
+    assert_same_model(in_chunks(model, X, y, 130), whole.fit(X, y))
+    assert len(whole.x0_) == len(records) + 1
+
+
 def test_a_gap_ends_a_segment(rng):
     X, y = simulated(rng, [1200])
     X, y = (z.drop(z.index[500:520]) for z in (X, y))

@@ -8,7 +8,7 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._progress import progress
 from sklearn_hd._records.data import check_features
 from sklearn_hd._subspace.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR
-from sklearn_hd._subspace.stream import Stream, read_chunk
+from sklearn_hd._subspace.stream import Stream, first_date, read_chunk
 from sklearn_hd._tables.containers import without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
@@ -92,15 +92,16 @@ class StreamedFit:
         check_outputs_given(y)
         X = without_inputs(y) if X is None else X
         scale, feedthrough = self._check_parameters()
-        experiment = read_chunk(X, y)
         stream = getattr(self, "_stream", None)
+        origin = first_date(X) if stream is None else stream.origin
+        experiment = read_chunk(X, y, origin)
         check_features(self, X, reset=stream is None)
         asked = self._block_rows_asked(experiment.basis)
         if self.weighting == PREDICTOR and self.block_rows is None:
             asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
         self._check_rank_bound(asked, len(self._output_names(experiment.basis, y)))
         if stream is None:
-            stream = Stream.begin(experiment, asked)
+            stream = Stream.begin(experiment, asked, origin)
         elif asked > stream.block_rows:
             raise ValueError(
                 f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
