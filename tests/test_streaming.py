@@ -26,7 +26,7 @@ from sklearn_hd.algorithms.running_equations import (
 from sklearn_hd.algorithms.running_products import RunningRecord
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, TimeBaseWarning
 
 
 def simulated(rng, lengths, n=4, noise=0.01, A=None):
@@ -146,6 +146,22 @@ def test_chunks_seen_through_a_sliding_window_give_the_model_of_the_record(excit
         chunk = analyzer.transform(data.inputs.iloc[k : k + 1290])
         parts.partial_fit(chunk, data.outputs.iloc[k : k + 1290])
     assert_same_model(parts, whole, 1e-8)
+
+
+def test_arrays_go_on_in_the_phase_of_their_trim(rng):
+    """Chunks of other than whole periods."""
+    X, y = (frame.to_numpy() for frame in simulated(rng, [1500]))
+    X = np.repeat(X[:150], 10, axis=0)
+    y = y + 3.0 * np.cos(0.2 * np.pi * np.arange(1500))[:, None]
+    settings = {"output_harmonics": 1, "trim_span": (0.0, 20.0), "sample_time": 0.1}
+    analyzer = HarmonicAnalyzer(2.0 * np.pi, **settings)
+    whole, parts = (MOESPRegressor(order=4, block_rows=24) for _ in range(2))
+    with pytest.warns(TimeBaseWarning, match="samples are counted"):
+        analyzer.fit(X, y)
+    whole.fit(analyzer.transform(X), y)
+    for k in range(0, 1500, 335):
+        parts.partial_fit(analyzer.transform(X[k : k + 335]), y[k : k + 335])
+    assert_same_model(parts, whole)
 
 
 def test_modes_that_outlast_the_sums_leave_b_and_d_to_the_factor(rng, monkeypatch):

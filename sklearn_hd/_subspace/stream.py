@@ -137,9 +137,10 @@ class Stream:
         self._check_alike(experiment)
         base, stream, done = experiment.base, self, 0
         for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
-            inputs, outputs = experiment.inputs[s], experiment.outputs[s]
-            if s == 0:
-                time = stream._continued(time, label, base.counted)
+            rows = time, experiment.inputs[s], experiment.outputs[s]
+            if s == 0 and base.counted and stream._counts_on(time, label):
+                rows = stream._continued(*rows)
+            time, inputs, outputs = rows
             if s > 0 or not stream._goes_on(time, label):
                 stream = stream._with_record_closed(label)
             for first in range(0, len(time), PART):
@@ -186,12 +187,21 @@ class Stream:
                 f"{self.sample_time:.6g} s; resample the chunk"
             )
 
-    def _continued(self, time, label, counted):
-        """Times of a chunk's first rows; rows counted from 0 go on where the last chunk ended."""
-        record = self.record
-        if record is None or not counted or record.label != label or time[0] > 0.0:
-            return time
-        return time + record.time[-1] + self.sample_time
+    def _counts_on(self, time, label):
+        """Whether rows are counted from 0 where a record goes on."""
+        return self.record is not None and self.record.label == label and time[0] <= 0.0
+
+    def _continued(self, time, *signals):
+        """Rows counted from 0 as they go on where the last chunk ended, trim and all."""
+        later = time + self.record.time[-1] + self.sample_time
+        if self.basis is not None:
+            was, phase = self.basis.phase_index(time), self.basis.phase_index(later)
+            trims = self.basis.input_trim, self.basis.output_trim
+            signals = (
+                values if trim is None else values + (trim[was] - trim[phase])
+                for values, trim in zip(signals, trims, strict=True)
+            )
+        return later, *signals
 
     def _goes_on(self, time, label):
         """Whether rows follow on the last one read; ValueError if they lie before it."""
