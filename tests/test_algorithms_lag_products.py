@@ -191,6 +191,14 @@ def test_a_record_shorter_than_its_lags_is_kept_for_fewer(rng):
     assert worst_error(closed.fewer(4), truth) < EXACT
 
 
+def test_a_large_record_that_is_too_short_rounds_no_other(rng):
+    record, spike = rng.standard_normal((9, 2)), np.full((2, 2), 1e15)
+    products = lag_products([(record,), (spike,)], 3, exact=True)
+    assert worst_error(products, dense_gram([rounded(record)], 3)) < EXACT
+    expected = np.sqrt((np.sum(record**2, axis=0) + 2e30) / 11)
+    np.testing.assert_allclose(products.root_mean_squares(), expected)
+
+
 def test_records_add_up_in_any_order(records):
     parts = [lag_products([(z,)], 4, exact=True) for z in records]
     sums = [reduce(lambda a, b: a + b, order) for order in (parts, parts[::-1])]

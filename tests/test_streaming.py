@@ -13,7 +13,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd.algorithms import running_products
+from sklearn_hd.algorithms import kalman_gain, running_products
 from sklearn_hd.algorithms.hankel import hankel_factor
 from sklearn_hd.algorithms.input_matrices import input_matrices
 from sklearn_hd.algorithms.lag_products import lag_products
@@ -26,7 +26,7 @@ from sklearn_hd.algorithms.running_equations import (
 from sklearn_hd.algorithms.running_products import RunningRecord
 from sklearn_hd.algorithms.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, TimeBaseWarning
 
 
 def simulated(rng, lengths, n=4, noise=0.01, A=None):
@@ -84,6 +84,20 @@ def test_rows_added_up_in_rounds_give_the_same(rng, monkeypatch):
     assert_same_model(parts, MOESPRegressor(**settings).fit(X, y))
 
 
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+@pytest.mark.parametrize("records", [[700], [500, 3, 300]], ids=str)
+def test_dates_go_on_from_chunk_to_chunk(rng, records, zone):
+    X, y = simulated(rng, records)
+    X = X.drop(X.index[300:304])
+    dates = pd.Timestamp("2026-03-29 00:59:30", tz=zone) + pd.to_timedelta(X.index.levels[1], "s")
+    index = X.index.set_levels(dates, level=1)
+    index = index.droplevel(0) if len(records) == 1 else index
+    X, y = X.set_axis(index), y.loc[X.index].set_axis(index)
+    model, whole = (MOESPRegressor(order=4, block_rows=6) for _ in range(2))
+    assert_same_model(in_chunks(model, X, y, 130), whole.fit(X, y))
+    assert len(whole.x0_) == len(records) + 1
+
+
 def test_a_gap_ends_a_segment(rng):
     X, y = simulated(rng, [1200])
     X, y = (z.drop(z.index[500:520]) for z in (X, y))
@@ -134,14 +148,41 @@ def test_chunks_seen_through_a_sliding_window_give_the_model_of_the_record(excit
     assert_same_model(parts, whole, 1e-8)
 
 
+def test_arrays_go_on_in_the_phase_of_their_trim(rng):
+    """Chunks of other than whole periods."""
+    X, y = (frame.to_numpy() for frame in simulated(rng, [1500]))
+    X = np.repeat(X[:150], 10, axis=0)
+    y = y + 3.0 * np.cos(0.2 * np.pi * np.arange(1500))[:, None]
+    settings = {"output_harmonics": 1, "trim_span": (0.0, 20.0), "sample_time": 0.1}
+    analyzer = HarmonicAnalyzer(2.0 * np.pi, **settings)
+    whole, parts = (MOESPRegressor(order=4, block_rows=24) for _ in range(2))
+    with pytest.warns(TimeBaseWarning, match="samples are counted"):
+        analyzer.fit(X, y)
+    whole.fit(analyzer.transform(X), y)
+    for k in range(0, 1500, 335):
+        parts.partial_fit(analyzer.transform(X[k : k + 335]), y[k : k + 335])
+    assert_same_model(parts, whole)
+
+
 def test_modes_that_outlast_the_sums_leave_b_and_d_to_the_factor(rng, monkeypatch):
     """An integrator: without noise B and D are those of the system all the same."""
+    monkeypatch.setattr(running_products, "REACH", 700)
     A = linalg.block_diag(1.0, [[0.6, 0.5], [-0.5, 0.6]], -0.4)
     X, y = simulated(rng, [1500, 900], noise=0.0, A=A)
     settings = {"order": 4, "block_rows": 6, "feedthrough": True}
     parts = in_chunks(MOESPRegressor(**settings), X, y, 500)
     whole = MOESPRegressor(**settings).fit(X, y)
     assert_same_model(parts, whole, 1e-8)
+
+
+@pytest.mark.parametrize("pole", [1.0, 1.002])
+def test_records_shorter_than_the_sums_reach_are_solved_as_by_fit(rng, pole):
+    """Offsets and integrators: whatever mode there is, all rows of such records are at hand."""
+    A = linalg.block_diag(pole, [[0.6, 0.5], [-0.5, 0.6]], -0.4)
+    X, y = simulated(rng, [1500, 5, 900], noise=0.05, A=A)
+    settings = {"order": 4, "block_rows": 6, "feedthrough": True}
+    parts = in_chunks(MOESPRegressor(**settings), X, y, 500)
+    assert_same_model(parts, MOESPRegressor(**settings).fit(X, y))
 
 
 # ---- what is kept -----------------------------------------------------------------------------
@@ -167,6 +208,31 @@ def test_there_is_no_model_before_there_are_rows_enough(rng):
         check_is_fitted(model)
     model.partial_fit(X.iloc[20:], y.iloc[20:])
     check_is_fitted(model)
+
+
+@pytest.mark.parametrize("weighting", ["moesp", "pbsid"])
+def test_there_is_no_model_before_there_are_rows_enough_for_its_order(rng, weighting):
+    """Default block rows shrink with few rows, and so does the rank that they allow."""
+    X, y = (frame.iloc[:, :1] for frame in simulated(rng, [600], noise=0.02))
+    model, whole = (MOESPRegressor(order=5, weighting=weighting) for _ in range(2))
+    assert not hasattr(in_chunks(model, X[:20], y[:20], 10), "model_")
+    in_chunks(model, X[20:], y[20:], 10)
+    assert len(model.model_.A) == 5
+    assert_same_model(model, whole.fit(X, y), 1e-9)
+
+
+def test_rows_that_have_no_model_are_kept(rng, monkeypatch):
+    X, y = simulated(rng, [900])
+    settings = {"order": 4, "block_rows": 6, "disturbance_model": True}
+    model = MOESPRegressor(**settings).partial_fit(X[:300], y[:300])
+    before = model.model_
+    with monkeypatch.context() as patch:
+        patch.setattr(kalman_gain, "PRECISION", -1.0)  # no predictor is that stable
+        with pytest.warns(IdentifiabilityWarning, match="to 59.9 s: no Kalman gain"):
+            model.partial_fit(X[300:600], y[300:600])
+    assert model.model_ is before
+    model.partial_fit(X[600:], y[600:])
+    assert_same_model(model, MOESPRegressor(**settings).fit(X, y))
 
 
 @pytest.mark.parametrize("still", ["a", "p q r"])

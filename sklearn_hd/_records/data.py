@@ -318,11 +318,12 @@ def is_decomposed(y):
     return isinstance(y, HarmonicFrame) and y.basis is not None
 
 
-def read_experiment(X, y=None, decomposition=None):
+def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
     """Segments of inputs and outputs that a model step fits or simulates.
 
     Where y has been decomposed already, its own basis says which harmonics of
-    which outputs are kept; ``decomposition`` repeats that of an earlier fit.
+    which outputs are kept; ``decomposition`` repeats that of an earlier fit. Without a basis
+    rows are read as ``plain`` says.
     """
     if not isinstance(X, np.ndarray):  # of which a frame would be no more than names
         X = as_frame(X)
@@ -334,7 +335,7 @@ def read_experiment(X, y=None, decomposition=None):
         basis = _with_outputs_of(basis, decomposition)
     if basis is not None:
         _check_columns(X, basis)
-    reading = PLAIN if basis is None else basis.reading
+    reading = plain if basis is None else basis.reading
     signals = read_signals(X if basis is None else X[basis.measured], "x", "X", reading)
     measured, output_names = None, ()
     if y is not None:

@@ -8,7 +8,9 @@ rows that this takes are carried over to the next chunk.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 
+from sklearn_hd._frame import Reading
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._records.sliding_inputs import (
     largest_changes,
@@ -17,11 +19,11 @@ from sklearn_hd._records.sliding_inputs import (
     steps_at_one_phase,
 )
 from sklearn_hd._tables.time import STEP_TOLERANCE
-from sklearn_hd._validation import RAISE
+from sklearn_hd._validation import FIRST, RAISE
 from sklearn_hd.algorithms.fourier import harmonic_labels
 from sklearn_hd.algorithms.running_products import RunningRecord, RunningSums
 
-__all__ = ["Stream", "read_chunk"]
+__all__ = ["Stream", "first_date", "read_chunk"]
 
 DUST = 1e-12  # share of an input's size that is rounding
 PART = 2**17  # rows read at a time
@@ -62,6 +64,8 @@ class Stream:
     basis : HarmonicBasis or None
     sample_time : float
     input_names, drive_names, output_names : tuple of str
+    origin : str or None
+        The instant from which dates are counted.
     closed : RunningSums or None
         Of records that are over.
     record : OpenRecord or None
@@ -81,6 +85,7 @@ class Stream:
     input_names: tuple
     drive_names: tuple
     output_names: tuple
+    origin: str | None = None
     closed: RunningSums | None = None
     record: OpenRecord | None = None
     n_rows: int = 0
@@ -93,7 +98,7 @@ class Stream:
     # ---- chunks ------------------------------------------------------------------------------
 
     @classmethod
-    def begin(cls, experiment, block_rows):
+    def begin(cls, experiment, block_rows, origin=None):
         """A stream of no rows, of data such as those of an experiment."""
         basis, n = experiment.basis, len(experiment.drive_names) + len(experiment.output_names)
         _check_first(experiment, block_rows, n)
@@ -107,6 +112,7 @@ class Stream:
             _input_names(experiment),
             tuple(experiment.drive_names),
             tuple(experiment.output_names),
+            origin,
             first=float(experiment.sampling.clock[0]),
             smallest=np.full(n, np.inf),
             largest=np.full(n, -np.inf),
@@ -131,9 +137,10 @@ class Stream:
         self._check_alike(experiment)
         base, stream, done = experiment.base, self, 0
         for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
-            inputs, outputs = experiment.inputs[s], experiment.outputs[s]
-            if s == 0:
-                time = stream._continued(time, label, base.counted)
+            rows = time, experiment.inputs[s], experiment.outputs[s]
+            if s == 0 and base.counted and stream._counts_on(time, label):
+                rows = stream._continued(*rows)
+            time, inputs, outputs = rows
             if s > 0 or not stream._goes_on(time, label):
                 stream = stream._with_record_closed(label)
             for first in range(0, len(time), PART):
@@ -180,12 +187,21 @@ class Stream:
                 f"{self.sample_time:.6g} s; resample the chunk"
             )
 
-    def _continued(self, time, label, counted):
-        """Times of a chunk's first rows; rows counted from 0 go on where the last chunk ended."""
-        record = self.record
-        if record is None or not counted or record.label != label or time[0] > 0.0:
-            return time
-        return time + record.time[-1] + self.sample_time
+    def _counts_on(self, time, label):
+        """Whether rows are counted from 0 where a record goes on."""
+        return self.record is not None and self.record.label == label and time[0] <= 0.0
+
+    def _continued(self, time, *signals):
+        """Rows counted from 0 as they go on where the last chunk ended, trim and all."""
+        later = time + self.record.time[-1] + self.sample_time
+        if self.basis is not None:
+            was, phase = self.basis.phase_index(time), self.basis.phase_index(later)
+            trims = self.basis.input_trim, self.basis.output_trim
+            signals = (
+                values if trim is None else values + (trim[was] - trim[phase])
+                for values, trim in zip(signals, trims, strict=True)
+            )
+        return later, *signals
 
     def _goes_on(self, time, label):
         """Whether rows follow on the last one read; ValueError if they lie before it."""
@@ -352,9 +368,16 @@ class Stream:
         return f"rows from t = {self.first:.6g} s to {self.last:.6g} s"
 
 
-def read_chunk(X, y):
-    """The experiment of one chunk, whose rows are those of the grid."""
-    experiment = read_experiment(X, y)
+def first_date(data):
+    """The first of the dates that rows are indexed by, as ISO text; None where there are none."""
+    index = getattr(data, "index", None)
+    times = index.get_level_values(-1) if isinstance(index, pd.Index) else None
+    return times.min().isoformat() if isinstance(times, pd.DatetimeIndex) else None
+
+
+def read_chunk(X, y, origin=None):
+    """The experiment of one chunk, whose rows are those of the grid; dates from an origin on."""
+    experiment = read_experiment(X, y, plain=Reading(time_origin=origin or FIRST))
     basis = experiment.basis
     if basis is not None and basis.synchronous:
         raise ValueError(

@@ -8,7 +8,7 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._progress import progress
 from sklearn_hd._records.data import check_features
 from sklearn_hd._subspace.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR
-from sklearn_hd._subspace.stream import Stream, read_chunk
+from sklearn_hd._subspace.stream import Stream, first_date, read_chunk
 from sklearn_hd._tables.containers import without_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._validation import check_outputs_given
@@ -18,9 +18,10 @@ from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.running_equations import (
     initial_states_of_heads,
     input_matrices_of_factor,
+    input_matrices_of_heads,
     input_matrices_of_sums,
 )
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["StreamedFit"]
 
@@ -39,8 +40,8 @@ class StreamedFit:
         ``order`` and ``block_rows``, but that a sliding window's block rows stay where they
         began; ``fit`` forgets all chunks.
 
-        Where a mode outlasts some thousand rows, B and D come from the triangular factor
-        alone, and are less certain than those of ``fit``.
+        Where a mode outlasts some thousand rows, and a record is longer, B and D come from the
+        triangular factor alone, and are less certain than those of ``fit``.
 
         Parameters
         ----------
@@ -63,6 +64,14 @@ class StreamedFit:
             If a chunk has other columns, another sample time or basis than the first, or
             begins before the end of the last. What was read before is kept.
 
+        Warns
+        -----
+        ExcitationWarning
+            If an input, or all outputs, have not moved so far: there is no model yet.
+        IdentifiabilityWarning
+            If all chunks so far have no model of this order. They are kept, this one too, and so
+            is the model before.
+
         References
         ----------
         Verhaegen (1994), Automatica 30(1), 61-74 (B and D from the factor).
@@ -83,15 +92,16 @@ class StreamedFit:
         check_outputs_given(y)
         X = without_inputs(y) if X is None else X
         scale, feedthrough = self._check_parameters()
-        experiment = read_chunk(X, y)
         stream = getattr(self, "_stream", None)
+        origin = first_date(X) if stream is None else stream.origin
+        experiment = read_chunk(X, y, origin)
         check_features(self, X, reset=stream is None)
         asked = self._block_rows_asked(experiment.basis)
         if self.weighting == PREDICTOR and self.block_rows is None:
             asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
         self._check_rank_bound(asked, len(self._output_names(experiment.basis, y)))
         if stream is None:
-            stream = Stream.begin(experiment, asked)
+            stream = Stream.begin(experiment, asked, origin)
         elif asked > stream.block_rows:
             raise ValueError(
                 f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
@@ -101,7 +111,12 @@ class StreamedFit:
         with progress(self.verbose) as report:
             told = stage(report, "rows added up", len(experiment.base.time))
             result._stream = stream.with_chunk(experiment, told)
-        model = result._model_of(result._stream, asked, y, scale, feedthrough)
+        try:
+            model = result._model_of(result._stream, asked, y, scale, feedthrough)
+        except ValueError as error:  # which rows to come may mend
+            warn(f"no model of the {result._stream.span()}: {error}", IdentifiabilityWarning)
+            self._stream = result._stream
+            return self
         if model is not None:
             result._remember(model, experiment, X, y)
         self.__dict__.update(result.__dict__)  # at once: an interrupted call changes nothing
@@ -121,7 +136,8 @@ class StreamedFit:
         i = self._fewer_block_rows(asked, stream.basis, lengths, n_inputs, n_outputs)
         columns = n_hankel_columns(lengths, i)
         least_order = 1 if self.order == "auto" else int(self.order)
-        if columns < i * (n_inputs + n_outputs) + least_order:
+        too_few = columns < i * (n_inputs + n_outputs) + least_order
+        if too_few or least_order > (i - 1) * n_outputs:
             return None
         self.block_rows_ = i
         products = sums.products.channels(np.concatenate([wide, outputs]))
@@ -148,6 +164,8 @@ class StreamedFit:
         else:
             A, C = found.state_matrices(self.order_)
             matrices = input_matrices_of_sums(A, C, sums, feedthrough, scales)
+            if matrices is None:
+                matrices = input_matrices_of_heads(A, C, sums.ends, feedthrough, scales)
             if matrices is None:
                 B, D = input_matrices_of_factor(A, C, R, found.directions, i, n_inputs, feedthrough)
                 B, D = B[:, place], D[:, place]

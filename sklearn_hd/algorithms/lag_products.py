@@ -361,14 +361,15 @@ def lag_products(records, n_lags, exact):
     >>> (64 * products.gram().high).tolist()
     [[14.0, 20.0], [20.0, 29.0]]
     """
-    exponents = power_exponents(records) if exact else np.zeros(_n_channels(records[0]), int)
     short = tuple(np.hstack(signals) for signals in records if len(signals[0]) < n_lags)
     long = [signals for signals in records if len(signals[0]) >= n_lags]
+    units = long or records  # short ones are kept, not multiplied
+    exponents = power_exponents(units) if exact else np.zeros(_n_channels(records[0]), int)
     if not long:
         return _nothing(n_lags, exponents, exact, short)
     lags = _lag_sums(long, n_lags, exponents, exact)
     if not exact and not _within_range(lags.high[0]):
-        exponents = power_exponents(records)
+        exponents = power_exponents(units)
         if np.max(np.abs(exponents)) > MOST_EXPONENT:  # else a channel is at rest
             lags = _lag_sums(long, n_lags, exponents, exact)
         else:

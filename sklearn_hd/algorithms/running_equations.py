@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.innovations import InnovationForm
-from sklearn_hd.algorithms.input_matrices import alike_states
+from sklearn_hd.algorithms.input_matrices import alike_states, input_matrices
 from sklearn_hd.algorithms.response_basis import pulses
 from sklearn_hd.algorithms.response_products import (
     ResponseProducts,
@@ -15,7 +15,12 @@ from sklearn_hd.algorithms.response_products import (
 )
 from sklearn_hd.algorithms.triangular import safe_cholesky
 
-__all__ = ["initial_states_of_heads", "input_matrices_of_factor", "input_matrices_of_sums"]
+__all__ = [
+    "initial_states_of_heads",
+    "input_matrices_of_factor",
+    "input_matrices_of_heads",
+    "input_matrices_of_sums",
+]
 
 FORGOTTEN = 1e-13  # of a response, K rows later
 UNSEEN = 1e-12  # share of an initial state's outputs that is rounding
@@ -103,6 +108,29 @@ def _record_products(basis, sums, scales):
         common = nothing if k else first
         records.append(replace(common, free=free, last=last, n_samples=ends.n_rows))
     return records
+
+
+def input_matrices_of_heads(A, C, ends, feedthrough, scales):
+    """B, D and the initial states of records that are no longer than their first rows kept.
+
+    Parameters
+    ----------
+    A, C, feedthrough, scales
+        As for :func:`input_matrices_of_sums`.
+    ends : tuple of RecordEnds
+
+    Returns
+    -------
+    B : ndarray, shape (n, m)
+    D : ndarray, shape (l, m)
+    x0 : ndarray, shape (n_records, n)
+        None instead of all three where a record is longer.
+    """
+    if any(record.n_rows > len(record.head) for record in ends):
+        return None
+    pairs = (np.split(record.head, [len(scales[0])], axis=1) for record in ends)
+    inputs, outputs = zip(*pairs, strict=True)
+    return input_matrices(A, C, inputs, outputs, feedthrough, scales=scales)
 
 
 def input_matrices_of_factor(A, C, R, directions, block_rows, n_inputs, feedthrough):
