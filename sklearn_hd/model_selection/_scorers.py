@@ -7,7 +7,7 @@ import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd._base import ModelStep, compared, power_of_two, weights_of
+from sklearn_hd._base import ModelStep, compared, power_of_two
 from sklearn_hd._tables.containers import as_container, to_float
 from sklearn_hd._validation import check_count
 
@@ -43,7 +43,7 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
         ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``. The
         estimator is a model step, or a Pipeline, search or FrozenEstimator
         that ends in one. As with ``score``, an unstable model whose simulation
-        grows beyond what can be squared scores −inf.
+        grows beyond 1e60 times y scores −inf.
 
     Raises
     ------
@@ -139,14 +139,11 @@ def last_model_step(estimator, X):
 def _simulate(estimator, X, y, sample_weight, horizon=None):
     """Last model step, measured and simulated outputs on the rows that score counts, weights.
 
-    None where the simulation grows until a score would overflow.
+    None where the simulation grows too far to be scored.
     """
     step, X = last_model_step(estimator, X)
-    found = compared(step, X, y, horizon)
-    if found is None:
-        return None
-    truth, simulated, rows = found
-    return step, truth, simulated, weights_of(rows, sample_weight, len(y))
+    found = compared(step, X, y, sample_weight, horizon)
+    return None if found is None else (step, *found)
 
 
 def fit_percent(y_true, y_pred, *, sample_weight=None):
