@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
+from sklearn.utils.metadata_routing import MetadataRequest
 
 from sklearn_hd._base import ModelStep, compared, power_of_two
 from sklearn_hd._tables.containers import as_container, to_float
@@ -40,10 +41,10 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
     Returns
     -------
     scorer : callable
-        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``. The
-        estimator is a model step, or a Pipeline, search or FrozenEstimator
-        that ends in one. As with ``score``, an unstable model whose simulation
-        grows beyond 1e60 times y scores −inf.
+        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``; where metadata are
+        routed, with ``set_score_request(sample_weight=True)``. The estimator is a model step, or
+        a Pipeline, search or FrozenEstimator that ends in one. As with ``score``, an unstable
+        model whose simulation grows beyond 1e60 times y scores −inf.
 
     Raises
     ------
@@ -76,7 +77,25 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
     return _SimulationScorer(metric, 1.0 if greater_is_better else -1.0, horizon, kwargs)
 
 
-class _SimulationScorer:
+class _Scorer:
+    """Says to scikit-learn's metadata routing whether it wants ``sample_weight``."""
+
+    takes_weight = True
+    _wants_weight = None  # where weights are given, an error then asks for set_score_request
+
+    def set_score_request(self, *, sample_weight):
+        """True, False or another name, as of scikit-learn's own scorers."""
+        self._wants_weight = sample_weight
+        return self
+
+    def get_metadata_routing(self):
+        request = MetadataRequest(owner=repr(self))
+        if self.takes_weight:
+            request.score.add_request(param="sample_weight", alias=self._wants_weight)
+        return request
+
+
+class _SimulationScorer(_Scorer):
     """What :func:`simulation_scorer` returns."""
 
     def __init__(self, metric, sign, horizon, kwargs):
@@ -91,17 +110,18 @@ class _SimulationScorer:
             truth, simulated = truth[:, 0], simulated[:, 0]
         kwargs = dict(self.kwargs)
         if weight is not None:
-            self._check_takes_weight()
             kwargs["sample_weight"] = weight
+            if not self.takes_weight:
+                raise TypeError(
+                    f"sample_weight was given, but {_name(self.metric)} takes none; leave it out "
+                    f"or use a metric that does"
+                )
         return self.sign * float(self.metric(truth, simulated, **kwargs))
 
-    def _check_takes_weight(self):
+    @property
+    def takes_weight(self):
         parameters = inspect.signature(self.metric).parameters.values()
-        if not any(p.name == "sample_weight" or p.kind is p.VAR_KEYWORD for p in parameters):
-            raise TypeError(
-                f"sample_weight was given, but {_name(self.metric)} takes none; leave it out or "
-                f"use a metric that does"
-            )
+        return any(p.name == "sample_weight" or p.kind is p.VAR_KEYWORD for p in parameters)
 
     def __repr__(self):
         given = "".join(f", {key}={value!r}" for key, value in self.kwargs.items())
@@ -269,7 +289,7 @@ def fit_percent_scorer(output=None):
     return _FitPercentScorer(output)
 
 
-class _FitPercentScorer:
+class _FitPercentScorer(_Scorer):
     """What :func:`fit_percent_scorer` returns."""
 
     def __init__(self, output):
