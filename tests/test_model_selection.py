@@ -158,6 +158,8 @@ def test_fit_percent_laws(rng):
 def test_fit_percent_of_sizes_whose_squares_are_no_numbers():
     np.testing.assert_allclose(fit_percent([[1e300], [0.0]], [[0.0], [1.0]]), 100 * (1 - 2**0.5))
     np.testing.assert_allclose(fit_percent([[1e-320], [0.0]], [[0.0], [1e-320]]), -100.0)
+    np.testing.assert_allclose(fit_percent([[1.0], [0.0]], [[0.0], [1e200]]), -(2**0.5) * 1e202)
+    assert fit_percent([[1e-150], [0.0]], [[0.0], [1e200]]) == -np.inf
     with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
         fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[10**400, 1])
     with pytest.raises(ValueError, match="must hold 2 numbers of at least 0"):

@@ -214,13 +214,14 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
                 f"{name} is not finite in row {row}, output {column}; drop those rows from both"
             )
     weight = _check_weight(sample_weight, len(y))
-    unit = power_of_two(np.vstack([y, y_hat]))  # so that squares do not overflow
-    y, y_hat, weight = y / unit, y_hat / unit, weight / weight.max()
-    mean = np.average(y, axis=0, weights=weight)
-    error = np.sqrt(weight @ (y - y_hat) ** 2)
-    spread = np.sqrt(weight @ (y - mean) ** 2)
+    units = power_of_two(np.vstack([y, y_hat])), power_of_two(y)  # so that squares are numbers
+    weight = weight / weight.max()
+    error = np.sqrt(weight @ (y / units[0] - y_hat / units[0]) ** 2)
+    y = y / units[1]
+    spread = np.sqrt(weight @ (y - np.average(y, axis=0, weights=weight)) ** 2)
     constant = np.ptp(y[weight > 0.0], axis=0) == 0.0
-    share = error / np.where(constant, 1.0, spread)
+    with np.errstate(over="ignore"):
+        share = error / np.where(constant, 1.0, spread) * (units[0] / units[1])
     return 100.0 * np.where(constant, error == 0.0, 1.0 - share)
 
 
