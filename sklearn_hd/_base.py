@@ -36,7 +36,7 @@ from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 WARMUP_PERIODS = 5
 WARMUP_SAMPLES = 50
 WARMUP_SHARE = 0.25
-MOST_SCORED = 1e150  # times the measured outputs: squares of more overflow
+MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 
 
 def upstream(step, X, y):
@@ -304,7 +304,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         -------
         score : float
             1 for a perfect model, 0 for one no better than the mean, −inf for an unstable one
-            whose simulation grows until R² overflows (with an InstabilityWarning).
+            whose simulation grows beyond 1e60 times y (with an InstabilityWarning).
 
         Raises
         ------
@@ -315,11 +315,10 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         check_outputs_given(y)
-        found = compared(self, X, y)
+        found = compared(self, X, y, sample_weight)
         if found is None:
             return -np.inf
-        truth, simulated, rows = found
-        weight = weights_of(rows, sample_weight, len(y))
+        truth, simulated, weight = found
         if len(truth) < 2:
             raise ValueError(
                 "one row is left to score, which has no R²; give longer records or a smaller warmup"
@@ -460,23 +459,24 @@ def scored_simulation(step, X, y, horizon=None):
     return step._fitted_simulation(X, y, horizon)
 
 
-def compared(step, X, y, horizon=None):
-    """What ``scored_simulation`` returns; None, and a warning, where no score could be computed.
+def compared(step, X, y, sample_weight=None, horizon=None):
+    """Measured and simulated outputs on the rows that count, their weights; None, and a warning,
+    where outputs grow until the spread of such scores over folds would be no number.
 
-    That is where outputs grow beyond numbers whose squares are numbers. A search over orders goes
-    on: that candidate is the worst.
+    A search over orders goes on: that candidate is the worst.
     """
     try:
         truth, simulated, rows = scored_simulation(step, X, y, horizon)
+        weight = weights_of(rows, sample_weight, len(y))
         with np.errstate(over="ignore"):
             grown = np.max(np.abs(extremes(simulated)) / power_of_two(truth))
     except UnstableModelError:
         grown = np.inf
     if grown < MOST_SCORED:
-        return truth, simulated, rows
+        return truth, simulated, weight
     warn(
         f"a {type(step).__name__} scores -inf: its model is unstable, or not of these outputs, and "
-        f"its simulation grows until a score would overflow; drop the growing modes "
+        f"its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the growing modes "
         f"(SpuriousModeReducer), lower the order, or score a shorter span",
         InstabilityWarning,
     )

@@ -15,6 +15,8 @@ from sklearn_hd.exceptions import (
 
 __all__ = [
     "check_outputs_move",
+    "growth_rate",
+    "longest_span",
     "moving_inputs",
     "warn_idle",
     "warn_of_growing_data",
@@ -102,11 +104,7 @@ def warn_of_growth(model, experiment):
     """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
     if experiment.basis is None or model.n_states == 0:
         return
-    values = np.linalg.eigvals(model.A)
-    if model.dt > 0.0:
-        values = np.log(np.maximum(np.abs(values), 1e-300)) / model.dt
-    rate = float(values.real.max())
-    longest = max(len(u) for u in experiment.drive) * experiment.base.sample_time
+    rate, longest = growth_rate(model), longest_span(experiment)
     period = 2.0 * np.pi / experiment.basis.omega
     folds, multiplier = rate * longest, np.exp(min(rate * period, 700.0))
     if folds > 1.0:
@@ -118,6 +116,19 @@ def warn_of_growth(model, experiment):
             f"the orbit is known to be stable",
             InstabilityWarning,
         )
+
+
+def growth_rate(model):
+    """Largest real part of the exponents of a model, 1/s."""
+    values = np.linalg.eigvals(model.A)
+    if model.dt > 0.0:
+        values = np.log(np.maximum(np.abs(values), 1e-300)) / model.dt
+    return float(values.real.max())
+
+
+def longest_span(experiment):
+    """Length of the longest segment, in seconds."""
+    return max(len(u) for u in experiment.drive) * experiment.base.sample_time
 
 
 def warn_idle(moving, experiment):

@@ -353,11 +353,12 @@ def check_same_rows(X, y):
             ".set_output(transform='pandas'), or give X the index of y"
         )
     if not index.equals(y.index) and isinstance(X, pd.DataFrame | pd.Series):
-        hint = " (y counts its rows: y.set_axis(X.index), if they are those of X)"
+        hint = " (y counts its rows: y.set_axis(X.index), if they are those of X)" * counts[1]
+        if all(counts) and index.equals(pd.RangeIndex(len(X))):  # an array, cut by a split
+            hint = f" (X counts from 0, y from {y.index[0]}: give X that of y, or both as arrays)"
         raise ValueError(
-            f"X and y have different indices{hint if counts[1] else ''}: inputs and outputs must "
-            f"be sampled at the same times; align them first, for example with X, y = X.align(y, "
-            f"axis=0, join='inner')"
+            f"X and y have different indices{hint}: inputs and outputs must be sampled at the same "
+            f"times; align them first, for example with X, y = X.align(y, axis=0, join='inner')"
         )
 
 

@@ -17,6 +17,7 @@ from sklearn_hd._matching.realization import realize
 from sklearn_hd._matching.refinement import refine
 from sklearn_hd._matching.warned import (
     warn_closed_loop,
+    warn_growing,
     warn_matched,
     warn_realized,
     warn_refined,
@@ -157,6 +158,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         If these outputs do not determine some parameters (they are named); if model and
         structure differ in order and match poorly; if the outputs do not determine the
         state of a periodic system, which is then in Floquet coordinates.
+    InstabilityWarning
+        If the closed form for models identified period by period makes a stable one unstable.
     ConvergenceWarning
         If the search stopped before the tolerance was met.
 
@@ -351,6 +354,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         stage(report, "periodic model in closed form")
         found = realize(model, experiment, structure)
         warn_realized(found)
+        if self.criterion != "output_error":  # which simulates the record
+            warn_growing(found.model, model, experiment)
         return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
     def _match_decomposition(self, model, experiment, structure, report):

@@ -242,7 +242,6 @@ def _use(estimator, X, y, rng, said):
     """Fit, fit again, and ask for everything."""
     fitted = clone(estimator)
     fitted.fit(X, y)
-    warned = len(said)
     _check_fits_alike(estimator, fitted, X, y)
     asked = [
         _ask_again,
@@ -252,14 +251,14 @@ def _use(estimator, X, y, rng, said):
         _ask_for_transform,
     ]
     for ask in asked:
-        _answered(ask, fitted, X, y, rng, said, warned)
+        _answered(ask, fitted, X, y, rng, said)
     return "fitted"
 
 
-def _answered(ask, fitted, X, y, rng, said, warned):
+def _answered(ask, fitted, X, y, rng, said):
     """Whatever is asked of a fitted estimator may be refused, in words."""
     try:
-        ask(fitted, X, y, rng, warned > 0 or len(said) > 0)
+        ask(fitted, X, y, rng, said)  # with the warnings that the asking itself brings
     except NotFittedError as error:
         raise Violation(f"not fitted after fit: {error}") from error
     except DOCUMENTED as error:

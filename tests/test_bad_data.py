@@ -167,6 +167,9 @@ def test_outputs_that_count_their_rows(u, y):
         ValueError, match=r"different indices \(y counts its rows: y.set_axis\(X.index"
     ):
         MOESPRegressor(order=1).fit(u, y.reset_index(drop=True))
+    fold = y.reset_index(drop=True).iloc[40:]  # of which a split of arrays leaves no trace in X
+    with pytest.raises(ValueError, match=r"from 0, y from 40: give X that of y, or both as arr"):
+        MOESPRegressor(order=1).fit(u.to_numpy()[40:], fold)
 
 
 def test_rows_of_arrays_are_taken_in_the_order_given(u):

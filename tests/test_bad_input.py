@@ -446,8 +446,8 @@ def test_an_overflowing_simulation_is_refused_and_scores_minus_infinity():
     assert model.eigenvalues_[0].real == pytest.approx(1.5, abs=1e-6)
     with pytest.raises(UnstableModelError, match=r"overflows: the model has a pole of size 1.5"):
         model.predict(np.ones((5000, 1)))
-    span = int(360 / np.log10(1.5) / 2)  # outputs reach 1e180, their squares would overflow
-    for rows in (span, 5000):
+    grown = int(90 / np.log10(1.5))  # outputs reach 1e90, R² -1e180, whose squares overflow
+    for rows in (grown, 5000):
         X, noise = np.ones((rows, 1)), rng.standard_normal((rows, 1))
         scorers = (
             simulation_scorer(mean_squared_error, greater_is_better=False),
@@ -458,8 +458,12 @@ def test_an_overflowing_simulation_is_refused_and_scores_minus_infinity():
                 InstabilityWarning, match="scores -inf: its model is unstable, or not"
             ):
                 assert score(model, X, noise) == -np.inf
-        with pytest.warns(InstabilityWarning, match="scores -inf"):
+        with pytest.warns(InstabilityWarning, match=r"beyond 1e\+60 times the outputs; drop"):
             assert model.score(X, noise * 1e-300) == -np.inf
+    with pytest.raises(ValueError, match="sample_weight has shape \\(3,\\); give one finite"):
+        model.score(X[:grown], noise[:grown], sample_weight=np.ones(3))
+    rows = int(58 / np.log10(1.5))
+    assert np.isfinite(np.std([1.0, model.score(X[:rows], noise[:rows])]))
 
 
 def test_frames_of_other_libraries_are_refused():

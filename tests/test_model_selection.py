@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import heave_pipeline
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.decomposition import PCA
 from sklearn.experimental import enable_halving_search_cv  # noqa: F401 - makes the next import work
@@ -157,6 +158,8 @@ def test_fit_percent_laws(rng):
 def test_fit_percent_of_sizes_whose_squares_are_no_numbers():
     np.testing.assert_allclose(fit_percent([[1e300], [0.0]], [[0.0], [1.0]]), 100 * (1 - 2**0.5))
     np.testing.assert_allclose(fit_percent([[1e-320], [0.0]], [[0.0], [1e-320]]), -100.0)
+    np.testing.assert_allclose(fit_percent([[1.0], [0.0]], [[0.0], [1e200]]), -(2**0.5) * 1e202)
+    assert fit_percent([[1e-150], [0.0]], [[0.0], [1e200]]) == -np.inf
     with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
         fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[10**400, 1])
     with pytest.raises(ValueError, match="must hold 2 numbers of at least 0"):
@@ -174,6 +177,26 @@ def test_fit_percent_scorer_means_or_picks(lti):
     assert one_by_one[1] == pytest.approx(100 * (1 - np.sqrt(1 - r2)))
     # noise of 1/20 of the clean signal leaves 1 − 1/20 of the fit to a perfect model
     assert 94.0 < fit_percent_scorer()(*args) < 95.5
+
+
+@pytest.mark.parametrize("scorer", [fit_percent_scorer, partial(simulation_scorer, r2_score)])
+def test_weights_are_routed_to_scorers_that_ask_for_them(lti, scorer):
+    model, cv = MOESPRegressor(order=2, block_rows=8), TimeSeriesSplit(3)
+    weight = np.linspace(1.0, 3.0, len(lti.inputs))
+    with config_context(enable_metadata_routing=True):
+        plain = cross_val_score(model, lti.inputs, lti.outputs, cv=cv, scoring=scorer())
+        weighted = partial(
+            cross_val_score, model, lti.inputs, lti.outputs, cv=cv, params={"sample_weight": weight}
+        )
+        scores = weighted(scoring=scorer().set_score_request(sample_weight=True))
+        with pytest.raises(ValueError, match=r"_scorer\(.*set_score_request\(.*=True/False"):
+            weighted(scoring=scorer())
+        with pytest.raises(TypeError, match="not routed to any object"):
+            weighted(scoring=simulation_scorer(max_error))
+    for (train, test), score, without in zip(cv.split(weight), scores, plain, strict=True):
+        model.fit(lti.inputs.iloc[train], lti.outputs.iloc[train])
+        rows = lti.inputs.iloc[test], lti.outputs.iloc[test]
+        assert scorer()(model, *rows, sample_weight=weight[test]) == score != without
 
 
 def test_scorers_print_and_pickle(lti):

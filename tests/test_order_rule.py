@@ -119,6 +119,10 @@ def test_choices_without_a_size_are_parted_by_score():
     assert smallest_within_one_standard_error(windows) == 2
     left_open = results(SCORES[1:3], order=[2, 2], block_rows=[None, 14])
     assert smallest_within_one_standard_error(left_open) == 1
+    automatic = results(SCORES, order=["auto"] * 4, window=["hann", "boxcar", "triangle", "kaiser"])
+    assert smallest_within_one_standard_error(automatic) == 2
+    automatic = results(SCORES[1:], order=["auto"] * 3, block_rows=[7, 8, 9])
+    assert smallest_within_one_standard_error(automatic) == 0
     lists = results(SCORES[1:3], order=[2, 2])
     lists["params"] = [{"order": 2, "block_rows": 14}, {"order": 2}]
     lists["param_block_rows"] = np.ma.array([14, 0], mask=[False, True])

@@ -259,6 +259,15 @@ def test_failed_candidates_are_marked():
         OrderSelectionDisplay.from_cv_results(cv_results([np.nan], [2]))
 
 
+@pytest.mark.parametrize("unit", [1.0, 100.0, -1e-3, -1e6])
+def test_scores_out_of_all_proportion_do_not_flatten_the_others(unit):
+    scores = np.sort(unit * np.array([0.5, 0.9, 3.0]))
+    results = cv_results([-3e39, *scores, -1e9 * abs(unit)], [1, 2, 4, 6, 8])
+    display = OrderSelectionDisplay.from_cv_results(results)
+    np.testing.assert_allclose(display.lines_["default"][0].get_ydata(), scores)
+    assert display.failed_.get_xdata().tolist() == [1, 8]
+
+
 def test_the_best_of_candidates_alike_in_order_is_drawn():
     results = cv_results([0.5, 0.7, 0.6], [2, 2, 3], block_rows=[None, None, 9], hop=[1, 2, 1])
     display = OrderSelectionDisplay.from_cv_results(results)

@@ -7,7 +7,14 @@ import pandas as pd
 import pytest
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import InstabilityWarning
 from sklearn_hd.systems import LTPSystem
 
@@ -153,6 +160,34 @@ def test_a_record_of_one_window_is_no_obstacle(tmp_path):
     for model in models:
         np.testing.assert_array_equal(model.x0_[1], 0.0)
     np.testing.assert_allclose(models[0].model_.B, models[1].model_.B, rtol=1e-6, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return make_flapping_wing(
+        "lti", snr=20, random_state=41, n_records=3, n_periods=60, start=5, samples_per_period=32
+    )
+
+
+def matched(data, **kwargs):
+    analyzer = HarmonicAnalyzer(data.omega, output_harmonics=2, hop="period")
+    steps = MOESPRegressor(order=3), StructuredMatcher(**kwargs)
+    pipe = Pipeline(list(zip(("harmonics", "identify", "match"), (analyzer, *steps), strict=True)))
+    return pipe.fit(data.inputs, data.outputs)
+
+
+def test_a_stable_model_whose_match_grows_is_named(noisy):
+    """Noise in F(ψ) moves a multiplier out of the unit circle."""
+    with pytest.warns(InstabilityWarning, match="has a Floquet multiplier of size .* criterion='o"):
+        pipe = matched(noisy)
+    assert np.abs(pipe["identify"].eigenvalues_).max() < 1.0
+    assert pipe["match"].ltp_.floquet_exponents().real.max() > 1.0
+
+
+@pytest.mark.slow
+def test_likelihood_brings_a_match_that_grows_back(noisy):
+    pipe = matched(noisy, structure=HarmonicStructure(), criterion="output_error")
+    assert pipe.score(noisy.inputs, noisy.outputs) > 0.99
 
 
 def test_too_few_periods_are_counted():

@@ -3,8 +3,9 @@
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._fit_checks import growth_rate, longest_span
 from sklearn_hd._warn import warn
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 MOST_SYSTEMATIC = 0.01  # share of the variance left in a rest that is not white
@@ -38,6 +39,23 @@ def warn_realized(found):
             f"the record does not determine {', '.join(found.unidentified)} (only some "
             f"combinations of them): of all values that fit, the smallest are taken; let inputs "
             f"change at more phases of the period, or give G and Q fewer harmonics"
+        )
+
+
+def warn_growing(periodic, model, experiment):
+    """Of a periodic model that grows e-fold within a segment, where that identified does not."""
+    longest, basis = longest_span(experiment), experiment.basis
+    if growth_rate(model) * longest > 1.0:  # it has been warned of
+        return
+    radius = periodic.sampled(basis.samples_per_period).spectral_radius
+    folds = np.log(max(radius, 1e-300)) * longest * basis.omega / (2.0 * np.pi)
+    if folds > 1.0:
+        _warn(
+            f"the periodic model matched has a Floquet multiplier of size {radius:.4g}, by which "
+            f"it grows {np.exp(min(folds, 700.0)):.3g} times over the longest segment, where the "
+            f"model identified is stable: noise has moved it; refine it with criterion="
+            f"'output_error' and structure=HarmonicStructure(), or change the order",
+            InstabilityWarning,
         )
 
 

@@ -33,8 +33,8 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
         Parameters that make a model large, the first above all. Names of
         parameters, alone or with their steps (``"identify__order"``); those
         that were not searched are passed over. The first that was needs a
-        number for every candidate; a later one that has none for some
-        (``block_rows=None``) parts nobody. Where nothing but choices without
+        number for every candidate, or one value for all (``order="auto"``); a later one that has
+        none for some (``block_rows=None``) parts nobody. Where nothing but choices without
         a size were searched (a window, a method), the best score is taken.
     metric : str, default="score"
         With several metrics, the one to decide by. (Like every callable
@@ -152,9 +152,10 @@ def _sizes(cv_results, names):
     if not columns:
         _check_alike(candidates, names)
         return [()] * len(candidates)
-    _check_numbers(candidates, columns[0], names)
-    parting = [key for key in columns[1:] if all(_is_number(p.get(key)) for p in candidates)]
-    return [tuple(params[key] for key in (columns[0], *parting)) for params in candidates]
+    if not _is_the_same(candidates, columns[0]):
+        _check_numbers(candidates, columns[0], names)
+    parting = [key for key in columns if all(_is_number(p.get(key)) for p in candidates)]
+    return [tuple(params[key] for key in parting) for params in candidates]
 
 
 def searched_as(cv_results, name, parameter="size"):
@@ -164,6 +165,11 @@ def searched_as(cv_results, name, parameter="size"):
     if len(found) > 1:
         raise ValueError(f"{parameter}={name!r} could be any of {found}; give the whole name")
     return found
+
+
+def _is_the_same(candidates, key):
+    """Whether a parameter has one value for all, be it a number or not (``order="auto"``)."""
+    return all(key in p and np.array_equal(p[key], candidates[0][key]) for p in candidates)
 
 
 def _is_number(value):

@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
+from sklearn.utils.metadata_routing import MetadataRequest
 
-from sklearn_hd._base import ModelStep, compared, power_of_two, weights_of
+from sklearn_hd._base import ModelStep, compared, power_of_two
 from sklearn_hd._tables.containers import as_container, to_float
 from sklearn_hd._validation import check_count
 
@@ -40,10 +41,10 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
     Returns
     -------
     scorer : callable
-        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``. The
-        estimator is a model step, or a Pipeline, search or FrozenEstimator
-        that ends in one. As with ``score``, an unstable model whose simulation
-        grows beyond what can be squared scores −inf.
+        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``; where metadata are
+        routed, with ``set_score_request(sample_weight=True)``. The estimator is a model step, or
+        a Pipeline, search or FrozenEstimator that ends in one. As with ``score``, an unstable
+        model whose simulation grows beyond 1e60 times y scores −inf.
 
     Raises
     ------
@@ -76,7 +77,25 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
     return _SimulationScorer(metric, 1.0 if greater_is_better else -1.0, horizon, kwargs)
 
 
-class _SimulationScorer:
+class _Scorer:
+    """Says to scikit-learn's metadata routing whether it wants ``sample_weight``."""
+
+    takes_weight = True
+    _wants_weight = None  # where weights are given, an error then asks for set_score_request
+
+    def set_score_request(self, *, sample_weight):
+        """True, False or another name, as of scikit-learn's own scorers."""
+        self._wants_weight = sample_weight
+        return self
+
+    def get_metadata_routing(self):
+        request = MetadataRequest(owner=repr(self))
+        if self.takes_weight:
+            request.score.add_request(param="sample_weight", alias=self._wants_weight)
+        return request
+
+
+class _SimulationScorer(_Scorer):
     """What :func:`simulation_scorer` returns."""
 
     def __init__(self, metric, sign, horizon, kwargs):
@@ -91,17 +110,18 @@ class _SimulationScorer:
             truth, simulated = truth[:, 0], simulated[:, 0]
         kwargs = dict(self.kwargs)
         if weight is not None:
-            self._check_takes_weight()
             kwargs["sample_weight"] = weight
+            if not self.takes_weight:
+                raise TypeError(
+                    f"sample_weight was given, but {_name(self.metric)} takes none; leave it out "
+                    f"or use a metric that does"
+                )
         return self.sign * float(self.metric(truth, simulated, **kwargs))
 
-    def _check_takes_weight(self):
+    @property
+    def takes_weight(self):
         parameters = inspect.signature(self.metric).parameters.values()
-        if not any(p.name == "sample_weight" or p.kind is p.VAR_KEYWORD for p in parameters):
-            raise TypeError(
-                f"sample_weight was given, but {_name(self.metric)} takes none; leave it out or "
-                f"use a metric that does"
-            )
+        return any(p.name == "sample_weight" or p.kind is p.VAR_KEYWORD for p in parameters)
 
     def __repr__(self):
         given = "".join(f", {key}={value!r}" for key, value in self.kwargs.items())
@@ -139,14 +159,11 @@ def last_model_step(estimator, X):
 def _simulate(estimator, X, y, sample_weight, horizon=None):
     """Last model step, measured and simulated outputs on the rows that score counts, weights.
 
-    None where the simulation grows until a score would overflow.
+    None where the simulation grows too far to be scored.
     """
     step, X = last_model_step(estimator, X)
-    found = compared(step, X, y, horizon)
-    if found is None:
-        return None
-    truth, simulated, rows = found
-    return step, truth, simulated, weights_of(rows, sample_weight, len(y))
+    found = compared(step, X, y, sample_weight, horizon)
+    return None if found is None else (step, *found)
 
 
 def fit_percent(y_true, y_pred, *, sample_weight=None):
@@ -197,13 +214,14 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
                 f"{name} is not finite in row {row}, output {column}; drop those rows from both"
             )
     weight = _check_weight(sample_weight, len(y))
-    unit = power_of_two(np.vstack([y, y_hat]))  # so that squares do not overflow
-    y, y_hat, weight = y / unit, y_hat / unit, weight / weight.max()
-    mean = np.average(y, axis=0, weights=weight)
-    error = np.sqrt(weight @ (y - y_hat) ** 2)
-    spread = np.sqrt(weight @ (y - mean) ** 2)
+    units = power_of_two(np.vstack([y, y_hat])), power_of_two(y)  # so that squares are numbers
+    weight = weight / weight.max()
+    error = np.sqrt(weight @ (y / units[0] - y_hat / units[0]) ** 2)
+    y = y / units[1]
+    spread = np.sqrt(weight @ (y - np.average(y, axis=0, weights=weight)) ** 2)
     constant = np.ptp(y[weight > 0.0], axis=0) == 0.0
-    share = error / np.where(constant, 1.0, spread)
+    with np.errstate(over="ignore"):
+        share = error / np.where(constant, 1.0, spread) * (units[0] / units[1])
     return 100.0 * np.where(constant, error == 0.0, 1.0 - share)
 
 
@@ -272,7 +290,7 @@ def fit_percent_scorer(output=None):
     return _FitPercentScorer(output)
 
 
-class _FitPercentScorer:
+class _FitPercentScorer(_Scorer):
     """What :func:`fit_percent_scorer` returns."""
 
     def __init__(self, output):

@@ -11,6 +11,7 @@ from sklearn_hd.plotting._style import BLACK, GREY, LEGEND, POINTS, dress, looks
 __all__ = ["OrderSelectionDisplay"]
 
 SPREAD = 0.05  # of the step from order to order, over which lines are set apart
+FAR = 10.0  # below the best, in units of it or of one: beside more, the others would be one line
 
 
 class OrderSelectionDisplay:
@@ -40,7 +41,8 @@ class OrderSelectionDisplay:
     limit_ : Line2D
         One standard error below the best score.
     failed_ : Line2D or None
-        Orders of candidates that could not be fitted or scored on every fold.
+        Orders of candidates that could not be fitted or scored on every fold, or whose score
+        is out of all proportion (by more than ten, and ten times the best, below the best).
 
     References
     ----------
@@ -203,7 +205,7 @@ class OrderSelectionDisplay:
         ValueError
             If every candidate failed or was unstable on some fold.
         """
-        good = self.results[np.isfinite(self.results["score"])]
+        good = self._comparable()
         if len(good) == 0:
             raise ValueError(
                 "every candidate failed or was unstable on some fold, so that there is no score to "
@@ -231,7 +233,7 @@ class OrderSelectionDisplay:
                 label="chosen",
                 **style,
             )
-        self._mark_failed()
+        self._mark_failed(good)
         self.ax_.set_xticks(sorted(set(self.results["order"])))
         if misfit:
             self.ax_.set_yscale("log")
@@ -241,6 +243,12 @@ class OrderSelectionDisplay:
         handles = [handle for handle in handles if handle is not None]
         self.legend_ = self.ax_.legend(handles=handles, **LEGEND)
         return self
+
+    def _comparable(self):
+        """Candidates with scores that one axis can show."""
+        good = self.results[np.isfinite(self.results["score"])]
+        best = good["score"].max()
+        return good[good["score"] > best - FAR * max(1.0, abs(best))]
 
     def _draw_lines(self, good, misfit):
         orders = sorted(set(self.results["order"]))
@@ -262,8 +270,8 @@ class OrderSelectionDisplay:
             members = self.results.index[self.results["block_rows"] == name]
             self._places |= {i: self.results.loc[i, "order"] + shift for i in members}
 
-    def _mark_failed(self):
-        failed = self.results.loc[~np.isfinite(self.results["score"]), "order"]
+    def _mark_failed(self, good):
+        failed = self.results.drop(good.index)["order"]
         self.failed_ = None
         if len(failed):
             style = {"color": BLACK, "ls": "", "ms": 7, "clip_on": False}
