@@ -150,11 +150,12 @@ def eigenvalues_with_confidence(ax=None):
     return EigenvalueDisplay.from_estimator(model, true=true, ax=ax)
 
 
-def stabilization(ax=None):
-    data = wing(20)  # without noise, orders too high would show rounding
-    orders = range(1, 13)
+def stabilization(ax=None, snr=20):
+    """Orders beyond the true one; without noise they show how a processor rounds."""
+    data, orders = wing(snr), range(1, 13)
+    pipe = sliding() if snr is None else sliding(snr, "output_error")
     return StabilizationDisplay.from_estimator(
-        sliding(20, "output_error"), data.inputs, data.outputs, orders=orders, ax=ax
+        pipe, data.inputs, data.outputs, orders=orders, ax=ax
     )
 
 

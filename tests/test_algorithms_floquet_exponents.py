@@ -53,7 +53,9 @@ def test_slow_and_fast_modes_together(exponents):
     F = transformed(np.diag(exponents))
     assert relative_error(floquet_exponents(F, OMEGA), exponents) < 1e-11
     multipliers = np.abs(linalg.eigvals(monodromy_matrix(F, OMEGA)))
-    assert np.min(multipliers) != pytest.approx(np.exp(min(exponents) * PERIOD), rel=0.5, abs=0.0)
+    smallest = np.exp(min(exponents) * PERIOD)  # which the monodromy matrix does not show
+    if smallest > 0.0:
+        assert np.min(multipliers) != pytest.approx(smallest, rel=0.5, abs=0.0)
 
 
 def test_complex_pairs_far_apart():

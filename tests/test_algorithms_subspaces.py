@@ -229,3 +229,21 @@ def test_predictor_subspace_is_exact_in_closed_loop_without_noise(rng, feedthrou
             atol=1e-9,
         )
     assert E.item() < 1e-15
+
+
+def test_equations_that_cannot_be_ordered_are_tried_with_more_noise(monkeypatch):
+    """Where that happens is a matter of rounding; SciPy says so by a ValueError."""
+    model = np.array([[0.5]]), np.eye(1), np.eye(2), np.ones(1)
+    K, E = gain_of_covariances(*model)
+    solve, calls = linalg.solve_discrete_are, []
+
+    def fails_once(*args, **kwargs):
+        calls.append(args)
+        if len(calls) == 1:
+            raise ValueError("Reordering of (A, B) failed")
+        return solve(*args, **kwargs)
+
+    monkeypatch.setattr(linalg, "solve_discrete_are", fails_once)
+    again = gain_of_covariances(*model)
+    assert len(calls) == 2
+    np.testing.assert_allclose(again, (K, E), rtol=1e-6)

@@ -227,6 +227,7 @@ def blade_of_one_state():
     return u, y
 
 
+@pytest.mark.filterwarnings("ignore:the periodic orbit is unstable")  # by noise, or not
 def test_measured_states_where_the_periods_show_too_few():
     u, y = blade_of_one_state()
     pipe = synchronous(1.0)

@@ -228,4 +228,7 @@ def _resampling_error(basis, inputs, outputs):
     size = np.sqrt(np.mean(values**2, axis=0))
     shares = interpolation_error(values, inputs.base.time[rows]) / np.where(size > 0.0, size, 1.0)
     listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
-    return f"Interpolation errs by at most (rms, in parts of each signal's) {listed}. "
+    return (
+        f"Interpolation errs by at most (rms, in parts of each signal's) {listed}; standard "
+        f"deviations do not count that. "
+    )

@@ -118,7 +118,7 @@ def gain_of_covariances(A, C, covariance, y_scale):
         more = np.append(np.full(n, driven), np.full(len(C), white))
         try:
             K, E = _stationary(A, C, noise + np.diag(more))
-        except (np.linalg.LinAlgError, linalg.LinAlgWarning, RuntimeWarning):
+        except (ValueError, linalg.LinAlgWarning, RuntimeWarning):  # LinAlgError is a ValueError
             continue
         if np.max(np.abs(linalg.eigvals(A - K @ C))) < 1.0 + PRECISION:
             return K, E * unit

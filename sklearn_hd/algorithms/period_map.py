@@ -84,7 +84,7 @@ def quadratic_gain(plant, state_sizes, input_sizes):
     R = np.diag(np.asarray(input_sizes, dtype=float) ** -2.0)
     try:
         P = linalg.solve_discrete_are(plant.Phi, plant.Gamma, Q, R)
-    except linalg.LinAlgError as error:
+    except ValueError as error:  # LinAlgError, or pencils too ill-conditioned to be ordered
         raise ValueError(
             f"no gain stabilises the period map ({error}); an unstable mode may be out of reach "
             f"of the inputs"
