@@ -184,10 +184,9 @@ def test_weights_are_routed_to_scorers_that_ask_for_them(lti, scorer):
     model, cv = MOESPRegressor(order=2, block_rows=8), TimeSeriesSplit(3)
     weight = np.linspace(1.0, 3.0, len(lti.inputs))
     with config_context(enable_metadata_routing=True):
-        plain = cross_val_score(model, lti.inputs, lti.outputs, cv=cv, scoring=scorer())
-        weighted = partial(
-            cross_val_score, model, lti.inputs, lti.outputs, cv=cv, params={"sample_weight": weight}
-        )
+        scored = partial(cross_val_score, model, lti.inputs, lti.outputs, cv=cv)
+        plain = scored(scoring=scorer(), params={})
+        weighted = partial(scored, params={"sample_weight": weight})
         scores = weighted(scoring=scorer().set_score_request(sample_weight=True))
         with pytest.raises(ValueError, match=r"_scorer\(.*set_score_request\(.*=True/False"):
             weighted(scoring=scorer())

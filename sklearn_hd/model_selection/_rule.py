@@ -169,7 +169,8 @@ def searched_as(cv_results, name, parameter="size"):
 
 def _is_the_same(candidates, key):
     """Whether a parameter has one value for all, be it a number or not (``order="auto"``)."""
-    return all(key in p and np.array_equal(p[key], candidates[0][key]) for p in candidates)
+    values = [np.asarray(p[key]).tolist() for p in candidates if key in p]
+    return len(values) == len(candidates) and all(value == values[0] for value in values)
 
 
 def _is_number(value):
