@@ -460,10 +460,10 @@ def scored_simulation(step, X, y, horizon=None):
 
 
 def compared(step, X, y, sample_weight=None, horizon=None):
-    """Measured and simulated outputs on the rows that count, their weights; None, and a warning,
-    where outputs grow until the spread of such scores over folds would be no number.
+    """Measured and simulated outputs on the rows that count, and the rows' weights.
 
-    A search over orders goes on: that candidate is the worst.
+    None, and a warning, where outputs grow until the spread of such scores over folds would be no
+    number. A search over orders goes on: that candidate is the worst.
     """
     try:
         truth, simulated, rows = scored_simulation(step, X, y, horizon)
