@@ -119,11 +119,11 @@ def warn_of_growth(model, experiment):
 
 
 def growth_rate(model):
-    """Largest real part of the exponents of a model, 1/s."""
+    """Largest real part of the exponents of a model, 1/s; −inf without states."""
     values = np.linalg.eigvals(model.A)
     if model.dt > 0.0:
         values = np.log(np.maximum(np.abs(values), 1e-300)) / model.dt
-    return float(values.real.max())
+    return float(np.max(values.real, initial=-np.inf))
 
 
 def longest_span(experiment):

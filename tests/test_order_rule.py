@@ -73,7 +73,7 @@ def test_several_metrics_need_one_to_decide_by():
 def test_failed_candidates_are_named_with_their_folds():
     scores = np.array(SCORES)
     scores[0, 2] = np.nan
-    scores[3] = np.nan
+    scores[3] = np.nan, np.inf, np.nan
     with pytest.raises(ValueError, match="2 of 4 candidates failed") as raised:
         smallest_within_one_standard_error(results(scores, order=[1, 2, 3, 4]))
     assert "{'order': 1} on folds [2]; {'order': 4} on folds [0, 1, 2]" in str(raised.value)

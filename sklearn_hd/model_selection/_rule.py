@@ -51,8 +51,8 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Raises
     ------
     ValueError
-        If a candidate failed on some fold (its score is NaN; −inf, that of an
-        unstable model, is a score), none has a finite mean, there are fewer
+        If a candidate failed on some fold (its score is NaN or +inf; −inf, that
+        of an unstable model, is a score), none has a finite mean, there are fewer
         than two folds, or the candidates cannot be told apart by size.
 
     References
@@ -126,7 +126,8 @@ def fold_scores(cv_results, metric):
 
 def _check_none_failed(scores, candidates):
     """Raise ValueError where a candidate has no score on some fold, or none a finite one on all."""
-    if not np.any(np.isnan(scores)):
+    bad = np.isnan(scores) | np.isposinf(scores)
+    if not np.any(bad):
         if np.any(np.all(np.isfinite(scores), axis=1)):
             return
         raise ValueError(
@@ -134,9 +135,9 @@ def _check_none_failed(scores, candidates):
             f"smaller orders, or drop growing modes (SpuriousModeReducer)"
         )
     failed = [
-        f"{params} on folds {np.flatnonzero(np.isnan(row)).tolist()}"
-        for params, row in zip(candidates, scores, strict=True)
-        if np.any(np.isnan(row))
+        f"{params} on folds {np.flatnonzero(row).tolist()}"
+        for params, row in zip(candidates, bad, strict=True)
+        if np.any(row)
     ]
     raise ValueError(
         f"{len(failed)} of {len(scores)} candidates failed, so that there is no mean score to "
