@@ -255,7 +255,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
                 match = self._match(to_continuous(model, experiment), report)
             if self.criterion == "output_error":
                 match = self._refine(match, experiment, noise, report)
-        return self._store(match)._remember(match.model, experiment, X, y)
+        return self._store(match)._remember(match.model, experiment.basis, X, y)
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)

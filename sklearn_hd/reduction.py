@@ -174,7 +174,7 @@ class SpuriousModeReducer(ModelStep):
                 model = self._reduce(model, experiment, method, report)
             warn_of_growth(model, experiment)
         self.n_states_ = model.n_states
-        return self._remember(model, experiment, X, y)
+        return self._remember(model, experiment.basis, X, y)
 
     @property
     def modes_(self):

@@ -62,6 +62,14 @@ class PlainReading:
         """Inputs and outputs of one segment at the rows that models are made of."""
         return drive, outputs
 
+    def outputs_read(self, outputs, time):
+        """Outputs of one segment at the rows that models are made of."""
+        return outputs
+
+    def n_read_within(self, time, stop):
+        """Rows read whose samples all lie before some sample."""
+        return stop
+
     def rows_read(self, time, whole_windows=True):
         """Rows of one segment that models are made of: all."""
         return np.arange(len(time))
