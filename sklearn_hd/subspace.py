@@ -1,33 +1,32 @@
 """Step 3: subspace identification of a discrete-time state-space model."""
 
+import copy
+
 import numpy as np
 from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import extremes, square_sums, within_range
-from sklearn_hd._checks import COMMON, check_outputs_given, signal_names
+from sklearn_hd._arithmetic import within_range
+from sklearn_hd._checks import check_outputs_given, signal_names
 from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import (
-    check_outputs_move,
-    moving_inputs,
-    warn_idle,
+    check_motion,
     warn_of_growing_data,
     warn_of_growth,
     warn_of_mismatch,
 )
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._identify.checks import PREDICTOR, SubspaceChecks, is_lifted
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, PREDICTOR, SubspaceChecks, is_lifted
+from sklearn_hd._identify.chunks import Stream, first_date, read_chunk
 from sklearn_hd._identify.innovation_model import InnovationModel
 from sklearn_hd._identify.more_rows import MoreRows, is_sliding
-from sklearn_hd._identify.partitioned_fit import PartitionedFit
-from sklearn_hd._identify.partitions import is_partitioned
-from sklearn_hd._identify.products_cache import KeptSums
-from sklearn_hd._identify.streamed_fit import StreamedFit
+from sklearn_hd._identify.partitions import Partitions, is_partitioned
+from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._progress import progress
 from sklearn_hd._records.amplitudes import read_for_fit
-from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
+from sklearn_hd._records.data import beside_trim, check_features, lifted_periods, rows_read
 from sklearn_hd._records.sliding_inputs import modulated_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._warn import warn
@@ -35,16 +34,15 @@ from sklearn_hd.algorithms.periodic.periodic_realization import order_by_residua
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
-from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
-from sklearn_hd.algorithms.subspace.moesp import (
+from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
+from sklearn_hd.algorithms.subspace.projections import (
+    Projection,
     order_by_gap,
     order_by_wide_gap,
     release_idle_directions,
 )
-from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
-from sklearn_hd.algorithms.subspace.projections import Projection
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["MOESPRegressor"]
 
@@ -52,9 +50,7 @@ MOST_STATES = 12  # tried by order="auto", period by period
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 
 
-class MOESPRegressor(
-    SubspaceChecks, MoreRows, StreamedFit, PartitionedFit, InnovationModel, ModelStep
-):
+class MOESPRegressor(SubspaceChecks, MoreRows, InnovationModel, ModelStep):
     """Past-output MOESP identification of a linear time-invariant model.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
@@ -215,73 +211,176 @@ class MOESPRegressor(
         scale, feedthrough = self._check_parameters()
         self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         if is_partitioned(X) or is_partitioned(y):
-            return self._fit_partitions(X, y, scale, feedthrough)
+            data = Partitions(X, y, self._block_rows_asked)
+            model = self._identified(data, data.head[1], scale, feedthrough)
+            return self._remember(model, data.facts, *data.head)
         experiment = read_for_fit(X, y)
         warn_of_mismatch(experiment)
         warn_of_growing_data(experiment)
         inputs, outputs = rows_read(experiment)
-        excitation = self._excitation(experiment, inputs)
-        raw = excitation is inputs
-        n_outputs, n_inputs = outputs[0].shape[1], excitation[0].shape[1]
-        lengths = [len(u) for u in inputs]
-        self.block_rows_ = self._check_block_rows(experiment, lengths, n_inputs, n_outputs)
-        moving = moving_inputs(inputs, experiment)
-        check_outputs_move(experiment)
-        warn_idle(moving, experiment)
-        if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
-            return self._remember(self._static_model(experiment, y), experiment, X, y)
-        u_scale, y_scale = (
-            _scales(signals) if scale else np.ones(signals[0].shape[1])
-            for signals in (inputs, outputs)
-        )
-        scale = np.concatenate([u_scale if raw else np.ones(n_inputs), y_scale])
-        n_moving, kept = int(moving.sum()) if raw else n_inputs, KeptSums(self.memory)
-        if self.weighting == PREDICTOR and self.block_rows is None:
-            self.block_rows_ = self._rows_of_predictor(
-                lambda rows: kept.factor(excitation, outputs, rows, scale),
-                lengths,
-                n_inputs,
-                n_outputs,
-                is_lifted(experiment),
-            )
-        found = self._decompose(kept, excitation, outputs, n_moving, experiment, scale)
-        while self._wants_more_rows(experiment, lengths, excitation[0].shape[1], n_outputs):
-            self.block_rows_ += (self.block_rows_ + 1) // 2
-            found = self._decompose(kept, excitation, outputs, n_moving, experiment, scale)
-        if self.block_rows is None and self.order == "auto" and is_sliding(experiment):
-            found = self._exact_map(kept, found, experiment, excitation, outputs, scale)
-        basis, scales = experiment.basis, (u_scale, y_scale)
-        feedthrough = feedthrough or is_lifted(experiment)
-        if self.weighting == PREDICTOR:
-            parts = self._predictor_matrices(found, excitation, inputs, outputs, scales)
-        else:
-            A, C = found.state_matrices(self.order_)
-            B, D, self.x0_ = kept.input_matrices(A, C, inputs, outputs, feedthrough, scales)
-            parts = A, B, C, D, *self._noise_model(found)
-        dt = experiment.base.sample_time
-        model = self._model(parts, scales, experiment, dt, y, feedthrough)
+        facts, excitation = Facts.of(experiment, inputs), self._excitation(experiment, inputs)
+        data = Records(inputs, outputs, facts, self.memory, excitation)
+        model = self._identified(data, y, scale, feedthrough, experiment)
+        basis = experiment.basis
         if basis is not None and basis.synchronous:  # else the window's own poles may grow
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
 
-    def _predictor_matrices(self, found, excitation, inputs, outputs, scales):
+    def _identified(self, data, y, scale, feedthrough, experiment=None):
+        """The model of data, wherever they are; ``experiment`` where they are in memory."""
+        facts, lengths = data.facts, data.lengths
+        n_inputs, n_outputs = data.n_inputs, data.n_outputs
+        self.block_rows_ = self._check_block_rows(facts, lengths, n_inputs, n_outputs)
+        check_motion(facts)
+        if n_hankel_columns(lengths, self.block_rows_) <= self.block_rows_ * n_inputs:
+            return self._static_model(facts, y, experiment)
+        size, scales = data.scales(scale)
+        lifted = is_lifted(facts)
+        if self.weighting == PREDICTOR and self.block_rows is None:
+            self.block_rows_ = self._rows_of_predictor(
+                lambda rows: data.factor(rows, size),
+                lengths,
+                n_inputs,
+                n_outputs,
+                lifted,
+            )
+        found = self._decompose(data, size, experiment)
+        while self._wants_more_rows(facts, data):
+            self.block_rows_ += (self.block_rows_ + 1) // 2
+            found = self._decompose(data, size, experiment)
+        free = self.block_rows is None and self.order == "auto"
+        if free and experiment is not None and is_sliding(experiment):
+            found = self._exact_map(data, found, experiment, size)
+        feedthrough = feedthrough or lifted
+        if self.weighting == PREDICTOR:
+            parts = self._predictor_matrices(found, data, size, scales)
+        else:
+            A, C = found.state_matrices(self.order_)
+            B, D, self.x0_ = data.input_matrices(A, C, feedthrough, scales)
+            parts = A, B, C, D, *self._noise_model(found)
+        return self._model(parts, scales, facts, y, feedthrough)
+
+    @one_blas_thread
+    @within_range
+    def partial_fit(self, X, y):
+        """Identify the model from all chunks so far and this one.
+
+        Chunks are consecutive rows of a record, in order, or whole records. What they leave
+        behind are sums; memory does not grow with the rows of a record (it does by some
+        thousand rows with each record). The model is that of ``fit`` on all rows with the same
+        ``order`` and ``block_rows``, but that a sliding window's block rows stay where they
+        began; ``fit`` forgets all chunks.
+
+        Where a mode outlasts some thousand rows, and a record is longer, B and D come from the
+        triangular factor alone, and are less certain than those of ``fit``.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs (None where there are none), with a harmonic basis riding on them (from
+            ``HarmonicAnalyzer.transform``; not period by period) or plain. Rows whose index
+            counts from 0 go on where the last chunk ended; others follow it by one sample
+            time, or a gap lies between.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Outputs in time.
+
+        Returns
+        -------
+        self : MOESPRegressor
+            With the model of everything so far, once there are rows enough.
+
+        Raises
+        ------
+        ValueError
+            If a chunk has other columns, another sample time or basis than the first, or
+            begins before the end of the last. What was read before is kept.
+
+        Warns
+        -----
+        ExcitationWarning
+            If an input, or all outputs, have not moved so far: there is no model yet.
+        IdentifiabilityWarning
+            If all chunks so far have no model of this order. They are kept, this one too, and so
+            is the model before.
+
+        References
+        ----------
+        Verhaegen (1994), Automatica 30(1), 61-74 (B and D from the factor).
+
+        Examples
+        --------
+        >>> from sklearn_hd import MOESPRegressor
+        >>> u = np.random.default_rng(0).standard_normal((900, 1))
+        >>> y = np.zeros((900, 1))
+        >>> for k in range(899):
+        ...     y[k + 1] = 0.8 * y[k] + u[k]
+        >>> model = MOESPRegressor(order=1, block_rows=5)
+        >>> for rows in np.split(np.arange(900), 3):
+        ...     model = model.partial_fit(u[rows], y[rows])
+        >>> round(float(model.eigenvalues_[0].real), 6)
+        0.8
+        """
+        check_outputs_given(y)
+        X = without_inputs(y) if X is None else X
+        scale, feedthrough = self._check_parameters()
+        stream = getattr(self, "_stream", None)
+        origin = first_date(X) if stream is None else stream.origin
+        experiment = read_chunk(X, y, origin)
+        check_features(self, X, reset=stream is None)
+        asked = self._block_rows_asked(experiment.basis)
+        if self.weighting == PREDICTOR and self.block_rows is None:
+            asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
+        self._check_rank_bound(asked, len(self._output_names(experiment.basis, y)))
+        if stream is None:
+            stream = Stream.begin(experiment, asked, origin)
+        elif asked > stream.block_rows:
+            raise ValueError(
+                f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
+                f"chunk was read with; begin anew with a clone of the estimator"
+            )
+        result = copy.copy(self)
+        result._stream = stream.with_chunk(experiment)
+        data = result._stream.data()
+        if self._suffices(data):
+            try:
+                model = result._identified(data, y, scale, feedthrough)
+            except ValueError as error:  # which rows to come may mend
+                warn(f"no model of the {data.facts.span()}: {error}", IdentifiabilityWarning)
+                self._stream = result._stream
+                return self
+            result._remember(model, experiment, X, y)
+        self.__dict__.update(result.__dict__)  # at once: an interrupted call changes nothing
+        return self
+
+    def _suffices(self, data):
+        """Whether chunks so far allow for a model; what is at rest is told."""
+        facts, n_inputs, n_outputs = data.facts, data.n_inputs, data.n_outputs
+        if facts.still or not facts.outputs_move.any():
+            what = f"the inputs {list(facts.still)} are" if facts.still else "all outputs are"
+            warn(
+                f"{what} at rest in the {facts.span()}: there is no model until a chunk comes in "
+                f"which they move",
+                ExcitationWarning,
+            )
+            return False
+        asked = self._block_rows_asked(facts.basis)
+        i = self._fewer_block_rows(asked, facts.basis, data.lengths, n_inputs, n_outputs)
+        order = 1 if self.order == "auto" else int(self.order)
+        enough = n_hankel_columns(data.lengths, i) >= i * (n_inputs + n_outputs) + order
+        return enough and order <= (i - 1) * n_outputs
+
+    def _predictor_matrices(self, found, data, size, scales):
         """The innovation form, driven by the inputs where they are not what excites.
 
         Period by period: as the mean input stands for what moves within the period.
         """
         A, B, C, D, K, covariance = found.model(self.order_)
-        form = InnovationForm(A, B, C, D, K)
-        u_scale, y_scale = scales
-        raw = excitation is inputs
-        size = u_scale if raw else 1.0
-        pairs = zip(excitation, outputs, strict=True)
-        self.x0_ = np.array(
-            [form.initial_state(u / size, y / y_scale, covariance) for u, y in pairs]
-        )
-        if not raw:
-            u = np.vstack(inputs)
+        own = size[: data.n_inputs], scales[1]
+        self.x0_ = data.initial_states(A, B, C, D, K, covariance, own)
+        if not data.raw:
+            u = np.vstack(data.inputs)
             offset = np.ones((len(u), 1))  # of the trim, which is no input
-            share = linalg.lstsq(np.hstack([u / u_scale, offset]), np.vstack(excitation))[0]
+            share = linalg.lstsq(np.hstack([u / scales[0], offset]), np.vstack(data.excitation))[0]
             B, D = (M @ share[:-1].T for M in (B, D))
         return A, B, C, D, K, covariance
 
@@ -289,10 +388,10 @@ class MOESPRegressor(
         """Kalman gain and covariance of the innovations; None where they were not asked for."""
         return found.kalman_gain(self.order_) if self.disturbance_model else (None, None)
 
-    def _model(self, parts, scales, experiment, sample_time, y, feedthrough):
+    def _model(self, parts, scales, facts, y, feedthrough):
         """The model in the units of the signals."""
         (A, B, C, D, K, covariance), (u_scale, y_scale) = parts, scales
-        basis = experiment.basis
+        basis = facts.basis
         if K is not None:
             K, covariance = K / y_scale, covariance * y_scale[:, None] * y_scale
         return LTIModel(
@@ -300,8 +399,8 @@ class MOESPRegressor(
             B=B / u_scale,
             C=C * y_scale[:, None],
             D=D * (y_scale[:, None] / u_scale),
-            dt=sample_time * (1 if basis is None else basis.hop_samples),
-            input_names=experiment.drive_names,
+            dt=facts.sample_time * (1 if basis is None else basis.hop_samples),
+            input_names=facts.drive_names,
             output_names=self._output_names(basis, y),
             feedthrough=feedthrough,
             windowed=basis is not None,
@@ -343,34 +442,31 @@ class MOESPRegressor(
             warn(words, ExcitationWarning)
         return beside_trim(directions, experiment.basis)
 
-    def _decompose(self, kept, inputs, outputs, n_moving, experiment, scale):
+    def _decompose(self, data, scale, experiment):
         """Project the future outputs, look at the singular values and settle the order."""
-        i, n_inputs, n_outputs = self.block_rows_, inputs[0].shape[1], outputs[0].shape[1]
-        columns = n_hankel_columns([len(u) for u in inputs], i)
-        choices = i, self.weighting, bool(self.feedthrough), is_lifted(experiment)
-        projected = kept.projection(
-            inputs,
-            outputs,
+        i, facts = self.block_rows_, data.facts
+        columns = n_hankel_columns(data.lengths, i)
+        choices = i, self.weighting, bool(self.feedthrough), is_lifted(facts)
+        projected = data.projection(
+            lambda: self._project(data.factor(i, scale), columns, data),
             scale,
-            lambda: self._project(
-                kept.factor(inputs, outputs, i, scale), columns, n_outputs, experiment
-            ),
             *choices,
         )
-        found = self._look_at(*projected, n_moving, experiment, scale[n_inputs:])
-        self.order_ = self._choose_order(found, inputs, experiment, n_outputs)
+        n_moving = int(facts.moving.sum()) if data.raw else data.n_inputs
+        found = self._look_at(*projected, n_moving, facts, scale[data.n_inputs :])
+        self.order_ = self._choose_order(found, data, experiment)
         return found
 
-    def _project(self, R, n_columns, n_outputs, experiment):
+    def _project(self, R, n_columns, data):
         """What the future outputs share with the past, and the directions that inputs excite.
 
         Not counted period by period, where a step in mid-period moves in a direction that
         occurs but once, and what cannot be told apart is projected out as a whole; nor
         where inputs are multiplied by harmonics, whose idle directions are released.
         """
-        i, lifted = self.block_rows_, is_lifted(experiment)
-        n_inputs, excited = len(R) // (2 * i) - n_outputs, None
-        if not lifted and n_inputs == len(experiment.drive_names):
+        i, lifted, n_inputs = self.block_rows_, is_lifted(data.facts), data.n_inputs
+        excited = None
+        if not lifted and data.raw:
             excited = n_excited(R, i, n_inputs)
         if self.weighting == PREDICTOR:
             feedthrough = bool(self.feedthrough) or lifted
@@ -379,9 +475,9 @@ class MOESPRegressor(
             R = release_idle_directions(R, i * n_inputs)
         return Projection.of(R, i, n_inputs, n_columns, self.weighting), excited
 
-    def _look_at(self, found, excited, n_moving, experiment, y_scale):
+    def _look_at(self, found, excited, n_moving, facts, y_scale):
         """Keep the singular values, and warn of Hankel matrices of deficient rank."""
-        self._warn_excitation(excited, n_moving, experiment)
+        self._warn_excitation(excited, n_moving, facts)
         unit = 1.0  # of canonical correlations
         if self.weighting != "cva":
             unit = y_scale.max() * np.sqrt(np.mean((y_scale / y_scale.max()) ** 2))
@@ -389,20 +485,21 @@ class MOESPRegressor(
         self.noise_floor_ = found.floor * unit
         return found
 
-    def _choose_order(self, found, directions, experiment, n_outputs):
+    def _choose_order(self, found, data, experiment):
         """The order asked for, or that of the singular values, or of the raw periods."""
-        bound = (self.block_rows_ - 1) * n_outputs
+        bound = (self.block_rows_ - 1) * data.n_outputs
         if self.order != "auto":
             return int(self.order)
         values, floor = found.singular_values, found.floor
         by_gap = order_by_gap(values, floor, bound)
-        if not is_lifted(experiment) or order_by_wide_gap(values, floor, bound) is not None:
+        if not is_lifted(data.facts) or order_by_wide_gap(values, floor, bound) is not None:
             return by_gap
         if self.weighting == PREDICTOR:  # raw periods would be simulated, as in open loop
             return by_gap
         lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
         lifted = [y.reshape(len(y), -1) for y in lifted]
         # half as many as the periods left once the inputs' directions are projected out
+        directions = data.excitation
         left = sum(map(len, lifted)) - directions[0].shape[1]
         most = min(bound, MOST_STATES, left // 2)
         if most < 1:
@@ -412,8 +509,14 @@ class MOESPRegressor(
             told = stage(report, "orders tried", most)
             return len(order_by_residual(candidates, directions, lifted, told))
 
-    def _static_model(self, experiment, y):
+    def _static_model(self, facts, y, experiment):
         """Gain without states, all that a record too short for any dynamics gives."""
+        if experiment is None:
+            raise ValueError(
+                f"the {facts.span()} are too few to identify dynamics from "
+                f"{len(facts.drive_names)} input(s); give frames in memory, X.compute() and "
+                f"y.compute(), from which a static gain is fitted"
+            )
         inputs, outputs = experiment.drive, experiment.outputs
         n_outputs = outputs[0].shape[1]
         warn(
@@ -452,17 +555,3 @@ class MOESPRegressor(
         if basis is not None:
             return basis.output_labels
         return signal_names(as_container(y, "y"), "y")
-
-
-def _scales(signals):
-    """Root mean square of each channel over all segments; one where a channel is zero."""
-    n_samples = sum(map(len, signals))
-    squares = sum(map(square_sums, signals))
-    if np.all((squares > 1.0 / COMMON) & (squares < COMMON)):
-        return np.sqrt(squares / n_samples)
-    scale = np.ones(signals[0].shape[1])
-    for c, largest in enumerate(np.max(np.abs([extremes(z) for z in signals]), axis=(0, 1))):
-        if largest > 0.0:
-            squares = (np.sum((z[:, c] / largest) ** 2) for z in signals)
-            scale[c] = largest * np.sqrt(sum(squares) / n_samples)
-    return scale

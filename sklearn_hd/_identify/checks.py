@@ -3,7 +3,6 @@
 from sklearn_hd._checks import check_choice, check_count, check_flag
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._progress import check_verbose
-from sklearn_hd._records.time import why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.subspace.predictor_subspace import rows_remembered
@@ -96,9 +95,9 @@ class SubspaceChecks:
             i -= 1
         return i
 
-    def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
+    def _check_block_rows(self, facts, lengths, n_inputs, n_outputs):
         """Block rows that the window, the order and the record allow."""
-        basis = experiment.basis
+        basis = facts.basis
         sliding = basis is not None and not basis.synchronous
         asked = self._block_rows_asked(basis)
         i = self._fewer_block_rows(asked, basis, lengths, n_inputs, n_outputs)
@@ -112,14 +111,14 @@ class SubspaceChecks:
         if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
             unit, moving = "row", "input(s)"
             way_out = "use a longer record, fewer block rows or a smaller hop"
-            if is_lifted(experiment):
+            if is_lifted(facts):
                 unit, moving = "period", "direction(s) of inputs"
                 way_out = "use a longer record, or fewer block rows"
-            rows = f"{sum(lengths)} {unit}(s) (n_samples = {len(experiment.base.time)})"
+            rows = f"{sum(lengths)} {unit}(s) (n_samples = {facts.n_samples})"
             raise ValueError(
-                f"the {experiment.span()} give {rows} to identify from, too few for "
+                f"the {facts.span()} give {rows} to identify from, too few for "
                 f"block_rows={i}: at least {need + 2 * i - 1} consecutive {unit}s are needed with "
-                f"{n_inputs} {moving}{why_short(experiment.base)}; {way_out}"
+                f"{n_inputs} {moving}{facts.why_short}; {way_out}"
             )
         return i
 

@@ -21,21 +21,22 @@ def is_sliding(experiment):
 class MoreRows:
     """What a subspace method adds where a window's block rows may be too few."""
 
-    def _wants_more_rows(self, experiment, lengths, n_inputs, n_outputs):
+    def _wants_more_rows(self, facts, data):
         """Whether the order chosen fills the rank that default block rows allow, and more fit.
 
         Few coefficients of many states: copies and memory need more rows than a window's.
         """
-        i = self.block_rows_
-        if experiment.basis is None or is_lifted(experiment):
+        i, n_outputs = self.block_rows_, data.n_outputs
+        if facts.basis is None or is_lifted(facts):
             return False
         if self.block_rows is not None or self.order != "auto":
             return False
         more = i + (i + 1) // 2
-        room = n_hankel_columns(lengths, more) >= 2 * more * (n_inputs + n_outputs)
+        width = 2 * more * (data.n_inputs + n_outputs)
+        room = more <= data.most_block_rows and n_hankel_columns(data.lengths, more) >= width
         return self.order_ >= (i - 1) * n_outputs and room
 
-    def _exact_map(self, kept, found, experiment, excitation, outputs, scale):
+    def _exact_map(self, data, found, experiment, scale):
         """The model without noise in which most modes have copies that agree.
 
         Inputs that move within a hop at many phases ask for many inputs, more than noise
@@ -43,22 +44,21 @@ class MoreRows:
         Where no more than rounding is left, noise is no matter. A model whose inputs are too
         few leaves no more, by modes that stand for inputs, but these have no copies.
         """
-        basis, n_outputs = experiment.basis, outputs[0].shape[1]
-        lengths = [len(y) for y in outputs]
+        basis, n_outputs, lengths = experiment.basis, data.n_outputs, data.lengths
         best = found, self.block_rows_, self.singular_values_, self.noise_floor_, self.order_
         columns = n_hankel_columns(lengths, self.block_rows_)
         one_phase = changes_at_one_phase(experiment)
-        if one_phase and self._is_exact(columns, excitation[0].shape[1], n_outputs):
+        if one_phase and self._is_exact(columns, data.n_inputs, n_outputs):
             return found
         most = self._n_agreeing(found, basis)
-        for inputs in [excitation] if one_phase else inputs_by_phase(experiment):
+        for inputs in [data.excitation] if one_phase else inputs_by_phase(experiment):
             m, tries = inputs[0].shape[1], _block_rows_tried(basis.window_rows)
             i = next((i for i in tries if _fits(lengths, i, m, n_outputs)), 0)
             if i == 0:
                 continue
             self.block_rows_ = i
             own = scale if one_phase else np.append(np.ones(m), scale[-n_outputs:])
-            found = self._decompose(kept, inputs, outputs, m, experiment, own)
+            found = self._decompose(data.with_excitation(inputs), own, experiment)
             if self._is_exact(n_hankel_columns(lengths, i), m, n_outputs):
                 agreeing = self._n_agreeing(found, basis)
                 if agreeing > most:

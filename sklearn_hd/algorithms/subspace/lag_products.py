@@ -12,8 +12,9 @@ which is constant along block diagonals but for the ends of the record:
 
 So it takes the lag products T, n · 2i · p² products instead of n · (2i p)² / 2, and the
 products of the first and of the last 2i − 1 rows of each record among themselves. All three
-are sums over records (of the last two the rows are kept): they add up in any order, and for fewer block rows they are parts of the same arrays. Records too short for
-all lags are kept as they are.
+are sums over records (of the last two, the rows are kept): they add up in any order, and for
+fewer block rows they are parts of the same arrays. Records too short for all lags are kept as
+they are.
 
 Chunks of one record
     Each row belongs to one chunk (a ``Stretch``), which is rounded once and on its own.
