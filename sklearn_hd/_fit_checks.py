@@ -35,7 +35,7 @@ def warn_of_mismatch(experiment):
     azimuth was measured.
     """
     basis = experiment.basis
-    if basis is None or basis.reading.azimuth is not None:
+    if not basis.harmonic or basis.timing.azimuth is not None:
         return
     outputs, trim = experiment.outputs, experiment.output_trim()
     if trim is not None and basis.small_signal is None:
@@ -63,7 +63,7 @@ def warn_of_mismatch(experiment):
 def warn_of_growing_data(experiment):
     """Warn if outputs grow so much that what decays beside them is lost in rounding."""
     basis = experiment.basis
-    if basis is None:
+    if not basis.harmonic:
         return
     spp, period = basis.samples_per_period, basis.samples_per_period * basis.sample_time
     for y in experiment.outputs:
@@ -99,7 +99,7 @@ def _growth_rate(y, spp):
 
 def warn_of_growth(model, experiment):
     """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
-    if experiment.basis is None or model.n_states == 0:
+    if not experiment.basis.harmonic or model.n_states == 0:
         return
     rate, longest = growth_rate(model), longest_span(experiment)
     period = 2.0 * np.pi / experiment.basis.omega
@@ -159,7 +159,7 @@ def check_motion(facts):
     idle = [name for name, moves in zip(facts.drive_names, facts.moving, strict=True) if not moves]
     if idle:
         effect = "their effect is not identified, and their columns of B are zero"
-        if facts.basis is not None and facts.basis.synchronous:
+        if facts.basis.reading == "period":
             effect = (
                 "their columns of B are zero; StructuredMatcher fits what inputs do within the "
                 "period"

@@ -16,6 +16,7 @@ from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd._identify.partitions import Partitions, _partition
+from sklearn_hd._readings import PlainReading
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.exceptions import ExcitationWarning
 
@@ -211,7 +212,7 @@ def test_what_is_moved_does_not_grow_with_the_rows(rng):
     sizes = []
     for n_rows in (20_000, 60_000):
         X, y = response(rng, n_rows)
-        sizes.append(len(pickle.dumps(_partition(0, X, y, n_lags=30))))
+        sizes.append(len(pickle.dumps(_partition(0, X, y, PlainReading(), n_lags=30))))
     assert sizes[0] == pytest.approx(sizes[1], rel=1e-3)
     assert sizes[1] < 0.3 * (X.size + y.size) * 8
 

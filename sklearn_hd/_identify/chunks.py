@@ -11,21 +11,20 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE
-from sklearn_hd._frame import Reading
-from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
-from sklearn_hd._records.data import read_experiment
-from sklearn_hd._records.sliding_inputs import (
+from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
-from sklearn_hd._records.time import STEP_TOLERANCE
+from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
+from sklearn_hd._readings import PlainReading, Timing, first_difference
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._time import STEP_TOLERANCE
 
 __all__ = ["Stream", "first_date", "read_chunk"]
 
 MOST_BYTES = 2**33  # of one matrix of the sums
-SAME = ("omega", "sample_time", "hop", "window", "inputs", "outputs")
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,9 @@ class Stream:
     ----------
     block_rows : int
         The most that a model can be made with.
-    basis : HarmonicBasis or None
+    basis : HarmonicBasis or PlainReading
     sample_time : float
-    input_names, drive_names, drive_signals, output_names : tuple of str
+    input_names, output_names : tuple of str
     channels : Channels
         Of the statistics.
     origin : str or None
@@ -79,8 +78,6 @@ class Stream:
     basis: object
     sample_time: float
     input_names: tuple
-    drive_names: tuple
-    drive_signals: tuple
     output_names: tuple
     channels: Channels
     origin: str | None
@@ -97,7 +94,7 @@ class Stream:
         """A stream of no rows, of data such as those of an experiment."""
         basis, n_drive = experiment.basis, len(experiment.drive_names)
         channels = Channels(n_drive, len(experiment.output_names))
-        if basis is not None:
+        if basis.harmonic:
             highest = basis.rows_per_period // 2
             channels = Channels(n_drive, len(basis.output_labels), highest)
         _check_first(experiment, block_rows, n_drive + len(experiment.output_names))
@@ -105,9 +102,7 @@ class Stream:
             block_rows,
             basis,
             experiment.base.sample_time,
-            _input_names(experiment),
-            tuple(experiment.drive_names),
-            tuple(experiment.drive_signals()),
+            tuple(basis.input_signals),
             tuple(experiment.output_names),
             channels,
             origin,
@@ -139,7 +134,7 @@ class Stream:
     def _check_alike(self, experiment):
         """Raise ValueError unless a chunk is sampled and analysed as those before it."""
         for what, here, there in (
-            ("inputs", _input_names(experiment), self.input_names),
+            ("inputs", tuple(experiment.basis.input_signals), self.input_names),
             ("outputs", tuple(experiment.output_names), self.output_names),
         ):
             if here != there:
@@ -148,19 +143,19 @@ class Stream:
                     f"give all chunks the same columns in the same order, or begin anew with "
                     f"a clone of the estimator"
                 )
-        if (experiment.basis is None) != (self.basis is None):
-            has, had = ("no ", "a ") if experiment.basis is None else ("a ", "no ")
+        if experiment.basis.harmonic != self.basis.harmonic:
+            has, had = ("a ", "no ") if experiment.basis.harmonic else ("no ", "a ")
             raise ValueError(
                 f"this chunk carries {has}harmonic basis, the first one {had.strip()} one; pass "
                 f"all chunks through the same HarmonicAnalyzer, or none"
             )
-        for name in SAME if self.basis is not None else ():
-            here, there = getattr(experiment.basis, name), getattr(self.basis, name)
-            if here != there:
-                raise ValueError(
-                    f"this chunk was analysed with {name}={here!r}, the first one with "
-                    f"{there!r}; fit one HarmonicAnalyzer, and transform all chunks with it"
-                )
+        difference = first_difference(experiment.basis, self.basis)
+        if difference is not None:
+            name, here, there = difference
+            raise ValueError(
+                f"this chunk was analysed with {name}={here!r}, the first one with "
+                f"{there!r}; fit one HarmonicAnalyzer, and transform all chunks with it"
+            )
         dt, base = experiment.base.sample_time, experiment.base
         single = all(s.stop - s.start == 1 for s in base.segments)  # one row tells no step
         tolerance = STEP_TOLERANCE * self.sample_time + 4.0 * base.uncertainty
@@ -177,7 +172,7 @@ class Stream:
     def _continued(self, time, *signals):
         """Rows counted from 0 as they go on where the last chunk ended, trim and all."""
         later = time + self.record.time[-1] + self.sample_time
-        if self.basis is not None:
+        if self.basis.harmonic:
             was, phase = self.basis.phase_index(time), self.basis.phase_index(later)
             trims = self.basis.input_trim, self.basis.output_trim
             signals = (
@@ -201,7 +196,7 @@ class Stream:
 
     def _with_rows(self, rows, joined):
         """The stream with more rows of its open record."""
-        if self.basis is not None:
+        if self.basis.harmonic:
             return self._with_complete_rows(rows, joined)
         time, inputs, outputs = rows
         last = OpenRecord(self.record.label, time[-1:], inputs[-1:], outputs[-1:])
@@ -229,7 +224,7 @@ class Stream:
         drive = basis.drive(record.inputs, record.time)[:complete]
         changes = np.maximum(self.changes, largest_changes(basis, drive, record.time[:complete]))
         places = self._unread(record)
-        places = places[places + basis.lead + basis.hop_samples <= complete]
+        places = places[places + basis.lead + basis.hop <= complete]
         ends = ends_of(np.hstack([drive, record.outputs[:complete]]))
         stream = self._with_read(self._rows(record, places), ends, rows[2], joined)
         if len(places):
@@ -268,18 +263,16 @@ class Stream:
     def data(self):
         """Data of a fit of everything so far, as if the open record were over."""
         stream, basis, highest = self, self.basis, 0
-        if basis is not None:
+        if basis.harmonic:
             rows = self._rows(self.record, self._unread(self.record))
-            nothing = ends_of(np.zeros((0, len(self.drive_names) + len(self.output_names))))
+            nothing = ends_of(np.zeros((0, self.channels.n_drive + len(self.output_names))))
             stream = self._with_read(rows, nothing, self.record.outputs[:0], joined=True)
             if not steps_at_one_phase(self.changes):
-                lengths, n_drive = stream.statistics.lengths, len(self.drive_names)
-                highest = n_modulating_harmonics(basis, lengths, n_drive)
+                lengths = stream.statistics.lengths
+                highest = n_modulating_harmonics(basis, lengths, self.channels.n_drive)
         facts = stream.statistics.facts(
             basis,
-            self.drive_names,
             self.output_names,
-            self.drive_signals,
             self.sample_time,
             f"rows from t = {self.first:.6g} s to {self.last:.6g} s",
         )
@@ -295,22 +288,24 @@ def first_date(data):
 
 def read_chunk(X, y, origin=None):
     """The experiment of one chunk, whose rows are those of the grid; dates from an origin on."""
-    experiment = read_experiment(X, y, plain=Reading(time_origin=origin or FIRST))
+    experiment = read_experiment(
+        X, y, plain=PlainReading(timing=Timing(time_origin=origin or FIRST))
+    )
     basis = experiment.basis
-    if basis is not None and basis.synchronous:
+    if basis.reading == "period":
         raise ValueError(
             "partial_fit reads rows one by one or through a sliding window, not period by period "
-            "(hop='period'), where a model depends on which directions inputs take over the whole "
-            "record; use fit, or an analyzer with hop=None"
+            "(reading='period'), where a model depends on which directions inputs take over the "
+            "whole record; use fit, or an analyzer with reading='sliding'"
         )
-    if basis is not None and basis.small_signal is not None:
+    if basis.small_signal is not None:
         raise ValueError(
             f"small_signal={basis.small_signal!r} combines whole records at several amplitudes; "
             f"use fit, or an analyzer with small_signal=None"
         )
-    if basis is not None and basis.reading.missing != RAISE:
+    if basis.timing.missing != RAISE:
         raise ValueError(
-            f"partial_fit takes no missing samples (missing={basis.reading.missing!r}): what is "
+            f"partial_fit takes no missing samples (missing={basis.timing.missing!r}): what is "
             f"bridged at the end of a chunk depends on the next; fill them before, or use fit"
         )
     if not all(piece.is_grid for piece in experiment.sampling.pieces):
@@ -326,7 +321,7 @@ def _check_first(experiment, block_rows, n_channels):
     """Raise ValueError if a first chunk tells no sample time, or its sums fill no memory."""
     base = experiment.base
     single = all(s.stop - s.start == 1 for s in base.segments)
-    if experiment.basis is None and single and not base.counted:
+    if not experiment.basis.harmonic and single and not base.counted:
         raise ValueError(
             f"no record of the first chunk has two rows (n_samples = {len(base.time)}), from which "
             f"the sample time could be told; begin with a longer chunk"
@@ -337,10 +332,3 @@ def _check_first(experiment, block_rows, n_channels):
             f"block_rows={block_rows} with {n_channels} signals asks for sums of {size:.2g} bytes; "
             f"use fewer block rows"
         )
-
-
-def _input_names(experiment):
-    """Names of the raw inputs."""
-    if experiment.basis is None:
-        return tuple(experiment.drive_names)
-    return tuple(signal for signal, _ in experiment.basis.inputs)

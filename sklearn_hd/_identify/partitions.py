@@ -13,31 +13,22 @@ from functools import cached_property, partial, reduce
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
-from sklearn_hd._records.data import (
-    PLAIN,
-    Experiment,
-    as_frame,
-    is_decomposed,
-    read_experiment,
-    read_signals,
-    read_values,
-    rows_read,
-    sample,
-)
-from sklearn_hd._records.sliding_inputs import (
+from sklearn_hd._checks import FIRST
+from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
-from sklearn_hd._records.time import STEP_TOLERANCE
+from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
+from sklearn_hd._readings import PlainReading, first_difference
+from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
 from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import STEP_TOLERANCE, read_time
 
 __all__ = ["Partitions", "is_partitioned"]
 
 FAN_IN = 8  # neighbours merged at a time
-SAME = ("omega", "sample_time", "hop", "window", "inputs", "outputs")
 
 
 def is_partitioned(data):
@@ -83,7 +74,7 @@ class Partitions:
     @cached_property
     def highest(self):
         """Harmonics that inputs are multiplied by, as ``modulated_inputs`` has it."""
-        if self.basis is None:
+        if not self.basis.harmonic:
             return 0
         found = self._tree(partial(_changes, basis=self.basis))
         if found is None or steps_at_one_phase(found.changes):
@@ -104,13 +95,10 @@ class Partitions:
         """Data of a fit."""
         found = self.found
         drive, names = (tuple(map(str, pd.DataFrame(each).columns)) for each in found.head)
-        signals = drive
-        if self.basis is not None:
-            drive = self.basis.drive_labels
-            signals = Experiment.drive_signals(self)
+        basis = self.basis if self.basis.harmonic else PlainReading(drive, names)
         words = f"rows from t = {_worded(found.first.time)} to {_worded(found.last.time)}"
         step = _median_step(found.steps) or 1.0
-        facts = found.statistics.facts(self.basis, drive, names, signals, step, words)
+        facts = found.statistics.facts(basis, names, step, words)
         return found.statistics.data(facts, self.highest)
 
     @property
@@ -132,16 +120,18 @@ class Partitions:
 
 
 def _basis_of(X):
-    """The harmonic basis that rides on a dask DataFrame, as its meta shows; None without.
+    """The basis that rides on a dask DataFrame, as its meta shows; that of plain rows without.
 
     Raises
     ------
     ValueError
         If it is of an analysis that partitions are not read through.
     """
-    basis = getattr(getattr(X, "_meta", None), "basis", None)
-    if basis is not None and (basis.synchronous or basis.small_signal is not None):
-        what = "hop='period'" if basis.synchronous else f"small_signal={basis.small_signal!r}"
+    basis = getattr(getattr(X, "_meta", None), "basis", None) or PlainReading()
+    if basis.reading == "period" or basis.small_signal is not None:
+        what = f"small_signal={basis.small_signal!r}"
+        if basis.reading == "period":
+            what = "reading='period'"
         raise ValueError(
             f"X was analysed with {what}, which looks at all records at once; give frames in "
             f"memory, X.compute() and y.compute()"
@@ -345,7 +335,7 @@ def _changes(partition, X, y, basis):
 
 
 @one_blas_thread
-def _partition(partition, X, y, basis=None, highest=0, *, n_lags):
+def _partition(partition, X, y, basis, highest=0, *, n_lags):
     """What one partition leaves behind, inputs times the harmonics of ψ up to the highest."""
     if len(X) == len(y) == 0:
         return None
@@ -373,7 +363,7 @@ def _partition(partition, X, y, basis=None, highest=0, *, n_lags):
             Place(base.records[-1], times[pieces[-1].rows.stop - 1], partition),
             ((base.sample_time, n_steps),) if n_steps else (),
             (X.iloc[:1], y.iloc[:1]),
-            basis is not None,
+            basis.harmonic,
         )
 
 
@@ -381,50 +371,37 @@ def _read(partition, X, y, basis):
     """The experiment of one partition; errors name it."""
     try:
         found = as_frame(X).basis
-        if (found is None) != (basis is None):
+        if (found is not None) != basis.harmonic:
             has = "no harmonic basis, which X had" if found is None else "a harmonic basis, X none"
             raise ValueError(
                 f"its frame carries {has} when the graph was built; give the analyzer's frame as "
                 f"meta: X.map_partitions(analyzer.transform, meta=analyzer.transform(u).iloc[:0])"
             )
-        return _plain(X, y) if basis is None else _windowed(X, y, found, basis)
+        return _windowed(X, y, found, basis) if basis.harmonic else _plain(X, y)
     except (TypeError, ValueError) as error:
         kind = TypeError if isinstance(error, TypeError) else ValueError
         raise kind(f"partition {partition}: {error}") from error
 
 
 def _plain(X, y):
-    frame = as_frame(X)
-    signals = read_signals(frame, "x", "X")
-    measured, names = read_values(y, X, signals.base, PLAIN)
-    if signals.base.jitter[1] > 0.0:
+    base = read_time(X, time_origin=FIRST)
+    if base.jitter[1] > 0.0:
         raise ValueError(
-            f"the rows are off an even grid of {signals.base.sample_time:.4g} s by up to "
-            f"{signals.base.jitter[1]:.2g} s; partitions are not resampled: resample the "
+            f"the rows are off an even grid of {base.sample_time:.4g} s by up to "
+            f"{base.jitter[1]:.2g} s; partitions are not resampled: resample the "
             f"records, or give frames in memory, X.compute() and y.compute()"
         )
-    sampling, inputs, outputs = sample(signals, None, measured)
-    return Experiment(
-        sampling.base,
-        None,
-        inputs,
-        signals.names,
-        inputs,
-        sampling,
-        outputs,
-        measured,
-        names,
-    )
+    return read_experiment(X, y)
 
 
 def _windowed(X, y, found, basis):
-    for name in SAME:
-        here, there = getattr(found, name), getattr(basis, name)
-        if here != there:
-            raise ValueError(
-                f"it was analysed with {name}={here!r}, others with {there!r}; fit one "
-                f"HarmonicAnalyzer, and transform all partitions with it"
-            )
+    difference = first_difference(found, basis)
+    if difference is not None:
+        name, here, there = difference
+        raise ValueError(
+            f"it was analysed with {name}={here!r}, others with {there!r}; fit one "
+            f"HarmonicAnalyzer, and transform all partitions with it"
+        )
     if is_decomposed(y):
         raise ValueError(
             "y is a frame of harmonics; give it in time: it is decomposed with the basis of X"

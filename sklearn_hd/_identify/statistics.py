@@ -24,7 +24,7 @@ from sklearn_hd._arithmetic import extremes, square_sums
 from sklearn_hd._checks import COMMON
 from sklearn_hd._fit_checks import DUST
 from sklearn_hd._identify.products_cache import KeptSums
-from sklearn_hd._records.time import why_short
+from sklearn_hd._time import why_short
 from sklearn_hd.algorithms.subspace.hankel import factor_of_products
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.algorithms.subspace.sums import (
@@ -50,8 +50,8 @@ class Facts:
 
     Attributes
     ----------
-    basis : HarmonicBasis or None
-    drive_names, output_names : tuple of str
+    basis : HarmonicBasis or PlainReading
+    output_names : tuple of str
     sample_time : float
         Seconds.
     n_samples : int
@@ -68,7 +68,6 @@ class Facts:
     """
 
     basis: object
-    drive_names: tuple
     output_names: tuple
     sample_time: float
     n_samples: int
@@ -83,10 +82,10 @@ class Facts:
     def of(cls, experiment, inputs):
         """Of an experiment, whose rows read have some inputs."""
         moving = _moving(inputs)
-        seen, signals = moving, experiment.drive_signals()
-        if experiment.basis is not None and experiment.basis.synchronous:
+        seen, signals = moving, experiment.basis.drive_signals
+        if experiment.basis.reading == "period":
             # what has no mean over any period may move within it all the same
-            seen, signals = _moving(experiment.inputs), _input_signals(experiment)
+            seen, signals = _moving(experiment.inputs), experiment.basis.input_signals
         size = np.sqrt(square_sums(experiment.measured))
         outputs_move = outputs_off = _spread(experiment.outputs[0][:FIRST_ROWS]) > DUST * size
         if not outputs_move.all():  # no value is larger than the length of its column
@@ -95,7 +94,6 @@ class Facts:
             outputs_move, outputs_off = _output_motion(ends, size)
         return cls(
             experiment.basis,
-            tuple(experiment.drive_names),
             tuple(experiment.output_names),
             experiment.base.sample_time,
             len(experiment.base.time),
@@ -107,13 +105,14 @@ class Facts:
             why_short(experiment.base),
         )
 
+    @property
+    def drive_names(self):
+        """Name of each of the drive."""
+        return self.basis.drive_labels
+
     def span(self):
         """First and last time, worded for messages."""
         return self.words
-
-
-def _input_signals(experiment):
-    return tuple(signal for signal, _ in experiment.basis.inputs)
 
 
 def ends_of(rows):
@@ -347,9 +346,10 @@ class Statistics:
         first, *last = (each.ends.n_rows for each in self.open)
         return [first, *middle, *last]
 
-    def facts(self, basis, drive_names, output_names, signals, sample_time, words):
-        """What checks read; ``signals`` are those measured that the drive comes from."""
-        m, ends = len(drive_names), np.array(self.extremes)
+    def facts(self, basis, output_names, sample_time, words):
+        """What checks read."""
+        signals, ends = basis.drive_signals, np.array(self.extremes)
+        m = len(signals)
         moved = np.max(ends[:, 1, :m] - ends[:, 0, :m], axis=0, initial=0.0)
         # coefficients no larger than rounding beside others of their signal do not move
         largest = {
@@ -360,7 +360,6 @@ class Statistics:
         )
         return Facts(
             basis,
-            tuple(drive_names),
             tuple(output_names),
             sample_time,
             self.n_samples,
