@@ -25,7 +25,7 @@ from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 
 __all__ = ["InnovationForm", "gain_of_covariances", "kalman_gain", "predicted_states"]
 
-MOST_ROWS = 4096  # that an initial state is fitted to
+REACH = 4096  # rows over which states are followed
 PRECISION = 1e-9  # of an output's size: that of the best measurements
 WHITE = (0.0, 1e-12, 1e-10, 1e-8)  # more noise of the outputs, where theirs is that of fewer
 
@@ -105,8 +105,8 @@ class InnovationForm:
             return np.zeros(0)
         stable = self.A - self.K @ self.C
         radius = np.max(np.abs(linalg.eigvals(stable)))
-        rows = MOST_ROWS if radius >= 1.0 else n + np.log(ROUNDING) / np.log(max(radius, 1e-3))
-        u, y = inputs[: int(min(rows, MOST_ROWS))], outputs[: int(min(rows, MOST_ROWS))]
+        rows = REACH if radius >= 1.0 else n + np.log(ROUNDING) / np.log(max(radius, 1e-3))
+        u, y = inputs[: int(min(rows, REACH))], outputs[: int(min(rows, REACH))]
         size = np.ones(y.shape[1]) if covariance is None else np.sqrt(np.diagonal(covariance))
         size = np.where(size > 0.0, size, 1.0)
         left = (y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T) / size

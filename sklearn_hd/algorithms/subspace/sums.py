@@ -27,7 +27,7 @@ import numpy as np
 from scipy import fft, linalg
 
 from sklearn_hd.algorithms.linalg.triangular import ROUNDING, safe_cholesky
-from sklearn_hd.algorithms.subspace.innovations import InnovationForm
+from sklearn_hd.algorithms.subspace.innovations import REACH, InnovationForm
 from sklearn_hd.algorithms.subspace.input_matrices import alike_states, input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, Stretch, stretch
 from sklearn_hd.algorithms.subspace.responses import (
@@ -50,7 +50,6 @@ __all__ = [
     "row_sums",
 ]
 
-REACH = 4096  # rows K that responses are followed over
 ROUND = 16384  # rows added up at a time: with K before them, a Fourier transform of 5 · 2¹²
 FIRST_ROWS = 256  # that a slow model's initial state is found from
 
