@@ -7,9 +7,9 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import check_count, check_outputs_given
 from sklearn_hd._containers import without_inputs
-from sklearn_hd._identify import Settings, identify, identify_record
+from sklearn_hd._identify import Settings, asked_block_rows, identify, identify_record
 from sklearn_hd._identify.checks import PREDICTOR, check_settings
-from sklearn_hd._identify.chunks import Stream
+from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
 from sklearn_hd._identify.partitions import Partitions, is_partitioned
 from sklearn_hd._identify.prediction import predicted_ahead
 from sklearn_hd._model_step import ModelStep
@@ -183,7 +183,7 @@ class MOESPRegressor(ModelStep):
         settings = self._settings()
         self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         if is_partitioned(X) or is_partitioned(y):
-            data = Partitions(X, y, settings)
+            data = Partitions(X, y, lambda basis: asked_block_rows(basis, settings))
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
         experiment = read_for_fit(X, y)
@@ -251,13 +251,14 @@ class MOESPRegressor(ModelStep):
         """
         check_outputs_given(y)
         X = without_inputs(y) if X is None else X
-        settings, before = self._settings(), getattr(self, "_stream", None)
-        check_features(self, X, reset=before is None)
-        stream = Stream.of(before, X, y, settings)
-        found = stream.model(settings)
+        settings, stream = self._settings(), getattr(self, "_stream", None)
+        experiment = read_chunk(X, y, stream)
+        check_features(self, X, reset=stream is None)
+        stream = with_chunk(stream, experiment, X, settings)
+        found = model_so_far(stream, settings)
         if found is not None:
-            self._store(found, stream.basis, X, y)
-        self._stream = stream  # last: an interrupted call changes nothing
+            self._store(found, experiment.basis, X, y)
+        self._stream = stream
         return self
 
     def _settings(self):
@@ -354,18 +355,14 @@ class MOESPRegressor(ModelStep):
         X = without_inputs(y) if X is None else X
         horizon = check_count("horizon", horizon, 1, "1 is the next row")
         experiment = self._experiment(X, y)
-        simulators, starts = self._simulators(experiment), None
+        simulators, recompose = self._simulators(experiment), not self.predicts_harmonics_
+        starts = [None] * len(simulators)
         if x0 is not None:
             starts = self._starts(x0, experiment)
-        recompose = not self.predicts_harmonics_
+        parts = zip(simulators, experiment.outputs, starts, strict=True)
         outputs = [
             predicted_ahead(simulator, measured, horizon, start, recompose=recompose)
-            for simulator, measured, start in zip(
-                simulators,
-                experiment.outputs,
-                [None] * len(simulators) if starts is None else starts,
-                strict=True,
-            )
+            for simulator, measured, start in parts
         ]
         return self._mirror(self._with_trim(outputs, experiment), X)
 

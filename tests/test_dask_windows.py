@@ -151,7 +151,7 @@ def test_other_analyses(steady):
     X = through_window(steady, other, frame, [[0, 1, 2, 3]])
     y = by_record(steady.outputs, [[0, 1, 2, 3]])
     assert "it was analysed with hop=4, others with 8; fit one" in fit_error(X, y)
-    synchronous, frame = analyzed(steady, reading="period")
+    synchronous, frame = analyzed(steady, reading="period", hop=None)
     X = through_window(steady, synchronous, frame)
     assert "X was analysed with reading='period', which looks at all records" in fit_error(X, y)
 

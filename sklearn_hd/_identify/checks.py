@@ -32,9 +32,7 @@ def check_settings(settings):
     if not isinstance(settings.order, str):
         check_count("order", settings.order, 1, "'auto' chooses it")
     elif settings.order != "auto":
-        raise ValueError(
-            f"order={settings.order!r} is not known; give a whole number or 'auto'"
-        )
+        raise ValueError(f"order={settings.order!r} is not known; give a whole number or 'auto'")
     KeptSums(settings.memory)
     check_choice("weighting", settings.weighting, WEIGHTINGS)
     check_flag("disturbance_model", settings.disturbance_model)

@@ -51,7 +51,9 @@ def asked_block_rows(basis, settings):
 
 def identify(data, settings, experiment):
     """Identify the Poincaré map, as :func:`~sklearn_hd._identify.plain.identify` a plain model."""
-    i = allowed_block_rows(settings, data, asked_block_rows(data.facts.basis, settings), words=WORDS)
+    i = allowed_block_rows(
+        settings, data, asked_block_rows(data.facts.basis, settings), words=WORDS
+    )
     check_motion(data.facts)
     size, scales = data.scales(settings.scale)
     if settings.predictor and settings.block_rows is None:
@@ -61,7 +63,7 @@ def identify(data, settings, experiment):
         return _order(found, bound, experiment, data, settings)
 
     decomposition = decompose(data, i, size, settings, lifted=True, choose=choose)
-    matrices, noise, x0 = fit_matrices(data, decomposition, scales, settings, True)
+    matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
     if settings.predictor:
         matrices = _driven_by_means(matrices, data, scales[0])
     fitted = matrices, noise, x0

@@ -53,7 +53,7 @@ def identify(data, settings, experiment=None):
     if settings.predictor and settings.block_rows is None:
         i = rows_of_predictor(data, i, size, settings)
     decomposition = decompose(data, i, size, settings)
-    fitted = fit_matrices(data, decomposition, scales, settings, settings.feedthrough)
+    fitted = fit_matrices(data, decomposition, size, scales, settings, settings.feedthrough)
     return subspace_fit(decomposition, fitted, scales, data.facts, settings, settings.feedthrough)
 
 

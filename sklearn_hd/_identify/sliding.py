@@ -63,7 +63,7 @@ def identify(data, settings, experiment=None):
         decomposition = decompose(data, more, size, settings)
     if settings.chooses and experiment is not None:
         decomposition = _exact_map(decomposition, data, experiment, settings)
-    fitted = fit_matrices(data, decomposition, scales, settings, settings.feedthrough)
+    fitted = fit_matrices(data, decomposition, size, scales, settings, settings.feedthrough)
     return subspace_fit(decomposition, fitted, scales, data.facts, settings, settings.feedthrough)
 
 
@@ -118,12 +118,12 @@ def _fills_its_rank(decomposition, data, settings):
     """
     if not settings.chooses:
         return False
-    i, l = decomposition.block_rows, data.n_outputs
+    i, n_outputs = decomposition.block_rows, data.n_outputs
     more = _more_block_rows(i)
     if more > data.most_block_rows:
         return False
-    room = n_hankel_columns(data.lengths, more) >= 2 * more * (data.n_inputs + l)
-    return decomposition.order >= (i - 1) * l and room
+    room = n_hankel_columns(data.lengths, more) >= 2 * more * (data.n_inputs + n_outputs)
+    return decomposition.order >= (i - 1) * n_outputs and room
 
 
 def _exact_map(decomposition, data, experiment, settings):
@@ -140,9 +140,8 @@ def _exact_map(decomposition, data, experiment, settings):
     best, most = decomposition, _n_agreeing(decomposition, basis)
     choices = [data] if one_phase else map(data.with_excitation, inputs_by_phase(experiment))
     for tried in choices:
-        m, l = tried.n_inputs, tried.n_outputs
         rows = (int(windows * basis.window_rows) + 2 for windows in (4, 3, 2, 1.5, 1))
-        i = next((i for i in rows if _fits(tried.lengths, i, m, l)), 0)
+        i = next((i for i in rows if _fits(tried, i)), 0)
         if i == 0:
             continue
         other = decompose(tried, i, tried.scales(settings.scale)[0], settings)
@@ -163,16 +162,16 @@ def _n_agreeing(decomposition, basis):
 
 def _is_exact(decomposition, data):
     """Whether rounding is all that is left, and rank and record allow for more states."""
-    i, order, l = decomposition.block_rows, decomposition.order, data.n_outputs
-    room = order + l <= (i - 1) * l
+    i, order = decomposition.block_rows, decomposition.order
+    room = order <= (i - 2) * data.n_outputs
     left = n_hankel_columns(data.lengths, i) - i * data.n_inputs >= order + i
     floor, largest = decomposition.noise_floor, decomposition.singular_values[0]
     return room and left and floor <= EXACT_FLOOR * largest
 
 
-def _fits(lengths, block_rows, n_inputs, n_outputs):
+def _fits(data, block_rows):
     """Whether inputs leave a quarter of the columns, and it takes no more than some seconds."""
-    columns = n_hankel_columns(lengths, block_rows)
-    left = columns - block_rows * n_inputs
-    work = columns * (2.0 * block_rows * (n_inputs + n_outputs)) ** 2
+    columns = n_hankel_columns(data.lengths, block_rows)
+    left = columns - block_rows * data.n_inputs
+    work = columns * (2.0 * block_rows * (data.n_inputs + data.n_outputs)) ** 2
     return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY

@@ -21,7 +21,15 @@ from sklearn_hd.algorithms.subspace.projections import (
     release_idle_directions,
 )
 
-__all__ = ["Decomposition", "Settings", "SubspaceFit", "by_gap", "decompose", "fit_matrices", "subspace_fit"]
+__all__ = [
+    "Decomposition",
+    "Settings",
+    "SubspaceFit",
+    "by_gap",
+    "decompose",
+    "fit_matrices",
+    "subspace_fit",
+]
 
 
 @dataclass(frozen=True)
@@ -143,17 +151,29 @@ def by_gap(found, bound):
     return order_by_gap(found.singular_values, found.floor, bound)
 
 
-def fit_matrices(data, decomposition, scales, settings, feedthrough):
+def fit_matrices(data, decomposition, size, scales, settings, feedthrough):
     """A, B, C, D, the noise (K and the innovations' covariance, or None) and initial states."""
     found, order = decomposition.found, decomposition.order
     if settings.predictor:
         A, B, C, D, K, covariance = found.model(order)
-        x0 = data.initial_states(A, B, C, D, K, covariance, scales)
+        own = size[: data.n_inputs], scales[1]
+        x0 = data.initial_states(A, B, C, D, K, covariance, own)
+        if data.raw:
+            B, D = (_of_all_inputs(M, data.facts.moving) for M in (B, D))
         return (A, B, C, D), (K, covariance), x0
     A, C = found.state_matrices(order)
     B, D, x0 = data.input_matrices(A, C, feedthrough, scales)
     noise = found.kalman_gain(order) if settings.disturbance_model else None
     return (A, B, C, D), noise, x0
+
+
+def _of_all_inputs(M, moving):
+    """Columns of the inputs that move, where sums leave the others out, among those of all."""
+    if M.shape[1] == len(moving):
+        return M
+    whole = np.zeros((len(M), len(moving)))
+    whole[:, moving] = M
+    return whole
 
 
 def subspace_fit(decomposition, fitted, scales, facts, settings, feedthrough):

@@ -33,6 +33,7 @@ class PlainReading:
     reading = "plain"
     harmonic = False
     hop = samples_per_period = 1
+    window_rows = 0
     held = True
     small_signal = input_trim = output_trim = None
 

@@ -1,7 +1,18 @@
-"""Normal equations of B, D and the initial state from products of the data with responses.
+"""Responses of a linear model to any B, and the products of data with them.
 
-In coordinates in which the observability Gramian is the identity, A'A + C'C = 1 (primes
-transpose), sums over the responses Ξ_k = Σ_{t<k} A^{k-1-t} u_t telescope: with
+The response to an entry of B is that of a matrix Ξ_k = Σ_{t<k} A^{k-1-t} u_t, one for each
+input: with A of n states, n² numbers a sample. But Ξ_k is a polynomial in A, and in
+coordinates in which A is block diagonal (eigenvalues that almost coincide in one block;
+Bavely and Stewart, 1979) it is block diagonal with
+
+    Ξ = w_1 I + w_2 N + … + w_k N^{k-1},   N = A − mean eigenvalue,   for k eigenvalues
+
+of a block: n numbers w_k in all, with w_{k+1} = F w_k + g u_k, and Ξ_k = Σ_s w_{k,s} N_s. That
+of the initial state, A^k, is the response to a pulse just before the record.
+
+Least squares for B, D and the initial state (:mod:`~.input_matrices`, :mod:`~.sums`) need
+products of the data with these responses. In coordinates in which the observability Gramian
+is the identity, A'A + C'C = 1 (primes transpose), the sums telescope: with
 
     S(u, z) = Σ_k Ξ_k z_k,     H(z) = Σ_k A^k z_k,     P = A^N
 
@@ -12,31 +23,172 @@ for a record of N samples, one input u or v and one signal z (an input or an out
     Σ_k A^k' C'C A^k     = 1 − P'P
 
 and the products with D's inputs and with the outputs are C S and C H. So all that the
-equations need of the data are S and H: no more than the products of each signal with the
-numbers w that responses are made of (:mod:`~sklearn_hd.algorithms.subspace.block_responses`).
+equations need of the data are S and H: no more than the products of each signal with w.
 """
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import slycot
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.triangular import safe_cholesky, triangle
-from sklearn_hd.algorithms.subspace.response_basis import response_basis, run
+from sklearn_hd.algorithms.linalg.triangular import EPS, triangle
 
-__all__ = ["OutputNormal", "output_normal", "products_factor"]
+__all__ = [
+    "OutputNormal",
+    "ResponseBasis",
+    "ResponseProducts",
+    "normal_equations",
+    "output_normal",
+    "pulses",
+    "response_basis",
+    "response_products",
+    "run",
+    "split",
+]
 
-EPS = np.finfo(float).eps
-MOST_RADIUS = 1.0 - 1e-6
-LARGEST_CONDITION = 1e5
-BLOCKS = (1, 2, 4, 8, 12, 16, 24, 32)  # samples
+STEPS = 16  # of the recursion one by one; 8 and 32 are as fast, 64 takes twice as long
+CONDITION = 1e6  # of the block diagonal coordinates: what is squared loses 12 of 16 digits
+LARGEST_BLOCK = 6  # eigenvalues; powers of more are too much alike
+BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # samples that may be taken together
 ROUND = 2**16  # samples, multiplied together
-NEARLY = 1e-6  # the identity, before the last step towards it
-PULSE_OVER = 1e-18
-LESS_STEPS = 4  # of the recursion, one by one, than stretches
 STEP_WORK = 20  # of a small product in the recursion, beside that of large ones
+PULSE_OVER = 1e-18  # of a response to a pulse: nothing beside rounding
+
+
+@dataclass(frozen=True)
+class ResponseBasis:
+    """Recursion of the numbers w that responses are made of, and what they stand for.
+
+    Attributes
+    ----------
+    F : ndarray, shape (q, q)
+    g : ndarray, shape (q,)
+    units : ndarray, shape (q, n, n)
+        The matrix N_s that each w belongs to.
+    """
+
+    F: np.ndarray
+    g: np.ndarray
+    units: np.ndarray
+
+    def seen(self, C):
+        """Outputs of each w for each entry of a column of B, shape (l, n, q)."""
+        return np.einsum("oi,sij->ojs", C, self.units)
+
+    def powers(self, last):
+        """F⁰ … F^last, shape (last + 1, q, q)."""
+        powers = np.stack([np.eye(len(self.g)), self.F])
+        while len(powers) <= last:
+            powers = np.concatenate([powers, powers[1:] @ powers[-1]])
+        return powers[: last + 1]
+
+
+def response_basis(A):
+    """Basis of the responses of x[k+1] = A x + B u, y = C x, to any B.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+
+    Returns
+    -------
+    basis : ResponseBasis or None
+        None where no coordinates of good condition part the eigenvalues far enough, or there
+        are none.
+    """
+    n = len(A)
+    if n == 0:
+        return None
+    T, Z = linalg.schur(A)
+    T, X, sizes, _ = slycot.mb03rd(n, T, Z, sort="S", pmax=1e2)  # entries of one transformation
+    inverse = np.linalg.inv(X)
+    if np.linalg.norm(X) * np.linalg.norm(inverse) > CONDITION or max(sizes) > LARGEST_BLOCK:
+        return None
+    F, own, g, first = np.zeros((n, n)), np.zeros((n, n, n)), np.zeros(n), 0
+    for size in sizes:
+        block = slice(first, first + size)
+        F[block, block], powers = _block_numbers(T[block, block])
+        own[block, block, block], g[first] = powers, 1.0
+        first += size
+    return ResponseBasis(F, g, X @ own @ inverse)
+
+
+def _block_numbers(block):
+    """F and the matrices N_s of one diagonal block; g is its first unit vector."""
+    k = len(block)
+    if k == 1:
+        return block, np.ones((1, 1, 1))
+    if k == 2:  # N² by Cayley and Hamilton
+        (a, b), (c, d) = block.tolist()
+        centre, half = 0.5 * (a + d), 0.5 * (a - d)
+        size = math.sqrt(2.0 * half**2 + b**2 + c**2) or 1.0
+        N = [[half / size, b / size], [c / size, -half / size]]
+        return [[centre, (half**2 + b * c) / size], [size, centre]], [[[1.0, 0.0], [0.0, 1.0]], N]
+    centre = np.trace(block) / k
+    N = block - centre * np.eye(k)
+    size = np.linalg.norm(N) or 1.0
+    N /= size
+    powers = [np.eye(k)]
+    for _ in range(1, k):
+        powers.append(powers[-1] @ N)
+    F = centre * np.eye(k) + size * np.eye(k, k=-1)
+    F[:, -1] -= size * np.poly(N)[:0:-1]
+    return F, np.stack(powers)
+
+
+def pulses(F, g, count):
+    """g, F g, F² g, …, shape (count, q)."""
+    found, step = g[None], F
+    while len(found) < count:
+        found = np.concatenate([found, found @ step.T])
+        step = step @ step
+    return found[:count]
+
+
+def split(theta, n, m, n_outputs):
+    """B and D of their entries; a D that was not asked for is zero."""
+    D = theta[n * m :].reshape(-1, m) if len(theta) > n * m else np.zeros((n_outputs, m))
+    return theta[: n * m].reshape(n, m), D
+
+
+def run(F, x, state):
+    """Turn forcing v into states of x[k+1] = F x[k] + v[k], in place.
+
+    Parameters
+    ----------
+    F : ndarray, shape (q, q)
+    x : ndarray, shape (n_steps, channels, q)
+    state : ndarray, shape (channels, q)
+        The first.
+
+    Returns
+    -------
+    state : ndarray, shape (channels, q)
+        That after the last step.
+    """
+    whole = len(x) // STEPS * STEPS
+    if whole:
+        parts = x[:whole].reshape(-1, STEPS, *state.shape)
+        now = parts[:, 0].copy()
+        for k in range(1, STEPS):
+            now = _advance(F, now)
+            now += parts[:, k]
+        state = run(np.linalg.matrix_power(F, STEPS), now, state)
+        for k in range(STEPS):
+            then = _advance(F, now)
+            then += parts[:, k]
+            parts[:, k], now = now, then
+    for k in range(whole, len(x)):
+        x[k], state = state, _advance(F, state) + x[k]
+    return state
+
+
+def _advance(F, states):
+    """F x for each state, as one product."""
+    return (states.reshape(-1, len(F)) @ F.T).reshape(states.shape)
 
 
 @dataclass(frozen=True)
@@ -81,18 +233,18 @@ def output_normal(A, C, radius=None):
         return None
     one = np.eye(n)
     radius = np.max(np.abs(np.linalg.eigvals(A))) if radius is None else radius
-    if radius > MOST_RADIUS:
+    if radius > 1.0 - 1e-6:  # rounding grows by 1 / (1 − radius²)
         return None
     shown, padded = C if len(C) <= n else triangle(C), np.zeros((n, n))
     padded[: len(shown)] = shown
     T, scale, _ = slycot.sb03od(n, len(shown), A.copy(), one.copy(), padded, "D")
     T = np.triu(T) / scale
     size = np.abs(np.diagonal(T))
-    if not size.min() > size.max() / LARGEST_CONDITION:
+    if not size.min() > size.max() / np.sqrt(CONDITION):
         return None
     shown = linalg.lapack.dtrtrs(T, np.vstack([T @ A, C]).T, trans=1)[0].T
     gramian = shown.T @ shown
-    if not np.linalg.norm(gramian - one) < NEARLY:
+    if not np.linalg.norm(gramian - one) < 1e-6:
         return None
     shown = shown @ (1.5 * one - 0.5 * gramian)  # columns orthonormal to the last digits
     basis = response_basis(shown[:n])
@@ -101,38 +253,6 @@ def output_normal(A, C, radius=None):
     off = np.linalg.norm(shown.T @ shown - one)
     error = (n * EPS + off) / (1.0 - radius**2)
     return OutputNormal(shown[:n], shown[n:], T, basis, error)
-
-
-def products_factor(model, u, y, feedthrough, scales):
-    """Triangular factor of the equations of one record, where rounding allows it.
-
-    Parameters
-    ----------
-    model : OutputNormal
-    u, y : ndarray, shapes (n_samples, m), (n_samples, l)
-    feedthrough : bool
-        Whether D is free.
-    scales : tuple of ndarray, shapes (m,), (l,)
-        What inputs and outputs are divided by.
-
-    Returns
-    -------
-    R : ndarray, shape (c, c), or None
-        Columns: the initial state, B (row by row), D, and the outputs. None where sums in
-        double have lost what R should say.
-    """
-    G, loss = normal_equations(model, response_products(model.basis, u, y, scales), feedthrough)
-    R = safe_cholesky(G, loss) if np.isfinite(loss) else None
-    if R is None:
-        return None
-    n, m = len(model.A), u.shape[1]
-    R[:, :n] = R[:, :n] @ model.T
-    forced = R[:, n : n + n * m].reshape(len(R), n, m)
-    R[:, n : n + n * m] = (model.T.T @ forced).reshape(len(R), n * m)
-    return R
-
-
-# ---- products with the data ----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -187,7 +307,6 @@ def response_products(basis, u, y, scales):
     n_blocks = -(-n_samples // L)
     n_rounds = -(-n_blocks * L // ROUND)
     per_round = -(-n_blocks // n_rounds)
-    steps = max(1, int(np.sqrt(per_round)) // LESS_STEPS)
     n_states = (m + 1) * q  # the pulse before the record first
     round_states = np.empty((per_round, n_states))
     sums = [np.zeros((n_states + L * m, L * z.shape[1])) for z in (u, y)]
@@ -201,7 +320,7 @@ def response_products(basis, u, y, scales):
         np.matmul(inputs, forcing, out=w[:, -m * q :])
         w[:, : -m * q] = 0.0
         states = w.reshape(len(w), -1, q)
-        state[first:] = run(powers[L], states, state[first:], steps)
+        state[first:] = run(powers[L], states, state[first:])
         for total, z in zip(sums, (inputs, outputs), strict=True):
             total[first * q : n_states] += (z.T @ w).T  # BLAS is faster at tall by slim
             total[n_states:] += inputs.T @ z
@@ -266,9 +385,6 @@ def _of_samples(sums, powers, within):
     )
     forced = before[1:] + own_forced
     return forced, before[0], np.trace(own, axis1=0, axis2=2)
-
-
-# ---- the equations -------------------------------------------------------------------------
 
 
 def normal_equations(model, products, feedthrough):

@@ -2,77 +2,79 @@
 
 Rows are read as a fit would read them all at once: plain rows as they are; through a sliding
 window those at ψ = 0 mod hop, once their windows, hops and whole periods are complete. The raw
-rows that this takes are carried over to the next chunk.
+rows that this takes are carried over to the next chunk; the rest are statistics that merge.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd._identify import asked_block_rows, identify
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
+from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._time import STEP_TOLERANCE
-from sklearn_hd.algorithms.subspace.running_products import RunningRecord, RunningSums
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
-__all__ = ["Stream", "first_date", "read_chunk"]
+__all__ = ["Stream", "model_so_far", "read_chunk", "with_chunk"]
 
-DUST = 1e-12  # share of an input's size that is rounding
-PART = 2**17  # rows read at a time
 MOST_BYTES = 2**33  # of one matrix of the sums
 
 
 @dataclass(frozen=True)
 class OpenRecord:
-    """A record that the next chunk may go on with.
+    """Rows of a record that the next chunk may go on with, less their trim.
 
     Attributes
     ----------
     label : object
     time, inputs, outputs : ndarray, shapes (n_carried,), (n_carried, m), (n_carried, l)
-        Rows carried over, less their trim.
-    sums : RunningRecord
     read_until : float
-        Time of the last row added to the sums.
+        Time of the last row added to the statistics.
     """
 
     label: object
     time: np.ndarray
     inputs: np.ndarray
     outputs: np.ndarray
-    sums: RunningRecord
     read_until: float = -np.inf
+
+    def extended(self, *rows):
+        """With more rows of time, inputs and outputs."""
+        old = self.time, self.inputs, self.outputs
+        return OpenRecord(self.label, *map(np.concatenate, zip(old, rows, strict=True)))
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Sums over all chunks so far; a chunk makes a new one.
+    """Statistics of all chunks so far; a chunk makes a new one.
 
     Attributes
     ----------
     block_rows : int
         The most that a model can be made with.
-    basis : HarmonicBasis or None
+    basis : HarmonicBasis or PlainReading
     sample_time : float
-    input_names, drive_names, output_names : tuple of str
+    input_names, output_names : tuple of str
+    channels : Channels
+        Of the statistics.
     origin : str or None
         The instant from which dates are counted.
-    closed : RunningSums or None
-        Of records that are over.
+    statistics : Statistics or None
     record : OpenRecord or None
-    n_rows : int
-        Of all chunks.
     first, last : float
-        Times of the first and the last of them.
-    smallest, largest : ndarray, shapes (n_drive + l,)
-        Of any row.
+        Times of the first and the last row.
     changes : ndarray, shape (samples_per_period, n_drive), or None
         Largest changes of the drive, by phase.
     """
@@ -81,50 +83,39 @@ class Stream:
     basis: object
     sample_time: float
     input_names: tuple
-    drive_names: tuple
     output_names: tuple
-    origin: str | None = None
-    closed: RunningSums | None = None
-    record: OpenRecord | None = None
-    n_rows: int = 0
-    first: float = 0.0
+    channels: Channels
+    origin: str | None
+    first: float
     last: float = 0.0
-    smallest: np.ndarray = field(default=None)
-    largest: np.ndarray = field(default=None)
-    changes: np.ndarray | None = None
+    statistics: Statistics | None = None
+    record: OpenRecord | None = None
+    changes: np.ndarray | float = 0.0
 
     # ---- chunks ------------------------------------------------------------------------------
 
     @classmethod
     def begin(cls, experiment, block_rows, origin=None):
         """A stream of no rows, of data such as those of an experiment."""
-        basis, n = experiment.basis, len(experiment.drive_names) + len(experiment.output_names)
-        _check_first(experiment, block_rows, n)
-        changes = None
+        basis, n_drive = experiment.basis, len(experiment.drive_names)
+        channels = Channels(n_drive, len(experiment.output_names))
         if basis.harmonic:
-            changes = np.zeros((basis.samples_per_period, len(experiment.drive_names)))
+            highest = basis.rows_per_period // 2
+            channels = Channels(n_drive, len(basis.output_labels), highest)
+        _check_first(experiment, block_rows, n_drive + len(experiment.output_names))
         return cls(
             block_rows,
             basis,
             experiment.base.sample_time,
-            _input_names(experiment),
-            tuple(experiment.drive_names),
+            tuple(basis.input_signals),
             tuple(experiment.output_names),
+            channels,
             origin,
-            first=float(experiment.sampling.clock[0]),
-            smallest=np.full(n, np.inf),
-            largest=np.full(n, -np.inf),
-            changes=changes,
+            float(experiment.sampling.clock[0]),
         )
 
-    def with_chunk(self, experiment, told=None):
+    def with_chunk(self, experiment):
         """The stream and one more chunk.
-
-        Parameters
-        ----------
-        experiment : Experiment
-        told : callable, optional
-            ``told(done, note)``, with the rows of the chunk done.
 
         Raises
         ------
@@ -133,28 +124,22 @@ class Stream:
             follow on what was read before.
         """
         self._check_alike(experiment)
-        base, stream, done = experiment.base, self, 0
+        base, stream = experiment.base, self
         for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
             rows = time, experiment.inputs[s], experiment.outputs[s]
             if s == 0 and base.counted and stream._counts_on(time, label):
                 rows = stream._continued(*rows)
-            time, inputs, outputs = rows
-            if s > 0 or not stream._goes_on(time, label):
-                stream = stream._with_record_closed(label)
-            for first in range(0, len(time), PART):
-                part = slice(first, first + PART)
-                stream = stream._with_rows(time[part], inputs[part], outputs[part])
-                done += len(time[part])
-                if told is not None:
-                    told(done, f"{self.n_rows + done} rows so far")
-        return replace(
-            stream, n_rows=self.n_rows + len(base.time), last=float(stream.record.time[-1])
-        )
+            goes_on = stream._goes_on(rows[0], label)
+            if not goes_on:
+                empty = OpenRecord(label, *(z[:0] for z in rows))
+                stream = replace(stream, record=empty)
+            stream = stream._with_rows(rows, goes_on)
+        return replace(stream, last=float(stream.record.time[-1]))
 
     def _check_alike(self, experiment):
         """Raise ValueError unless a chunk is sampled and analysed as those before it."""
         for what, here, there in (
-            ("inputs", _input_names(experiment), self.input_names),
+            ("inputs", tuple(experiment.basis.input_signals), self.input_names),
             ("outputs", tuple(experiment.output_names), self.output_names),
         ):
             if here != there:
@@ -214,163 +199,154 @@ class Stream:
             )
         return step < 1.5
 
-    def _with_record_closed(self, label):
-        """The stream with its open record added to those that are over, and a new one begun."""
-        n_inputs, n_outputs = self._n_channels()
-        sums = RunningRecord.begin(
-            2 * self.block_rows,
-            inputs=self._wave_channels(0),
-            outputs=n_inputs + np.arange(n_outputs),
-            n_channels=n_inputs + n_outputs,
-        )
-        empty = [np.zeros((0, k)) for k in (len(self.input_names), len(self.output_names))]
-        return replace(
-            self, closed=self.sums(), record=OpenRecord(label, np.zeros(0), *empty, sums)
-        )
-
-    def _with_rows(self, time, inputs, outputs):
+    def _with_rows(self, rows, joined):
         """The stream with more rows of its open record."""
-        old = self.record
-        parts = ((old.time, time), (old.inputs, inputs), (old.outputs, outputs))
-        record = replace(
-            old, **dict(zip(("time", "inputs", "outputs"), map(np.concatenate, parts), strict=True))
-        )
         if self.basis.harmonic:
-            return self._with_complete_rows(record)
+            return self._with_complete_rows(rows, joined)
+        time, inputs, outputs = rows
+        last = OpenRecord(self.record.label, time[-1:], inputs[-1:], outputs[-1:])
         rows = np.hstack([inputs, outputs])
-        last = {name: getattr(record, name)[-1:] for name in ("time", "inputs", "outputs")}
-        record = replace(record, sums=old.sums.extended(rows), **last)
-        return replace(self._with_extremes(rows), record=record)
+        return replace(self._with_read(rows, ends_of(rows), outputs, joined), record=last)
 
-    def _with_extremes(self, rows):
-        """The stream with the smallest and largest values of more rows."""
-        return replace(
-            self,
-            smallest=np.minimum(self.smallest, rows.min(axis=0, initial=np.inf)),
-            largest=np.maximum(self.largest, rows.max(axis=0, initial=-np.inf)),
-        )
+    def _with_read(self, rows, ends, measured, joined):
+        """The stream with rows read added to its statistics."""
+        size = np.max(np.abs(measured), axis=0, initial=0.0)
+        of = self.channels, 2 * self.block_rows, [rows], [ends], size, len(measured)
+        more = Statistics.of(*of)
+        if self.statistics is not None:
+            more = self.statistics.merge(more, joined)
+        return replace(self, statistics=more)
 
     # ---- through a sliding window ------------------------------------------------------------
 
-    def _drive(self, record):
-        return self.basis.drive(record.inputs, record.time)
-
-    def _with_complete_rows(self, record):
+    def _with_complete_rows(self, rows, joined):
         """The stream with what the rows carried over and those that came have complete."""
-        basis = self.basis
+        basis, read_until = self.basis, self.record.read_until
+        record = replace(self.record.extended(*rows), read_until=read_until)
         complete = len(record.time)
         if any(orders != (0,) for _, orders in basis.inputs):  # coefficients of whole periods
             complete -= (basis.phase_index(record.time)[-1] + 1) % basis.samples_per_period
-        drive = self._drive(record)
-        done = slice(0, complete)
-        changes = largest_changes(basis, drive[done], record.time[done])
-        stream = replace(self, changes=np.maximum(self.changes, changes))
-        stream = stream._with_extremes(np.hstack([drive[done], record.outputs[done]]))
-        rows = self._unread(record)
-        rows = rows[rows + basis.lead + basis.hop <= complete]
-        record = self._with_read(record, drive, rows)
-        # the next row's window, and the whole periods that it reaches into
-        unread = self._unread(record)
-        needed = unread[0] if len(unread) else len(record.time) - 1
-        needed = needed + basis.lead - len(basis.weights) - 2 * basis.samples_per_period
-        starts = np.flatnonzero(basis.phase_index(record.time) == 0)
-        starts = starts[starts <= needed]
-        keep = slice(int(starts[-1]) if len(starts) else 0, None)
-        record = replace(
-            record,
-            time=record.time[keep],
-            inputs=record.inputs[keep],
-            outputs=record.outputs[keep],
-        )
-        return replace(stream, record=record)
+        drive = basis.drive(record.inputs, record.time)[:complete]
+        changes = np.maximum(self.changes, largest_changes(basis, drive, record.time[:complete]))
+        places = self._unread(record)
+        places = places[places + basis.lead + basis.hop <= complete]
+        ends = ends_of(np.hstack([drive, record.outputs[:complete]]))
+        stream = self._with_read(self._rows(record, places), ends, rows[2], joined)
+        if len(places):
+            record = replace(record, read_until=float(record.time[places[-1]]))
+        return replace(stream, changes=changes, record=self._carried(record))
 
     def _unread(self, record):
-        """Rows with whole windows not yet added to the sums."""
+        """Rows with whole windows not yet added to the statistics."""
         if len(record.time) < len(self.basis.weights):
             return np.zeros(0, dtype=int)
         rows = self.basis.rows_read(record.time)
         return rows[record.time[rows] > record.read_until + 0.5 * self.sample_time]
 
-    def _with_read(self, record, drive, rows):
-        """The record with some rows added to its sums."""
-        if len(rows) == 0:
-            return record
+    def _rows(self, record, places):
+        """Channels of some rows of a record."""
         basis, time = self.basis, record.time
-        inputs = modulated(basis, drive, time, rows, basis.rows_per_period // 2)
-        outputs = basis.output_coefficients(record.outputs, time, rows)
-        sums = record.sums.extended(np.hstack([inputs, outputs]))
-        return replace(record, sums=sums, read_until=float(time[rows[-1]]))
+        if len(places) == 0:
+            return np.zeros((0, self.channels.outputs[-1] + 1))
+        drive = basis.drive(record.inputs, time)
+        inputs = modulated(basis, drive, time, places, self.channels.highest)
+        return np.hstack([inputs, basis.output_coefficients(record.outputs, time, places)])
 
-    def _n_channels(self):
-        """Channels of the sums: what inputs become, and what outputs become."""
-        m, basis = len(self.drive_names), self.basis
-        if not basis.harmonic:
-            return m, len(self.output_names)
-        return m * (2 * (basis.rows_per_period // 2) + 1), len(basis.output_labels)
-
-    def _wave_channels(self, highest, which=slice(None)):
-        """Channels of the inputs times 1, cos ψ, sin ψ, … up to some harmonic."""
-        m, n_channels = len(self.drive_names), self._n_channels()[0]
-        channels = np.arange(n_channels).reshape(m, n_channels // max(m, 1))
-        return channels[which, : 2 * highest + 1].ravel()
+    def _carried(self, record):
+        """What the next row's window takes, and the whole periods that it reaches into."""
+        basis, unread = self.basis, self._unread(record)
+        needed = unread[0] if len(unread) else len(record.time) - 1
+        needed = needed + basis.lead - len(basis.weights) - 2 * basis.samples_per_period
+        starts = np.flatnonzero(basis.phase_index(record.time) == 0)
+        starts = starts[starts <= needed]
+        keep = slice(int(starts[-1]) if len(starts) else 0, None)
+        kept = (z[keep] for z in (record.time, record.inputs, record.outputs))
+        return OpenRecord(record.label, *kept, record.read_until)
 
     # ---- what a model is made of -------------------------------------------------------------
 
-    def sums(self):
-        """Sums over everything so far, as if the open record were over; None of no rows."""
-        record = self.record
-        if record is None or (not self.basis.harmonic and record.sums.n_rows == 0):
-            return self.closed
-        if self.basis.harmonic:
-            record = self._with_read(record, self._drive(record), self._unread(record))
-            if record.sums.n_rows == 0:
-                return self.closed
-        sums = record.sums.closed()
-        return sums if self.closed is None else self.closed + sums
-
-    def moving(self):
-        """Which of the drive has moved so far, and whether any output has.
-
-        Coefficients of an input no larger than rounding beside others of it have not.
-        """
-        moved = np.maximum(self.largest - self.smallest, 0.0)
-        drive, outputs = moved[: len(self.drive_names)], moved[len(self.drive_names) :]
-        signals = self.drive_signals()
-        size = {s: max(d for d, o in zip(drive, signals, strict=True) if o == s) for s in signals}
-        moving = [d > DUST * size[s] for d, s in zip(drive, signals, strict=True)]
-        return np.array(moving, dtype=bool), bool(outputs.any())
-
-    def drive_signals(self):
-        """The measured signal that each entry of ``drive_names`` comes from."""
-        return self.basis.drive_signals
-
-    def channels(self, sums, moving):
-        """Channels of inputs projected out of the future, of inputs alone, and of outputs.
-
-        As a fit chooses them: inputs alone where they change at one phase of the period.
-        """
-        n_inputs, n_outputs = self._n_channels()
-        highest = 0
-        if self.basis.harmonic and not steps_at_one_phase(self.changes):
-            lengths = [ends.n_rows for ends in sums.ends]
-            highest = n_modulating_harmonics(self.basis, lengths, len(self.drive_names))
-        wide, alone = (self._wave_channels(k, moving) for k in (highest, 0))
-        return wide, alone, n_inputs + np.arange(n_outputs)
-
-    def span(self):
-        """First and last time, worded for messages."""
-        return f"rows from t = {self.first:.6g} s to {self.last:.6g} s"
+    def data(self):
+        """Data of a fit of everything so far, as if the open record were over."""
+        stream, basis, highest = self, self.basis, 0
+        if basis.harmonic:
+            rows = self._rows(self.record, self._unread(self.record))
+            nothing = ends_of(np.zeros((0, self.channels.n_drive + len(self.output_names))))
+            stream = self._with_read(rows, nothing, self.record.outputs[:0], joined=True)
+            if not steps_at_one_phase(self.changes):
+                lengths = stream.statistics.lengths
+                highest = n_modulating_harmonics(basis, lengths, self.channels.n_drive)
+        facts = stream.statistics.facts(
+            basis,
+            self.output_names,
+            self.sample_time,
+            f"rows from t = {self.first:.6g} s to {self.last:.6g} s",
+        )
+        return stream.statistics.data(facts, highest)
 
 
-def first_date(data):
+def _first_date(data):
     """The first of the dates that rows are indexed by, as ISO text; None where there are none."""
     index = getattr(data, "index", None)
     times = index.get_level_values(-1) if isinstance(index, pd.Index) else None
     return times.min().isoformat() if isinstance(times, pd.DatetimeIndex) else None
 
 
-def read_chunk(X, y, origin=None):
-    """The experiment of one chunk, whose rows are those of the grid; dates from an origin on."""
+def with_chunk(stream, experiment, X, settings):
+    """The stream and one more chunk; a new stream where there is none yet.
+
+    Raises
+    ------
+    ValueError
+        If the chunk does not follow on the others, or more block rows are asked for.
+    """
+    asked = asked_block_rows(experiment.basis, settings)
+    if settings.predictor and settings.block_rows is None:
+        asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
+    check_rank_bound(settings.order, asked, len(experiment.basis.output_labels))
+    if stream is None:
+        stream = Stream.begin(experiment, asked, _first_date(X))
+    elif asked > stream.block_rows:
+        raise ValueError(
+            f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
+            f"chunk was read with; begin anew with a clone of the estimator"
+        )
+    return stream.with_chunk(experiment)
+
+
+def model_so_far(stream, settings):
+    """The fit of all chunks so far; None, which is said, where they do not suffice."""
+    data = stream.data()
+    if not _suffices(data, settings):
+        return None
+    try:
+        return identify(data, settings)
+    except ValueError as error:  # which rows to come may mend
+        warn(f"no model of the {data.facts.span()}: {error}", IdentifiabilityWarning)
+        return None
+
+
+def _suffices(data, settings):
+    """Whether chunks so far allow for a model; what rests is said."""
+    facts, n_channels = data.facts, data.n_inputs + data.n_outputs
+    if facts.still or not facts.outputs_move.any():
+        what = f"the inputs {list(facts.still)} are" if facts.still else "all outputs are"
+        warn(
+            f"{what} at rest in the {facts.span()}: there is no model until a chunk comes in "
+            f"which they move",
+            ExcitationWarning,
+        )
+        return False
+    i = asked_block_rows(facts.basis, settings)
+    if settings.block_rows is None:
+        i = fewer_block_rows(i, facts.basis.window_rows + 2, data.lengths, n_channels)
+    order = 1 if settings.order == "auto" else int(settings.order)
+    enough = n_hankel_columns(data.lengths, i) >= i * n_channels + order
+    return enough and order <= (i - 1) * data.n_outputs
+
+
+def read_chunk(X, y, stream=None):
+    """The experiment of one chunk, whose rows are those of the grid; dates from the first on."""
+    origin = _first_date(X) if stream is None else stream.origin
     experiment = read_experiment(
         X, y, plain=PlainReading(timing=Timing(time_origin=origin or FIRST))
     )
@@ -415,8 +391,3 @@ def _check_first(experiment, block_rows, n_channels):
             f"block_rows={block_rows} with {n_channels} signals asks for sums of {size:.2g} bytes; "
             f"use fewer block rows"
         )
-
-
-def _input_names(experiment):
-    """Names of the raw inputs."""
-    return tuple(experiment.basis.input_signals)
