@@ -34,7 +34,7 @@ from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     held_harmonic_transfer,
     segment_plan,
 )
-from sklearn_hd.systems.periodic_matrix import matrix_coefficients, precision
+from sklearn_hd.systems.arguments import matrix_coefficients, precision
 
 __all__ = ["HarmonicTransferFunction", "estimate_harmonic_transfer_function"]
 

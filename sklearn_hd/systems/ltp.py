@@ -11,21 +11,19 @@ from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
 from sklearn_hd.algorithms.periodic.floquet_exponents import floquet_exponents
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.systems.harmonic_transfer import model_response
-from sklearn_hd.systems.periodic_matrix import (
+from sklearn_hd.systems.arguments import (
     FourierMatrix,
-    matrix_coefficients,
-    measure,
-    periodic_matrix,
-    precision,
-)
-from sklearn_hd.systems.signals import (
     NamedSignals,
     check_inputs,
     check_names,
     check_state,
     check_times,
+    matrix_coefficients,
+    measure,
+    periodic_matrix,
+    precision,
 )
+from sklearn_hd.systems.harmonic_transfer import model_response
 
 __all__ = ["FourierMatrix", "LTPSystem"]
 

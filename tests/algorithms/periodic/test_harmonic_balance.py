@@ -10,8 +10,7 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import (
     sample_harmonics,
     solve_harmonic_balance,
 )
-from sklearn_hd.algorithms.periodic.integration import integrate
-from sklearn_hd.algorithms.periodic.shooting import solve_shooting
+from sklearn_hd.algorithms.periodic.integration import integrate, solve_shooting
 from sklearn_hd.exceptions import TrimError
 
 OMEGA = 2.0
