@@ -14,8 +14,6 @@ from sklearn_hd.algorithms.signals.fourier import recompose
 from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import LTPSystem, PeriodicSystem, flapping_wing
 
-__all__ = ["make_flapping_wing"]
-
 KINDS = ("lti", "lti-signal", "ltp", "nltp")
 TRIM_HARMONICS = 512  # the orbit to 3e-10 of its size; w has a kink wherever the wing reverses
 QUIET_PERIODS = 4  # at rest before a 3211 or multisine begins

@@ -10,8 +10,6 @@ from sklearn_hd._checks import check_count, check_numbers, real_array
 from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import HeldFeedback, hawkmoth
 
-__all__ = ["make_hawkmoth"]
-
 TRIM_HARMONICS = 128  # the orbit to 5e-8; forces have kinks where a wing element stops
 STEPS_PER_PERIOD = 64  # of the integration, at least: 2e-6 of q in a wingbeat
 GUSTS = ("u_gust", "w_gust")

@@ -10,14 +10,6 @@ from sklearn.utils import Bunch
 
 from sklearn_hd.systems import read_openfast_lin
 
-__all__ = [
-    "load_cd_player_arm",
-    "load_power_plant",
-    "load_robot_arm",
-    "load_slicot_example",
-    "load_wind_turbine",
-]
-
 DAISY = (
     "B. De Moor (ed.), DaISy: Database for the Identification of Systems, Department of "
     "Electrical Engineering, ESAT/SISTA, KU Leuven; as packaged by SLICOT-SystemIdentification"

@@ -2,8 +2,6 @@
 
 import pandas as pd
 
-__all__ = ["record_frame", "record_index"]
-
 
 def record_index(t, n_records):
     """Times t in seconds, repeated for each record where there are several."""

@@ -26,8 +26,6 @@ from sklearn_hd.structures._coefficients import (
 from sklearn_hd.structures._display import Table, html_of, text_of
 from sklearn_hd.structures._parameters import check_known, describe, freed, join_fixed, read_fixed
 
-__all__ = ["HarmonicStructure"]
-
 _RANK = 1e-10  # relative to the largest singular value, which counts as zero
 _PLACE = re.compile(r"(?P<matrix>[FGPQ])\[.*\]_(?P<label>0|[1-9]\d*[cs])")
 

@@ -30,8 +30,6 @@ from sklearn_hd.structures._parameters import (
     read_numbers,
 )
 
-__all__ = ["MatrixStructure"]
-
 
 class MatrixStructure:
     """State-space matrices of which some entries are known and some are parameters.

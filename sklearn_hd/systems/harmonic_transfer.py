@@ -36,8 +36,6 @@ from sklearn_hd.algorithms.periodic.harmonic_transfer import (
 )
 from sklearn_hd.systems.arguments import matrix_coefficients, precision
 
-__all__ = ["HarmonicTransferFunction", "estimate_harmonic_transfer_function"]
-
 AVERAGES = 10  # independent segments for each unknown, where the length is left open
 FEWEST_PERIODS = 4  # in a segment, for a window to tell harmonics apart
 UNEVEN = 1e-3  # of the sample time, by which a row may be off

@@ -12,7 +12,6 @@ from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
 from sklearn_hd.algorithms.periodic.floquet_exponents import floquet_exponents
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.systems.arguments import (
-    FourierMatrix,
     NamedSignals,
     check_inputs,
     check_names,
@@ -24,8 +23,6 @@ from sklearn_hd.systems.arguments import (
     precision,
 )
 from sklearn_hd.systems.harmonic_transfer import model_response
-
-__all__ = ["FourierMatrix", "LTPSystem"]
 
 
 class LTPSystem(NamedSignals):

@@ -11,8 +11,6 @@ and in block-diagonal coordinates, A_sf = A_fs = 0, only D̂ differs from trunca
 import numpy as np
 from scipy import linalg
 
-__all__ = ["block_diagonal", "residualize"]
-
 
 def block_diagonal(A, B, C, slow, fast):
     """Coordinates in which the modes of two groups of eigenvalues do not interact.

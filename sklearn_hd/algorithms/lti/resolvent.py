@@ -16,8 +16,6 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-__all__ = ["TriangularForm", "triangular_form"]
-
 _SEEN = 1e-10  # rounding of the form in a response, relative, that is corrected
 _MOST_CORRECTIONS = 3
 

@@ -10,16 +10,6 @@ import warnings
 import numpy as np
 from scipy import linalg
 
-__all__ = [
-    "continuous_to_discrete",
-    "discrete_to_continuous",
-    "frequency_response",
-    "logarithm",
-    "propagate",
-    "real_logarithm",
-    "simulate",
-]
-
 LOGARITHM_TOLERANCE = 1e-6
 BLOCK_STEPS = 16
 LONGEST_BLOCK = 16  # samples whose outputs follow at once from the state before them

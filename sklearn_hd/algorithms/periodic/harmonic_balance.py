@@ -15,14 +15,6 @@ import numpy as np
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix, toeplitz_matrix
 from sklearn_hd.exceptions import TrimError
 
-__all__ = [
-    "evaluate_harmonics",
-    "galerkin_coefficients",
-    "resize_harmonics",
-    "sample_harmonics",
-    "solve_harmonic_balance",
-]
-
 MAX_HALVINGS = 12
 
 

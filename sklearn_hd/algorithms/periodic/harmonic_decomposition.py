@@ -19,14 +19,6 @@ from sklearn_hd.algorithms.periodic.bisection import (
 )
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-__all__ = [
-    "derivative_matrix",
-    "fourier_coefficients",
-    "harmonic_decomposition",
-    "participation_factors",
-    "toeplitz_matrix",
-]
-
 SMALL = 1e-2  # entries below this part of the largest are resolved to the same absolute error
 
 

@@ -21,14 +21,6 @@ from scipy import signal
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.signals.fourier import complex_transformation
 
-__all__ = [
-    "effective_averages",
-    "estimate_harmonic_transfer",
-    "harmonic_transfer_blocks",
-    "held_harmonic_transfer",
-    "segment_plan",
-]
-
 START = 8  # internal harmonics beyond those asked for, at first
 UNEXCITED = 1e-10  # input power in some direction, beside the largest, that is none
 BATCH = 64  # segments transformed together; bounds the memory

@@ -19,15 +19,6 @@ import numpy as np
 
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
-__all__ = [
-    "N_BLADES",
-    "Frame",
-    "blade_harmonics",
-    "coleman_matrix",
-    "from_multiblade",
-    "to_multiblade",
-]
-
 N_BLADES = 3
 HARMONICS_OF_TURNING = 2  # of T X T⁻¹ with X constant: products of two entries of t
 

@@ -11,16 +11,6 @@ S_0 = s_0 and S_{±k} = (s_kc ∓ j s_ks) / 2.
 
 import numpy as np
 
-__all__ = [
-    "complex_transformation",
-    "harmonic_functions",
-    "harmonic_labels",
-    "recompose",
-    "sampled_harmonics",
-    "window_weights",
-    "windowed_coefficients",
-]
-
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding
 

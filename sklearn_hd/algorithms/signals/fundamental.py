@@ -24,8 +24,6 @@ from scipy.optimize import minimize_scalar
 
 from sklearn_hd._checks import check_numbers
 
-__all__ = ["FundamentalEstimate", "estimate_omega", "omega_mismatch"]
-
 DELAYS = 2  # slow modes; more would fit the harmonics of one mode at any ω
 STRIDES = (2, 1)  # periods to a delay: the longer, the sharper, if the input rests so long
 HARMONICS = 6  # of the waveforms

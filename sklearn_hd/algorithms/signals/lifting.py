@@ -12,8 +12,6 @@ a period's start in one, at any other phase in two), and only those have to be t
 import numpy as np
 from scipy import linalg
 
-__all__ = ["input_directions", "lift"]
-
 DIRECTION_TOLERANCE = 1e-10
 LEAST_DIRECTIONS = 8  # that a level of noise can be seen from
 NOISE_SHARE = 0.1  # of the energy at most is taken for noise of the inputs

@@ -19,15 +19,6 @@ Where the places lie on the grid already both give the samples back.
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-__all__ = [
-    "bridge",
-    "held_means",
-    "interpolate",
-    "interpolation_error",
-    "uniform_grid",
-    "unwrap",
-]
-
 DEGREE = 5
 BRIDGE_DEGREE = 3
 ON_GRID = 1e-6  # share of a step within which a place counts as being on the grid
