@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import FIRST, check_span
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._records.time import read_time
+from sklearn_hd._time import read_time
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.systems import LTPSystem
 
@@ -381,8 +381,8 @@ class Record:
     data : DataFrame, Series or ndarray
     record : label or None
         None is the first record.
-    reading : Reading, optional
-        How times are read.
+    timing : Timing, optional
+        When rows were sampled.
 
     Attributes
     ----------
@@ -397,9 +397,9 @@ class Record:
         What the time axis is called.
     """
 
-    def __init__(self, data, record=None, reading=None):
-        step = None if reading is None else reading.sample_time
-        origin = FIRST if reading is None or reading.time_origin is None else reading.time_origin
+    def __init__(self, data, record=None, timing=None):
+        step = None if timing is None else timing.sample_time
+        origin = FIRST if timing is None or timing.time_origin is None else timing.time_origin
         base = read_time(data, step, origin)
         self.rows, self.label = _rows_of(getattr(data, "index", None), len(data), record)
         place = np.cumsum(self.rows) - 1
@@ -449,7 +449,7 @@ def periodic_system(estimator, display):
         raise ValueError(
             f"{display} needs a linear time-periodic model, and this match was made with "
             f"structure={matcher.structure!r}; fit with a HarmonicStructure, or with "
-            f"HarmonicAnalyzer(hop='period')"
+            f"HarmonicAnalyzer(reading='period')"
         )
     return matcher.ltp_
 
