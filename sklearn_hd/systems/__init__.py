@@ -1,4 +1,4 @@
-"""Step 1 and what a model is: periodic systems, nonlinear and linear, and a catalog."""
+"""Step 1 and what a model is: periodic systems, nonlinear and linear, and named ones."""
 
 from sklearn_hd.systems.arguments import FourierMatrix
 from sklearn_hd.systems.flapping_flight import flapping_wing, hawkmoth

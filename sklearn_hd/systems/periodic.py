@@ -16,11 +16,11 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
-    galerkin_coefficients,
     resize_harmonics,
     solve_harmonic_balance,
 )
 from sklearn_hd.algorithms.periodic.integration import integrate, solve_shooting
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.systems.arguments import (
     NamedSignals,
     check_inputs,
@@ -447,7 +447,7 @@ class PeriodicSystem(NamedSignals):
         t = self.period * np.arange(n_points) / n_points
         held = np.broadcast_to(u, (n_points, len(u)))
         orbit = integrate(self.f, x0, held, t, rtol=1e-13, atol=1e-14)
-        return galerkin_coefficients(orbit, n_harmonics)
+        return sampled_harmonics(orbit, n_harmonics)
 
 
 def _check_callable(name, function, *, optional):
