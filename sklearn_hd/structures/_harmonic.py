@@ -31,7 +31,6 @@ from sklearn_hd.structures._structure import (
 )
 
 MOST_HARMONICS = 10_000  # no record tells more apart
-_RANK = 1e-10  # relative to the largest singular value, which counts as zero
 _PLACE = re.compile(r"(?P<matrix>[FGPQ])\[.*\]_(?P<label>0|[1-9]\d*[cs])")
 
 
@@ -380,9 +379,9 @@ def _check_independent(basis, names):
         return
     rows = basis[mixed].toarray()
     U, values, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=1)[:, None], full_matrices=True)
-    rank = int(np.sum(values > _RANK * values[0]))
+    rank = int(np.sum(values > 1e-10 * values[0]))
     if rank < len(mixed):
-        alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > _RANK]]
+        alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > 1e-10]]
         raise ValueError(
             f"the entries determine only combinations of {alike}; give each an entry of its own, "
             f"or fix some"

@@ -11,8 +11,6 @@ from sklearn_hd.systems.periodic import PeriodicSystem, states_measured
 TRIMMED = ("amplitude", "mean_angle")  # the inputs that hover is found with
 EXTRAS = ("pitch_offset", "stroke_plane", "u_gust", "w_gust")
 ELEMENTS = 8  # Gauss points of the span: exponents to 2e-4 of 64 of them
-COMPLEX_STEP = 1e-30  # its derivatives carry no truncation and no cancellation
-TINY = 1e-200  # under the root of a speed that may vanish
 
 
 def flapping_wing(
@@ -385,7 +383,7 @@ class _Wing:
         r, chord = self.radius.reshape(shape), self.chord.reshape(shape)
         v_c, v_n = along[0] + along[1] * r, across[0] + across[1] * r
         c_2, n_2 = v_c * v_c, v_n * v_n
-        speed = np.sqrt(c_2 + n_2 + TINY)
+        speed = np.sqrt(c_2 + n_2 + 1e-200)  # it may vanish
         drag = (0.5 * self.C_D0 * c_2 + 0.5 * self.C_D90 * n_2) / speed
         circulation = self.C_T * v_c * v_n / speed
         if self.C_R:
@@ -465,10 +463,13 @@ class _Hawkmoth:
 
 
 def _slopes(function, variables):
-    """Derivatives of an analytic function(variables), (n, k), by each of (m, k)."""
+    """Derivatives of an analytic function(variables), (n, k), by each of (m, k).
+
+    A complex step has no truncation and no cancellation, however small it is.
+    """
     columns = []
     for i in range(len(variables)):
         moved = np.array(variables, dtype=complex)
-        moved[i] += 1j * COMPLEX_STEP
-        columns.append(function(moved).imag / COMPLEX_STEP)
+        moved[i] += 1e-30j
+        columns.append(function(moved).imag / 1e-30)
     return np.stack(columns, axis=-1).swapaxes(0, 1)

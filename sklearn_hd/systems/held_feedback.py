@@ -1,7 +1,7 @@
 """Feedback once a period: what stabilises a machine while it is measured."""
 
 import reprlib
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -264,24 +264,10 @@ def _sizes(name, sizes, count):
     return sizes
 
 
-@dataclass(frozen=True)
-class PeriodMap:
+class PeriodMap(NamedTuple):
     """Period to period, with the outputs' means on the way.
 
-        x_{k+1} = Φ x_k + Γ u_k,   ȳ_k = M x_k + N u_k
-
-    Parameters
-    ----------
-    Phi, Gamma : ndarray, shapes (n, n) and (n, m)
-        From the state at the beginning of a period to the next.
-    M, N : ndarray, shapes (l, n) and (l, m)
-        To the mean of the outputs over the period.
-
-    Examples
-    --------
-    >>> plant = PeriodMap(*np.array([[[1.2]], [[1.0]], [[1.0]], [[0.0]]]))
-    >>> plant.closed_loop(np.array([[0.4]])).round(1).tolist()
-    [[1.2, -0.4], [1.0, 0.0]]
+    x_{k+1} = Φ x_k + Γ u_k,   ȳ_k = M x_k + N u_k
     """
 
     Phi: np.ndarray
@@ -290,44 +276,15 @@ class PeriodMap:
     N: np.ndarray
 
     def closed_loop(self, K):
-        """Map of (x_k, ȳ_{k−1}) under u_k = −K ȳ_{k−1}.
-
-        Parameters
-        ----------
-        K : ndarray, shape (m, l)
-            Gain.
-
-        Returns
-        -------
-        closed : ndarray, shape (n + l, n + l)
-            Stable if its eigenvalues lie within the unit circle.
-        """
+        """Map of (x_k, ȳ_{k−1}) under u_k = −K ȳ_{k−1}; its eigenvalues are the multipliers."""
         return np.block([[self.Phi, -self.Gamma @ K], [self.M, -self.N @ K]])
 
 
 def quadratic_gain(plant, state_sizes, input_sizes):
     """Gain K of u_k = −K x_k that is best for the sum of squares of x and u, over their sizes.
 
-    Parameters
-    ----------
-    plant : PeriodMap
-        Or anything with Phi and Gamma.
-    state_sizes, input_sizes : array_like, shapes (n,) and (m,)
-        Departures that count alike (Bryson's rule).
-
-    Returns
-    -------
-    K : ndarray, shape (m, n)
-        From the stabilising solution of the discrete algebraic Riccati equation.
-
-    Raises
-    ------
-    ValueError
-        If no gain stabilises, as where an unstable mode is out of the inputs' reach.
-
-    References
-    ----------
-    A. E. Bryson, Y.-C. Ho, *Applied Optimal Control*, 1975.
+    From the stabilising solution of the discrete algebraic Riccati equation; sizes are
+    departures that count alike (Bryson, Ho, *Applied Optimal Control*, 1975).
 
     Examples
     --------

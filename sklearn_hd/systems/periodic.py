@@ -31,7 +31,6 @@ from sklearn_hd.systems.arguments import (
 from sklearn_hd.systems.ltp import LTPSystem
 
 STEPS_PER_PERIOD = 64  # longest first step of the integrator
-SHOOTING_START_HARMONICS = 32  # harmonic balance that shooting starts from
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +263,7 @@ class PeriodicSystem(NamedSignals):
         targets = self._targets(self.trim_targets if targets is None else targets)
         X, u = self._guess(self.trim_guess if guess is None else guess)
         free = self._hold(u, inputs, len(targets))
-        start = N if method == "harmonic_balance" else min(N, SHOOTING_START_HARMONICS)
+        start = N if method == "harmonic_balance" else min(N, 32)
         X, u, residual = solve_harmonic_balance(
             self.f,
             self.jacobian,

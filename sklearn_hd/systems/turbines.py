@@ -34,8 +34,6 @@ SHORT_EXPONENT = re.compile(r"(\d)([+-]\d{3})\b")  # 1.234-101, as Fortran print
 MATRIX = re.compile(r"([ABCD]):\s*(\d+)\s*x\s*(\d+)\s*$")
 DEGREE_OF_FREEDOM = re.compile(r"DOF_(\w+)(?:\((\d+),(\d+)\))?\)")
 MULTIBLADE = ("mean", "cos", "sin")
-WORST_CONDITION = 30.0  # of the harmonics at the azimuths given
-SPEED_TOLERANCE = 1e-3  # by which the rotor speeds of one operating point may differ
 BLADE = [  # where a name says which blade
     re.compile(r"^(.*_b)(\d)((?:_dot)?)$"),
     re.compile(r"^(.*blade )(\d)(.*)$", re.IGNORECASE),
@@ -465,7 +463,7 @@ def _checked(linearizations, blades=True):
                     f"different {kind}; give one turbine at one operating point"
                 )
     speeds = np.array([file.rotor_speed for file in files])
-    if np.ptp(speeds) > SPEED_TOLERANCE * speeds.max():
+    if np.ptp(speeds) > 1e-3 * speeds.max():
         raise ValueError(
             f"the rotor speeds of the files lie between {speeds.min():g} and {speeds.max():g} "
             f"rad/s; give one operating point at several azimuths"
@@ -481,7 +479,7 @@ def _fitted(matrices, psi, harmonics):
     """Fourier coefficients of the harmonics given; ValueError where azimuths are too few."""
     functions = harmonic_functions(psi, harmonics)
     values = np.linalg.svd(functions, compute_uv=False)
-    if len(psi) < functions.shape[1] or values[0] > WORST_CONDITION * values[-1]:
+    if len(psi) < functions.shape[1] or values[0] > 30.0 * values[-1]:
         period = 360.0 / harmonics[-1]
         degrees = np.unique(np.round(np.degrees(psi) % period)).tolist()
         raise ValueError(

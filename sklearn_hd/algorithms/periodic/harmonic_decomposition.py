@@ -19,8 +19,6 @@ from sklearn_hd.algorithms.periodic.bisection import (
 )
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-SMALL = 1e-2  # entries below this part of the largest are resolved to the same absolute error
-
 
 def fourier_coefficients(matrix, n_harmonics, *, tolerance=1e-13):
     """Real Fourier coefficients of a periodic matrix, jumps included.
@@ -220,9 +218,12 @@ def _panel_integrals(matrix, n_harmonics, left, right):
 
 
 def _integral_weights(integrals):
-    """Weights that make the largest integral of each entry one, or less if it is small."""
+    """Weights that make the largest integral of each entry one.
+
+    Entries below a hundredth of the largest are resolved to one absolute error.
+    """
     size = np.max(np.abs(integrals), axis=(0, 1))
-    size = np.maximum(size, SMALL * np.max(size, initial=0.0))
+    size = np.maximum(size, 0.01 * np.max(size, initial=0.0))
     return 1.0 / np.where(size > 0, size, 1.0)
 
 

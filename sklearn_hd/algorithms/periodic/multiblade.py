@@ -20,7 +20,6 @@ import numpy as np
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 N_BLADES = 3
-HARMONICS_OF_TURNING = 2  # of T X T⁻¹ with X constant: products of two entries of t
 
 
 class Frame(NamedTuple):
@@ -109,7 +108,7 @@ def from_multiblade(coefficients, omega, frame):
         In the order 0, 1c, 1s, ….
     """
     K = len(coefficients[0]) // 2
-    highest = N_BLADES * K + HARMONICS_OF_TURNING
+    highest = N_BLADES * K + 2  # products of two entries of t
     n_points = 2 * highest + 2
     psi = 2.0 * np.pi * np.arange(n_points) / n_points
     functions = harmonic_functions(psi, blade_harmonics(K))

@@ -19,8 +19,6 @@ Where the places lie on the grid already both give the samples back.
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-DEGREE = 5
-BRIDGE_DEGREE = 3
 ON_GRID = 1e-6  # share of a step within which a place counts as being on the grid
 
 
@@ -39,7 +37,7 @@ def uniform_grid(start, stop, step):
     return np.arange(first, last + 1) * step
 
 
-def interpolate(values, places, at, degree=DEGREE):
+def interpolate(values, places, at, degree=5):
     """Spline through some samples, evaluated elsewhere.
 
     Parameters
@@ -145,7 +143,7 @@ def _row_held(places, at):
     return np.clip(np.searchsorted(places, at, side="right") - 1, 0, len(places) - 1)
 
 
-def bridge(values, places, longest, degree=BRIDGE_DEGREE):
+def bridge(values, places, longest, degree=3):
     """Short runs of NaN between finite samples of one signal, filled by interpolation.
 
     Parameters
