@@ -116,12 +116,6 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         ----------
         systems : control.StateSpace, or a dict of them by label
             Between the same signals, continuous or discrete.
-        frequencies : array_like, shape (n_frequencies,), optional
-            In rad/s; a decade beyond the poles by default.
-        true : control.StateSpace, optional
-            The truth; of its signals, by name, those of the models.
-        **plotted
-            ``inputs``, ``outputs``, ``units``: see :meth:`plot`.
 
         Raises
         ------

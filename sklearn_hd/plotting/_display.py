@@ -80,8 +80,8 @@ UNFITTED = (
 class Display:
     """Base of the displays: completes the docstrings of their public methods.
 
-    A method describes the parameters that are its own; those in ``SHARED``, what is
-    returned, and what an estimator that does not fit raises are added here.
+    A parameter is described once: in the first method that takes it, in the class, or in
+    ``SHARED``. What is returned, and what an estimator that does not fit raises, are added.
 
     Parameters
     ----------
@@ -93,25 +93,27 @@ class Display:
 
     def __init_subclass__(cls, axes=None):
         cls._several = axes
-        for name, member in vars(cls).items():
-            method = getattr(member, "__func__", member)
-            if inspect.isfunction(method) and not name.startswith("_") and method.__doc__:
-                method.__doc__ = cls._completed(method)
+        members = [getattr(member, "__func__", member) for member in vars(cls).values()]
+        methods = [
+            method
+            for method in members
+            if inspect.isfunction(method) and not method.__name__.startswith("_") and method.__doc__
+        ]
+        known = {name: f"{name} : {text}" for name, text in SHARED.items()}
+        if axes is not None:
+            known["ax"] = f"ax : {SEVERAL.format(axes[0].upper() + axes[1:])}"
+        for described in [cls, *reversed(methods)]:
+            known |= _described(described)
+        for method in methods:
+            method.__doc__ = cls._completed(method, known | _described(method))
 
     @classmethod
-    def _completed(cls, method):
+    def _completed(cls, method, known):
         """The docstring of a method with what it shares with others."""
-        summary, *parts = re.split(r"\n\n(?=[A-Z]\w+\n-{4,}\n)", inspect.cleandoc(method.__doc__))
-        sections = dict(part.split("\n", 1) for part in parts)
-        own = re.split(r"\n(?=\S)", sections.get("Parameters", ""))[1:]
-        shared = dict(SHARED)
-        if cls._several is not None:
-            shared["ax"] = SEVERAL.format(cls._several[0].upper() + cls._several[1:])
-        entries = []
-        for name in list(inspect.signature(method).parameters)[1:]:
-            given = [e for e in own if name in re.findall(r"\w+", re.split(r" : |\n", e)[0])]
-            entries += given or [f"{name} : {shared[name]}"]
-        sections["Parameters"] = "----------\n" + "\n".join(dict.fromkeys(entries))
+        summary, sections = _sections(method)
+        names = list(inspect.signature(method).parameters)[1:]
+        entries = dict.fromkeys(known[name] for name in names)
+        sections["Parameters"] = "----------\n" + "\n".join(entries)
         sections["Returns"] = (
             f"-------\ndisplay : {cls.__name__}\n    Drawn; what it draws stands in its attributes."
         )
@@ -130,6 +132,19 @@ class Display:
         else:
             self.axes_ = panels.axes
         return panels
+
+
+def _sections(described):
+    """Text above the sections of a docstring, and the sections by name."""
+    text = inspect.cleandoc(described.__doc__ or "")
+    summary, *parts = re.split(r"\n\n(?=[A-Z]\w+\n-{4,}\n)", text)
+    return summary, dict(part.split("\n", 1) for part in parts)
+
+
+def _described(described):
+    """Entries of the section on parameters, by each name that they describe."""
+    entries = re.split(r"\n(?=\S)", _sections(described)[1].get("Parameters", ""))[1:]
+    return {name: e for e in entries for name in re.findall(r"\w+", re.split(r" : |\n", e)[0])}
 
 
 class Panels:

@@ -148,8 +148,6 @@ class EigenvalueDisplay(Display):
 
         Parameters
         ----------
-        level : float, default=0.95
-            Probability with which an ellipse holds the eigenvalue.
         families : bool, default=True
             Whether to join the modes of a family.
         legend : bool, default=True
@@ -367,12 +365,8 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
             warnings are those of this fit.
         X : DataFrame or ndarray, shape (n_samples, n_features)
             Inputs, as the estimator takes them.
-        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Outputs in time.
         orders : sequence of int, optional
             From 1 to four beyond the order of the estimator by default.
-        tol : float, default=0.02
-            Share of its size by which a steady mode may differ from the order before.
 
         Raises
         ------

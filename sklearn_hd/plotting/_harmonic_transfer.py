@@ -129,12 +129,8 @@ class HarmonicTransferFunctionDisplay(
         ----------
         systems : LTPSystem, or a dict of them by label
             Between the same signals.
-        n_harmonics : int, default=1
-            Highest harmonic N of the response.
         frequencies : array_like, shape (n_frequencies,), optional
             In rad/s; up to N + 2 times ω by default.
-        **plotted
-            ``inputs``, ``outputs``, ``units``, ``xscale``: see :meth:`plot`.
 
         Raises
         ------
@@ -165,8 +161,6 @@ class HarmonicTransferFunctionDisplay(
             Inputs and outputs, the periodic trim subtracted.
         omega : float
             Fundamental frequency, rad/s.
-        n_harmonics : int, default=1
-            Highest harmonic N of the response.
         systems : LTPSystem, or a dict of them by label, optional
             Models to compare with, for inputs held from sample to sample.
         plotted : dict, optional

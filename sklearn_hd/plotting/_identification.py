@@ -104,13 +104,6 @@ class SingularValueDisplay(Display):
     def plot(self, ax=None, *, count=30, marks=None):
         """Draw, on a new figure by default.
 
-        Parameters
-        ----------
-        count : int, default=30
-            Largest number of values drawn; the one after the order always is.
-        marks : dict, optional
-            Further orders to mark, by label.
-
         Raises
         ------
         ValueError
@@ -272,8 +265,6 @@ class OrderSelectionDisplay(Display):
         test_share : float, optional
             Rows tested over rows trained on, q; None is 1/(k − 1), as in k folds of equal
             size.
-        misfit : bool, default=False
-            Draw 1 − score on a logarithmic axis.
 
         Raises
         ------
@@ -307,11 +298,6 @@ class OrderSelectionDisplay(Display):
 
     def plot(self, ax=None, *, misfit=False):
         """Draw, on a new figure by default.
-
-        Parameters
-        ----------
-        misfit : bool, default=False
-            Draw 1 − score on a logarithmic axis, which tells scores near one apart.
 
         Raises
         ------

@@ -86,10 +86,6 @@ class ParticipationDisplay(Display, axes="one Axes a state"):
         ----------
         system : LTPSystem
             Whose modes to draw.
-        n_harmonics : int, default=1
-            Harmonics kept of the states.
-        mode_names : sequence of str, optional
-            Of the modes drawn, from the rightmost leftwards.
 
         Raises
         ------
@@ -229,10 +225,6 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
         ----------
         systems : LTPSystem, or a dict of them by label
             Of the same states and signals, which may be in another order.
-        matrix : {"F", "G", "P", "Q"}, default="F"
-            Which to draw.
-        true : LTPSystem, optional
-            The truth, of the same states and signals.
 
         Raises
         ------

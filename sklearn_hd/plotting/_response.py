@@ -192,10 +192,6 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
             On the same rows.
         inputs : DataFrame, Series or ndarray, shape (n_samples, n_inputs), optional
             On the same rows, drawn above the outputs.
-        validation_span : (float, float), optional
-            Seconds; rows not used for the fit.
-        span : (float, float), optional
-            Seconds to draw; the fit is that of all rows all the same.
         measured_name : str, default="measured"
             What the legend calls the measured outputs.
 
