@@ -2,6 +2,9 @@
 
 x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]                    (Eq. 10)
 ẋ = A x + B u,              y = C x + D u                             (Eq. 8)
+
+Predictions and scores, data sets and all that turns discrete models into continuous ones need
+them.
 """
 
 import threading

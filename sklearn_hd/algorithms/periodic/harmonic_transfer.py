@@ -12,6 +12,8 @@ With T(·) multiplication by a periodic matrix in complex harmonics, T_pq = M_{p
 and N = diag(jkω),
 
     H(jΩ) = T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q)
+
+``sklearn_hd.systems`` makes :class:`HarmonicTransferFunction` of them.
 """
 
 import numpy as np

@@ -11,7 +11,7 @@ the α_i common to all outputs and times, holds for the true ω and no other (a
 linear time-invariant system apart, to which any ω is true). The ω at which it
 leaves least unexplained is the estimate (variable projection, Golub and Pereyra
 1973: α and the waveforms are linear). Signals between the samples come from
-splines.
+splines. Users estimate ω with it, and fits warn of another ω by it.
 """
 
 from typing import NamedTuple

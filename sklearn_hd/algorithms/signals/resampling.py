@@ -13,7 +13,8 @@ told apart:
   interval [g, g + h) that a sample on the grid is held for. A step stays a step
   (a spline would ring about it) and nothing of its area is lost.
 
-Where the places lie on the grid already both give the samples back.
+Where the places lie on the grid already both give the samples back. Records with jitter, gaps
+or a measured azimuth need them.
 """
 
 import numpy as np
