@@ -5,7 +5,8 @@ With the fast states at rest, ẋ_f = 0,
     Â = A_s − A_sf A_f⁻¹ A_fs,    B̂ = B_s − A_sf A_f⁻¹ B_f,
     Ĉ = C_s − C_f A_f⁻¹ A_fs,     D̂ = D − C_f A_f⁻¹ B_f,
 
-and in block-diagonal coordinates, A_sf = A_fs = 0, only D̂ differs from truncation. The reducer needs it.
+and in block-diagonal coordinates, A_sf = A_fs = 0, only D̂ differs from truncation.
+The reducer needs it.
 """
 
 import numpy as np

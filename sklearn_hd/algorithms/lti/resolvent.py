@@ -8,7 +8,8 @@ state after the other.
 
 Rounding of the form is that of its largest entries. Where states answer so strongly that it
 would be seen (a pole on its way to infinity, slow ones that hang on it), what is left of the
-equations in A itself corrects them, as in iterative refinement (Skeel, 1980). Matches of structured models need it.
+equations in A itself corrects them, as in iterative refinement (Skeel, 1980).
+Matches of structured models need it.
 """
 
 from functools import lru_cache

@@ -5,7 +5,8 @@ Written for the harmonics of x, u and y, a periodic system is time-invariant:
     Ẋ = A X + B U,   Y = C X + D U                                        (Eq. 8)
 
 Its matrices are multiplications by Fourier series, of which this file has the coefficients
-(jumps of the matrices included) and the Toeplitz form. ``LTPSystem``, trims and harmonic transfer functions need them.
+(jumps of the matrices included) and the Toeplitz form.
+``LTPSystem``, trims and harmonic transfer functions need them.
 """
 
 import numpy as np

@@ -10,7 +10,8 @@ state is x = T(ψ) z, and a system ẋ = A x + B u, y = C x + D u becomes
     ż = T⁻¹ (A T − Ṫ) z + T⁻¹ B T_u v,   w = T_y⁻¹ C T z + T_y⁻¹ D T_u v
 
 Where the blades are alike and the wind does not depend on the azimuth, what is left to vary
-in it repeats itself three times a turn (and 6, 9, … times), and mostly is small. Turbines of ``sklearn_hd.systems`` need it.
+in it repeats itself three times a turn (and 6, 9, … times), and mostly is small.
+Turbines of ``sklearn_hd.systems`` need it.
 """
 
 from typing import NamedTuple

@@ -6,7 +6,8 @@ outputs being all the samples of the period (the lifted signals):
     z[k+1] = Φ z[k] + B w[k],    y_j[k] = O_j z[k] + D_j w[k]     (sample j of period k)
 
 w holds an input's samples of a whole period. Mostly they move in few directions (a step at
-a period's start in one, at any other phase in two), and only those have to be told apart. The period-synchronous reading and match need them.
+a period's start in one, at any other phase in two), and only those have to be told apart.
+The period-synchronous reading and match need them.
 """
 
 import numpy as np
