@@ -27,7 +27,6 @@ from sklearn_hd._progress import KERNEL, progress
 from sklearn_hd.algorithms.reporting import stage, within
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import UnstableModelError
-from sklearn_hd.plotting import StabilizationDisplay
 
 A = np.array([[-0.3, 2.0, 0.1], [-2.0, -0.2, 0.4], [0.3, 0.2, -6.0]])
 B = np.array([[1.0, 0.2], [0.4, -1.0], [3.0, 2.0]])
@@ -305,18 +304,6 @@ def test_a_reduction_is_the_same_with_a_bar(noisy_wing, screen):
         told = SpuriousModeReducer(verbose=1).fit(*noisy_wing)
     assert "likelihood of modes, steps" in screen.getvalue()
     assert learned(told) == learned(quiet)
-
-
-def test_a_sweep_over_orders_shows_a_bar(record, screen):
-    options = {"orders": [1, 2, 3], "block_rows": 8}
-    with redirect_stderr(screen):
-        quiet = StabilizationDisplay.from_data(*record, **options)
-        assert screen.getvalue() == ""
-        told = StabilizationDisplay.from_data(*record, **options, verbose=1)
-    (line,) = screen.left()
-    assert line.startswith("orders: 100%")
-    assert "3/3" in line
-    pd.testing.assert_frame_equal(told.modes, quiet.modes)
 
 
 # ---- what algorithms tell ---------------------------------------------------------------------

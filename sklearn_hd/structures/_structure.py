@@ -1,11 +1,98 @@
-"""What may be said of parameters by name: a value to hold, where to start, between what bounds."""
+"""What both structures share: what is said of parameters by name, and how they are shown.
+
+Of a parameter there may be a value to hold, where to start, between what bounds.
+"""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 import pandas as pd
 
-from sklearn_hd.structures._cells import finite_number
+from sklearn_hd.structures._cells import finite_number, format_cell
+
+_FREE = ' style="text-align:right; font-weight:bold; background:rgba(70,130,180,0.2)"'
+_NUMBER = ' style="text-align:right"'
+_NAME = ' style="text-align:right; font-weight:normal"'
+_TABLE = ' style="color:inherit"'
+_CAPTION = ' style="caption-side:top; text-align:center"'
+_ROW = ' style="display:flex; flex-wrap:wrap; gap:1.5em; align-items:flex-start"'
+
+
+class Structure:
+    """What both structures share: parameters to fix and free, equality, text and HTML.
+
+    A structure has ``_fixed``, ``_check_fixed``, ``_with_fixed``, ``_key``, ``_shown`` and
+    ``_notes``.
+    """
+
+    @property
+    def fixed(self):
+        """Value of each parameter that is fixed, by name."""
+        return dict(self._fixed)
+
+    def fix(self, values):
+        """The structure with numbers in place of some parameters.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values by the name of the parameter.
+
+        Returns
+        -------
+        structure : MatrixStructure or HarmonicStructure
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a name is no parameter, or a value is no finite number within its bounds.
+        """
+        values = read_fixed(values)
+        self._check_fixed("fix", values)
+        return self._with_fixed(join_fixed(self._fixed, values))
+
+    def free(self, names=None):
+        """The structure with some fixed parameters free again.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            All that are fixed by default.
+
+        Returns
+        -------
+        structure : MatrixStructure or HarmonicStructure
+            Where it has initial values, those freed start at the value they had.
+
+        Raises
+        ------
+        ValueError
+            If a name is not that of a fixed parameter.
+        """
+        names = freed(self._fixed, names)
+        return self._with_fixed({k: x for k, x in self._fixed.items() if k not in names})
+
+    def __eq__(self, other):
+        return self._key() == other._key() if isinstance(other, type(self)) else NotImplemented
+
+    def __hash__(self):
+        return hash(self._key())
+
+    def __str__(self):
+        """Text of tables and of lines between and after them."""
+        shown = [part if isinstance(part, str) else _text_of_table(part) for part in self._shown()]
+        return "\n".join([*shown, *self._notes()])
+
+    def _repr_html_(self):
+        """HTML of tables and of lines between and after them: what is free is bold on a ground."""
+        parts = self._shown()
+        tables = "".join(_html_of_table(part) for part in parts if not isinstance(part, str))
+        lines = [part for part in parts if isinstance(part, str)] + list(self._notes())
+        below = "".join(f"<div>{escape(line)}</div>" for line in lines)
+        return f"<div><div{_ROW}>{tables}</div>{below}</div>"
 
 
 def read_fixed(given, names=None):
@@ -167,3 +254,43 @@ def _number(what, value):
     if number is None:
         raise ValueError(f"the {what} must be a finite number; got {value!r}")
     return number
+
+
+@dataclass(frozen=True)
+class Table:
+    """A matrix to be shown: its letter, the harmonic it belongs to, cells, and names if any."""
+
+    letter: str
+    cells: tuple
+    rows: tuple | None = None
+    columns: tuple | None = None
+    harmonic: str = ""
+
+
+def _text_of_table(table):
+    texts = [[format_cell(cell) for cell in line] for line in table.cells]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    head = f"{table.letter}_{table.harmonic} = " if table.harmonic else f"{table.letter} = "
+    lines = ["[ " + "  ".join(map(str.rjust, line, widths)) + " ]" for line in texts] or ["[ ]"]
+    return head + ("\n" + " " * len(head)).join(lines)
+
+
+def _html_of_table(table):
+    n_columns = len(table.cells[0]) if table.cells else 0
+    rows = range(len(table.cells)) if table.rows is None else table.rows
+    columns = range(n_columns) if table.columns is None else table.columns
+    caption = f"<i>{table.letter}</i>" + (f"<sub>{table.harmonic}</sub>" if table.harmonic else "")
+    head = "".join(f"<th{_NAME}>{escape(str(name))}</th>" for name in columns)
+    body = "".join(
+        f"<tr><th{_NAME}>{escape(str(name))}</th>{''.join(map(_html_of_cell, line))}</tr>"
+        for name, line in zip(rows, table.cells, strict=True)
+    )
+    return (
+        f"<table{_TABLE}><caption{_CAPTION}>{caption}</caption>"
+        f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _html_of_cell(cell):
+    style = _FREE if cell[1] else _NUMBER
+    return f"<td{style}>{escape(format_cell(cell))}</td>"
