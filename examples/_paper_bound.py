@@ -3,9 +3,9 @@
 import numpy as np
 
 from sklearn_hd import HarmonicStructure
-from sklearn_hd.algorithms.fourier import recompose
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
-from sklearn_hd.algorithms.uncertainty import fisher_information, propagate_std
+from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information, propagate_std
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.signals.fourier import recompose
 from sklearn_hd.systems import LTPSystem
 
 STEP = 1e-20  # of the complex-step derivatives, exact to rounding

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.input_matrices import input_matrices
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, discrete_to_continuous
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, discrete_to_continuous
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 
 
 def to_continuous(model, experiment):

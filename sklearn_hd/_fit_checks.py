@@ -3,9 +3,9 @@
 import numpy as np
 
 from sklearn_hd._arithmetic import extremes, square_sums
-from sklearn_hd._validation import SMALLEST
+from sklearn_hd._checks import SMALLEST
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.fundamental import omega_mismatch
+from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
     FrequencyMismatchWarning,

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from sklearn.base import TransformerMixin
 
-from sklearn_hd._validation import FIRST, RAISE
-from sklearn_hd.algorithms.fourier import (
+from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd.algorithms.signals.fourier import (
     WINDOW_PERIODS,
     harmonic_functions,
     harmonic_labels,

@@ -4,7 +4,7 @@ import sys
 import warnings
 from contextlib import contextmanager
 
-from sklearn_hd._validation import check_count
+from sklearn_hd._checks import check_count
 
 KERNEL = "ipykernel.zmqshell"  # loaded behind a notebook, whose stderr is no terminal
 

@@ -10,6 +10,19 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
+from sklearn_hd._checks import (
+    PERIOD_TOLERANCE,
+    RAISE,
+    check_choice,
+    check_harmonics,
+    check_missing,
+    check_period,
+    check_phase,
+    check_rate,
+    check_span,
+    whole_period,
+)
+from sklearn_hd._containers import check_has_signals
 from sklearn_hd._frame import (
     PERIOD,
     FrameTransformer,
@@ -29,22 +42,9 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._tables.containers import check_has_signals
-from sklearn_hd._tables.time import why_short
-from sklearn_hd._validation import (
-    PERIOD_TOLERANCE,
-    RAISE,
-    check_choice,
-    check_harmonics,
-    check_missing,
-    check_period,
-    check_phase,
-    check_rate,
-    check_span,
-    whole_period,
-)
+from sklearn_hd._records.time import why_short
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.fourier import WINDOW_PERIODS, recompose
+from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]

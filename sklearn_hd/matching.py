@@ -7,25 +7,25 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._base import ModelStep, upstream
+from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._frame import highest_harmonic
-from sklearn_hd._matching.match import Match, NormReport, ParameterReport, periodic_match
-from sklearn_hd._matching.norm_matching import NORMS, NormSettings
-from sklearn_hd._matching.periodic import PeriodicModel, PeriodicSimulator
-from sklearn_hd._matching.realization import realize
-from sklearn_hd._matching.refinement import refine
-from sklearn_hd._matching.warned import (
+from sklearn_hd._match.match import Match, NormReport, ParameterReport, periodic_match
+from sklearn_hd._match.norm_matching import NORMS, NormSettings
+from sklearn_hd._match.periodic import PeriodicModel, PeriodicSimulator
+from sklearn_hd._match.realization import realize
+from sklearn_hd._match.refinement import refine
+from sklearn_hd._match.warned import (
     warn_closed_loop,
     warn_growing,
     warn_matched,
     warn_realized,
     warn_refined,
 )
+from sklearn_hd._model_step import ModelStep, upstream
 from sklearn_hd._progress import check_verbose, progress
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import check_choice, check_count, check_flag, check_positive
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 

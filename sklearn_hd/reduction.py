@@ -6,11 +6,12 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._base import ModelStep, upstream
+from sklearn_hd._checks import check_choice, check_count
 from sklearn_hd._continuous import refit_inputs, scaled_outputs, to_continuous
 from sklearn_hd._fit_checks import warn_of_growth
+from sklearn_hd._model_step import ModelStep, upstream
 from sklearn_hd._progress import check_verbose, progress
-from sklearn_hd._reduction.mode_choice import (
+from sklearn_hd._reduce.mode_choice import (
     NEARLY_ALL,
     ROUNDING,
     choose_modes,
@@ -20,14 +21,13 @@ from sklearn_hd._reduction.mode_choice import (
     verdicts,
     warn_of_doubt,
 )
-from sklearn_hd._reduction.raw_modes import periodic_decomposition, refined_modes
+from sklearn_hd._reduce.raw_modes import periodic_decomposition, refined_modes
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import check_choice, check_count
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.modes import conjugate_units, family_exponents, invariant_pair
+from sklearn_hd.algorithms.lti.residualization import residualize
+from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
+from sklearn_hd.algorithms.modes.modes import conjugate_units, family_exponents, invariant_pair
 from sklearn_hd.algorithms.reporting import within
-from sklearn_hd.algorithms.residualization import residualize
-from sklearn_hd.algorithms.simulation import discrete_to_continuous
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = ["SpuriousModeReducer"]

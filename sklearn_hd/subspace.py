@@ -5,7 +5,8 @@ from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import extremes, square_sums, within_range
-from sklearn_hd._base import ModelStep
+from sklearn_hd._checks import COMMON, check_outputs_given, signal_names
+from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import (
     check_outputs_move,
@@ -16,34 +17,33 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
 )
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._identify.checks import PREDICTOR, SubspaceChecks, is_lifted
+from sklearn_hd._identify.innovation_model import InnovationModel
+from sklearn_hd._identify.more_rows import MoreRows, is_sliding
+from sklearn_hd._identify.partitioned_fit import PartitionedFit
+from sklearn_hd._identify.partitions import is_partitioned
+from sklearn_hd._identify.products_cache import KeptSums
+from sklearn_hd._identify.streamed_fit import StreamedFit
+from sklearn_hd._model_step import ModelStep
 from sklearn_hd._progress import progress
+from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._records.sliding_inputs import modulated_inputs
-from sklearn_hd._records.small_signal import read_for_fit
-from sklearn_hd._subspace.checks import PREDICTOR, SubspaceChecks, is_lifted
-from sklearn_hd._subspace.innovation_model import InnovationModel
-from sklearn_hd._subspace.more_rows import MoreRows, is_sliding
-from sklearn_hd._subspace.partitioned_fit import PartitionedFit
-from sklearn_hd._subspace.partitions import is_partitioned
-from sklearn_hd._subspace.products_cache import KeptSums
-from sklearn_hd._subspace.streamed_fit import StreamedFit
-from sklearn_hd._tables.containers import as_container, without_inputs
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._validation import COMMON, check_outputs_given, signal_names
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.hankel import n_excited, n_hankel_columns
-from sklearn_hd.algorithms.innovations import InnovationForm
-from sklearn_hd.algorithms.input_matrices import input_matrices
-from sklearn_hd.algorithms.lifting import input_directions
-from sklearn_hd.algorithms.moesp import (
+from sklearn_hd.algorithms.periodic.periodic_realization import order_by_residual
+from sklearn_hd.algorithms.reporting import stage
+from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
+from sklearn_hd.algorithms.subspace.innovations import InnovationForm
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
+from sklearn_hd.algorithms.subspace.moesp import (
     order_by_gap,
     order_by_wide_gap,
     release_idle_directions,
 )
-from sklearn_hd.algorithms.periodic_realization import order_by_residual
-from sklearn_hd.algorithms.predictor_subspace import PredictorSubspace
-from sklearn_hd.algorithms.projections import Projection
-from sklearn_hd.algorithms.reporting import stage
+from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
+from sklearn_hd.algorithms.subspace.projections import Projection
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["MOESPRegressor"]

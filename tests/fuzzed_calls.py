@@ -24,8 +24,8 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.algorithms.fundamental import estimate_omega
-from sklearn_hd.algorithms.hinf import h2_norm, hinf_norm
+from sklearn_hd.algorithms.lti.hinf import h2_norm, hinf_norm
+from sklearn_hd.algorithms.signals.fundamental import estimate_omega
 from sklearn_hd.model_selection import (
     PeriodBlockSplit,
     fit_percent,

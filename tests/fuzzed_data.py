@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.lti.simulation import propagate
 
 LENGTHS = [1, 2, 3, 5, 17, 40, 120, 200, 300]
 OFTEN = [0.01, 0.01, 0.01, 0.02, 0.02, 0.06, 0.17, 0.35, 0.35]

@@ -8,7 +8,7 @@ from hypothesis import assume, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.lti.simulation import propagate
 
 SEEDS = st.integers(0, 2**32 - 1)
 UP_TO_SIX, UP_TO_THREE, UP_TO_TWO = st.integers(1, 6), st.integers(1, 3), st.integers(0, 2)

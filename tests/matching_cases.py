@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd.algorithms.matching_problem import MatchingProblem
+from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.structures import MatrixStructure
 
 NAN = np.nan

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd.algorithms.fundamental import estimate_omega
-from sklearn_hd.algorithms.hinf import hinf_norm
+from sklearn_hd.algorithms.lti.hinf import hinf_norm
+from sklearn_hd.algorithms.signals.fundamental import estimate_omega
 from sklearn_hd.systems import (
     FourierMatrix,
     LTPSystem,

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy import sparse, stats
 
-from sklearn_hd.algorithms.fourier import harmonic_functions
-from sklearn_hd.algorithms.harmonic_decomposition import harmonic_decomposition
-from sklearn_hd.algorithms.output_error import output_error
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure, sampled_response
-from sklearn_hd.algorithms.sensitivity import as_records, simulate
-from sklearn_hd.algorithms.uncertainty import fisher_information
+from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.sensitivity import as_records, simulate
+from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.systems import flapping_wing
 
 N_PHASES, N_PERIODS = 64, 60

@@ -15,9 +15,9 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd._subspace.partition_statistics import partition_sums
-from sklearn_hd._subspace.partitions import Partitions
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd._identify.partition_statistics import partition_sums
+from sklearn_hd._identify.partitions import Partitions
+from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.exceptions import ExcitationWarning
 
 dask = pytest.importorskip("dask")

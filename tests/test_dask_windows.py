@@ -6,7 +6,7 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd.algorithms import hankel
+from sklearn_hd.algorithms.subspace import hankel
 from sklearn_hd.datasets import make_flapping_wing
 
 dask = pytest.importorskip("dask")

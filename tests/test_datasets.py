@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
 from sklearn_hd.datasets import make_flapping_wing
 
 KINDS = ["lti", "lti-signal", "ltp", "nltp"]

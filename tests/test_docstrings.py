@@ -21,10 +21,10 @@ PUBLIC = [
     "sklearn_hd.plotting",
 ]
 BESIDE = [  # functions of other modules that docs/api.md names
-    ("sklearn_hd.algorithms.hinf", "hinf_norm"),
-    ("sklearn_hd.algorithms.hinf", "h2_norm"),
-    ("sklearn_hd.algorithms.fundamental", "estimate_omega"),
-    ("sklearn_hd.algorithms.fundamental", "FundamentalEstimate"),
+    ("sklearn_hd.algorithms.lti.hinf", "hinf_norm"),
+    ("sklearn_hd.algorithms.lti.hinf", "h2_norm"),
+    ("sklearn_hd.algorithms.signals.fundamental", "estimate_omega"),
+    ("sklearn_hd.algorithms.signals.fundamental", "FundamentalEstimate"),
 ]
 EXEMPT = {
     "ES01": "the summary line is enough where it says all",

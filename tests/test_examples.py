@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
 PUBLIC = {  # modules that the API reference names
     "sklearn_hd",
-    "sklearn_hd.algorithms.fundamental",
-    "sklearn_hd.algorithms.hinf",
+    "sklearn_hd.algorithms.signals.fundamental",
+    "sklearn_hd.algorithms.lti.hinf",
     "sklearn_hd.datasets",
     "sklearn_hd.exceptions",
     "sklearn_hd.model_selection",

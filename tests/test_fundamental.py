@@ -10,8 +10,8 @@ from scipy.linalg import block_diag, expm
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd.algorithms.fundamental import estimate_omega, omega_mismatch
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.signals.fundamental import estimate_omega, omega_mismatch
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning
 from sklearn_hd.systems import LTPSystem

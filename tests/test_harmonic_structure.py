@@ -14,8 +14,8 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd._frame import HarmonicBasis
-from sklearn_hd._matching.periodic import PeriodicModel
-from sklearn_hd.algorithms.fourier import harmonic_functions
+from sklearn_hd._match.periodic import PeriodicModel
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 STATES, INPUTS = ("x", "v"), ("u",)
 OSCILLATOR = {

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd.algorithms.floquet import transition_matrices
-from sklearn_hd.algorithms.harmonic_transfer import effective_averages
-from sklearn_hd.algorithms.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.periodic.floquet import transition_matrices
+from sklearn_hd.algorithms.periodic.harmonic_transfer import effective_averages
 from sklearn_hd.systems import (
     LTPSystem,
     coupled_oscillators,

@@ -9,8 +9,8 @@ from scipy import linalg
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd.algorithms.integration import integrate, runge_kutta
-from sklearn_hd.algorithms.period_map import PeriodMap, quadratic_gain
+from sklearn_hd.algorithms.periodic.integration import integrate, runge_kutta
+from sklearn_hd.algorithms.periodic.period_map import PeriodMap, quadratic_gain
 from sklearn_hd.datasets import make_hawkmoth
 from sklearn_hd.systems import HeldFeedback, PeriodicSystem, hawkmoth
 

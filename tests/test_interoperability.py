@@ -312,7 +312,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
         "sklearn_hd._frame.HarmonicBasis",
         "sklearn_hd._frame.LTIModel",
         "sklearn_hd._frame.Reading",
-        "sklearn_hd._matching.periodic.PeriodicModel",
+        "sklearn_hd._match.periodic.PeriodicModel",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.structures._harmonic.HarmonicStructure",
@@ -320,8 +320,8 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     }
     if pipe["match"].criterion == "output_error":
         expected |= {
-            "sklearn_hd._matching.match.Uncertainty",
-            "sklearn_hd.algorithms.structured_model.AffineStructure",
+            "sklearn_hd._match.match.Uncertainty",
+            "sklearn_hd.algorithms.lti.structured_model.AffineStructure",
         }
     assert set(trusted) == expected
     loaded = skops.load(path, trusted=trusted)

@@ -21,14 +21,14 @@ from law_cases import (
 from scipy import linalg
 
 from sklearn_hd import HarmonicAnalyzer
-from sklearn_hd.algorithms.fourier import recompose
-from sklearn_hd.algorithms.hinf import h2_norm, hinf_norm
-from sklearn_hd.algorithms.simulation import (
+from sklearn_hd.algorithms.lti.hinf import h2_norm, hinf_norm
+from sklearn_hd.algorithms.lti.simulation import (
     continuous_to_discrete,
     discrete_to_continuous,
     frequency_response,
     propagate,
 )
+from sklearn_hd.algorithms.signals.fourier import recompose
 from sklearn_hd.systems import FourierMatrix, LTPSystem
 
 # ---- time-invariant systems ---------------------------------------------------------------------

@@ -31,7 +31,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.algorithms.simulation import continuous_to_discrete
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete
 
 LENGTHS = st.lists(st.integers(150, 400), min_size=1, max_size=4)
 UNITS = st.lists(st.sampled_from([1e-6, 1e-2, 1.0, 30.0, 1e5]), min_size=6, max_size=6)

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.multiblade import (
+from sklearn_hd.algorithms.periodic.multiblade import (
     Frame,
     coleman_matrix,
     from_multiblade,

@@ -20,7 +20,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 

@@ -11,7 +11,7 @@ from scipy.stats import chi2, norm
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, StructuredMatcher
-from sklearn_hd.algorithms.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.plotting import (
     BodeDisplay,
     EigenvalueDisplay,

@@ -10,13 +10,13 @@ import pytest
 from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 
 from sklearn_hd import MOESPRegressor
-from sklearn_hd._subspace import products_cache
-from sklearn_hd._subspace.products_cache import KeptSums
-from sklearn_hd.algorithms.double_double import Pair
-from sklearn_hd.algorithms.end_products import EndRows, EndSum
-from sklearn_hd.algorithms.hankel import hankel_factor
-from sklearn_hd.algorithms.lag_products import LagProducts, lag_products
-from sklearn_hd.algorithms.running_products import RecordEnds, RunningSums
+from sklearn_hd._identify import products_cache
+from sklearn_hd._identify.products_cache import KeptSums
+from sklearn_hd.algorithms.linalg.double_double import Pair
+from sklearn_hd.algorithms.subspace.end_products import EndRows, EndSum
+from sklearn_hd.algorithms.subspace.hankel import hankel_factor
+from sklearn_hd.algorithms.subspace.lag_products import LagProducts, lag_products
+from sklearn_hd.algorithms.subspace.running_products import RecordEnds, RunningSums
 
 STORED = (LagProducts, EndRows, EndSum, Pair, RunningSums, RecordEnds)
 

@@ -13,8 +13,8 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd._records.small_signal import read_for_fit
-from sklearn_hd.algorithms.small_signal import (
+from sklearn_hd._records.amplitudes import read_for_fit
+from sklearn_hd.algorithms.signals.amplitudes import (
     extrapolation_weights,
     n_distinct,
     odd_weights,

@@ -13,18 +13,18 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd.algorithms import kalman_gain, running_products
-from sklearn_hd.algorithms.hankel import hankel_factor
-from sklearn_hd.algorithms.input_matrices import input_matrices
-from sklearn_hd.algorithms.lag_products import lag_products
-from sklearn_hd.algorithms.moesp import observability_subspace, state_matrices
-from sklearn_hd.algorithms.running_equations import (
+from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.subspace import kalman_gain, running_products
+from sklearn_hd.algorithms.subspace.hankel import hankel_factor
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
+from sklearn_hd.algorithms.subspace.lag_products import lag_products
+from sklearn_hd.algorithms.subspace.moesp import observability_subspace, state_matrices
+from sklearn_hd.algorithms.subspace.running_equations import (
     initial_states_of_heads,
     input_matrices_of_factor,
     input_matrices_of_sums,
 )
-from sklearn_hd.algorithms.running_products import RunningRecord
-from sklearn_hd.algorithms.simulation import propagate
+from sklearn_hd.algorithms.subspace.running_products import RunningRecord
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, TimeBaseWarning
 

@@ -8,7 +8,7 @@ from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, SpuriousModeReducer, StructuredMatcher
-from sklearn_hd.algorithms.matching import match_structure
+from sklearn_hd.algorithms.matching.matching import match_structure
 
 NAN = np.nan
 SAMPLE_TIME = 0.05

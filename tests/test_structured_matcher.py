@@ -16,8 +16,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.frozen import FrozenEstimator
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd.algorithms.norm_descent import least_norm
-from sklearn_hd.algorithms.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.matching.norm_descent import least_norm
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 NAN = np.nan
@@ -236,7 +236,7 @@ def test_a_search_cut_short_says_by_how_much(identified, record, monkeypatch):
         start, run = least_norm(*args)
         return start, dataclasses.replace(run, converged=False)
 
-    monkeypatch.setattr("sklearn_hd.algorithms.matching.least_norm", cut_short)
+    monkeypatch.setattr("sklearn_hd.algorithms.matching.matching.least_norm", cut_short)
     said = r"the H-infinity match stopped after \d+ steps at a relative error of .* it could still "
     with pytest.warns(
         ConvergenceWarning, match=said + r"fall by .* where tol=1e-0\d was asked for"

@@ -8,8 +8,8 @@ import pytest
 from scipy import linalg
 from scipy.integrate import solve_ivp
 
-from sklearn_hd.algorithms.harmonic_balance import galerkin_coefficients
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.periodic.harmonic_balance import galerkin_coefficients
 from sklearn_hd.exceptions import TrimError
 from sklearn_hd.systems import FourierMatrix, LTPSystem, PeriodicSystem, flapping_wing
 

@@ -10,7 +10,7 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd._frame import HarmonicBasis
-from sklearn_hd.algorithms.resampling import interpolate, interpolation_error
+from sklearn_hd.algorithms.signals.resampling import interpolate, interpolation_error
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import JitterWarning, ResamplingWarning
 

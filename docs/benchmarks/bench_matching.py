@@ -27,10 +27,10 @@ import pandas as pd
 from joblib import Parallel, delayed
 from scipy import linalg, optimize
 
-from sklearn_hd.algorithms.matching import match_structure
-from sklearn_hd.algorithms.matching_problem import MatchingProblem
-from sklearn_hd.algorithms.simulation import frequency_response
-from sklearn_hd.algorithms.structured_model import AffineStructure
+from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure
+from sklearn_hd.algorithms.matching.matching import match_structure
+from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.structures import MatrixStructure
 

@@ -34,8 +34,8 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd._subspace import products_cache
-from sklearn_hd.algorithms import hankel, lag_products
+from sklearn_hd._identify import products_cache
+from sklearn_hd.algorithms.subspace import hankel, lag_products
 from sklearn_hd.datasets import make_flapping_wing
 
 ORDERS, BLOCK_ROWS, FOLDS = list(range(2, 22)), [8, 10, 12, 15, 18], 5

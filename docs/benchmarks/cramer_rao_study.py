@@ -32,10 +32,10 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.algorithms.fourier import harmonic_functions
-from sklearn_hd.algorithms.output_error import output_error
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.uncertainty import fisher_information
+from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.systems import LTPSystem
 

@@ -39,7 +39,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.algorithms.uncertainty import fisher_information
+from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
 from sklearn_hd.systems import (
     LTPSystem,
     coupled_oscillators,

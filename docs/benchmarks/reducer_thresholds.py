@@ -12,9 +12,9 @@ import warnings
 import numpy as np
 from sklearn.pipeline import Pipeline
 
-import sklearn_hd._reduction.mode_choice as choice
-import sklearn_hd._reduction.raw_modes as raw_modes
-import sklearn_hd.algorithms.moesp as moesp
+import sklearn_hd._reduce.mode_choice as choice
+import sklearn_hd._reduce.raw_modes as raw_modes
+import sklearn_hd.algorithms.subspace.moesp as moesp
 import sklearn_hd.reduction as reduction
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing

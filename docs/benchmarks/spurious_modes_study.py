@@ -33,8 +33,8 @@ from sklearn.pipeline import Pipeline
 from threadpoolctl import threadpool_limits
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd.algorithms.fourier import recompose
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.signals.fourier import recompose
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
 

@@ -6,11 +6,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils.validation import validate_data
 
-from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
-from sklearn_hd._records.sampling import Sampling, lay_grid
-from sklearn_hd._tables.containers import as_container, to_float, without_inputs
-from sklearn_hd._tables.time import TimeBase, read_time
-from sklearn_hd._validation import (
+from sklearn_hd._checks import (
     GAP,
     RAISE,
     check_azimuth,
@@ -20,10 +16,14 @@ from sklearn_hd._validation import (
     check_wrap,
     signal_names,
 )
+from sklearn_hd._containers import as_container, to_float, without_inputs
+from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
+from sklearn_hd._records.sampling import Sampling, lay_grid
+from sklearn_hd._records.time import TimeBase, read_time
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.fourier import harmonic_labels
-from sklearn_hd.algorithms.lifting import lift
-from sklearn_hd.algorithms.resampling import bridge, unwrap
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
+from sklearn_hd.algorithms.signals.lifting import lift
+from sklearn_hd.algorithms.signals.resampling import bridge, unwrap
 from sklearn_hd.exceptions import JitterWarning
 
 PLAIN = Reading()

@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd._tables.time import TimeBase, even
-from sklearn_hd._validation import RAISE
+from sklearn_hd._checks import RAISE
+from sklearn_hd._records.time import TimeBase, even
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.resampling import (
+from sklearn_hd.algorithms.signals.resampling import (
     held_means,
     interpolate,
     interpolation_error,

@@ -16,9 +16,9 @@ phase of the period. Its coefficients at the rows read are time-invariant
 import numpy as np
 
 from sklearn_hd._records.data import hop_means
-from sklearn_hd.algorithms.fourier import harmonic_functions
-from sklearn_hd.algorithms.hankel import n_hankel_columns
-from sklearn_hd.algorithms.lifting import input_directions
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
 __all__ = [
     "changes_at_one_phase",

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 
-from sklearn_hd._validation import real_array
-from sklearn_hd.algorithms.fourier import recompose
-from sklearn_hd.algorithms.simulation import continuous_to_discrete, propagate
+from sklearn_hd._checks import real_array
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
+from sklearn_hd.algorithms.signals.fourier import recompose
 from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import LTPSystem, PeriodicSystem, flapping_wing
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from sklearn.utils import Bunch, check_random_state
 
-from sklearn_hd._validation import check_count, check_numbers, real_array
+from sklearn_hd._checks import check_count, check_numbers, real_array
 from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import HeldFeedback, hawkmoth
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._validation import check_positive
+from sklearn_hd._checks import check_positive
 
 ROUNDING = 1e-10  # share of the best score below which a difference says nothing
 SIZE = ("order", "block_rows")

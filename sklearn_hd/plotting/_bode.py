@@ -3,8 +3,8 @@
 import control
 import numpy as np
 
-from sklearn_hd._base import ModelStep
-from sklearn_hd.algorithms.simulation import frequency_response
+from sklearn_hd._model_step import ModelStep
+from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._fitted import by_label, fitted_step
 from sklearn_hd.plotting._panels import Panels

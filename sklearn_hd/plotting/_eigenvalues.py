@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.patches import Ellipse
 from scipy.stats import chi2, norm
 
-from sklearn_hd._base import ModelStep
+from sklearn_hd._model_step import ModelStep
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._fitted import find_step, fitted_step
 from sklearn_hd.plotting._panels import one_axes

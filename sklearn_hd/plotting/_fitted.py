@@ -6,9 +6,9 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._base import ModelStep
-from sklearn_hd._tables.time import read_time
-from sklearn_hd._validation import FIRST
+from sklearn_hd._checks import FIRST
+from sklearn_hd._model_step import ModelStep
+from sklearn_hd._records.time import read_time
 from sklearn_hd.plotting._style import SAMPLES, TIME
 
 NAMES = {ModelStep: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher"}

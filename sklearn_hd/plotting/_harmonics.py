@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._checks import check_output_names, signal_names
+from sklearn_hd._containers import as_container
 from sklearn_hd._frame import coefficient_names
-from sklearn_hd._tables.containers import as_container
-from sklearn_hd._validation import check_output_names, signal_names
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.plotting._fitted import Record, fitted_step
 from sklearn_hd.plotting._panels import Panels, grid_of, places

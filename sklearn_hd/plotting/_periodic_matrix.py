@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._validation import check_choice
+from sklearn_hd._checks import check_choice
 from sklearn_hd.plotting._fitted import by_label
 from sklearn_hd.plotting._panels import Panels
 from sklearn_hd.plotting._participation import check_periodic, periodic_system

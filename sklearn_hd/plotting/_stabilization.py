@@ -7,8 +7,8 @@ import pandas as pd
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
+from sklearn_hd._checks import check_positive
 from sklearn_hd._progress import check_verbose, progress
-from sklearn_hd._validation import check_positive
 from sklearn_hd.algorithms.reporting import stage
 from sklearn_hd.plotting._eigenvalues import continuous_eigenvalues
 from sklearn_hd.plotting._panels import Panels

@@ -8,7 +8,7 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from sklearn_hd._validation import check_span
+from sklearn_hd._checks import check_span
 
 BLACK, GREY, LIGHT = "#000000", "#8A8A8A", "#E4E4E4"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (

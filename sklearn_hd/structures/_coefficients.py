@@ -4,7 +4,7 @@ import numbers
 import reprlib
 from collections.abc import Mapping
 
-from sklearn_hd.algorithms.fourier import harmonic_labels
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.structures._cells import axis_names, matrix_shape, read_cells
 
 MOST_HARMONICS = 10_000

@@ -6,7 +6,7 @@ import re
 import numpy as np
 from scipy import sparse
 
-from sklearn_hd.algorithms.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.structures._cells import (
     FREE,
     check_places,

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sklearn_hd.algorithms.structured_model import AffineStructure
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.structures._cells import (
     axis_names,
     check_places,

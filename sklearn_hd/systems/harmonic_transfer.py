@@ -11,9 +11,7 @@ from scipy.signal import get_window
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._tables.containers import as_container, to_float
-from sklearn_hd._tables.time import read_time
-from sklearn_hd._validation import (
+from sklearn_hd._checks import (
     check_count,
     check_finite,
     check_fraction,
@@ -25,9 +23,11 @@ from sklearn_hd._validation import (
     check_time_origin,
     signal_names,
 )
+from sklearn_hd._containers import as_container, to_float
+from sklearn_hd._records.time import read_time
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.floquet import transition_matrices
-from sklearn_hd.algorithms.harmonic_transfer import (
+from sklearn_hd.algorithms.periodic.floquet import transition_matrices
+from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     effective_averages,
     estimate_harmonic_transfer,
     harmonic_transfer_blocks,

@@ -4,9 +4,9 @@ import reprlib
 
 import numpy as np
 
-from sklearn_hd._validation import check_count, real_array
-from sklearn_hd.algorithms.integration import runge_kutta
-from sklearn_hd.algorithms.period_map import PeriodMap, quadratic_gain
+from sklearn_hd._checks import check_count, real_array
+from sklearn_hd.algorithms.periodic.integration import runge_kutta
+from sklearn_hd.algorithms.periodic.period_map import PeriodMap, quadratic_gain
 from sklearn_hd.systems.periodic import PeriodicSystem
 from sklearn_hd.systems.signals import check_names
 from sklearn_hd.systems.trim import Trim

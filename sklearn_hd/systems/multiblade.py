@@ -5,15 +5,15 @@ import re
 import control
 import numpy as np
 
-from sklearn_hd._validation import check_choice, check_count
-from sklearn_hd.algorithms.fourier import harmonic_functions
-from sklearn_hd.algorithms.multiblade import (
+from sklearn_hd._checks import check_choice, check_count
+from sklearn_hd.algorithms.periodic.multiblade import (
     N_BLADES,
     Frame,
     blade_harmonics,
     from_multiblade,
     to_multiblade,
 )
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.openfast import OpenFASTLinearization
 from sklearn_hd.systems.signals import check_names
@@ -36,7 +36,7 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
     """Time-invariant model of a three-bladed turbine in multi-blade coordinates.
 
     The matrices at each azimuth are written in coordinates that do not turn
-    (:mod:`sklearn_hd.algorithms.multiblade`), and averaged.
+    (:mod:`sklearn_hd.algorithms.periodic.multiblade`), and averaged.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._validation import real_array
+from sklearn_hd._checks import real_array
 
 __all__ = ["OpenFASTLinearization", "read_openfast_lin"]
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sklearn_hd._validation import (
+from sklearn_hd._checks import (
     check_choice,
     check_count,
     check_flag,
@@ -13,13 +13,13 @@ from sklearn_hd._validation import (
     check_positive,
     real_array,
 )
-from sklearn_hd.algorithms.harmonic_balance import (
+from sklearn_hd.algorithms.periodic.harmonic_balance import (
     galerkin_coefficients,
     resize_harmonics,
     solve_harmonic_balance,
 )
-from sklearn_hd.algorithms.integration import integrate
-from sklearn_hd.algorithms.shooting import solve_shooting
+from sklearn_hd.algorithms.periodic.integration import integrate
+from sklearn_hd.algorithms.periodic.shooting import solve_shooting
 from sklearn_hd.systems.linearization import CentralDifferences, OrbitMatrix
 from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.signals import (

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sklearn_hd._validation import real_array
-from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics, resize_harmonics
-from sklearn_hd.algorithms.harmonic_decomposition import fourier_coefficients
+from sklearn_hd._checks import real_array
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import fourier_coefficients
 
 __all__ = ["FourierMatrix"]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._validation import real_array
+from sklearn_hd._checks import real_array
 
 
 class NamedSignals:

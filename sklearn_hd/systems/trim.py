@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sklearn_hd._validation import real_array
-from sklearn_hd.algorithms.harmonic_balance import evaluate_harmonics
+from sklearn_hd._checks import real_array
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 
 __all__ = ["Trim"]
 

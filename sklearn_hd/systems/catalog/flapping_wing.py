@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd._validation import check_numbers, check_positive
+from sklearn_hd._checks import check_numbers, check_positive
 from sklearn_hd.systems.linearization import states_measured
 from sklearn_hd.systems.periodic import PeriodicSystem
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd._validation import check_fraction, check_numbers, check_positive, real_array
+from sklearn_hd._checks import check_fraction, check_numbers, check_positive, real_array
 from sklearn_hd.systems.linearization import states_measured
 from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.periodic import PeriodicSystem

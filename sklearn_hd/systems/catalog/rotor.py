@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._validation import check_numbers, check_positive
+from sklearn_hd._checks import check_numbers, check_positive
 from sklearn_hd.systems.ltp import LTPSystem
 
 __all__ = ["flapping_blade"]

@@ -1,0 +1,231 @@
+"""What searches make over and over, kept: products of the data, and what is made of them.
+
+Products and factors lie in a folder, which processes share. What a process has made or loaded
+last it also has at hand, up to some megabytes: reading a file takes longer than a small model.
+So it has copies of the data: to compare them takes a tenth of the time that hashing them does.
+"""
+
+import hashlib
+import os
+import threading
+from collections import OrderedDict
+
+import numpy as np
+from sklearn.utils.validation import check_memory
+
+from sklearn_hd.algorithms.subspace.hankel import hankel_factor
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
+from sklearn_hd.algorithms.subspace.lag_products import lag_products
+from sklearn_hd.algorithms.subspace.running_equations import input_matrices_of_sums
+from sklearn_hd.algorithms.subspace.running_products import correlations
+
+__all__ = ["KeptSums"]
+
+LAYOUT = 2  # of what is stored, raised with it: files of another one are not found
+LEAST_LAGS = 64  # that are kept: 32 block rows of the past, and of the future
+MOST_LAGS = 256  # more are not kept
+AT_HAND = 2**26  # bytes that a process has at hand, and as many of data
+SAMPLED = 8  # rows, by which data are looked up
+
+
+class KeptSums:
+    """Products of records, and what is made of them, perhaps from a cache.
+
+    Parameters
+    ----------
+    memory : str, joblib.Memory or None
+        None keeps nothing.
+
+    Raises
+    ------
+    ValueError
+        If the folder cannot be written, or ``memory`` is something else.
+    """
+
+    def __init__(self, memory):
+        self.memory = None if memory is None else check_memory(_writable(memory))
+        self._digests = []
+
+    def factor(self, inputs, outputs, block_rows, scale):
+        """:func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`."""
+        if self.memory is None:
+            return hankel_factor(inputs, outputs, block_rows, scale)
+        records = list(zip(inputs, outputs, strict=True))
+
+        def load():
+            kept = self.memory.cache(_factor, ignore=["records", "memory"])
+            return kept(self._digest(records), block_rows, scale, records, self.memory)
+
+        return self._at_hand("factor", records, (block_rows, _bytes(scale)), load)
+
+    def projection(self, inputs, outputs, scale, make, *choices):
+        """What ``make`` makes of the factor, which depends on some choices and on nothing else."""
+        if self.memory is None:
+            return make()
+        records = list(zip(inputs, outputs, strict=True))
+        return self._at_hand("projection", records, (_bytes(scale), *choices), make)
+
+    def input_matrices(self, A, C, inputs, outputs, feedthrough, scales):
+        """:func:`~sklearn_hd.algorithms.subspace.input_matrices.input_matrices`."""
+        found = None
+        if self.memory is not None and inputs[0].shape[1] > 0:
+            records = list(zip(inputs, outputs, strict=True))
+
+            def load():
+                kept = self.memory.cache(_correlations, ignore=["records"])
+                return kept(self._digest(records), records)
+
+            sums = self._at_hand("correlations", records, (), load)
+            found = input_matrices_of_sums(A, C, sums, feedthrough, scales)
+        if found is not None:
+            return found
+        return input_matrices(A, C, inputs, outputs, feedthrough, scales=scales)
+
+    def _at_hand(self, what, records, choices, load):
+        """What this process has made of the same data before, or what ``load`` makes now."""
+        key = (str(getattr(self.memory, "location", "")), what, self._digest(records), *choices)
+        return _RECENT.get(key, load)
+
+    def _digest(self, records):
+        """What no other records have: their numbers, shapes and order."""
+        signals = [z for pair in records for z in pair]
+        for others, digest in self._digests:
+            if len(others) == len(signals) and all(map(_same, others, signals)):
+                return digest
+        self._digests.append((signals, _known_digest(records, signals)))
+        return self._digests[-1][1]
+
+
+class _Recent:
+    """Values by key, those asked for last, up to some bytes."""
+
+    def __init__(self, most):
+        self.most, self.size = most, 0
+        self.values, self.lock = OrderedDict(), threading.Lock()
+
+    def get(self, key, make):
+        with self.lock:
+            if key in self.values:
+                self.values.move_to_end(key)
+                return self.values[key][0]
+        value = make()
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+        size = _n_bytes(value)
+        with self.lock:
+            if key not in self.values and size <= self.most:
+                self.values[key] = value, size
+                self.size += size
+            while self.size > self.most:
+                self.size -= self.values.popitem(last=False)[1][1]
+        return value
+
+    def forget(self, key):
+        with self.lock:
+            if key in self.values:
+                self.size -= self.values.pop(key)[1]
+
+
+_RECENT, _DATA = _Recent(AT_HAND), _Recent(AT_HAND)
+
+
+def _n_bytes(value):
+    """Bytes of the arrays in a value, or in the tuples and attributes that it is made of."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    parts = value if isinstance(value, tuple | list) else vars(value).values()
+    inside = (np.ndarray, tuple, list)
+    return sum(_n_bytes(p) for p in parts if isinstance(p, inside) or hasattr(p, "__dict__"))
+
+
+def _bytes(scale):
+    return None if scale is None else scale.tobytes()
+
+
+def _same(one, other):
+    """Whether two arrays are one and the same memory."""
+    return one is other or (
+        one.shape == other.shape
+        and one.strides == other.strides
+        and one.__array_interface__["data"] == other.__array_interface__["data"]
+    )
+
+
+def _writable(memory):
+    """A folder that can be written, or what else was given."""
+    if not isinstance(memory, str | os.PathLike):
+        return memory
+    memory = os.fspath(memory)
+    try:
+        os.makedirs(memory, exist_ok=True)
+        writable = os.access(memory, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        raise ValueError(
+            f"memory={memory!r} cannot be written; give a folder that can, or None to keep nothing"
+        )
+    return memory
+
+
+def _factor(digest, block_rows, scale, records, memory):
+    """Triangular factor of records, stored under what they are."""
+
+    def products(records, n_lags, exact):
+        if n_lags > MOST_LAGS:
+            return lag_products(records, n_lags, exact)
+        lags = max(LEAST_LAGS, 1 << (n_lags - 1).bit_length())
+        kept = memory.cache(_products, ignore=["records"])
+        key = str(getattr(memory, "location", "")), "products", digest, lags, exact
+        return _RECENT.get(key, lambda: kept(digest, lags, exact, records)).fewer(n_lags)
+
+    return hankel_factor(*map(list, zip(*records, strict=True)), block_rows, scale, products)
+
+
+def _products(digest, n_lags, exact, records):
+    """Lag products of records, stored under what they are."""
+    return lag_products(records, n_lags, exact)
+
+
+def _correlations(digest, records):
+    """Products of records with their inputs, stored under what they are."""
+    return correlations(records)
+
+
+def _known_digest(records, signals):
+    """Digest of records, which those that are the same to the last bit need not be hashed for."""
+    if sum(z.nbytes for z in signals) > _DATA.most:
+        return _digest(records)
+    rows = [z[:: max(1, len(z) // SAMPLED)] for z in signals]
+    key = tuple(
+        (z.shape, z.dtype.str, _by_columns(z), s.tobytes())
+        for z, s in zip(signals, rows, strict=True)
+    )
+
+    def make():
+        return _digest(records), tuple(map(np.array, signals))
+
+    while True:  # other threads may put others of this key in between
+        digest, copies = _DATA.get(key, make)
+        if all(map(_same_bits, copies, signals)):
+            return digest
+        _DATA.forget(key)
+
+
+def _same_bits(one, other):
+    bits = f"u{one.dtype.itemsize}"
+    return np.array_equal(one.view(bits), other.view(bits))
+
+
+def _by_columns(z):
+    return z.flags.f_contiguous and not z.flags.c_contiguous
+
+
+def _digest(records):
+    digest = hashlib.blake2b(repr(LAYOUT).encode(), digest_size=20)
+    for signals in records:
+        for z in signals:
+            columns = _by_columns(z)
+            digest.update(repr((z.shape, z.dtype.str, columns)).encode())
+            digest.update(np.ascontiguousarray(z.T if columns else z))
+    return digest.hexdigest()

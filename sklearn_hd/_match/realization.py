@@ -1,0 +1,249 @@
+"""From a period-synchronous model to the linear time-periodic one behind it, in closed form.
+
+1. The Poincaré map Φ, refined on the raw record; what every sample of the period sees of
+   the state; from both the mode shapes P(ψ) and R = log(Φ)/T.
+2. F(ψ) = (P′ + P R) P⁻¹ where the outputs determine the state; else Floquet coordinates,
+   in which F = R and the outputs are P(ψ) x.
+3. G(ψ) and Q(ψ) by linear least squares on the raw record.
+"""
+
+from itertools import combinations
+
+import numpy as np
+
+from sklearn_hd._continuous import output_scale
+from sklearn_hd._match.free_response import (
+    GrowthError,
+    most_directions,
+    output_shapes,
+    predictor_states,
+)
+from sklearn_hd._match.input_problem import InputProblem
+from sklearn_hd._records.data import lifted_periods
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.modes.mode_shapes import shape_condition
+from sklearn_hd.algorithms.periodic.equation_error import equation_error
+from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
+from sklearn_hd.algorithms.periodic.periodic_realization import (
+    FloquetError,
+    without_noise,
+)
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
+TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
+NOISY = 1e-6  # of the shapes: then a second way to F is tried
+CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
+MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
+EQUATION_HARMONICS = 2  # of F and G in the equation-error start
+LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
+
+
+def realize(model, experiment, structure):
+    """Periodic model behind a period-synchronous one, in closed form.
+
+    Parameters
+    ----------
+    model : LTIModel
+        Discrete, from one period to the next.
+    experiment : Experiment
+    structure : HarmonicStructure
+
+    Returns
+    -------
+    realization : Realization
+
+    Raises
+    ------
+    FloquetError, GrowthError
+        If the multipliers or F(ψ) are those of no periodic system, or of one that outgrows
+        numbers, and measured states lead to no better ones.
+    """
+    if structure.n_states not in (None, model.n_states):
+        raise ValueError(
+            f"the structure has {structure.n_states} states, the identified model "
+            f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
+            f"change the structure"
+        )
+    _check_harmonics(structure, experiment.basis.samples_per_period)
+    scale = output_scale(experiment)
+    if model.closed_loop:  # the other way takes inputs for independent of noise
+        return _in_closed_form(model, experiment, structure, scale)[0]
+    try:
+        found, noise = _in_closed_form(model, experiment, structure, scale)
+    except (FloquetError, GrowthError) as error:
+        other = _from_equation_error(model, experiment, structure, scale)
+        if other is None or other.systematic > MOST_SYSTEMATIC:
+            raise  # not noise, but the order is at fault
+        return _told(other, model, f"is that of no periodic system ({error})")
+    if len(structure.states or experiment.basis.outputs) != model.n_states:
+        if structure.n_states is None and found.systematic > MOST_SYSTEMATIC:
+            other = _from_equation_error(model, experiment, structure, scale)
+            if other is not None and other.systematic <= MOST_SYSTEMATIC:
+                return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
+    elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
+        other = _from_equation_error(model, experiment, structure, scale)
+        enough = CLEARLY_LESS if found.physical else HARDLY_MORE
+        if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
+            return other
+    return found
+
+
+def _told(realization, model, why):
+    """A realization by measured states, after a warning if it has another number of states."""
+    n = realization.model.n_states
+    if n != model.n_states:
+        warn(
+            f"the model identified has {model.n_states} state(s), and {why}; with the {n} outputs "
+            f"{list(realization.model.state_names)} as states all but noise is explained, and they "
+            f"are taken; MOESPRegressor(order={n}) asks for them, HarmonicStructure(states=[...]) "
+            f"for others",
+            IdentifiabilityWarning,
+        )
+    return realization
+
+
+def _from_equation_error(model, experiment, structure, scale):
+    """The realization of measured states' F(ψ) by linear least squares; None if there is none."""
+    basis = experiment.basis
+    names = [name for name, _ in basis.outputs]
+    states = list(structure.states or names)
+    if structure.n_states not in (None, len(states)) or set(states) != set(names):
+        return None
+    rows = [names.index(name) for name in states]
+    spp = basis.samples_per_period
+    inputs = lifted_periods(experiment, experiment.inputs)
+    outputs = lifted_periods(experiment, experiment.outputs, scale)
+    directions, _, _ = input_directions(
+        inputs, most_directions(sum(map(len, outputs)), model.n_states)
+    )
+    clean = without_noise(model.A, directions, [y.reshape(len(y), -1) for y in outputs])
+    instruments = [each.reshape(-1, len(names))[:, rows] for each in clean]
+    segments = [
+        (y.reshape(-1, len(names))[:, rows], u.reshape(len(y) * spp, -1), 0)
+        for y, u in zip(outputs, inputs, strict=True)
+    ]
+    count = min(EQUATION_HARMONICS, (spp - 1) // 2)
+    F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
+    P = np.eye(len(names))[:, rows]
+    free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
+    n_harmonics = {"F": given(structure, "F", count), "P": given(structure, "P", None)}
+    problem = InputProblem(structure, tuple(states), experiment, free, None, scale)
+    try:
+        return problem.solve(n_harmonics, physical=True)
+    except GrowthError:
+        return None
+
+
+def _in_closed_form(model, experiment, structure, scale):
+    """The realization by P(ψ) and R, and the noise of what P was fitted to."""
+    basis = experiment.basis
+    spp = basis.samples_per_period
+    starts = predictor_states(model, experiment) if model.closed_loop else None
+    shapes = output_shapes(model, experiment, scale, starts)
+    names = [name for name, _ in basis.outputs]
+    rows = _state_outputs(shapes, structure, names, spp)
+    psi = 2.0 * np.pi * np.arange(spp) / spp
+    P, _ = shapes(psi)
+    highest = (spp - 1) // 2
+    count = min(shapes.n_harmonics, highest)
+    if rows is None:
+        F, P, form = floquet_coordinates(shapes, psi, basis.omega)
+        turned = bool(shapes.flips.any())
+        states = tuple(f"z{i + 1}" for i in range(len(F[0])))
+        n_harmonics = {"F": int(turned), "P": min(count + turned, highest)}
+    else:
+        F, form = shapes.state_matrix(psi, basis.omega, rows), None
+        P = P @ np.linalg.inv(P[:, rows])
+        states = tuple(names[i] for i in rows)
+        n_harmonics = {"F": tail_begins(F, shapes.noise), "P": tail_begins(P, shapes.noise)}
+        if set(names) == set(states):
+            n_harmonics["P"] = None
+        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
+    P = P * scale[:, None]
+    for name in n_harmonics:
+        n_harmonics[name] = given(structure, name, n_harmonics[name])
+    free = {
+        name: sampled_harmonics(values, n_harmonics[name] or 0)
+        for name, values in (("F", F), ("P", P))
+    }
+    problem = InputProblem(structure, states, experiment, free, form, scale, starts)
+    return problem.solve(n_harmonics, physical=rows is not None), shapes.noise
+
+
+def tail_begins(values, noise):
+    """Highest harmonic of a sampled periodic matrix that counts.
+
+    The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
+    geometrically where P P₀⁻¹ stays near the identity.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, rows, columns)
+    noise : float
+        Of what the values were made from, in parts of its size.
+    """
+    highest = (len(values) - 1) // 2
+    coefficients = sampled_harmonics(values, highest)
+    sizes = np.sum(coefficients**2, axis=(1, 2))
+    beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
+    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
+    return int(counts[-1]) + 1 if len(counts) else 0
+
+
+def given(structure, name, default):
+    """Number of harmonics that the structure asks for, or a default."""
+    asked = structure.n_harmonics(name)
+    return default if asked is None else asked
+
+
+def _check_harmonics(structure, samples_per_period):
+    """Raise ValueError if the structure has harmonics that the samples cannot tell apart."""
+    most = (samples_per_period - 1) // 2
+    for name in "FGPQ":
+        asked = structure.n_harmonics(name)
+        if asked is not None and asked > most:
+            raise ValueError(
+                f"the structure has harmonic {asked} of {name}, and {samples_per_period} samples a "
+                f"period tell at most {most} apart; give {name} fewer harmonics, or sample faster"
+            )
+
+
+def _state_outputs(shapes, structure, names, n_phases):
+    """Which outputs are the states; None if no choice of them determines the state."""
+    n = len(shapes.R)
+    P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
+    if structure.states is not None:
+        unknown = [name for name in structure.states if name not in names]
+        if unknown:
+            raise ValueError(
+                f"states={list(structure.states)} must be {n} of the outputs {names}, and "
+                f"{unknown} are not among them"
+            )
+        rows = [names.index(name) for name in structure.states]
+        if not _invertible(P[:, rows], shapes.flips):
+            raise ValueError(
+                f"the outputs {list(structure.states)} do not determine the {n} states; leave "
+                f"states=None, or name others of {names}"
+            )
+        return rows
+    for rows in combinations(range(len(names)), n):
+        if _invertible(P[:, list(rows)], shapes.flips):
+            return list(rows)
+    if entries := structure.given_entries():
+        raise ValueError(
+            f"the outputs {names} do not determine the {n} states that the structure gives entries "
+            f"of {', '.join(entries)} for; measure more outputs, or give numbers of harmonics (or "
+            f"nothing), which leads to Floquet coordinates"
+        )
+    return None
+
+
+def _invertible(P, flips):
+    """Whether P(ψ) is, also between the samples: its determinant does not pass through zero."""
+    if np.sum(flips) % 2 or not shape_condition(P) < SHAPE_CONDITION:
+        return False
+    return len(np.unique(np.sign(np.linalg.det(P)))) == 1

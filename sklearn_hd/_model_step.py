@@ -1,0 +1,537 @@
+"""What the three model steps share: the model behind, simulation, score."""
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.metrics import r2_score
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_hd._arithmetic import extremes, within_range
+from sklearn_hd._checks import (
+    check_output_names,
+    check_outputs_given,
+    check_positive,
+    signal_names,
+)
+from sklearn_hd._containers import as_container, without_inputs
+from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._records.amplitudes import read_for_fit
+from sklearn_hd._records.data import (
+    as_frame,
+    check_features,
+    hop_means,
+    is_decomposed,
+    read_experiment,
+    read_signals,
+)
+from sklearn_hd._records.sampling import joined
+from sklearn_hd._records.states import initial_states
+from sklearn_hd._records.time import STEP_TOLERANCE
+from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
+from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
+
+WARMUP_PERIODS = 5
+WARMUP_SAMPLES = 50
+WARMUP_SHARE = 0.25
+MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
+
+
+def upstream(step, X, y):
+    """What a reducing or matching step reads: the experiment, and the model it starts from.
+
+    The model rides on X, or is that of ``step.estimator``, a clone of which is
+    fitted here (``step.estimator_``).
+    """
+    check_outputs_given(y)
+    step._check_warmup()
+    if step.estimator is None:
+        frame = as_frame(X)
+        if frame.model is None:
+            raise ValueError(
+                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor "
+                f"in a Pipeline (with no step between them that makes a frame anew), or give it "
+                f"one: {type(step).__name__}(estimator=...)"
+            )
+        return read_for_fit(frame, y), frame.model
+    if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
+        isinstance(step.estimator, type)
+    ):
+        raise ValueError(
+            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"SpuriousModeReducer, or a Pipeline that ends in one"
+        )
+    step.estimator_ = clone(step.estimator).fit(X, y)
+    frame = step._upstream_frame(X)
+    if frame.model is None:
+        raise ValueError(
+            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"SpuriousModeReducer, or a Pipeline that ends in one"
+        )
+    return read_for_fit(frame, y), frame.model
+
+
+class SegmentSimulator:
+    """Free simulation of a model over one segment, linear in its initial state.
+
+    A continuous model steps at the data's own sample time. A discrete model
+    of harmonic coefficients steps from one row read to the next; between
+    those rows its coefficients are interpolated (held over the period when
+    analysed period by period).
+
+    Parameters
+    ----------
+    model : LTIModel
+    basis : HarmonicBasis or None
+    drive : ndarray, shape (n_samples, n_drive)
+    time : ndarray, shape (n_samples,)
+    sample_time : float
+    """
+
+    def __init__(self, model, basis, drive, time, sample_time):
+        self.model, self.basis, self.time = model, basis, time
+        self.drive, self.rows = drive, None
+        self.A, self.B = model.A, model.B
+        if model.dt == 0.0:
+            self.A, self.B = continuous_to_discrete(model.A, model.B, sample_time)
+        elif basis is not None:
+            self.rows = basis.rows_read(time, whole_windows=False)
+            self.drive = hop_means(drive, basis, self.rows)
+
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
+        time = self.time[:n_samples]
+        drive = self.drive[: self._n_steps(len(time))]
+        Y = simulate(self.A, self.B, self.model.C, self.model.D, drive, x0)
+        if not np.isfinite(Y).all():
+            radius = np.max(np.abs(np.linalg.eigvals(self.A)))
+            raise UnstableModelError(
+                f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
+                f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
+                f"the order, or simulate a shorter span"
+            )
+        return self.observe(Y, time, recompose)
+
+    def free(self, n_samples):
+        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
+        n, steps = self.model.n_states, self._n_steps(n_samples)
+        states = propagate(self.A, np.zeros((n, steps, n)), np.eye(n))
+        return self.observe(states @ self.model.C.T, self.time[:n_samples])
+
+    def _n_steps(self, n_samples):
+        """Steps of the model that the first samples are made of."""
+        steps = n_samples if self.rows is None else int(np.sum(self.rows < n_samples)) + 1
+        return min(steps, len(self.drive))
+
+    def observe(self, Y, time, recompose=True):
+        """Model outputs brought to every sample, and recomposed where there is a basis."""
+        if self.basis is None:
+            return Y
+        if self.rows is not None:
+            Y = self._between_rows(Y, len(time))
+        if not recompose:
+            return Y
+        R = self.basis.recomposition(self.basis.azimuth(time))
+        return np.einsum("tsk,...tk->...ts", R, Y)
+
+    def _between_rows(self, Y, n_samples):
+        rows = self.rows[: Y.shape[-2]]
+        if len(rows) == 0:
+            return np.zeros((*Y.shape[:-2], n_samples, Y.shape[-1]))
+        samples = np.arange(n_samples)
+        left = np.clip(np.searchsorted(rows, samples, side="right") - 1, 0, len(rows) - 1)
+        if self.basis.synchronous:
+            return Y[..., left, :]
+        right = np.minimum(left + 1, len(rows) - 1)
+        gap = np.maximum(rows[right] - rows[left], 1)
+        share = np.clip((samples - rows[left]) / gap, 0.0, 1.0)[:, None]
+        return (1.0 - share) * Y[..., left, :] + share * Y[..., right, :]
+
+
+class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
+    """A step that owns a model: it hands the frame on with it, and simulates it."""
+
+    def __sklearn_is_fitted__(self):
+        return hasattr(self, "model_")
+
+    def __sklearn_tags__(self):
+        tags = super().__sklearn_tags__()
+        tags.target_tags.required = True
+        tags.target_tags.multi_output = True
+        tags.target_tags.single_output = True
+        tags.transformer_tags.preserves_dtype = []  # frames have a type a column
+        tags.regressor_tags.poor_score = True  # rows in random order have no dynamics
+        return tags
+
+    def _remember(self, model, experiment, X, y):
+        """Store the model and what predictions have to look like."""
+        check_features(self, X, reset=True)
+        self.model_, self.basis_ = model, experiment.basis
+        y = as_container(y, "y")
+        self.predicts_harmonics_ = is_decomposed(y)
+        labels = experiment.basis.output_labels if self.predicts_harmonics_ else None
+        self.target_names_ = labels or signal_names(y, "y")
+        self.target_columns_ = list(labels or getattr(y, "columns", self.target_names_))
+        self.target_levels_ = list(y.columns.names) if isinstance(y, pd.DataFrame) else [None]
+        self.target_dtypes_ = _float_types(y, len(self.target_names_))
+        if isinstance(y, pd.Series):
+            self.target_columns_ = [y.name]
+        kinds = {pd.DataFrame: "frame", pd.Series: "series"}
+        self.target_kind_ = next((k for t, k in kinds.items() if isinstance(y, t)), None)
+        if self.target_kind_ is None:
+            self.target_kind_ = "vector" if y.ndim == 1 else "array"
+        return self
+
+    def transform(self, X):
+        """The same rows, with the model of this step attached.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs as at fit, with the harmonic basis riding on them or plain.
+
+        Returns
+        -------
+        frame : HarmonicFrame, shape (n_samples, n_features)
+            The values unchanged.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If X differs from that at fit in its columns, or is not finite.
+        """
+        check_is_fitted(self)
+        frame = self._upstream_frame(check_features(self, X, reset=False))
+        if frame.basis is None:
+            read_signals(frame, "x", "X")  # finite numbers on increasing times
+        return HarmonicFrame.attach(frame, frame.basis, self.model_)
+
+    def _upstream_frame(self, X):
+        """X with the basis and the model of the steps before this one."""
+        if getattr(self, "estimator", None) is None:
+            return as_frame(X)
+        return as_frame(self.estimator_.transform(X))
+
+    def get_feature_names_out(self, input_features=None):
+        """Names of the columns of ``transform``: those of the input.
+
+        Parameters
+        ----------
+        input_features : array_like of str, optional
+            Names to give the columns of an array; x0, x1, … by default.
+
+        Returns
+        -------
+        names : ndarray of str
+            Those of the columns at fit, where they had names.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        """
+        check_is_fitted(self)
+        default = [f"x{i}" for i in range(self.n_features_in_)]
+        names = input_features if input_features is not None else default
+        return np.asarray(getattr(self, "feature_names_in_", names), dtype=object)
+
+    @one_blas_thread
+    @within_range
+    def predict(self, X, x0=None):
+        """Free simulation of the model, in the units and the container of y at fit.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs as at fit, with the harmonic basis riding on them or plain.
+        x0 : array_like or dict, optional
+            State at the start of each segment: one vector, shape (n_states,), for all,
+            one row a segment, or a dict (or a DataFrame's rows) by record, whose
+            label is a tuple where several levels stand above the time; zero
+            where not given.
+
+        Returns
+        -------
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Harmonics instead, trim left out, if y was a HarmonicFrame at fit.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        UnstableModelError
+            If the simulation overflows.
+        ValueError
+            If X was analysed or sampled in another way than at fit, or x0 does not fit.
+        """
+        check_is_fitted(self)
+        experiment = self._experiment(X)
+        simulators = self._simulators(experiment)
+        model = simulators[0].model
+        starts = initial_states(x0, experiment.base, model.n_states, model.state_names)
+        outputs = [
+            simulator.outputs(start, recompose=not self.predicts_harmonics_)
+            for simulator, start in zip(simulators, starts, strict=True)
+        ]
+        trim = experiment.output_trim()
+        if trim is not None and not self.predicts_harmonics_:
+            outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
+        return self._mirror(experiment.sampling.back(outputs), X)
+
+    @one_blas_thread
+    @within_range
+    def score(self, X, y, sample_weight=None):
+        """R² of the free simulation in the units of y, averaged over the outputs.
+
+        The initial state of each segment is fitted on its first ``warmup``
+        seconds after the first whole window; those rows, and rows of
+        incomplete periods, are left out.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features)
+            Inputs as at fit, with the harmonic basis riding on them or plain.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs on the rows of X.
+        sample_weight : array_like, shape (n_samples,), optional
+            Weight of each row; rows that are left out count for nothing.
+
+        Returns
+        -------
+        score : float
+            1 for a perfect model, 0 for one no better than the mean, −inf for an unstable one
+            whose simulation grows beyond 1e60 times y (with an InstabilityWarning).
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If fewer than two rows are left to score, or X and y do not fit the model.
+        """
+        check_is_fitted(self)
+        check_outputs_given(y)
+        found = compared(self, X, y, sample_weight)
+        if found is None:
+            return -np.inf
+        truth, simulated, weight = found
+        if len(truth) < 2:
+            raise ValueError(
+                "one row is left to score, which has no R²; give longer records or a smaller warmup"
+            )
+        unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
+        return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
+
+    def _fitted_simulation(self, X, y, horizon=None):
+        """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""
+        experiment = self._experiment(without_inputs(y) if X is None else X, y)
+        trim, sampling = experiment.output_trim(), experiment.sampling
+        truth, simulated, rows = [], [], []
+        parts = zip(self._simulators(experiment), experiment.outputs, sampling.pieces, strict=True)
+        for i, (simulator, y_segment, piece) in enumerate(parts):
+            warm, counted = self._score_rows(simulator, experiment)
+            if counted.start >= counted.stop:
+                continue
+            within = piece.rows_between(counted.start, counted.stop)
+            measured = experiment.measured[piece.rows][within]
+            own = np.arange(within.start, within.stop)
+            if experiment.has_gaps:  # rows that were bridged do not count
+                kept = np.isfinite(measured).all(axis=1)
+                measured, own = measured[kept], own[kept]
+                within = own
+            outputs = self._fitted_outputs(simulator, y_segment, warm, horizon)
+            waveform = 0.0 if trim is None else piece.back(trim[i])[within]
+            truth.append(measured - waveform)
+            simulated.append(piece.back(outputs)[within])
+            rows.append(own + piece.rows.start)
+        if not truth:
+            raise ValueError(
+                f"no rows are left to score in {experiment.span()}: every segment is shorter than "
+                f"one analysis window and the warm-up; give longer records or a smaller warmup"
+            )
+        by_columns = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
+        return *by_columns, joined(rows)  # which are quick to sum
+
+    def _fitted_outputs(self, simulator, outputs, rows, horizon):
+        """Outputs from the initial state that fits best over some rows."""
+        if horizon is not None:
+            raise ValueError(
+                f"horizon={horizon!r} asks for predictions from measured outputs, for which "
+                f"{type(self).__name__} has no Kalman gain; use MOESPRegressor("
+                f"disturbance_model=True) as the last step, or horizon=None"
+            )
+        return simulator.outputs(fit_initial_state(simulator, outputs, rows))
+
+    def _score_rows(self, simulator, experiment):
+        """Rows of one segment that the initial state is fitted on, and those scored."""
+        basis, dt = experiment.basis, experiment.base.sample_time
+        first, last = 0, len(simulator.time)
+        if basis is not None:
+            spp = basis.samples_per_period
+            phase = basis.phase_index(simulator.time)
+            first = len(basis.weights) - 1 - basis.lead
+            first += -phase[min(first, last - 1)] % spp
+            last -= (phase[-1] + 1) % spp
+        warm = self._warmup_samples(basis, dt)
+        warm = max(1, min(warm, int(WARMUP_SHARE * (last - first))))
+        return slice(first, first + warm), slice(first + warm, last)
+
+    def _warmup_samples(self, basis, dt):
+        if self._check_warmup() is None:
+            return WARMUP_SAMPLES if basis is None else WARMUP_PERIODS * basis.samples_per_period
+        return round(self.warmup / dt)
+
+    def _check_warmup(self):
+        if self.warmup is None:
+            return None
+        hint = "None is five periods, or 50 samples without a harmonic basis"
+        return check_positive("warmup", self.warmup, "seconds", hint)
+
+    def _experiment(self, X, y=None):
+        X = check_features(self, X, reset=False)
+        decomposition = self.basis_ if self.predicts_harmonics_ else None
+        if getattr(self, "estimator", None) is not None:
+            X = self._upstream_frame(X)
+        experiment = read_experiment(X, y, decomposition)
+        self._check_basis(experiment.basis)
+        if y is not None and not self.predicts_harmonics_:
+            check_output_names(experiment.output_names, self.target_names_, "the model")
+        dt, found = self.model_.dt, experiment.base.sample_time
+        plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1
+        if plain and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * experiment.base.uncertainty:
+            raise ValueError(
+                f"the model was identified at a sample time of {dt:.6g} s, X has {found:.6g} s; "
+                f"resample X, or bring the model to continuous time with SpuriousModeReducer"
+            )
+        return experiment
+
+    def _check_basis(self, basis):
+        """Raise ValueError if X was analysed in another way than at fit."""
+        for name in ("omega", "sample_time", "hop", "window", "inputs", "outputs"):
+            here, there = getattr(basis, name, None), getattr(self.basis_, name, None)
+            if here != there:
+                raise ValueError(
+                    f"X was analysed with {name}={here!r}, the data at fit with {there!r}; use the "
+                    f"same HarmonicAnalyzer"
+                )
+
+    def _simulators(self, experiment):
+        dt = experiment.base.sample_time
+        return [
+            SegmentSimulator(self.model_, experiment.basis, drive, time, dt)
+            for drive, time in zip(experiment.drive, experiment.times(), strict=True)
+        ]
+
+    def _mirror(self, values, X):
+        """Predictions in the container, with the columns and the index, of y at fit."""
+        index = X.index if isinstance(X, pd.DataFrame | pd.Series) else None
+        types = self.target_dtypes_
+        with np.errstate(over="ignore"):  # beyond float32 is infinity, as NumPy has it
+            if self.target_kind_ == "frame":
+                levels = len(self.target_levels_)
+                columns = pd.Index(self.target_columns_, tupleize_cols=levels > 1)
+                frame = pd.DataFrame(values, index=index, columns=range(len(columns)))
+                frame = frame.astype(dict(enumerate(types)))
+                return frame.set_axis(columns.set_names(self.target_levels_), axis=1)
+            if self.target_kind_ == "series":
+                name = self.target_columns_[0]
+                return pd.Series(values[:, 0], index=index, name=name).astype(types[0])
+            values = values.astype(types[0])
+        return values[:, 0] if self.target_kind_ == "vector" else values
+
+    @property
+    def system_(self):
+        """The model as a control.StateSpace with named signals."""
+        check_is_fitted(self)
+        return self.model_.to_control()
+
+
+def scored_simulation(step, X, y, horizon=None):
+    """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows.
+
+    With a horizon, outputs predicted so many rows ahead.
+    """
+    check_is_fitted(step)
+    return step._fitted_simulation(X, y, horizon)
+
+
+def compared(step, X, y, sample_weight=None, horizon=None):
+    """Measured and simulated outputs on the rows that count, and the rows' weights.
+
+    None, and a warning, where outputs grow until the spread of such scores over folds would be no
+    number. A search over orders goes on: that candidate is the worst.
+    """
+    try:
+        truth, simulated, rows = scored_simulation(step, X, y, horizon)
+        weight = weights_of(rows, sample_weight, len(y))
+        with np.errstate(over="ignore"):
+            grown = np.max(np.abs(extremes(simulated)) / power_of_two(truth))
+    except UnstableModelError:
+        grown = np.inf
+    if grown < MOST_SCORED:
+        return truth, simulated, weight
+    warn(
+        f"a {type(step).__name__} scores -inf: its model is unstable, or not of these outputs, and "
+        f"its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the growing modes "
+        f"(SpuriousModeReducer), lower the order, or score a shorter span",
+        InstabilityWarning,
+    )
+    return None
+
+
+def fit_initial_state(simulator, outputs, rows):
+    """Initial state whose simulation fits the outputs best over some rows."""
+    largest = np.max(np.abs(extremes(outputs)), axis=0)
+    unit = np.where(largest > 0.0, largest, 1.0)  # so that each output counts alike
+    zero = np.zeros(simulator.model.n_states)
+    forced = simulator.outputs(zero, n_samples=rows.stop)[rows]
+    if simulator.model.n_states == 0:
+        return np.zeros(0)
+    free = simulator.free(rows.stop)[:, rows] / unit
+    regressors = free.reshape(len(free), -1).T
+    scale = np.linalg.norm(regressors, axis=0)
+    scale[scale == 0.0] = 1.0
+    target = ((outputs[rows] - forced) / unit).reshape(-1)
+    return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
+
+
+def power_of_two(values):
+    """About the largest magnitude of each column, as a power of two: dividing rounds nothing."""
+    _, exponent = np.frexp(np.max(np.abs(extremes(values)), axis=0))
+    return np.ldexp(1.0, np.clip(exponent, -1000, 1000))
+
+
+def _float_types(y, n_outputs):
+    """Name of the type of each prediction: that of y where it is one of floats, else float64."""
+    given = y.dtypes if isinstance(y, pd.DataFrame) else [y.dtype]
+    given = [getattr(dtype, "subtype", dtype) for dtype in given]  # of sparse columns
+    types = [
+        str(dtype) if pd.api.types.is_float_dtype(dtype) and str(dtype) != "float16" else "float64"
+        for dtype in given
+    ]
+    return types if len(types) == n_outputs else types[:1] * n_outputs
+
+
+def weights_of(rows, sample_weight, n_samples):
+    """Weights of the rows that count, after checking that there is one for each row."""
+    if sample_weight is None:
+        return None
+    try:
+        weight = np.asarray(sample_weight, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError("sample_weight holds values that are no numbers") from None
+    if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
+        raise ValueError(
+            f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
+            f"each of the {n_samples} rows"
+        )
+    if not weight[rows].any():
+        raise ValueError(
+            f"sample_weight is zero on all {len(rows)} rows that are scored (warm-up and "
+            f"incomplete periods are not); give some of them a weight"
+        )
+    return weight[rows]

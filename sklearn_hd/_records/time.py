@@ -1,0 +1,359 @@
+"""When each row was sampled: the index read as seconds, records and gaps."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._arithmetic import step_extremes
+from sklearn_hd._checks import FIRST, check_positive
+
+STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
+ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
+REPRESENTATIVE = 1001  # of steps that are alike
+SHORT = 8  # rows from gap to gap, below which the gaps are no accident
+JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """When each row was sampled, and where rows stop being consecutive.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n_samples,)
+        Seconds.
+    segments : tuple of slice
+        Runs of consecutive rows; a new record or a gap starts a new one. Their
+        steps may jitter.
+    records : tuple
+        Label of the record of each segment (0 where there is but one).
+    sample_time : float
+        Seconds.
+    counted : bool
+        True where samples were counted because no times were given.
+    jitter : (float, float)
+        Seconds by which rows are off evenly spaced instants: root mean square, largest.
+    uncertainty : float
+        Standard error of ``sample_time`` that the jitter leaves, seconds.
+    """
+
+    time: np.ndarray
+    segments: tuple
+    records: tuple
+    sample_time: float
+    counted: bool
+    jitter: tuple = (0.0, 0.0)
+    uncertainty: float = 0.0
+
+
+def read_time(data, sample_time=None, time_origin=None):
+    """Time base of a frame, Series or array.
+
+    Steps between 0.6 and 1.4 sample times are consecutive: rows whose instants
+    jitter by up to a fifth of a sample. A longer step is a gap if it is a whole
+    number of samples, give or take the same jitter at both of its ends.
+
+    Parameters
+    ----------
+    data : DataFrame, Series or ndarray
+        The index holds seconds (float), Timedelta or dates, alone or as the
+        last level of a (record, time) MultiIndex; integers count samples.
+    sample_time : float, optional
+        Seconds; None reads it from the index, or is 1.0 where samples are counted.
+    time_origin : str, optional
+        The instant from which dates are counted, as ISO text, or FIRST for the
+        first of them; None refuses dates.
+
+    Returns
+    -------
+    base : TimeBase
+    """
+    if sample_time is not None:
+        hint = "None reads it from the index"
+        sample_time = check_positive("sample_time", sample_time, "seconds", hint)
+    index = getattr(data, "index", None)
+    if not isinstance(index, pd.Index):
+        index = pd.RangeIndex(len(data))
+    if isinstance(index, pd.MultiIndex) and index.nlevels == 1:
+        index = index.get_level_values(0)
+    bounds = _record_bounds(index)
+    times = index
+    if isinstance(index, pd.MultiIndex):
+        times = index.get_level_values(-1)
+        _check_last_level(index)
+    seconds, counted = _seconds(times, sample_time, time_origin)
+    first = _first_steps(seconds, bounds)
+    if _alike(seconds, bounds) and (not counted or sample_time in (None, first[0])):
+        found = float(np.median(first))
+        if sample_time is None:
+            sample_time = found
+        _check_sample_time(sample_time, found, 0.0)
+        segments = tuple(slice(a, b) for a, b in itertools.pairwise(bounds))
+        records = tuple(_label(index, a) for a in bounds[:-1])
+        return TimeBase(seconds, segments, records, sample_time, counted)
+    for a, b in itertools.pairwise(bounds):
+        _check_increasing(seconds, a, b)
+    steps = np.concatenate([np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds)])
+    unit, uncertainty = float(np.median(steps)) if steps.size else 1.0, 0.0
+    if counted:
+        unit = unit if sample_time is None else sample_time
+    else:
+        near = [run for a, b in itertools.pairwise(bounds) for run in _near(seconds, a, b, unit)]
+        unit, _, uncertainty = _mean_step(seconds, near, unit)
+    segments, records = [], []
+    for a, b in itertools.pairwise(bounds):
+        for segment in _runs(seconds, a, b, unit, uncertainty):
+            segments.append(segment)
+            records.append(_label(index, a))
+    found, jitter, uncertainty = _mean_step(seconds, segments, unit)
+    if sample_time is None:
+        sample_time = found
+    if not counted and steps.size:
+        _check_sample_time(sample_time, found, uncertainty)
+    return TimeBase(
+        seconds, tuple(segments), tuple(records), sample_time, counted, jitter, uncertainty
+    )
+
+
+def _first_steps(seconds, bounds):
+    """Steps from row to row of the first records, as many as represent them."""
+    found, n_found = [], 0
+    for a, b in itertools.pairwise(bounds):
+        found.append(np.diff(seconds[a : min(b, a + REPRESENTATIVE - n_found + 1)]))
+        n_found += len(found[-1])
+        if n_found >= REPRESENTATIVE:
+            break
+    return np.concatenate(found)
+
+
+def _alike(seconds, bounds):
+    """Whether all steps are one and the same, but for rounding."""
+    ends = [step_extremes(seconds[a:b]) for a, b in itertools.pairwise(bounds) if b - a > 1]
+    if not ends:
+        return False
+    least, most = np.min(ends), np.max(ends)
+    return bool(least > 0.0 and most - least <= ROUNDED * least)
+
+
+def _check_sample_time(given, found, uncertainty):
+    """Raise ValueError if a sample time is not that of the index."""
+    if abs(found - given) > STEP_TOLERANCE * given + 4.0 * uncertainty:
+        raise ValueError(
+            f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; "
+            f"leave sample_time at None, or resample the data (to the sample time of the data "
+            f"at fit)"
+        )
+
+
+def why_short(base):
+    """What made segments short, worded for messages; empty where nothing did."""
+    n_rows, n_segments = len(base.time), len(base.segments)
+    n_gaps = n_segments - len(set(base.records))
+    if n_gaps > 2 and n_rows < SHORT * n_gaps:
+        step = np.median(np.diff(base.time)) / base.sample_time
+        return (
+            f" (the {n_rows} rows fall into {n_segments} segments: they are {step:.3g} samples of "
+            f"{base.sample_time:.6g} s apart in the median; were they drawn at random, as by a "
+            f"shuffled split, or thinned out? split with TimeSeriesSplit, GroupKFold or "
+            f"PeriodBlockSplit, and keep the sample time of the data at fit)"
+        )
+    return ""
+
+
+def _record_bounds(index):
+    """First row of each record, and the number of rows."""
+    if not isinstance(index, pd.MultiIndex):
+        return [0, len(index)]
+    codes = np.array([index.codes[level] for level in range(index.nlevels - 1)])
+    if codes.size and codes.min() < 0:
+        row = int(np.argmax(codes.min(axis=0) < 0))
+        raise ValueError(
+            f"the label of the record is missing in row {row} of the index; give every row the "
+            f"label of its record, or drop it"
+        )
+    starts = np.flatnonzero(np.any(np.diff(codes, axis=1) != 0, axis=0)) + 1
+    if 2 * (len(starts) + 1) > len(index) and len(np.unique(codes, axis=1).T) <= len(starts):
+        raise ValueError(
+            f"the records of the index take turns (rows 0 and {int(starts[0])} are of "
+            f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}): sorted by time, they "
+            f"need data.sort_index(), which sorts by record first; drawn at random "
+            f"(HalvingGridSearchCV over n_samples, a shuffled split), they have no dynamics: halve "
+            f"over another resource, and split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
+        )
+    return [0, *starts.tolist(), len(index)]
+
+
+def _check_last_level(index):
+    """Raise ValueError if the times stand above the records."""
+    *above, last = [_may_be_time(level) for level in index.levels]
+    if last or not any(above):
+        return
+    counted = pd.api.types.is_integer_dtype(index.levels[-1].dtype)
+    if not counted or len(index.droplevel(-1).unique()) * SHORT > len(index):
+        raise ValueError(
+            f"the last level of the index, {index.names[-1]!r}, has dtype "
+            f"{index.levels[-1].dtype}, and a level above it looks like the times; the order is "
+            f"(record, time): data.swaplevel().sort_index()"
+        )
+
+
+def _may_be_time(level):
+    dates = isinstance(level, pd.DatetimeIndex | pd.TimedeltaIndex)
+    return dates or pd.api.types.is_float_dtype(level.dtype)
+
+
+def _label(index, row):
+    """Label of the record of a row: a tuple where there are several levels above the time."""
+    if not isinstance(index, pd.MultiIndex):
+        return 0
+    *label, _ = (x.item() if isinstance(x, np.generic) else x for x in index[row])
+    return label[0] if len(label) == 1 else tuple(label)
+
+
+def _seconds(times, sample_time, time_origin):
+    """Times in seconds, and whether samples were counted."""
+    if isinstance(times, pd.DatetimeIndex):
+        return _since(times, time_origin), False
+    if time_origin not in (None, FIRST):
+        raise ValueError(
+            f"time_origin={time_origin} is given, but the index has dtype {times.dtype}, which "
+            f"holds no dates; leave time_origin at None (ψ = 0 at t = 0), or index by dates"
+        )
+    if isinstance(times, pd.TimedeltaIndex):
+        return times.total_seconds().to_numpy(), False
+    if pd.api.types.is_integer_dtype(times.dtype):
+        return times.to_numpy() * (1.0 if sample_time is None else sample_time), True
+    if not pd.api.types.is_float_dtype(times.dtype):
+        raise ValueError(
+            f"the index has dtype {times.dtype}, which is no time{_conversion(times)}; use seconds "
+            f"(float), Timedelta, dates, integers that count samples, or a (record, time) "
+            f"MultiIndex"
+        )
+    return times.to_numpy(dtype=float), False
+
+
+def _conversion(times):
+    """How labels that could be times become so, worded for messages."""
+    kind, way = pd.api.types.infer_dtype(times), None
+    if kind in ("floating", "integer", "mixed-integer-float", "decimal") or (
+        kind == "string" and _reads(pd.to_numeric, times)
+    ):
+        way = "data.index.astype(float)"
+    elif kind in ("datetime", "date") or (kind == "string" and _reads(_to_dates, times)):
+        way = "pd.to_datetime(data.index)"
+    elif kind == "period":
+        way = "data.index.to_timestamp()"
+    return "" if way is None else f" (though its labels read as one: data.set_axis({way}))"
+
+
+def _to_dates(times):
+    return pd.to_datetime(times, format="ISO8601")
+
+
+def _reads(convert, times):
+    try:
+        convert(times)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _since(times, origin):
+    """Seconds from an instant to each date."""
+    if origin is None:
+        raise ValueError(
+            "the index holds dates, which fix no azimuth; give HarmonicAnalyzer the instant of "
+            "ψ = 0 as time_origin, such as time_origin=data.index[0] (PeriodBlockSplit the same)"
+        )
+    origin = times.min() if origin == FIRST else pd.Timestamp(origin)
+    if (origin.tzinfo is None) != (times.tz is None):
+        aware, naive = "time_origin", "index"
+        if times.tz is not None:
+            aware, naive = naive, aware
+        raise ValueError(
+            f"the {aware} has a time zone and the {naive} has none (time_origin={origin}, index of "
+            f"dtype {times.dtype}); give both one, with tz_localize, or neither"
+        )
+    return (times - origin).total_seconds().to_numpy()
+
+
+def _check_increasing(seconds, start, stop):
+    """Raise ValueError unless time increases within one record."""
+    if not np.all(np.isfinite(seconds[start:stop])):
+        raise ValueError("the time index contains NaN or infinity; drop those rows")
+    step = np.diff(seconds[start:stop])
+    if np.any(step <= 0):
+        row = start + int(np.argmax(step <= 0)) + 1
+        word = "repeated" if step[row - start - 1] == 0 else "smaller than the one before it"
+        raise ValueError(
+            f"time must increase within a record: t = {seconds[row]:.6g} s (row {row}) is {word}; "
+            f"sort the rows, drop duplicates, or give each record its own label in a "
+            f"(record, time) MultiIndex. Rows drawn at random (HalvingGridSearchCV over "
+            f"n_samples, a shuffled split) have no dynamics: halve over another resource, and "
+            f"split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
+        )
+
+
+def _near(seconds, start, stop, sample_time):
+    """Runs of one record whose steps are about as long as most."""
+    step = np.diff(seconds[start:stop]) / sample_time
+    far = np.abs(step - 1.0) > 2.0 * JITTER_LIMIT
+    edges = [start, *(np.flatnonzero(far) + start + 1).tolist(), stop]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+
+def _runs(seconds, start, stop, sample_time, uncertainty):
+    """Consecutive runs of one record, whose steps may jitter.
+
+    How many samples a long gap holds is known no better than the sample time:
+    n samples are uncertain by n times its (four) standard errors.
+    """
+    step = np.diff(seconds[start:stop]) / sample_time
+    tolerance = 2.0 * JITTER_LIMIT + 4.0 * uncertainty / sample_time * step
+    odd = np.abs(step - np.maximum(np.rint(step), 1.0)) > tolerance
+    if np.any(odd):
+        row = start + int(np.argmax(odd)) + 1
+        raise ValueError(
+            f"the step to t = {seconds[row]:.6g} s (row {row}) is {step[row - start - 1]:.4g} "
+            f"samples of {sample_time:.6g} s: too uneven for jitter (0.6 to 1.4 samples) and not "
+            f"a whole number, as a gap would be; resample the data, drop the stray rows, or give "
+            f"parts with clocks of their own a label each in a (record, time) MultiIndex"
+        )
+    edges = [start, *(np.flatnonzero(np.rint(step) > 1.0) + start + 1).tolist(), stop]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+
+def even(places, step):
+    """Whether neighbours are one step apart, so that nothing need be resampled."""
+    if len(places) < 2:
+        return True
+    least, most = step_extremes(places)
+    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step)
+
+
+def _mean_step(seconds, segments, found):
+    """Sample time, jitter (rms, largest) and standard error of the sample time.
+
+    Lines of one slope are fitted to all segments by least squares. A step found
+    that is as good to rounding is kept, and rows a step apart have no jitter.
+    """
+    counts, times = [], []
+    for segment in segments:
+        rows = np.arange(segment.stop - segment.start, dtype=float)
+        counts.append(rows - rows.mean())
+        times.append(seconds[segment] - seconds[segment].mean())
+    counts, times = np.concatenate(counts), np.concatenate(times)
+    spread = float(counts @ counts)
+    if spread == 0.0:
+        return found, (0.0, 0.0), 0.0
+    slope = float(counts @ times / spread)
+    off = times - slope * counts
+    freedom = max(len(off) - len(segments) - 1, 1)
+    uncertainty = float(np.sqrt(off @ off / freedom / spread))
+    if abs(slope - found) <= ROUNDED * found:
+        slope = found
+    if all(even(seconds[segment], slope) for segment in segments):
+        return slope, (0.0, 0.0), uncertainty
+    return slope, (float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(off)))), uncertainty

@@ -1,1 +1,0 @@
-"""Tables and their index as users give them, read as floats and seconds."""

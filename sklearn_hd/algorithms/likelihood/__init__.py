@@ -1,0 +1,1 @@
+"""Maximum likelihood of the parameters of a structure, from records."""

@@ -1,0 +1,271 @@
+"""Likelihood of records under a periodic structure, and its least-squares approximation.
+
+    −log L = Σ_i N_i log (√2π σ_i) + Σ_i RSS_i(θ, x0) / (2σ_i²)
+
+A step of Gauss and Newton minimises |[X J] [δx0; δθ] + r|², rows weighed by 1/σ_i. Each
+segment's δx0 is eliminated first: r and J without their projection on the range of X
+leave a small triangular system for δθ, and δx0 = −X⁺ (J δθ + r).
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.likelihood.sensitivity import as_records, jacobian_factors, residuals
+from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.matching.bounded_steps import BoundedSteps
+from sklearn_hd.algorithms.periodic.periodic_structure import (
+    MAX_SUBSTEPS,
+    PeriodicStructure,
+    n_substeps,
+    sampled_response,
+)
+
+__all__ = ["LinearSystem", "Point", "Problem", "eliminate_states", "likelihood_problem"]
+
+SMALLEST_NOISE = 4.0 * np.finfo(float).eps  # of an output's rms; below it is rounding
+ROUNDING = 1e-10  # noise relative to the output that may be rounding
+RANK = 1e-11  # singular values relative to the largest; deficient Jacobians have 1e-15
+NULL_SHARE = 1e-6  # of a parameter's direction in the null space
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Parameters, initial states, and how well they fit."""
+
+    theta: np.ndarray
+    x0: np.ndarray  # (n_segments, n)
+    rss: np.ndarray  # (l,)
+    cost: float
+    radius: float  # of the monodromy matrix's spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """Weighted least squares for a step, the initial states eliminated.
+
+    Attributes
+    ----------
+    factors : list of ndarray, shape (l, c, c)
+        Of each segment, not weighted.
+    R : ndarray, shape (k + 1, k + 1)
+        Triangular factor of the weighted [J r], its projection on x0 taken out.
+    size : ndarray, shape (k,)
+        Length of J's columns before that.
+    states : list of ndarray, shape (n, k + 1)
+        The best change of x0 is −states [step; 1].
+    """
+
+    factors: list
+    R: np.ndarray
+    size: np.ndarray
+    states: list
+    promised_by_states: float
+    left: np.ndarray = field(init=False)
+    singular: np.ndarray = field(init=False)
+    adjoint: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        scaled = self.R[:, :-1] / self.size
+        left, singular, adjoint = linalg.svd(scaled, full_matrices=False)
+        object.__setattr__(self, "left", left)
+        object.__setattr__(self, "singular", singular)
+        object.__setattr__(self, "adjoint", adjoint)
+
+    @property
+    def kept(self):
+        """Singular values that are not rounding; J's columns have length one or less."""
+        return self.singular > RANK
+
+    @property
+    def projected(self):
+        return np.where(self.kept, self.left.T @ self.R[:, -1], 0.0)
+
+    @property
+    def promised(self):
+        """Fall of the weighted sum of squares to first order."""
+        return float(self.projected @ self.projected) + self.promised_by_states
+
+    def step(self, damping):
+        """Change of θ, of least norm in scaled coordinates."""
+        weight = self.singular / (self.singular**2 + damping)
+        weight = np.where(self.kept, weight, 0.0)
+        return -(self.adjoint.T @ (weight * self.projected)) / self.size
+
+    def within(self, lower, upper):
+        """The same for steps between bounds."""
+        if not (np.any(np.isfinite(lower)) or np.any(np.isfinite(upper))):
+            return self
+        steps = BoundedSteps(self.R[:, -1], self.R[:, :-1], lower, upper)
+        return BoundedSystem(self.factors, self.states, self.promised_by_states, steps)
+
+    def covariance(self):
+        """(JᵀJ)⁻¹, and which parameters are not identified."""
+        kept = self.kept
+        root = self.adjoint[kept].T / self.singular[kept] / self.size[:, None]
+        covariance = root @ root.T
+        unknown = np.linalg.norm(self.adjoint[~kept], axis=0) > NULL_SHARE
+        covariance[unknown, :] = covariance[:, unknown] = np.nan
+        covariance[unknown, unknown] = np.inf
+        return covariance, unknown
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedSystem:
+    """A :class:`LinearSystem` for steps between bounds."""
+
+    factors: list
+    states: list
+    promised_by_states: float
+    steps: BoundedSteps
+
+    @property
+    def promised(self):
+        return self.steps.promised + self.promised_by_states
+
+    def step(self, damping):
+        return self.steps.damped(damping)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Structure, records and what is known of the noise."""
+
+    structure: PeriodicStructure
+    records: list
+    omega: float
+    n_phases: int
+    observe: np.ndarray | None
+    free_x0: bool
+    sigma: np.ndarray | None
+    counts: np.ndarray  # (l,) values of each output
+    size: np.ndarray  # (l,) rms of each output
+
+    @property
+    def n_residuals(self):
+        return int(self.counts.sum())
+
+    def response(self, theta, *, sensitivities):
+        return sampled_response(
+            self.structure,
+            theta,
+            self.omega,
+            self.n_phases,
+            self.observe,
+            sensitivities=sensitivities,
+        )
+
+    def noise(self, rss):
+        """Standard deviations given, or those of largest likelihood."""
+        if self.sigma is not None:
+            return self.sigma
+        return np.maximum(np.sqrt(rss / self.counts), SMALLEST_NOISE * self.size)
+
+    def cost(self, rss):
+        """Negative logarithm of the likelihood."""
+        noise = self.noise(rss)
+        return float(
+            np.sum(self.counts * np.log(np.sqrt(2.0 * np.pi) * noise) + 0.5 * rss / noise**2)
+        )
+
+    def at_rounding(self, point):
+        return bool(np.all(point.rss <= self.counts * (ROUNDING * self.size) ** 2))
+
+    def resolves(self, theta):
+        """Whether the samples can follow the states at these parameters."""
+        finite = np.all(np.isfinite(theta))
+        return finite and (
+            n_substeps(self.structure, theta, self.omega, self.n_phases) <= MAX_SUBSTEPS
+        )
+
+    def point(self, theta, x0):
+        """Residuals at some parameters and initial states."""
+        response = self.response(theta, sensitivities=False)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rss = sum(
+                np.sum(residuals(response, record, start) ** 2, axis=0)
+                for record, start in zip(self.records, x0, strict=True)
+            )
+            cost = self.cost(rss) if np.all(np.isfinite(rss)) else np.inf
+        return Point(theta, x0, rss, cost, response.spectral_radius)
+
+    def factors(self, point, *, parameters=True):
+        """Triangular factors of [∂ŷ/∂x0, ∂ŷ/∂θ, ŷ − y], one array (l, c, c) a segment."""
+        response = self.response(point.theta, sensitivities=parameters)
+        return [
+            jacobian_factors(response, record, start, free_x0=self.free_x0)
+            for record, start in zip(self.records, point.x0, strict=True)
+        ]
+
+    def linearise(self, point, noise=None, *, parameters=True):
+        """Least-squares system for a step from a point."""
+        noise = self.noise(point.rss) if noise is None else noise
+        n0 = self.structure.n_states if self.free_x0 else 0
+        return eliminate_states(self.factors(point, parameters=parameters), noise, n0)
+
+    def predicted_cost(self, system, step, x0_step):
+        """Cost at a step if the outputs were linear in it."""
+        rss = 0.0
+        for factors, states in zip(system.factors, x0_step, strict=True):
+            rss = rss + np.sum((factors @ np.concatenate([states, step, [1.0]])) ** 2, axis=1)
+        return self.cost(rss)
+
+
+def eliminate_states(factors, noise, n0):
+    """Weigh the outputs' factors, and take the projection on the initial states out.
+
+    Parameters
+    ----------
+    factors : list of ndarray, shape (l, c, c)
+        Of each segment, from :func:`sklearn_hd.algorithms.likelihood.sensitivity.jacobian_factors`.
+    noise : ndarray, shape (l,)
+    n0 : int
+        Columns of x0: n, or 0.
+
+    Returns
+    -------
+    system : LinearSystem
+    """
+    width = factors[0].shape[2] - n0
+    R, squares, states, promised = np.zeros((0, width)), np.zeros(width), [], 0.0
+    for each in factors:
+        stacked = (each / noise[:, None, None]).reshape(-1, n0 + width)
+        rest = stacked[:, n0:]
+        squares += np.sum(rest**2, axis=0)
+        basis, inverse = _range(stacked[:, :n0])
+        shares = np.zeros((basis.shape[1], width))
+        for _ in range(2):  # the second time for the digits that the first one left
+            share = basis.T @ rest
+            rest, shares = rest - basis @ share, shares + share
+        states.append(inverse @ shares)
+        promised += shares[:, -1] @ shares[:, -1]
+        R = linalg.qr(np.vstack([R, rest]), mode="r", check_finite=False)[0][:width]
+    size = np.sqrt(squares[:-1])
+    return LinearSystem(factors, R, np.where(size > 0, size, 1.0), states, float(promised))
+
+
+def _range(matrix):
+    """Orthonormal basis U of a matrix's range, and M⁺U."""
+    size = column_sizes(matrix)
+    left, singular, adjoint = linalg.svd(matrix / size, full_matrices=False)
+    kept = singular > RANK
+    return left[:, kept], adjoint[kept].T / singular[kept] / size[:, None]
+
+
+def likelihood_problem(structure, segments, omega, n_phases, observe, free_x0, sigma):
+    """The problem, its records checked."""
+    n_outputs = structure.n_outputs if observe is None else np.shape(observe)[1]
+    records = as_records(segments, structure.n_inputs, n_outputs)
+    if sigma is not None:
+        sigma = np.asarray(sigma, dtype=float)
+        if sigma.shape != (n_outputs,) or not np.all(sigma > 0):
+            raise ValueError(
+                f"sigma={sigma.tolist()} must hold a positive standard deviation for each of "
+                f"{n_outputs} outputs; leave it out to have them estimated"
+            )
+    counts = sum(record.present.sum(axis=0) for record in records)
+    size = np.sqrt(sum(np.sum(record.outputs**2, axis=0) for record in records) / counts)
+    largest = np.max(size) if np.max(size) > 0 else 1.0
+    size = np.where(size > 0, size, largest)
+    return Problem(structure, records, omega, n_phases, observe, free_x0, sigma, counts, size)

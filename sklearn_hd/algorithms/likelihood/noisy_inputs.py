@@ -1,0 +1,239 @@
+"""Output error with noise in the measured inputs too: total least squares.
+
+    u_measured = u + e_u,   y = H(θ) u + e_y,   r = H(θ) u_measured − y = H e_u − e_y
+
+The most likely θ and e_u together minimise |e_y/σ_y|² + |e_u/σ_u|²; what is left of it
+at the best e_u is
+
+    rᵀ S⁻¹ r,   S = σ_y² I + σ_u² H Hᵀ
+
+S is the covariance of a system driven by noise, ẋ = F x + G e_u, so that a Kalman filter
+turns r into independent innovations (time-varying: S is neither formed nor factored), and
+its adjoint gives the best e_u = σ_u² Hᵀ S⁻¹ r. Gauss-Newton steps take ∂ŷ/∂θ at the
+inputs so corrected; at those measured, steps would be biased as least squares are.
+
+References: W. A. Fuller, *Measurement Error Models*, 1987, section 3.2; A. E. Bryson,
+M. Frazier, "Smoothing for linear and nonlinear dynamic systems", 1963.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem
+from sklearn_hd.algorithms.likelihood.sensitivity import (
+    n_columns,
+    output_sensitivities,
+    residuals,
+    updated_factor,
+)
+from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+
+__all__ = ["InnovationFilter", "NoisyInputProblem", "innovation_filter", "noisy_input_problem"]
+
+
+@dataclass(frozen=True, eq=False)
+class InnovationFilter:
+    """Kalman filter of r = H e_u − e_y over one record.
+
+    s[k+1] = (Φ_k − K_k C_k) s[k] + K_k r[k],   ν[k] = r[k] − C_k s[k]
+
+    Attributes
+    ----------
+    closed : ndarray, shape (n_samples, n, n)
+        Φ_k − K_k C_k.
+    output : ndarray, shape (n_samples, l, n)
+        C_k, zero in the rows of outputs that are missing.
+    gain : ndarray, shape (n_samples, n, l)
+    covariance, root : ndarray, shapes (n_samples, l, l)
+        Covariance of the innovations, and the inverse of its Cholesky factor.
+    input_matrix, feedthrough : ndarray, shapes (n_samples, n, m), (n_samples, l, m)
+    input_sigma : ndarray, shape (m,)
+    """
+
+    closed: np.ndarray
+    output: np.ndarray
+    gain: np.ndarray
+    covariance: np.ndarray
+    root: np.ndarray
+    input_matrix: np.ndarray
+    feedthrough: np.ndarray
+    input_sigma: np.ndarray
+
+    def whiten(self, signals, state=None, start=0):
+        """Independent innovations of unit variance, and the state to go on from.
+
+        Parameters
+        ----------
+        signals : ndarray, shape (..., n_some, l)
+            From sample ``start``.
+        state : ndarray, shape (..., n), optional
+            What an earlier piece ended with.
+        """
+        *batch, length, _ = signals.shape
+        n = self.closed.shape[1]
+        some = slice(start, start + length)
+        forcing = np.zeros((*batch, length + 1, n))
+        forcing[..., :-1, :] = _each(self.gain[some], signals)
+        transitions = np.concatenate([self.closed[some], np.eye(n)[None]])
+        first = np.zeros((*batch, n)) if state is None else state
+        s = propagate_periodic(transitions, forcing, first)
+        innovations = signals - _each(self.output[some], s[..., :-1, :])
+        return _each(self.root[some], innovations), s[..., -1, :]
+
+    def input_errors(self, whitened):
+        """The most likely e_u, shape (n_samples, m), from whitened r (n_samples, l)."""
+        scaled = _each(np.swapaxes(self.root, 1, 2), whitened)
+        backwards = np.swapaxes(self.closed, 1, 2)[::-1]
+        forcing = _each(np.swapaxes(self.output, 1, 2), scaled)[::-1]
+        after = propagate_periodic(backwards, forcing, np.zeros(forcing.shape[1]))[::-1]
+        weights = scaled - _each(np.swapaxes(self.gain, 1, 2), after)  # S⁻¹ r
+        push = _each(np.swapaxes(self.feedthrough, 1, 2), weights)
+        return (push + _each(np.swapaxes(self.input_matrix, 1, 2), after)) * self.input_sigma**2
+
+
+def innovation_filter(response, record, sigma, input_sigma):
+    """Kalman filter of the residuals that noise in inputs and outputs leaves.
+
+    Parameters
+    ----------
+    response : SampledResponse
+    record : Record
+    sigma : ndarray, shape (l,)
+        Standard deviations of the outputs' noise.
+    input_sigma : ndarray, shape (m,)
+        Those of the inputs' noise.
+
+    Returns
+    -------
+    filter : InnovationFilter
+    """
+    n, n_samples = response.n_states, len(record.inputs)
+    phase = record.first_phase + np.arange(n_samples)
+    Psi, Out = response.Psi[phase % len(response.Psi)], response.Out[phase % len(response.Out)]
+    Out = np.where(record.present[:, :, None], Out, 0.0)
+    Phi, C = Psi[:, :, :n], Out[:, :, :n]
+    roots = np.concatenate([Psi, Out], axis=1)[:, :, n:] * input_sigma
+    pushed = roots @ np.swapaxes(roots, 1, 2)  # covariance of [Γ; Q] e_u
+    pushed[:, n:, n:] += np.diag(sigma**2)
+    moved = np.concatenate([Phi, C], axis=1)
+    gain, covariance = np.empty((n_samples, n, len(sigma))), pushed[:, n:, n:].copy()
+    state = np.zeros((n, n))
+    for k in range(n_samples):
+        joint = moved[k] @ state @ moved[k].T + pushed[k]
+        gain[k] = np.linalg.solve(joint[n:, n:], joint[n:, :n]).T
+        state = joint[:n, :n] - gain[k] @ joint[n:, :n]
+        covariance[k] = joint[n:, n:]
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    closed = Phi - gain @ C
+    return InnovationFilter(
+        closed, C, gain, covariance, root, Psi[:, :, n:], Out[:, :, n:], np.asarray(input_sigma)
+    )
+
+
+def _each(matrices, signals):
+    """M[k] s[k] for matrices (n_samples, a, b) and signals (..., n_samples, b)."""
+    return np.einsum("kab,...kb->...ka", matrices, signals)
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyInputProblem(Problem):
+    """Total least squares: the likelihood of θ, x0 and e_u, the latter at its best.
+
+    The search sees one output of unit noise, the innovations of all.
+    """
+
+    output_sigma: np.ndarray | None = None
+    input_sigma: np.ndarray | None = None
+    _last: dict = field(default_factory=dict, repr=False)
+
+    def filters(self, theta, response):
+        """Filters of all records; the last ones are kept, for steps return to where they are."""
+        if self._last.get("theta") is not theta:
+            found = [
+                innovation_filter(response, record, self.output_sigma, self.input_sigma)
+                for record in self.records
+            ]
+            self._last.update(theta=theta, filters=found)
+        return self._last["filters"]
+
+    def point(self, theta, x0):
+        response = self.response(theta, sensitivities=False)
+        rss, cost = np.zeros(1), np.inf
+        with np.errstate(over="ignore", invalid="ignore"):
+            r = [residuals(response, record, x) for record, x in zip(self.records, x0, strict=True)]
+            rough = sum(float(np.sum(each**2)) for each in r)
+        if np.isfinite(rough):
+            for whitening, each in zip(self.filters(theta, response), r, strict=True):
+                rss += np.sum(whitening.whiten(each)[0] ** 2)
+            cost = self.cost(rss)
+        return Point(theta, x0, rss, cost, response.spectral_radius)
+
+    def likelihood(self, point):
+        """Negative logarithm of the likelihood of the innovations, their sizes included."""
+        filters = self.filters(point.theta, self.response(point.theta, sensitivities=False))
+        sizes = [np.diagonal(each.root, axis1=1, axis2=2) for each in filters]
+        return point.cost - sum(
+            np.sum(np.log(size), where=record.present)
+            for size, record in zip(sizes, self.records, strict=True)
+        )
+
+    def updated_output_sigma(self, point):
+        """Noise of the outputs whose innovations would be as large as those found.
+
+        σ_i² grows by the mean of ν_i² less its expectation.
+        """
+        response = self.response(point.theta, sensitivities=False)
+        n_fitted = len(point.theta) + (point.x0.size if self.free_x0 else 0)
+        found, expected, counts = 0.0, 0.0, 0
+        for whitening, record, start in zip(
+            self.filters(point.theta, response), self.records, point.x0, strict=True
+        ):
+            whitened = whitening.whiten(residuals(response, record, start))[0]
+            innovations = np.linalg.solve(whitening.root, whitened[:, :, None])[:, :, 0]
+            variance = np.diagonal(whitening.covariance, axis1=1, axis2=2)
+            found = found + np.sum(innovations**2, axis=0)
+            expected = expected + np.sum(np.where(record.present, variance, 0.0), axis=0)
+            counts = counts + record.present.sum(axis=0)
+        found = found / (1.0 - n_fitted / self.n_residuals)
+        old = self.output_sigma**2
+        return np.sqrt(np.maximum(old + (found - expected) / counts, 0.0))
+
+    def factors(self, point, *, parameters=True):
+        """Triangular factor of the whitened [∂ŷ/∂x0, ∂ŷ/∂θ, r], shape (1, c, c) a segment."""
+        response = self.response(point.theta, sensitivities=parameters)
+        return [
+            self._factor(response, each, record, start)[None]
+            for each, record, start in zip(
+                self.filters(point.theta, response), self.records, point.x0, strict=True
+            )
+        ]
+
+    def _factor(self, response, whitening, record, x0):
+        whitened = whitening.whiten(residuals(response, record, x0))[0]
+        corrected = replace(record, inputs=record.inputs - whitening.input_errors(whitened))
+        columns = n_columns(response, free_x0=self.free_x0) + 1
+        factor, state = np.zeros((columns, columns)), None
+        pieces = output_sensitivities(response, corrected, x0, free_x0=self.free_x0)
+        for start, stop, dy in pieces:
+            dy, state = whitening.whiten(dy, state, start)
+            block = np.concatenate([dy, whitened[None, start:stop]])
+            factor = updated_factor(factor, block.reshape(columns, -1))
+        return factor
+
+
+def noisy_input_problem(problem, output_sigma, input_sigma):
+    """The same problem with noise of known size in inputs and outputs."""
+    return NoisyInputProblem(
+        problem.structure,
+        problem.records,
+        problem.omega,
+        problem.n_phases,
+        problem.observe,
+        problem.free_x0,
+        sigma=np.ones(1),
+        counts=np.array([problem.n_residuals]),
+        size=np.ones(1),
+        output_sigma=np.asarray(output_sigma, dtype=float),
+        input_sigma=np.asarray(input_sigma, dtype=float),
+    )

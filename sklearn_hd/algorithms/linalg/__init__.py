@@ -1,0 +1,1 @@
+"""Triangular factors and sums beyond double precision."""

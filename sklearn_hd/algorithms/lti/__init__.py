@@ -1,0 +1,1 @@
+"""Linear time-invariant models: responses, norms, reduction."""

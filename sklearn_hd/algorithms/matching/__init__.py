@@ -1,0 +1,1 @@
+"""A structure matched to a model in the H-infinity norm."""

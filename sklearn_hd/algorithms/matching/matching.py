@@ -1,0 +1,331 @@
+"""Structured models matched to a given one (step 5, Eqs. 20-22).
+
+    θ* = arg min ‖W_o (G_c − G_s(θ)) W_i‖,   G_s(θ): A, B, C, D affine in θ,  l ≤ θ ≤ u
+
+in the H∞ norm, or in the mean square over a frequency grid. Start, descend, certify: where
+C_s is known and invertible a change of state gives θ in closed form; from there, from the
+user's start and from several random ones Levenberg-Marquardt goes to least-squares matches
+over the grid, which is where the mean square stops. The best of them in different valleys go
+down to the H∞ norm. The singular values of the sensitivity at the end say which parameters
+the outputs determine, the certificate how much the norm could still fall. The matcher's
+affine route (time-invariant structures, harmonic decompositions) needs it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure
+from sklearn_hd.algorithms.matching.least_squares import Start, levenberg_marquardt, local_fits
+from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
+from sklearn_hd.algorithms.matching.peak_newton import Certificate, newton_descent
+from sklearn_hd.algorithms.matching.similarity import (
+    draw_transformation,
+    output_transformation,
+    project_transformed,
+    solve_similarity,
+)
+
+__all__ = ["AffineStructure", "MatchResult", "match_structure"]
+
+
+@dataclass(frozen=True, eq=False)
+class MatchResult:
+    """What :func:`match_structure` found.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (k,)
+    A, B, C, D : ndarray
+        The structured model at θ; stable.
+    hinf_error : float
+        ‖W_o (G_c − G_s) W_i‖_∞, in the outputs' unit per input's unit.
+    relative_error : float
+        The same divided by ‖W_o G_c W_i‖_∞.
+    peak_frequency : float
+        rad/s; where the error is largest.
+    theta_least_squares : ndarray, shape (k,)
+        The match in the mean square over frequency: where the model does not lie in the
+        structure, usually the better estimate of the parameters.
+    hinf_error_least_squares : float
+        ‖W_o (G_c − G_s) W_i‖_∞ there.
+    feedthrough_floor : float
+        Lower bound of ``hinf_error`` that the fixed entries of D_s leave: the error at
+        infinite frequency. 0 where D_s can equal D_c.
+    exact : bool
+        True if the match holds to ``exact_tol``, judged by the residual.
+    converged : bool
+        True if exact, or if what the criterion could still fall is within ``tolerance``.
+    predicted_decrease : float
+        By how much, relative to itself, the criterion could still fall at first order.
+    certificate : Certificate or None
+        First-order conditions of the least H∞ norm; None in the mean square and for exact
+        matches.
+    n_iter : int
+        Steps of the least-squares matches kept and of the descents in the norm.
+    history : tuple of (str, float)
+        Stage and its measure after each step on the way here: ``"least squares"`` (length
+        of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
+        norm, after each tightening of its smooth bound).
+    tolerance : float
+        Below which ``predicted_decrease`` counts as none.
+    singular_values : ndarray, shape (k,)
+        Of the sensitivity of the response, its columns scaled to length one.
+    unidentified : tuple of str
+        Parameters in the null space of the sensitivity: this response does not determine
+        them (only some combinations), and they stay near where they started.
+    """
+
+    theta: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    hinf_error: float
+    relative_error: float
+    peak_frequency: float
+    theta_least_squares: np.ndarray
+    hinf_error_least_squares: float
+    feedthrough_floor: float
+    exact: bool
+    converged: bool
+    predicted_decrease: float
+    certificate: Certificate | None
+    n_iter: int
+    history: tuple
+    tolerance: float
+    singular_values: np.ndarray
+    unidentified: tuple
+
+
+def match_structure(
+    A,
+    B,
+    C,
+    D,
+    structure,
+    *,
+    criterion="hinf",
+    theta0=None,
+    bounds=None,
+    output_weights=None,
+    input_weights=None,
+    emphasis=None,
+    closed_form=True,
+    n_starts=6,
+    max_iter=100,
+    exact_tol=1e-9,
+    random_state=0,
+):
+    """Structured model nearest to a stable continuous one.
+
+        min_θ ‖W_o (G_c − G_s(θ)) W_i‖,   lower ≤ θ ≤ upper
+
+    Parameters
+    ----------
+    A, B, C, D : array_like, shapes (n, n), (n, m), (l, n), (l, m)
+        G_c, stable; its order may differ from the structure's.
+    structure : AffineStructure
+        G_s(θ), with m inputs and l outputs.
+    criterion : {"hinf", "least_squares"}
+        The H∞ norm, or the mean square over a grid of frequencies, in which all channels
+        count alike.
+    theta0 : array_like, shape (k,), optional
+        Where to start; need not be stable. Without it, and where neither it nor the
+        closed form leads to an exact match, changes of state that agree with C_s are
+        tried as starts.
+    bounds : pair of array_like, shape (k,) each, optional
+        Lower and upper bounds of the parameters, infinite where there are none.
+    output_weights, input_weights : array_like, shapes (l,), (m,), optional
+        Positive constants of W_o and W_i, next to the error; ones by default, the norm as
+        Eq. 22 has it. Outputs in different units call for :func:`channel_scales`:
+        otherwise the largest decides.
+    emphasis : pair of array_like, shapes (l,) and (m,), optional
+        Factors of the outputs and inputs in the mean square, in which they otherwise count
+        alike.
+    closed_form : bool
+        False leaves the closed form out where theta0 is given (for studies of the search).
+    n_starts : int
+        Number of random starts, where no exact match is found before.
+    max_iter : int
+        Largest number of iterations of each stage: of a least-squares match, of a descent.
+    exact_tol : float
+        Relative residual below which the match is called exact and no norm minimised:
+        AB13DD does not resolve the norm of such a difference.
+    random_state : int
+        Seed of the random starts.
+
+    Returns
+    -------
+    result : MatchResult
+        Never worse in the norm than the best least-squares match found, and stable. The
+        problem is not convex: "converged" promises a stationary point, not the global one.
+
+    Raises
+    ------
+    UnstableModelError
+        If G_c is unstable, or if no start led to a stable G_s.
+    ValueError
+        If shapes do not fit, or theta0 is out of bounds.
+
+    Examples
+    --------
+    A model in other coordinates returns to those of its states:
+
+    >>> entries = np.array([[-1.0, 2.0, 0.0], [-2.0, -3.0, 1.0]])
+    >>> stacked = np.vstack([entries, np.eye(2, 3)])
+    >>> basis = np.zeros((4, 4, 3))
+    >>> basis[[0, 1, 2, 3], [0, 0, 1, 1], [0, 1, 0, 1]] = 1.0
+    >>> free_A = AffineStructure(np.where(basis.any(axis=0), 0.0, stacked), basis, 2, tuple("abcd"))
+    >>> T = np.array([[1.0, 1.0], [0.0, 2.0]])
+    >>> A, B = T @ entries[:, :2] @ np.linalg.inv(T), T @ entries[:, 2:]
+    >>> result = match_structure(A, B, np.linalg.inv(T), np.zeros((2, 1)), free_A)
+    >>> [round(value, 9) for value in result.theta.tolist()], result.exact
+    ([-1.0, 2.0, -2.0, -3.0], True)
+    """
+    weights = output_weights, input_weights
+    problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
+    theta0 = _check_theta(theta0, problem)
+    starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
+    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
+    fit, exact = exact_match(problem, fits[0], exact_tol)
+    if exact or structure.n_parameters == 0 or criterion == "least_squares":
+        return _result(problem, fit, fits, exact)
+    start, descent = least_norm(problem, fits, max_iter)
+    near = problem.limited(descent.theta, 1.0)
+    last = levenberg_marquardt(near, descent.theta, max_iter=max_iter)
+    if last.residual < fit.residual:  # the descent has left a poor valley
+        fit, exact = exact_match(problem, last, exact_tol)
+        if exact:
+            return _result(problem, fit, fits, exact)
+    return _result(problem, fit, fits, False, start, descent)
+
+
+TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
+NORM_TOLERANCE = 1e-4  # of the norm: what the descent's gap leaves to ten peaks and more
+_RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
+_DESCENTS = 4  # least-squares matches that go down
+_FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
+_NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
+
+
+def exact_match(problem, fit, tol):
+    """The match solved to rounding, and whether it is exact (to tol, by the residuals)."""
+    if fit.residual > _NEAR:
+        return fit, False
+    theta, residual = solve_similarity(problem, fit.theta)
+    inside = problem.inside(theta)
+    kept = np.allclose(inside, theta, rtol=tol, atol=0.0)
+    if residual <= tol and kept and problem.abscissa(inside) < 0:
+        error = linalg.norm(problem.residual_and_jacobian(inside)[0])
+        return replace(fit, theta=inside, residual=float(error)), True
+    return fit, bool(fit.residual <= tol)
+
+
+def _result(problem, fit, fits, exact, start=None, descent=None):
+    """The result in the user's units."""
+    start = fit if start is None else start
+    history = tuple(("least squares", residual) for residual in start.history)
+    theta, n_iter = start.theta, sum(each.n_iter for each in fits)
+    left, tolerance, certificate = 0.0 if exact else fit.promised, TOLERANCE, None
+    if descent is not None:
+        theta, certificate, n_iter = descent.theta, descent.certificate, n_iter + descent.n_iter
+        history += tuple(("minimax", value) for value in descent.history)
+        left, tolerance = descent.predicted_decrease, NORM_TOLERANCE
+    value, peak = problem.peak(theta)
+    singular_values, unidentified = problem.identifiability(theta)
+    return MatchResult(
+        theta,
+        *problem.structure.matrices(theta),
+        hinf_error=value * problem.unit,
+        relative_error=value,
+        peak_frequency=peak,
+        theta_least_squares=fit.theta,
+        hinf_error_least_squares=problem.peak(fit.theta)[0] * problem.unit,
+        feedthrough_floor=problem.feedthrough_floor() * problem.unit,
+        exact=exact,
+        converged=bool(left <= tolerance),
+        predicted_decrease=float(left),
+        certificate=certificate,
+        n_iter=n_iter,
+        history=history,
+        tolerance=tolerance,
+        singular_values=singular_values,
+        unidentified=unidentified,
+    )
+
+
+def least_norm(problem, fits, max_iter):
+    """Least norm in reach of the least-squares matches: where the way began, and its descent.
+
+    The ranking by squares is not the ranking by peaks, so the match best in squares and
+    those best in peaks go down, first but a part of the way; the lowest goes on.
+    """
+    problem = problem.limited(fits[0].theta, _RUNAWAY)
+    others = sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[: _DESCENTS - 1]
+    ways = [fits[0], *others]
+    descents = [newton_descent(problem, fit.theta, max_iter=max_iter) for fit in ways]
+    best = min(range(len(ways)), key=lambda k: descents[k].value)
+    return ways[best], descents[best]
+
+
+def starting_points(problem, theta0, closed_form, n_starts, random_state):
+    """Starts within the bounds in the order of their promise, made as they are asked for.
+
+    The closed form; theta0; changes of state that agree with C_s, first as the states at
+    theta0 suggest, then at random; where C_s leaves no choice, the first start shaken
+    by half.
+    """
+    if problem.structure.n_parameters == 0:
+        yield Start(np.empty(0), near=True)
+        return
+    first = theta0
+    transformation = output_transformation(problem) if closed_form or theta0 is None else None
+    if transformation is not None:
+        projected = problem.inside(project_transformed(problem, transformation))
+        first = projected if first is None else first
+        yield Start(projected, near=True)
+    if theta0 is not None:
+        yield Start(theta0, near=False)
+        if problem.abscissa(theta0) < 0:  # else the same again, which would count as found twice
+            yield Start(theta0, near=True)
+    if first is None:
+        yield Start(problem.inside(_plain_start(problem)), near=False)
+    random = np.random.default_rng(random_state)
+    for k in range(n_starts):
+        transformation = draw_transformation(problem, theta0, random, spread=float(k > 0))
+        if transformation is not None:
+            drawn = project_transformed(problem, transformation)
+            yield Start(problem.inside(drawn), near=k % 2 == 0)
+        elif first is not None:
+            shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
+            yield Start(problem.inside(shaken), near=k % 2 == 1)
+
+
+def _plain_start(problem):
+    """The structure's parameters nearest to states that decay fast and move nothing."""
+    structure, n = problem.structure, problem.structure.n_states
+    plain = np.zeros_like(structure.constant)
+    plain[:n, :n] = -problem.fastest * np.eye(n)
+    plain[n:, n:] = problem.model.matrices(np.empty(0))[3]
+    return structure.project(plain)[0]
+
+
+def _check_theta(theta0, problem):
+    if theta0 is None:
+        return None
+    theta0, structure = np.asarray(theta0, dtype=float), problem.structure
+    if theta0.shape != (structure.n_parameters,) or not np.all(np.isfinite(theta0)):
+        raise ValueError(
+            f"theta0 of shape {theta0.shape} must hold {structure.n_parameters} finite numbers, "
+            f"one for each of {list(structure.parameter_names)}"
+        )
+    outside = np.flatnonzero(problem.inside(theta0) != theta0)
+    if len(outside):
+        k = outside[0]
+        raise ValueError(
+            f"the bounds {problem.lower[k]:g} and {problem.upper[k]:g} of "
+            f"{structure.parameter_names[k]} exclude its start {theta0[k]:g}; start within them"
+        )
+    return theta0

@@ -1,0 +1,1 @@
+"""Periodic systems: Floquet analysis, harmonic decomposition, realization from once a period."""

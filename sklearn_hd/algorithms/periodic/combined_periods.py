@@ -1,0 +1,191 @@
+"""Outputs of known F and P by parameters of G and Q, in few combinations of periods.
+
+Period by period, whatever the parameters θ,
+
+    z[k+1] = Φ z[k] + b(θ) w[k],   y[k] = O z[k] + h(θ) w[k],
+
+w being the coordinates of an input's samples of a period in the directions that they move
+in. Over k, all that θ and z[0] can do lies in the span of w and of what Φ answers to w and
+z[0]. Linear combinations of periods that span it hold all that the record says of θ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
+
+__all__ = ["CombinedPeriods", "combined_periods"]
+
+RANK = 1e-14  # of columns of length one, what rounding leaves of dependent ones
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedPeriods:
+    """Combinations of the periods of one segment.
+
+    Attributes
+    ----------
+    directions : ndarray, shape (r, n_phases, m)
+        That inputs move in within a period.
+    mix : ndarray, shape (d, r)
+        Inputs of each combination in these directions.
+    answers : ndarray, shape (d, r, n, n)
+        First state of each combination for each state that a period in one direction leaves.
+    starts : ndarray, shape (d, n, s)
+        First state of each combination for each unknown of the initial state.
+    outputs : ndarray, shape (n_phases, l, d)
+    seen : ndarray of bool, shape (n_phases, d)
+        What of the combinations was measured; a segment's last period may be cut short.
+    first_phase : int
+        Of the first sample of each period.
+    """
+
+    directions: np.ndarray
+    mix: np.ndarray
+    answers: np.ndarray
+    starts: np.ndarray
+    outputs: np.ndarray
+    seen: np.ndarray
+    first_phase: int = 0
+
+    def columns(self, response, gains, direct, scale):
+        """Outputs by the parameters and by the initial state, in parts of their scale.
+
+        Parameters
+        ----------
+        response : SampledResponse
+            Ψ and Out at θ = 0, both at all phases.
+        gains : ndarray, shape (k, n_phases, n, m)
+            What one unit of each parameter adds to Γ.
+        direct : ndarray, shape (k, n_phases, l, m), or None
+            What it adds to Q; nothing by default.
+        scale : ndarray, shape (l,)
+
+        Returns
+        -------
+        forced : ndarray, shape (n_rows, k)
+            Per unit parameter.
+        left : ndarray, shape (n_rows,)
+            The outputs measured less what parameters of zero leave.
+        free : ndarray, shape (n_rows, s)
+        """
+        n, k = response.n_states, len(gains)
+        Psi, Out, gains = (self._turned(M) for M in (response.Psi, response.Out, gains))
+        within, ends = self._within(Psi, Out, np.concatenate([gains, Psi[None, :, :, n:]]))
+        within[:, :, k:] += self._by_direction(Out[None, :, :, n:])
+        if direct is not None:
+            within[:, :, :k] += self._by_direction(self._turned(direct))
+        sights = _sights(Psi[:, :, :n], Out[:, :, :n])
+        begun = np.tensordot(ends, self.answers, ((0, 2), (2, 1)))  # (k + 1, d, n)
+        forced = within @ self.mix.T + np.tensordot(sights, begun, (2, 2))
+        free = np.tensordot(sights, self.starts, (2, 1)).swapaxes(2, 3)
+        forced, free, outputs = (
+            self._rows(values, scale) for values in (forced, free, self.outputs[:, :, None])
+        )
+        return forced[:, :k], outputs[:, 0] - forced[:, k], free
+
+    def unfolded(self, rows):
+        """Rows of one column, where they stand in each combination, (n_phases, l, d)."""
+        whole = np.zeros((self.seen.shape[1], len(self.seen), self.outputs.shape[1]))
+        whole[self.seen.T] = rows.reshape(-1, self.outputs.shape[1])
+        return whole.transpose(1, 2, 0)
+
+    def _turned(self, matrices):
+        """Matrices of one period (…, n_phases, a, b) from the first phase on."""
+        return np.roll(matrices, -self.first_phase, axis=-3)
+
+    def _rows(self, values, scale):
+        """(n_phases, l, k, d) as (n_rows, k), samples of a combination one after the other."""
+        rows = values.transpose(3, 0, 1, 2)[self.seen.T] / scale[:, None]
+        return rows.reshape(-1, values.shape[2])
+
+    def _by_direction(self, gains):
+        """What some gains (k, n_phases, a, m) make of each direction, (n_phases, a, k, r)."""
+        return (gains @ self.directions.transpose(1, 2, 0)).transpose(1, 2, 0, 3)
+
+    def _within(self, Psi, Out, gains):
+        """Outputs (n_phases, l, k, r) of a period from rest, and its end (n, k, r)."""
+        n = Psi.shape[1]
+        forcing = self._by_direction(gains)
+        states = np.empty(forcing.shape)
+        flat, v = states.reshape(len(Psi), n, -1), forcing.reshape(len(Psi), n, -1)
+        x = np.zeros(v.shape[1:])
+        for j, factor in enumerate(Psi[:, :, :n]):
+            flat[j] = x
+            x = factor @ x + v[j]
+        outputs = Out[:, :, :n] @ flat
+        k_and_r = states.shape[2:]
+        return outputs.reshape(*Out.shape[:2], *k_and_r), x.reshape(n, *k_and_r)
+
+
+def _sights(Phi, P):
+    """What each sample of a period sees of the state at its start, (n_phases, l, n)."""
+    sights, x = np.empty(P.shape), np.eye(Phi.shape[1])
+    for j, factor in enumerate(Phi):
+        sights[j] = P[j] @ x
+        x = factor @ x
+    return sights
+
+
+def combined_periods(Phi, u, y, n_phases, first_phase):
+    """The combinations of a segment's periods in which Φ lets states move.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        Over a period from the first sample of the segment on.
+    u, y : ndarray, shapes (n_samples, m) and (n_samples, l)
+    n_phases, first_phase : int
+
+    Returns
+    -------
+    periods : CombinedPeriods
+        ``starts`` by the segment's own initial state.
+    combinations : ndarray, shape (n_periods, d)
+        Orthonormal.
+    rest : ndarray, shape (n_periods, n_phases, l)
+        Of the outputs, in no combination.
+    """
+    n, whole = len(Phi), len(u) // n_phases
+    size = column_sizes(u)
+    inputs, outputs = (_by_period(signal, n_phases) for signal in (u / size, y))
+    n_periods = len(inputs)
+    W, values, Vt = linalg.svd(inputs.reshape(n_periods, -1), full_matrices=False)
+    kept = values > np.finfo(float).eps * max(n_periods, Vt.shape[1]) * values[0]
+    W, directions = (
+        W[:, kept],
+        (values[kept, None] * Vt[kept]).reshape(-1, *inputs.shape[1:]) * size,
+    )
+    forcing = W.T[:, None, :, None] * np.eye(n)[:, None]
+    forced = propagate(Phi, forcing, np.zeros((len(W.T), n, n))).transpose(2, 0, 1, 3)
+    free = propagate(Phi, np.zeros((n, n_periods, n)), np.eye(n)).transpose(1, 2, 0)
+    moves = np.hstack([M.reshape(n_periods, -1) for M in (W, forced, free)])[:whole]
+    Q = orthonormal_range(moves, rank=RANK) if whole else np.zeros((0, 0))
+    T = linalg.block_diag(Q, np.eye(n_periods - whole))  # a period cut short stands alone
+    flat = outputs.reshape(n_periods, -1)
+    combined = T.T @ flat
+    seen = np.ones((n_phases, T.shape[1]), dtype=bool)
+    if whole < n_periods:
+        seen[len(u) % n_phases :, -1] = False
+    periods = CombinedPeriods(
+        directions,
+        T.T @ W,
+        np.tensordot(T.T, forced, 1),
+        np.tensordot(T.T, free, 1),
+        combined.reshape(-1, *outputs.shape[1:]).transpose(1, 2, 0),
+        seen,
+        first_phase,
+    )
+    return periods, T, (flat - T @ combined).reshape(outputs.shape)
+
+
+def _by_period(signal, n_phases):
+    """(n_samples, c) as (n_periods, n_phases, c), the last period filled up with zeros."""
+    n_periods = -(-len(signal) // n_phases)
+    filled = np.zeros((n_periods * n_phases, signal.shape[1]))
+    filled[: len(signal)] = signal
+    return filled.reshape(n_periods, n_phases, -1)

@@ -1,0 +1,249 @@
+"""Floquet analysis of linear time-periodic systems.
+
+    ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt                  (Eq. 6)
+
+Over an interval in which u is held, x moves to Φ x + Γ u; over one period Φ is
+the monodromy matrix, whose eigenvalues e^{λT} give the Floquet exponents λ.
+
+Matrices of the periodic system are callables of ψ: an array of shape
+``(n_points,)`` in, an array of shape ``(n_points, rows, columns)`` out. They may
+jump (sgn of a speed that reverses): whatever is integrated here is integrated by
+bisection, which closes in on a jump until nothing is lost.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.periodic.bisection import (
+    N_STAGES,
+    by_bisection,
+    gauss_tableau,
+    neighbours,
+)
+
+__all__ = [
+    "monodromy_exponents",
+    "monodromy_matrix",
+    "on_branch",
+    "propagate_periodic",
+    "state_units",
+    "transition_matrices",
+]
+
+COUPLED = 1e-10  # product of two states' couplings, beside the largest, that is not rounding
+
+
+def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
+    """Transition matrices and input integrals of some intervals of azimuth.
+
+    With u held over interval k,
+
+        x(ψ_{k+1}) = Φ_k x(ψ_k) + Γ_k u_k,   dX/dt = F X,  Φ_k = X(ψ_{k+1}) X(ψ_k)⁻¹
+
+    Each interval is integrated by Gauss collocation and halved until its two
+    halves agree with the whole.
+
+    Parameters
+    ----------
+    F : callable
+        ψ of shape (n_points,) -> (n_points, n, n), in 1/s.
+    G : callable or None
+        ψ of shape (n_points,) -> (n_points, n, m); None if there is no input.
+    psi : array_like, shape (n_intervals + 1,)
+        Ends of the intervals in radians, increasing.
+    omega : float
+        Fundamental frequency, rad/s.
+    tolerance : float, default=1e-14
+        Largest difference of an interval and its halves, relative to Φ (with the
+        states in units that balance F) and to the largest Γ of the input.
+
+    Returns
+    -------
+    Phi : ndarray, shape (n_intervals, n, n)
+    Gamma : ndarray, shape (n_intervals, n, m)
+
+    References
+    ----------
+    E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations
+    I*, 1993, section II.7 (Gauss collocation).
+
+    Examples
+    --------
+    >>> def F(psi):
+    ...     return -np.cos(psi)[:, None, None]
+    >>> Phi, Gamma = transition_matrices(F, None, [0.0, 0.5 * np.pi], 1.0)
+    >>> bool(np.isclose(Phi[0, 0, 0], np.exp(-1.0), rtol=1e-14))
+    True
+    """
+    psi = np.asarray(psi, dtype=float)
+    units = state_units(F)
+
+    def rule(left, right):
+        return _collocation_step(F, G, left, right, omega, units)
+
+    steps = np.concatenate(
+        [
+            by_bisection(rule, _compose, _transition_weights, left, right, tolerance)
+            for left, right in neighbours(psi)
+        ]
+    )
+    n = len(units)
+    steps *= units[:, None]
+    return steps[:, :, :n] / units, steps[:, :, n:]
+
+
+def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
+    """Transition matrix over one period, from azimuth ``start`` (radians)."""
+    psi = start + np.linspace(0.0, 2.0 * np.pi, 33)
+    Phi, _ = transition_matrices(F, None, psi, omega, tolerance=tolerance)
+    return _product(Phi)
+
+
+def monodromy_exponents(monodromy, omega):
+    """Floquet exponents λ = log(μ) / T of a monodromy matrix with eigenvalues μ.
+
+    Multipliers more than some ten decades below the largest are lost in the matrix
+    already; :mod:`~sklearn_hd.algorithms.periodic.floquet_exponents` keeps them.
+
+    Known only up to multiples of jω; the branch with imaginary part in
+    (−ω/2, ω/2] is returned, sorted from the rightmost leftwards, conjugate pairs
+    with the negative imaginary part first.
+
+    Parameters
+    ----------
+    monodromy : ndarray, shape (n, n)
+    omega : float
+        Fundamental frequency, rad/s.
+
+    Returns
+    -------
+    exponents : complex ndarray, shape (n,)
+
+    Examples
+    --------
+    >>> monodromy_exponents(np.diag([np.exp(-2.0), 1.0]), 2 * np.pi).real.tolist()
+    [0.0, -2.0]
+    """
+    multipliers = linalg.eigvals(monodromy).astype(complex)
+    return on_branch(np.log(multipliers) * omega / (2.0 * np.pi), omega)
+
+
+def on_branch(exponents, omega):
+    """Exponents with imaginary part in [−ω/2, ω/2], its lower edge moved to the upper, sorted."""
+    exponents = np.array(exponents, dtype=complex)
+    edge = exponents.imag <= -0.5 * omega * (1.0 - 1e-12)
+    exponents[edge] += 1j * omega
+    return exponents[np.lexsort((exponents.imag, -exponents.real))]
+
+
+def propagate_periodic(Phi, forcing, x0):
+    """States of x[k+1] = Φ[k mod p] x[k] + v[k] from x[0] = x0.
+
+    Each period's response to its own forcing, from rest, takes p steps for all
+    periods at once; the states at the period boundaries follow from the
+    time-invariant recursion of the monodromy matrix.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (p, n, n)
+        Transition matrices of one period; p ≥ n_samples - 1 if nothing repeats.
+    forcing : ndarray, shape (..., n_samples, n)
+        v[k]; the last row is not used.
+    x0 : ndarray, shape (..., n)
+
+    Returns
+    -------
+    states : ndarray, shape (..., n_samples, n)
+
+    Examples
+    --------
+    >>> Phi = np.array([[[0.5]], [[2.0]]])
+    >>> propagate_periodic(Phi, np.ones((5, 1)), np.zeros(1)).ravel().tolist()
+    [0.0, 1.0, 3.0, 2.5, 6.0]
+    """
+    *batch, n_samples, n = forcing.shape
+    p = len(Phi)
+    n_periods = -(-n_samples // p)
+    padding = [(0, 0)] * len(batch) + [(0, n_periods * p - n_samples), (0, 0)]
+    v = np.pad(forcing, padding).reshape(*batch, n_periods, p, n)
+    starts = np.broadcast_to(x0, (*batch, n))[..., None, :]
+    if n_periods > 1:
+        starts = propagate(_product(Phi), _from_rest(Phi, v), starts[..., 0, :])
+    states, x = np.empty_like(v), starts
+    for k in range(p):
+        states[..., k, :] = x
+        x = x @ Phi[k].T + v[..., k, :]
+    return states.reshape(*batch, n_periods * p, n)[..., :n_samples, :]
+
+
+# ---- one interval --------------------------------------------------------------------------
+
+
+def _collocation_step(F, G, left, right, omega, units):
+    """[Φ, Γ] of each interval by one step of Gauss collocation, states in given units.
+
+    Stages K_i = F_i (x + h Σ_j a_ij K_j) + G_i u; step h Σ_i b_i K_i.
+    """
+    c, a, b = gauss_tableau(N_STAGES)
+    width = right - left
+    nodes = (left[:, None] + width[:, None] * c).ravel()
+    Fs = F(nodes)
+    n = Fs.shape[-1]
+    Gs = np.empty((len(nodes), n, 0)) if G is None else G(nodes)
+    Fs, Gs = (M.reshape(len(left), len(c), n, -1) for M in (Fs, Gs))
+    Fs, Gs = Fs * (units / units[:, None]), Gs / units[:, None]
+    h = width[:, None, None] / omega
+    coupling = Fs[:, :, :, None, :] * a[None, :, None, :, None]
+    size = len(c) * n
+    system = np.eye(size) - h * coupling.reshape(-1, size, size)
+    slopes = np.concatenate([Fs, Gs], axis=-1)
+    stages = np.linalg.solve(system, slopes.reshape(len(left), size, -1)).reshape(slopes.shape)
+    step = h * np.einsum("s,ksij->kij", b, stages)
+    step[:, :, :n] += np.eye(n)
+    return step
+
+
+def _compose(second, first):
+    """[Φ, Γ] of two neighbouring intervals in one, u held over both."""
+    Phi = second[:, :, : second.shape[1]]
+    joined = Phi @ first
+    joined[:, :, second.shape[1] :] += second[:, :, second.shape[1] :]
+    return joined
+
+
+def _transition_weights(steps):
+    """Weights that make the largest Γ of each input one."""
+    n = steps.shape[1]
+    weight = np.ones(steps.shape[1:])
+    reach = np.max(np.abs(steps[:, :, n:]), axis=(0, 1))
+    weight[:, n:] = 1.0 / np.where(reach > 0, reach, 1.0)
+    return weight
+
+
+def state_units(F):
+    """Powers of two, shape (n,), in which the states' couplings are of the same size."""
+    size = np.mean(np.abs(F(2.0 * np.pi * np.arange(16) / 16)), axis=0)
+    pairs = size * size.T  # free of units
+    size[~(pairs > COUPLED * np.max(pairs, initial=0.0))] = 0.0
+    _, (units, _) = linalg.matrix_balance(size, permute=False, separate=True)
+    return units
+
+
+# ---- periodic recursion -------------------------------------------------------------------
+
+
+def _product(Phi):
+    """Φ[p−1] … Φ[1] Φ[0]."""
+    product = np.eye(Phi.shape[1])
+    for factor in Phi:
+        product = factor @ product
+    return product
+
+
+def _from_rest(Phi, v):
+    """State at the end of each period, from rest at its start."""
+    x = np.zeros(v[..., 0, :].shape)
+    for k, factor in enumerate(Phi):
+        x = x @ factor.T + v[..., k, :]
+    return x

@@ -1,0 +1,285 @@
+"""Harmonic balance: the periodic solution of ẋ = f(x, u, t) as a Fourier series.
+
+With x(ψ) = x_0 + Σ_{k ≤ N} (x_kc cos kψ + x_ks sin kψ) and constant u, the
+Galerkin equations ask that the residual ẋ − f has no harmonic up to N:
+
+    R(X, u) = N_ω X − 𝓕{f(x(ψ), u, ψ/ω)} = 0,   N_ω X the harmonics of ẋ
+
+Newton's matrix is ∂R/∂X = N_ω − T(F), minus the harmonic-decomposition matrix of
+the linearisation about the iterate. Free inputs are determined by as many targets,
+each the mean of a state.
+"""
+
+import numpy as np
+
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix, toeplitz_matrix
+from sklearn_hd.exceptions import TrimError
+
+__all__ = [
+    "evaluate_harmonics",
+    "galerkin_coefficients",
+    "resize_harmonics",
+    "sample_harmonics",
+    "solve_harmonic_balance",
+]
+
+MAX_HALVINGS = 12
+
+
+def solve_harmonic_balance(
+    f,
+    jacobian,
+    omega,
+    coefficients,
+    inputs,
+    *,
+    free=(),
+    targets=(),
+    n_points=None,
+    tolerance=1e-12,
+    max_iterations=50,
+):
+    """Periodic solution of ẋ = f(x, u, t) by Newton's method on the Galerkin equations.
+
+    Parameters
+    ----------
+    f : callable
+        f(x, u, t), vectorised: x (n, k), u (m, k), t (k,) -> (n, k).
+    jacobian : callable
+        (x, u, t) -> (F, G, …), F of shape (k, n, n) and G of shape (k, n, m).
+    omega : float
+        Fundamental frequency, rad/s.
+    coefficients : ndarray, shape (2 N + 1, n)
+        Guess of the states' coefficients, in the order 0, 1c, 1s, …; its length
+        sets the number of harmonics.
+    inputs : ndarray, shape (m,)
+        Inputs; the guess of the free ones.
+    free : sequence of int
+        Inputs to be found.
+    targets : sequence of (int, float)
+        State and its mean, as many as there are free inputs.
+    n_points : int, optional
+        Points a period of the Galerkin integrals, by default 4096 or 128 a
+        harmonic, whichever is more: where f has kinks, the error of the integrals
+        falls only with the square of their number.
+    tolerance : float, default=1e-12
+        Residual at which to stop, relative to the size of each state's rate.
+    max_iterations : int, default=50
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 N + 1, n)
+    inputs : ndarray, shape (m,)
+    residual : float
+        Largest relative Galerkin residual reached.
+
+    Raises
+    ------
+    TrimError
+        If Newton's method does not get there.
+    ValueError
+        If n_points is too few for the harmonics, or f is not vectorised.
+
+    References
+    ----------
+    M. Urabe, "Galerkin's Procedure for Nonlinear Periodic Systems", Archive for
+    Rational Mechanics and Analysis 20 (1965).
+
+    Examples
+    --------
+    ẋ = −x + cos t has the solution (cos t + sin t) / 2.
+
+    >>> def f(x, u, t):
+    ...     return -x + np.cos(t)
+    >>> def jacobian(x, u, t):
+    ...     return -np.ones((len(t), 1, 1)), np.zeros((len(t), 1, 0))
+    >>> X, _, _ = solve_harmonic_balance(f, jacobian, 1.0, np.zeros((3, 1)), np.zeros(0))
+    >>> bool(np.allclose(X[:, 0], [0.0, 0.5, 0.5]))
+    True
+    """
+    X, u = np.array(coefficients, dtype=float), np.array(inputs, dtype=float)
+    free, targets = list(free), list(targets)
+    n_points = _check_points(n_points, (len(X) - 1) // 2)
+    residual, scale = _residual(f, omega, X, u, targets, n_points)
+    history = [_size(residual, scale)]
+    while history[-1] > tolerance:
+        if len(history) > max_iterations:
+            raise _failure(history, tolerance, f"after {max_iterations} iterations")
+        matrix = _newton_matrix(jacobian, omega, X, u, free, targets, n_points)
+        step = _newton_step(matrix, residual, scale)
+        for halving in range(MAX_HALVINGS + 1):
+            X_new, u_new = _moved(X, u, free, step * 0.5**halving)
+            residual, scale = _residual(f, omega, X_new, u_new, targets, n_points)
+            if _size(residual, scale) < history[-1]:
+                break
+        else:
+            raise _failure(history, tolerance, "where no step lowers it any more")
+        X, u = X_new, u_new
+        history.append(_size(residual, scale))
+    return X, u, history[-1]
+
+
+def evaluate_harmonics(coefficients, psi):
+    """Periodic signals of given real coefficients at any azimuths.
+
+    Σ_k S_k e^{jkψ} is summed as Σ_l e^{jlqψ} Σ_i S_{lq+i} e^{jiψ}, with q about √N: the
+    exponentials, 2√N instead of N at each azimuth, are what takes time.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (2 N + 1, ...)
+        In the order 0, 1c, 1s, ….
+    psi : array_like, shape (...,)
+        Azimuths in radians.
+
+    Returns
+    -------
+    values : ndarray, shape (*psi.shape, *coefficients.shape[1:])
+
+    Examples
+    --------
+    >>> evaluate_harmonics(np.array([1.0, 0.5, 0.0]), [0.0, np.pi]).tolist()
+    [1.5, 0.5]
+    """
+    psi = np.asarray(psi, dtype=float)
+    cosines, sines = coefficients[1::2], coefficients[2::2]
+    q = int(np.ceil(np.sqrt(len(cosines) + 1)))
+    width = coefficients[0].size
+    S = np.zeros((q * q, width), dtype=complex)
+    S[0] = coefficients[0].ravel()
+    S[1 : len(cosines) + 1] = (cosines - 1j * sines).reshape(len(cosines), width)
+    S = S.reshape(q, q, width).transpose(1, 0, 2).reshape(q, q * width)
+    fine = np.exp(1j * psi.reshape(-1, 1) * np.arange(q))
+    coarse = np.exp(1j * psi.reshape(-1, 1) * (q * np.arange(q)))
+    partial = (fine @ S).reshape(psi.size, q, width)
+    values = np.einsum("pl,plc->pc", coarse, partial).real
+    return values.reshape(*psi.shape, *coefficients.shape[1:])
+
+
+def sample_harmonics(coefficients, n_points):
+    """Signals of given real coefficients (2 N + 1, n) at n_points equal steps of a period.
+
+    Returns
+    -------
+    samples : ndarray, shape (n, n_points)
+    """
+    cosines, sines = coefficients[1::2], coefficients[2::2]
+    spectrum = np.zeros((n_points // 2 + 1, coefficients.shape[1]), dtype=complex)
+    spectrum[0] = coefficients[0]
+    spectrum[1 : len(cosines) + 1] = 0.5 * (cosines - 1j * sines)
+    return n_points * np.fft.irfft(spectrum, n_points, axis=0).T
+
+
+def galerkin_coefficients(samples, n_harmonics):
+    """Real coefficients up to N of samples at equal steps of a period.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n_points, ...)
+    n_harmonics : int
+        Fewer than n_points / 2.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 N + 1, ...)
+
+    Examples
+    --------
+    >>> psi = 2 * np.pi * np.arange(8) / 8
+    >>> galerkin_coefficients(3 + 2 * np.sin(psi), 1).round(12).tolist()
+    [3.0, -0.0, 2.0]
+    """
+    spectrum = np.fft.rfft(samples, axis=0)[: n_harmonics + 1] / len(samples)
+    result = np.empty((2 * n_harmonics + 1, *samples.shape[1:]))
+    result[0] = spectrum[0].real
+    result[1::2], result[2::2] = 2.0 * spectrum[1:].real, -2.0 * spectrum[1:].imag
+    return result
+
+
+def resize_harmonics(coefficients, n_harmonics):
+    """Coefficients (2 K + 1, n) cut or padded with zeros to n_harmonics."""
+    resized = np.zeros((2 * n_harmonics + 1, *np.shape(coefficients)[1:]))
+    kept = min(len(resized), len(coefficients))
+    resized[:kept] = coefficients[:kept]
+    return resized
+
+
+def _check_points(n_points, n_harmonics):
+    if n_points is None:
+        return max(4096, 128 * n_harmonics)
+    if n_points <= 4 * n_harmonics:
+        raise ValueError(
+            f"n_points={n_points} cannot tell the {2 * n_harmonics} harmonics of the linearisation "
+            f"apart; give more than {4 * n_harmonics}"
+        )
+    return int(n_points)
+
+
+def _orbit(omega, X, u, n_points):
+    """x, u and t along the iterate, for the vectorised f."""
+    t = 2.0 * np.pi / omega * np.arange(n_points) / n_points
+    return sample_harmonics(X, n_points), np.broadcast_to(u[:, None], (len(u), n_points)), t
+
+
+def _residual(f, omega, X, u, targets, n_points):
+    """Galerkin residual with the targets below it, and the size of each row."""
+    x, u, t = _orbit(omega, X, u, n_points)
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too long is refused anyway
+        rates = np.asarray(f(x, u, t))
+    if rates.shape != x.shape:
+        raise ValueError(
+            f"f returned an array of shape {rates.shape} for states of shape {x.shape}; it must "
+            f"take many points at once, x (n, k), u (m, k), t (k,), and return the shape of x"
+        )
+    N = (len(X) - 1) // 2
+    derivative = derivative_matrix(N, 1, omega) @ X
+    balance = derivative - galerkin_coefficients(rates.T, N)
+    amplitude = np.max(np.abs(x), axis=1, initial=0.0)
+    row = np.max(np.abs(rates), axis=1, initial=0.0) + omega * amplitude
+    misses = [X[0, state] - mean for state, mean in targets]
+    sizes = [max(amplitude[state], abs(mean)) for state, mean in targets]
+    scale = np.concatenate([np.tile(row, len(X)), sizes])
+    return np.concatenate([balance.ravel(), misses]), np.where(scale > 0, scale, 1.0)
+
+
+def _newton_matrix(jacobian, omega, X, u, free, targets, n_points):
+    """Derivative of the residual by the coefficients and the free inputs."""
+    F, G = jacobian(*_orbit(omega, X, u, n_points))[:2]
+    N, n = (len(X) - 1) // 2, X.shape[1]
+    matrix = np.zeros((X.size + len(targets), X.size + len(free)))
+    matrix[: X.size, : X.size] = derivative_matrix(N, n, omega) - toeplitz_matrix(
+        galerkin_coefficients(F, 2 * N), N, N
+    )
+    matrix[: X.size, X.size :] = -galerkin_coefficients(G[:, :, free], N).reshape(X.size, -1)
+    for row, (state, _) in enumerate(targets):
+        matrix[X.size + row, state] = 1.0
+    return matrix
+
+
+def _newton_step(matrix, residual, scale):
+    """Newton's correction, from rows scaled to the same size; the shortest if singular."""
+    rows, rest = matrix / scale[:, None], residual / scale
+    try:
+        return -np.linalg.solve(rows, rest)
+    except np.linalg.LinAlgError:
+        return -np.linalg.lstsq(rows, rest)[0]
+
+
+def _moved(X, u, free, step):
+    """Iterate after a step."""
+    moved = u.copy()
+    moved[free] += step[X.size :]
+    return X + step[: X.size].reshape(X.shape), moved
+
+
+def _size(residual, scale):
+    size = np.max(np.abs(residual) / scale, initial=0.0)
+    return float(size) if np.isfinite(size) else np.inf
+
+
+def _failure(history, tolerance, where):
+    return TrimError(
+        f"harmonic balance reached a relative residual of {history[-1]:.3g} {where} "
+        f"(tolerance {tolerance:.3g}); give a guess nearer to the periodic solution, begin with "
+        f"fewer harmonics and pass that trim as the guess, or raise n_points if f has kinks"
+    )

@@ -1,0 +1,268 @@
+"""Harmonic decomposition of linear time-periodic systems.
+
+Written for the harmonics of x, u and y, a periodic system is time-invariant:
+
+    Ẋ = A X + B U,   Y = C X + D U                                        (Eq. 8)
+
+Its matrices are multiplications by Fourier series, of which this file has the coefficients
+(jumps of the matrices included) and the Toeplitz form.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.periodic.bisection import (
+    N_STAGES,
+    by_bisection,
+    gauss_tableau,
+    neighbours,
+)
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+__all__ = [
+    "derivative_matrix",
+    "fourier_coefficients",
+    "harmonic_decomposition",
+    "participation_factors",
+    "toeplitz_matrix",
+]
+
+SMALL = 1e-2  # entries below this part of the largest are resolved to the same absolute error
+
+
+def fourier_coefficients(matrix, n_harmonics, *, tolerance=1e-13):
+    """Real Fourier coefficients of a periodic matrix, jumps included.
+
+    M(ψ) = M_0 + Σ_k (M_kc cos kψ + M_ks sin kψ), with the integrals taken by
+    Gauss quadrature on panels that are halved until nothing changes.
+
+    Parameters
+    ----------
+    matrix : callable
+        ψ of shape (n_points,) -> (n_points, rows, columns).
+    n_harmonics : int
+    tolerance : float, default=1e-13
+        Largest change of a panel's integrals on halving it, relative to the
+        largest size of the entry.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 n_harmonics + 1, rows, columns)
+        In the order 0, 1c, 1s, 2c, ….
+
+    Examples
+    --------
+    A square wave has the sine coefficients 4 / (πk), k odd.
+
+    >>> def square(psi):
+    ...     return np.sign(np.sin(psi - 1.0) * np.ones((1, 1)) ).T[:, :, None]
+    >>> c = fourier_coefficients(square, 1)
+    >>> bool(np.isclose(np.hypot(c[1, 0, 0], c[2, 0, 0]), 4 / np.pi, rtol=0, atol=1e-12))
+    True
+    """
+    K = int(n_harmonics)
+    edges = np.linspace(0.0, 2.0 * np.pi, max(16, K) + 1)  # panels resolve cos Kψ
+
+    def rule(left, right):
+        return _panel_integrals(matrix, K, left, right)
+
+    integrals = sum(
+        by_bisection(rule, np.add, _integral_weights, left, right, tolerance).sum(axis=0)
+        for left, right in neighbours(edges)
+    )
+    integrals[0] /= 2.0
+    return integrals / np.pi
+
+
+def toeplitz_matrix(coefficients, n_row_harmonics, n_column_harmonics):
+    """Real block Toeplitz matrix: multiplication by M(ψ), written for harmonics.
+
+    If y = M(ψ) x, then Y = T X, where X and Y hold the real coefficients in the
+    order 0, 1c, 1s, …, each a block of all signals (Eq. 9). In complex
+    coefficients the blocks are T_pq = M_{p−q}; the change to real ones uses
+    s_kc = S_k + S_{−k} and s_ks = j (S_k − S_{−k}).
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (2 K + 1, rows, columns)
+        Real Fourier coefficients of M. Harmonics up to
+        n_row_harmonics + n_column_harmonics matter; those beyond K are zero.
+    n_row_harmonics, n_column_harmonics : int
+        Harmonics N of y and of x.
+
+    Returns
+    -------
+    T : ndarray, shape ((2 N_y + 1) rows, (2 N_x + 1) columns)
+
+    Examples
+    --------
+    cos ψ turns a constant into a first harmonic, and half of it comes back:
+
+    >>> cosine = np.array([0.0, 1.0, 0.0])[:, None, None]
+    >>> toeplitz_matrix(cosine, 1, 1).tolist()
+    [[0.0, 0.5, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    """
+    Ny, Nx = int(n_row_harmonics), int(n_column_harmonics)
+    _, rows, columns = coefficients.shape
+    spectrum = _complex_spectrum(coefficients, Ny + Nx)
+    shift = np.arange(-Ny, Ny + 1)[:, None] - np.arange(-Nx, Nx + 1)
+    T = spectrum[shift + Ny + Nx]  # (2 Ny + 1, 2 Nx + 1, rows, columns)
+    T = _real_rows(T, Ny)
+    T = np.swapaxes(_real_columns(np.swapaxes(T, 0, 1), Nx), 0, 1)
+    return T.real.transpose(0, 2, 1, 3).reshape((2 * Ny + 1) * rows, (2 * Nx + 1) * columns)
+
+
+def harmonic_decomposition(F, G, P, Q, omega, n_states, n_inputs, n_outputs):
+    """Time-invariant model (A, B, C, D) of the harmonics of a periodic system.
+
+    A = T(F) − ω N, B = T(G), C = T(P), D = T(Q): T is :func:`toeplitz_matrix` and
+    ω N the derivative of the harmonic functions, x_kc' ← −kω x_ks, x_ks' ← +kω x_kc.
+
+    Parameters
+    ----------
+    F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
+        Real Fourier coefficients.
+    omega : float
+        Fundamental frequency, rad/s.
+    n_states, n_inputs, n_outputs : int
+        Harmonics N, M, L kept of x, u and y.
+
+    Returns
+    -------
+    A, B, C, D : ndarray
+        Shapes (n (2N+1), n (2N+1)), (n (2N+1), m (2M+1)), (l (2L+1), n (2N+1)) and
+        (l (2L+1), m (2M+1)).
+
+    References
+    ----------
+    Aerospace 2024, 11(11), 875, Eqs. 8 and 9; M. Lopez, J. V. R. Prasad, "Linear
+    Time Invariant Approximations of Linear Time Periodic Systems", J. American
+    Helicopter Society 62 (2017).
+
+    Examples
+    --------
+    >>> F = np.array([[[-1.0]]])
+    >>> A, B, C, D = harmonic_decomposition(F, F, F, F, 5.0, 1, 0, 0)
+    >>> A.tolist()
+    [[-1.0, 0.0, 0.0], [0.0, -1.0, -5.0], [0.0, 5.0, -1.0]]
+    """
+    A = toeplitz_matrix(F, n_states, n_states) - derivative_matrix(n_states, F.shape[1], omega)
+    return (
+        A,
+        toeplitz_matrix(G, n_states, n_inputs),
+        toeplitz_matrix(P, n_outputs, n_states),
+        toeplitz_matrix(Q, n_outputs, n_inputs),
+    )
+
+
+def derivative_matrix(n_harmonics, n_signals, omega):
+    """Time derivative of Σ (s_kc cos kψ + s_ks sin kψ) with s held, in coefficients.
+
+    Examples
+    --------
+    >>> derivative_matrix(1, 1, 2.0).tolist()
+    [[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [0.0, -2.0, 0.0]]
+    """
+    N = np.zeros((2 * n_harmonics + 1, 2 * n_harmonics + 1))
+    for k in range(1, n_harmonics + 1):
+        N[2 * k - 1, 2 * k], N[2 * k, 2 * k - 1] = k * omega, -k * omega
+    return np.kron(N, np.eye(n_signals))
+
+
+def participation_factors(A):
+    """Participation of each state in each mode of ẋ = A x.
+
+    p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji|, with right eigenvectors v and left
+    eigenvectors w; each mode's factors sum to one, and none depends on the units
+    of the states.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+
+    Returns
+    -------
+    eigenvalues : complex ndarray, shape (n,)
+        From the rightmost leftwards.
+    eigenvectors : complex ndarray, shape (n, n)
+        One column a mode, of unit length.
+    factors : ndarray, shape (n, n)
+        States by modes.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If A has no full set of eigenvectors.
+
+    References
+    ----------
+    I. J. Pérez-Arriaga, G. C. Verghese, F. C. Schweppe, "Selective Modal
+    Analysis", IEEE Trans. PAS-101 (1982).
+
+    Examples
+    --------
+    >>> eigenvalues, _, factors = participation_factors(np.diag([-2.0, -1.0]))
+    >>> eigenvalues.real.tolist(), factors.tolist()
+    ([-1.0, -2.0], [[0.0, 1.0], [1.0, 0.0]])
+    """
+    eigenvalues, V = linalg.eig(A)
+    order = np.lexsort((eigenvalues.imag, -eigenvalues.real))
+    eigenvalues, V = eigenvalues[order], V[:, order]
+    products = np.abs(V * np.linalg.inv(V).T)
+    return eigenvalues, V, products / products.sum(axis=0)
+
+
+# ---- Fourier integrals ---------------------------------------------------------------------
+
+
+def _panel_integrals(matrix, n_harmonics, left, right):
+    """∫ M(ψ) (1, cos ψ, sin ψ, …) dψ over each panel by Gauss quadrature."""
+    c, _, b = gauss_tableau(N_STAGES)
+    width = right - left
+    nodes = left[:, None] + width[:, None] * c
+    values = matrix(nodes.ravel())
+    functions = harmonic_functions(nodes, range(n_harmonics + 1)) * b[:, None]
+    flat = values.reshape(len(left), len(c), -1) * width[:, None, None]
+    integrals = np.swapaxes(functions, 1, 2) @ flat
+    return integrals.reshape(len(left), -1, *values.shape[1:])
+
+
+def _integral_weights(integrals):
+    """Weights that make the largest integral of each entry one, or less if it is small."""
+    size = np.max(np.abs(integrals), axis=(0, 1))
+    size = np.maximum(size, SMALL * np.max(size, initial=0.0))
+    return 1.0 / np.where(size > 0, size, 1.0)
+
+
+# ---- real and complex harmonics -----------------------------------------------------------
+
+
+def _complex_spectrum(coefficients, n_harmonics):
+    """Complex coefficients −K … K of real ones, cut or padded to K harmonics."""
+    K = int(n_harmonics)
+    kept = min(K, (len(coefficients) - 1) // 2)
+    cosines, sines = coefficients[1 : 2 * kept : 2], coefficients[2 : 2 * kept + 1 : 2]
+    spectrum = np.zeros((2 * K + 1, *coefficients.shape[1:]), dtype=complex)
+    spectrum[K] = coefficients[0]
+    spectrum[K + 1 : K + 1 + kept] = 0.5 * (cosines - 1j * sines)
+    spectrum[K - kept : K] = 0.5 * (cosines + 1j * sines)[::-1]
+    return spectrum
+
+
+def _real_rows(T, n_harmonics):
+    """Rows S_{−N} … S_N turned into s_0, s_1c, s_1s, …."""
+    rows = np.empty_like(T)
+    positive, negative = T[n_harmonics + 1 :], T[:n_harmonics][::-1]
+    rows[0] = T[n_harmonics]
+    rows[1::2], rows[2::2] = positive + negative, 1j * (positive - negative)
+    return rows
+
+
+def _real_columns(T, n_harmonics):
+    """Columns that multiply S_{−N} … S_N turned into those of s_0, s_1c, s_1s, …."""
+    columns = np.empty_like(T)
+    positive, negative = T[n_harmonics + 1 :], T[:n_harmonics][::-1]
+    columns[0] = T[n_harmonics]
+    columns[1::2] = 0.5 * (positive + negative)
+    columns[2::2] = -0.5j * (positive - negative)
+    return columns

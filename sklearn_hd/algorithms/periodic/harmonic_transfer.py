@@ -1,0 +1,317 @@
+"""Harmonic transfer functions: the frequency response of a linear time-periodic system.
+
+An input u e^{jΩt} comes out at the frequencies Ω + nω, once the transients are gone:
+
+    y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
+
+More generally the input Σ_q u_q e^{j(Ω + qω)t} gives the output Σ_p y_p e^{j(Ω + pω)t},
+
+    y_p = Σ_q H_{p,q}(jΩ) u_q,   H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω))
+
+With T(·) multiplication by a periodic matrix in complex harmonics, T_pq = M_{p−q},
+and N = diag(jkω),
+
+    H(jΩ) = T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q)
+"""
+
+import numpy as np
+import slycot
+from scipy import signal
+
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
+from sklearn_hd.algorithms.signals.fourier import complex_transformation
+
+__all__ = [
+    "effective_averages",
+    "estimate_harmonic_transfer",
+    "harmonic_transfer_blocks",
+    "held_harmonic_transfer",
+    "segment_plan",
+]
+
+START = 8  # internal harmonics beyond those asked for, at first
+UNEXCITED = 1e-10  # input power in some direction, beside the largest, that is none
+BATCH = 64  # segments transformed together; bounds the memory
+
+
+def harmonic_transfer_blocks(
+    coefficients, omega, frequencies, n_harmonics, *, tolerance=1e-8, max_harmonics=128
+):
+    """Blocks H_{p,q}(jΩ) of a system given by Fourier coefficients.
+
+    The states keep K ≥ N harmonics; K is doubled until no block changes by more than
+    the tolerance.
+
+    Parameters
+    ----------
+    coefficients : callable
+        k -> (F, G, P, Q), real Fourier coefficients up to harmonic k, each of shape
+        (2 k + 1, rows, columns).
+    omega : float
+        Fundamental frequency, rad/s.
+    frequencies : array_like, shape (n_frequencies,)
+        Ω in rad/s.
+    n_harmonics : int
+        N, harmonics of inputs and outputs.
+    tolerance : float, default=1e-8
+        Largest change on doubling K, relative to the largest entry of all blocks.
+    max_harmonics : int, default=128
+        Bound on K.
+
+    Returns
+    -------
+    blocks : complex ndarray, shape (n_frequencies, 2 N + 1, 2 N + 1, l, m)
+        H_{p,q}(jΩ), p and q from −N to N.
+    change : float
+        Relative change at the last doubling.
+
+    Raises
+    ------
+    ValueError
+        If jΩ is an eigenvalue: a response that never settles.
+
+    References
+    ----------
+    N. M. Wereley, S. R. Hall, "Frequency response of linear time periodic systems",
+    29th IEEE Conference on Decision and Control (1990).
+
+    Examples
+    --------
+    >>> def low_pass(k):  # ẋ = −x + u, y = cos ψ x
+    ...     F, G, P, Q = np.zeros((4, 2 * k + 1, 1, 1))
+    ...     F[0], G[0], P[1] = -1.0, 1.0, 1.0
+    ...     return F, G, P, Q
+    >>> H, _ = harmonic_transfer_blocks(low_pass, 5.0, [2.0], 1)
+    >>> bool(np.isclose(H[0, 2, 1, 0, 0], 0.5 / (1.0 + 2.0j)))
+    True
+    """
+    N = int(n_harmonics)
+    K = min(N + START, max(N, max_harmonics // 2))
+    blocks = _truncated_blocks(coefficients, omega, frequencies, N, K)
+    change = np.inf
+    while change > tolerance and max_harmonics > K:
+        K = min(2 * K, max_harmonics)
+        coarse, blocks = blocks, _truncated_blocks(coefficients, omega, frequencies, N, K)
+        size = np.max(np.abs(blocks), initial=0.0)
+        change = np.max(np.abs(blocks - coarse), initial=0.0) / (size if size > 0 else 1.0)
+    return blocks, float(change)
+
+
+def held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, n_harmonics):
+    """H_n(jΩ) from sample to sample, for inputs held between samples.
+
+        x[k+1] = Φ[k] x[k] + Γ[k] u[k],   y[k] = P[k] x[k] + Q[k] u[k],   u[k] = e^{jΩkΔt}
+
+    The steady state x[k] = X[k] e^{jΩkΔt}, X of period S, is found exactly.
+
+    Parameters
+    ----------
+    Phi, Gamma, P, Q : ndarray, shapes (S, n, n), (S, n, m), (S, l, n), (S, l, m)
+        Of the samples of one period that begins at ψ = 0.
+    frequencies : array_like, shape (n_frequencies,)
+        Ω in rad/s.
+    dt : float
+        Sample time in seconds.
+    n_harmonics : int
+        N, at most (S − 1) / 2.
+
+    Returns
+    -------
+    values : complex ndarray, shape (n_frequencies, 2 N + 1, l, m)
+        H_n(jΩ), n from −N to N.
+
+    Examples
+    --------
+    >>> one = np.ones((2, 1, 1))
+    >>> H = held_harmonic_transfer(0.5 * one, one, one, 0 * one, [0.0], 1.0, 0)
+    >>> H.ravel().tolist()
+    [(2+0j)]
+    """
+    S, n, m = Gamma.shape
+    turn = np.exp(-1j * np.asarray(frequencies, dtype=float) * dt)[:, None, None]
+    A, B = np.eye(n, dtype=complex), np.zeros((len(turn), n, m), dtype=complex)
+    for k in range(S):
+        A, B = turn * (Phi[k] @ A), turn * (Phi[k] @ B + Gamma[k])
+    X = np.linalg.solve(np.eye(n) - A, B)
+    values = np.zeros((len(turn), 2 * n_harmonics + 1, P.shape[1], m), dtype=complex)
+    n_range = np.arange(-n_harmonics, n_harmonics + 1)
+    for k in range(S):
+        y = P[k] @ X + Q[k]
+        values += np.exp(-2j * np.pi * n_range * k / S)[:, None, None] * y[:, None] / S
+        X = turn * (Phi[k] @ X + Gamma[k])
+    return values
+
+
+def estimate_harmonic_transfer(
+    inputs, outputs, times, omega, n_harmonics, n_segment, *, window="hann", overlap=0.5
+):
+    """H_n(jΩ) of measured records, by least squares over overlapping segments.
+
+    At each output frequency the transforms of the windowed segments obey
+
+        Y(Ω + nω) = Σ_q H_q(j(Ω + (n − q)ω)) U(Ω + (n − q)ω) + E,   |q| ≤ N
+
+    U(Ω + sω) being the transform of u e^{−jsωt}. The coefficient of U(Ω) is H_n(jΩ).
+
+    Parameters
+    ----------
+    inputs, outputs : list of ndarray, shapes (n_samples, m) and (n_samples, l)
+        One pair a record.
+    times : list of ndarray, shape (n_samples,)
+        Seconds, evenly spaced; ψ = ωt.
+    omega : float
+        Fundamental frequency, rad/s.
+    n_harmonics : int
+        N.
+    n_segment : int
+        Samples of a segment.
+    window : str or tuple, default="hann"
+        As for :func:`scipy.signal.get_window`.
+    overlap : float, default=0.5
+        Share of a segment that the next one repeats.
+
+    Returns
+    -------
+    frequencies : ndarray, shape (n_frequencies,)
+        Ω in rad/s, from 0 to where Ω + Nω reaches half the sampling frequency.
+    values : complex ndarray, shape (n_frequencies, 2 N + 1, l, m)
+        NaN where the inputs do not excite Ω by itself.
+    std : ndarray, same shape
+        √E|Ĥ − H|²; real and imaginary part have 1/√2 of it each.
+    coherence : ndarray, shape (n_frequencies, 2 N + 1, l)
+        Share of each output's power at Ω + nω that all inputs account for.
+    n_averages : float
+        Independent segments that the overlapping ones are worth.
+
+    References
+    ----------
+    A. Siddiqi, *Identification of the Harmonic Transfer Functions of a Helicopter
+    Rotor*, M.S. thesis, MIT, 2001; J. S. Bendat, A. G. Piersol, *Random Data*, 4th
+    ed., 2010, chapters 7 and 9 (multiple-input spectra and their errors).
+    """
+    dt = float(np.mean(np.diff(times[0])))
+    weights, step = segment_plan(n_segment, window, overlap)
+    all_frequencies = 2.0 * np.pi * np.arange(n_segment // 2 + 1) / (n_segment * dt)
+    top = np.pi / dt - n_harmonics * omega
+    frequencies = all_frequencies[all_frequencies < top * (1.0 - 1e-9)]
+    m, l = inputs[0].shape[1], outputs[0].shape[1]  # noqa: E741 (the field's letter)
+    spectra, n_averages, count = 0.0, 0.0, 0
+    for u, y, t in zip(inputs, outputs, times, strict=True):
+        starts = np.arange(0, len(t) - n_segment + 1, step)
+        for some in np.split(starts, range(BATCH, len(starts), BATCH)):
+            rows = some[:, None] + np.arange(n_segment)
+            Z = _shifted_transforms(
+                u[rows], y[rows], t[rows], omega, n_harmonics, weights, len(frequencies)
+            )
+            spectra = spectra + np.einsum("kfi,kfj->fij", np.conj(Z), Z, optimize=True)
+        n_averages += effective_averages(weights, step, len(starts))
+        count += len(starts)
+    values, std, coherence = _regress(spectra / count, n_averages, n_harmonics, m, l)
+    return frequencies, values, std, coherence, n_averages
+
+
+def segment_plan(n_segment, window, overlap):
+    """Window weights, shape (n_segment,), and samples from one segment to the next."""
+    return signal.get_window(window, n_segment), max(1, round(n_segment * (1.0 - overlap)))
+
+
+def effective_averages(weights, step, n_segments):
+    """Independent segments that overlapping, windowed ones are worth.
+
+        n / (1 + 2 Σ_d (1 − d/n) ρ_d²),   ρ_d = Σ_i w_i w_{i + d step} / Σ_i w_i²
+
+    References
+    ----------
+    P. D. Welch, "The use of fast Fourier transform for the estimation of power
+    spectra", IEEE Trans. Audio Electroacoustics 15 (1967).
+
+    Examples
+    --------
+    >>> effective_averages(np.ones(8), 8, 5)
+    5.0
+    """
+    if n_segments == 0:
+        return 0.0
+    power, spread = np.sum(weights**2), 1.0
+    for d in range(1, min(n_segments, -(-len(weights) // step))):
+        rho = np.sum(weights[d * step :] * weights[: len(weights) - d * step]) / power
+        spread += 2.0 * (1.0 - d / n_segments) * rho**2
+    return n_segments / spread
+
+
+def _truncated_blocks(coefficients, omega, frequencies, N, K):
+    """Blocks from the harmonic decomposition with K harmonics of the states."""
+    A, B, C, D = harmonic_decomposition(*coefficients(2 * K), omega, K, N, N)
+    outputs, inputs = len(D) // (2 * N + 1), D.shape[1] // (2 * N + 1)
+    W = complex_transformation(N)
+    left = np.kron(W, np.eye(outputs))
+    right = np.kron(np.linalg.inv(W), np.eye(inputs))
+    G = left @ (_hessenberg_responses(A, B, C, frequencies) + D) @ right
+    shape = (-1, 2 * N + 1, outputs, 2 * N + 1, inputs)
+    return G.reshape(shape).transpose(0, 1, 3, 2, 4)
+
+
+def _hessenberg_responses(A, B, C, frequencies):
+    """C (jΩ I − A)⁻¹ B, A brought to Hessenberg form once."""
+    (n, m), p = B.shape, len(C)
+    values = np.empty((len(frequencies), p, m), dtype=complex)
+    job = "NG"
+    for k, frequency in enumerate(frequencies):
+        try:
+            found = slycot.tb05ad(n, m, p, 1j * float(frequency), A, B, C, job)
+        except slycot.exceptions.SlycotArithmeticError:
+            raise ValueError(
+                f"the response at {frequency:.6g} rad/s is unbounded: a Floquet exponent lies at "
+                f"that frequency on the imaginary axis; leave it out or add damping"
+            ) from None
+        if job == "NG":
+            A, B, C, values[k] = found[:4]
+            job = "NH"
+        else:
+            values[k] = found[0]
+    return values
+
+
+def _shifted_transforms(u, y, t, omega, N, weights, n_frequencies):
+    """Transforms of u e^{−jsωt}, |s| ≤ 2N, then of y e^{−jnωt}, |n| ≤ N, of some segments."""
+    columns = []
+    for values, highest in ((u, 2 * N), (y, N)):
+        for s in range(-highest, highest + 1):
+            carrier = weights * np.exp(-1j * s * omega * t)
+            transform = np.fft.fft(values * carrier[..., None], axis=1)
+            columns.append(transform[:, :n_frequencies])
+    return np.concatenate(columns, axis=2)
+
+
+def _regress(spectra, n_averages, N, m, l):  # noqa: E741 (the field's letter)
+    """Values, standard deviations and coherence from the spectra of the shifted signals."""
+    n_inputs = (4 * N + 1) * m
+    values = np.empty((len(spectra), 2 * N + 1, l, m), dtype=complex)
+    std, coherence = np.empty(values.shape), np.empty(values.shape[:3])
+    for n in range(-N, N + 1):
+        x = np.arange(n_inputs).reshape(-1, m)[n + N : n + 3 * N + 1].ravel()
+        y = n_inputs + (n + N) * l + np.arange(l)
+        S_xx, S_xy = spectra[:, x[:, None], x], spectra[:, x[:, None], y]
+        S_yy = np.real(spectra[:, y, y])
+        inverse, known = _inverse(S_xx)
+        H = inverse @ S_xy
+        explained = np.real(np.sum(np.conj(S_xy) * H, axis=1))
+        coherence[:, n + N] = np.clip(explained / np.where(S_yy > 0, S_yy, 1.0), 0.0, 1.0)
+        noise = np.maximum(S_yy - explained, 0.0) / (n_averages - len(x))
+        own = (N - n) * m + np.arange(m)  # shift s = 0
+        variance = np.real(np.einsum("fii->fi", inverse))[:, own]
+        spread = np.sqrt(noise[:, :, None] * variance[:, None, :])
+        good = known[:, None, own]
+        values[:, n + N] = np.where(good, np.swapaxes(H[:, own], 1, 2), np.nan)
+        std[:, n + N] = np.where(good, spread, np.nan)
+    return values, std, coherence
+
+
+def _inverse(S):
+    """Pseudo-inverse of Hermitian matrices, and which unknowns they determine."""
+    size = np.sqrt(np.real(np.einsum("fii->fi", S)))
+    scale = np.where(size > np.sqrt(UNEXCITED) * np.max(size, initial=0.0), size, np.inf)
+    scaled = S / scale[:, :, None] / scale[:, None, :]
+    inverse = np.linalg.pinv(scaled, rcond=UNEXCITED, hermitian=True)
+    resolved = np.real(np.einsum("fij,fji->fi", inverse, scaled))
+    return inverse / scale[:, :, None] / scale[:, None, :], resolved > 1.0 - 1e-6

@@ -1,0 +1,418 @@
+"""Periodic systems whose Fourier coefficients are affine in a vector of parameters.
+
+    ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt                  (Eq. 6)
+    [F G; P Q](ψ; θ) = S₀(ψ) + Σ_k θ_k S_k(ψ)
+
+Sampled n_phases times a period, with u held between samples,
+
+    [x; u] moves over interval j to x[j+1] = Ψ_j [x[j]; u[j]],   Ψ_j = [Φ_j Γ_j]
+
+by Gauss collocation: with stage states Z_q at the nodes ψ_q, the exact derivative of the
+collocation step is
+
+    ∂Ψ_j/∂θ_k = Σ_q L_q [∂F/∂θ_k ∂G/∂θ_k](ψ_q) Z_q,
+
+where L_q, the adjoint of the step, says where a push at node q ends up. It is of the
+order of the step itself (the method is symplectic: its adjoint is the same method run
+backwards), although the stages alone are not.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg, sparse
+
+from sklearn_hd.algorithms.periodic.bisection import N_STAGES, gauss_tableau
+from sklearn_hd.algorithms.periodic.floquet import state_units
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+__all__ = ["PeriodicStructure", "SampledResponse", "held_pushes", "sampled_response"]
+
+LONGEST_STEP = 1.0  # |F| h and K ω h of one collocation step; at 1 it errs by 1e-15
+MAX_SUBSTEPS = 256  # within one sample; whatever moves faster was not seen by the samples
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicStructure:
+    """Periodic system with Fourier coefficients affine in its parameters.
+
+    Parameters
+    ----------
+    constant : ndarray, shape (2 K + 1, n + l, n + m)
+        Real Fourier coefficients of [F G; P Q](ψ) at θ = 0, in the order 0, 1c, 1s, ….
+        K = 0 is a time-invariant system.
+    basis : ndarray, shape (k, 2 K + 1, n + l, n + m), or sparse, shape (k, constant.size)
+        What one unit of each parameter adds. Kept as a sparse matrix: most parameters
+        are one entry of one coefficient.
+    n_states : int
+        n, which says where [F G; P Q] is divided.
+    parameter_names : tuple of str, length k
+
+    Examples
+    --------
+    A lag whose rate θ₀ cos ψ − 1 varies over the period:
+
+    >>> constant = np.zeros((3, 2, 2))
+    >>> constant[0] = [[-1.0, 1.0], [1.0, 0.0]]
+    >>> basis = np.zeros((1, 3, 2, 2))
+    >>> basis[0, 1, 0, 0] = 1.0
+    >>> lag = PeriodicStructure(constant, basis, 1, ("swing",))
+    >>> lag.matrices([0.3])[0].ravel().tolist()
+    [-1.0, 0.3, 0.0]
+    """
+
+    constant: np.ndarray
+    basis: sparse.csr_array
+    n_states: int
+    parameter_names: tuple
+
+    def __post_init__(self):
+        constant = np.asarray(self.constant, dtype=float)
+        basis = self.basis
+        if not sparse.issparse(basis):
+            basis = np.asarray(basis, dtype=float)
+            basis = basis.reshape(len(basis), constant.size)
+        object.__setattr__(self, "constant", constant)
+        object.__setattr__(self, "basis", sparse.csr_array(basis, dtype=float))
+        object.__setattr__(self, "parameter_names", tuple(self.parameter_names))
+        if self.basis.shape != (len(self.parameter_names), constant.size):
+            raise ValueError(
+                f"basis has {self.basis.shape[0]} parameters of {self.basis.shape[1]} entries; "
+                f"{len(self.parameter_names)} parameter names and a constant of shape "
+                f"{constant.shape} need {len(self.parameter_names)} of {constant.size}"
+            )
+
+    @classmethod
+    def time_invariant(cls, structure):
+        """The same structure as an :class:`AffineStructure`, with K = 0."""
+        return cls(
+            structure.constant[None],
+            np.asarray(structure.basis)[:, None],
+            structure.n_states,
+            structure.parameter_names,
+        )
+
+    @property
+    def n_parameters(self):
+        return len(self.parameter_names)
+
+    @property
+    def n_inputs(self):
+        return self.constant.shape[2] - self.n_states
+
+    @property
+    def n_outputs(self):
+        return self.constant.shape[1] - self.n_states
+
+    @property
+    def n_harmonics(self):
+        """K, the highest harmonic of [F G; P Q]."""
+        return len(self.constant) // 2
+
+    def restricted(self, kept):
+        """The structure with some of its parameters, those left out being zero."""
+        names = tuple(self.parameter_names[k] for k in kept)
+        return PeriodicStructure(self.constant, self.basis[kept], self.n_states, names)
+
+    def coefficients(self, theta):
+        """Fourier coefficients of [F G; P Q], shape (2 K + 1, n + l, n + m)."""
+        moved = np.asarray(theta, dtype=float) @ self.basis
+        return self.constant + moved.reshape(self.constant.shape)
+
+    def nearest(self, coefficients):
+        """Parameters that bring the coefficients nearest to some given ones of any number."""
+        gap = np.zeros(self.constant.shape)
+        gap[: len(coefficients)] = coefficients[: len(gap)]
+        gap -= self.constant
+        gram = (self.basis @ self.basis.T).toarray()
+        if not len(gram):
+            return np.zeros(0)
+        return linalg.solve(gram, self.basis @ gap.ravel(), assume_a="pos")
+
+    def matrices(self, theta):
+        """Fourier coefficients of F, G, P and Q."""
+        M, n = self.coefficients(theta), self.n_states
+        return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
+
+    @cached_property
+    def varies(self):
+        """Whether [F G], and whether [P Q], may vary over the period."""
+        touched = np.zeros(self.constant.size, dtype=bool)
+        touched[self.basis.indices] = True
+        touched = (touched.reshape(self.constant.shape) | (self.constant != 0))[1:]
+        n = self.n_states
+        return bool(touched[:, :n].any()), bool(touched[:, n:].any())
+
+    @cached_property
+    def dynamic_entries(self):
+        """Harmonic, row and column of the entries of [F G] that move, and their rates (k, e)."""
+        return self._entries(lambda row: row < self.n_states)
+
+    @cached_property
+    def output_entries(self):
+        """The same of [P Q], rows counted from its first."""
+        harmonic, row, column, rates = self._entries(lambda row: row >= self.n_states)
+        return harmonic, row - self.n_states, column, rates
+
+    def _entries(self, chosen):
+        moved = np.unique(self.basis.indices)
+        index = np.array(np.unravel_index(moved, self.constant.shape))
+        chosen = chosen(index[1])
+        return *index[:, chosen], self.basis[:, moved[chosen]]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledResponse:
+    """One period of a sampled periodic system, and its derivatives.
+
+    x[k+1] = Ψ[k mod p] [x[k]; u[k]],   y[k] = Out[k mod q] [x[k]; u[k]]
+
+    Attributes
+    ----------
+    Psi : ndarray, shape (p, n, n + m)
+        p is 1 if F and G are constant, n_phases otherwise.
+    Out : ndarray, shape (q, l', n + m)
+        q is 1 if P, Q and what is measured of them are constant, n_phases otherwise.
+    dPsi : ndarray, shape (k, p, n, n + m), or None
+    dOut : ndarray, shape (k, q, l', n + m), or None
+    """
+
+    Psi: np.ndarray
+    Out: np.ndarray
+    dPsi: np.ndarray | None = None
+    dOut: np.ndarray | None = None
+
+    @property
+    def n_states(self):
+        return self.Psi.shape[1]
+
+    @property
+    def Phi(self):
+        """Transition matrices, shape (p, n, n)."""
+        return self.Psi[:, :, : self.n_states]
+
+    @cached_property
+    def monodromy(self):
+        """Transition matrix over the p intervals: one period, or one sample if p is 1."""
+        product = np.eye(self.n_states)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for factor in self.Phi:
+                product = factor @ product
+        return product
+
+    @cached_property
+    def spectral_radius(self):
+        """Size of the largest multiplier of the monodromy matrix; infinite if it overflows."""
+        if not np.all(np.isfinite(self.monodromy)):
+            return np.inf
+        return float(np.max(np.abs(np.linalg.eigvals(self.monodromy)), initial=0.0))
+
+
+def sampled_response(structure, theta, omega, n_phases, observe=None, *, sensitivities=True):
+    """Transition and output matrices of the samples of one period, and their derivatives.
+
+    Sample j lies at ψ_j = 2πj / n_phases; inputs are held over the interval that follows.
+
+    Parameters
+    ----------
+    structure : PeriodicStructure
+    theta : array_like, shape (k,)
+    omega : float
+        Fundamental frequency, rad/s.
+    n_phases : int
+        Samples a period.
+    observe : ndarray, shape (n_phases, l', l) or (1, l', l), optional
+        What is measured of the model's outputs at each phase: for a model of harmonic
+        coefficients, the functions 1, cos ψ, sin ψ, … that put y together (Eq. 7).
+    sensitivities : bool, default=True
+
+    Returns
+    -------
+    response : SampledResponse
+
+    Raises
+    ------
+    ValueError
+        If F moves the states by hundreds of time constants within one sample.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, *Geometric Numerical Integration*, 2006, sections
+    II.1 (Gauss collocation) and VI.4 (symplecticity).
+
+    Examples
+    --------
+    >>> structure = PeriodicStructure(np.array([[[0.0, 1.0], [1.0, 0.0]]]),
+    ...                               np.array([[[[-1.0, 0.0], [0.0, 0.0]]]]), 1, ("rate",))
+    >>> response = sampled_response(structure, [2.0], 2 * np.pi, 4)
+    >>> bool(np.isclose(response.Psi[0, 0, 0], np.exp(-0.5)))
+    True
+    >>> bool(np.isclose(response.dPsi[0, 0, 0, 0], -0.25 * np.exp(-0.5)))
+    True
+    """
+    theta = np.asarray(theta, dtype=float)
+    Psi, dPsi = _transitions(structure, theta, omega, n_phases, sensitivities)
+    Out, dOut = _outputs(structure, theta, n_phases, observe, sensitivities)
+    return SampledResponse(Psi, Out, dPsi, dOut)
+
+
+def held_pushes(structure, theta, omega, n_phases, n_harmonics):
+    """Where a push cos kψ or sin kψ of one state over one interval leaves all states.
+
+    What one unit of a coefficient of G adds to Γ_j, whatever the number of inputs.
+
+    Parameters
+    ----------
+    structure, theta, omega, n_phases
+        As for :func:`sampled_response`.
+    n_harmonics : int
+        Of the pushes.
+
+    Returns
+    -------
+    pushes : ndarray, shape (2 n_harmonics + 1, n_phases, n, n)
+        In the order 0, 1c, 1s, …; the last axis is the state pushed.
+    """
+    n = structure.n_states
+    S = n_substeps(structure, theta, omega, n_phases, n_harmonics)
+    nodes, _, left, _ = _intervals(structure, theta, omega, n_phases, n_phases, S)
+    functions = harmonic_functions(nodes, range(n_harmonics + 1))
+    pushes = functions.transpose(0, 2, 1) @ left.reshape(n_phases, -1, n * n)
+    return pushes.reshape(n_phases, -1, n, n).transpose(1, 0, 2, 3)
+
+
+def n_substeps(structure, theta, omega, n_phases, n_harmonics=0):
+    """Collocation steps that resolve one sample: |F| h ≤ 1 in balanced units, K ω h ≤ 1."""
+    F = structure.matrices(theta)[0]
+    n_points = max(16, 4 * structure.n_harmonics)
+    values = evaluate_harmonics(F, 2.0 * np.pi * np.arange(n_points) / n_points)
+    units = state_units(lambda psi: evaluate_harmonics(F, psi))
+    fastest = np.max(np.linalg.norm(values * (units / units[:, None]), axis=(1, 2)), initial=0.0)
+    highest = max(n_harmonics, structure.n_harmonics * structure.varies[0])
+    rate = max(fastest, omega * highest)
+    return max(1, int(np.ceil(rate * 2.0 * np.pi / (omega * n_phases) / LONGEST_STEP)))
+
+
+# ---- states -------------------------------------------------------------------------------
+
+
+def _transitions(structure, theta, omega, n_phases, sensitivities):
+    """Ψ, shape (p, n, n + m), and ∂Ψ/∂θ, shape (k, p, n, n + m), or None."""
+    p = n_phases if structure.varies[0] else 1
+    S = n_substeps(structure, theta, omega, n_phases)
+    if S > MAX_SUBSTEPS:
+        raise ValueError(
+            f"F has rates of {S * n_phases * omega / (2 * np.pi):.3g} 1/s, {S} time constants in "
+            f"one sample; start nearer to the truth, or sample more often than {n_phases} times "
+            f"a period"
+        )
+    nodes, Psi, left, stages = _intervals(
+        structure, theta, omega, n_phases, p, S, adjoint=sensitivities
+    )
+    if not sensitivities:
+        return Psi, None
+    functions = harmonic_functions(nodes, range(structure.n_harmonics + 1))
+    return Psi, _entry_derivatives(structure.dynamic_entries, functions, left, stages)
+
+
+def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True):
+    """Nodes of p intervals, (p, q), Ψ, and L and Z of each node, (p, q, …), or None."""
+    n, m = structure.n_states, structure.n_inputs
+    M = structure.coefficients(theta)[:, :n]
+    units = np.ones(n + m)
+    units[:n] = state_units(lambda psi: evaluate_harmonics(M[:, :, :n], psi))
+    scale = units / units[:n, None]
+    nodes, width = _nodes(p, n_phases, n_substeps)
+    values = evaluate_harmonics(M * scale, nodes)
+    left, stages, steps = _collocation(values, width / omega, adjoint=adjoint)
+    before, after = _chains(steps)
+    Psi = (steps[:, -1] @ before[:, -1])[:, :n] / scale
+    nodes = nodes.reshape(p, -1)
+    if not adjoint:
+        return nodes, Psi, None, None
+    left = after[:, :, None, :n, :n] @ left * (units[:n, None] / units[:n])
+    stages = stages @ before[:, :, None] * (units[:, None] / units)
+    left, stages = (M.reshape(p, -1, *M.shape[3:]) for M in (left, stages))
+    return nodes, Psi, left, stages
+
+
+def _nodes(p, n_phases, n_substeps):
+    """Azimuths of the collocation nodes, shape (p, n_substeps, n_stages), and the step in rad."""
+    width = 2.0 * np.pi / (n_phases * n_substeps)
+    starts = 2.0 * np.pi / n_phases * np.arange(p)[:, None] + width * np.arange(n_substeps)
+    return starts[:, :, None] + width * gauss_tableau(N_STAGES)[0], width
+
+
+def _collocation(values, h, *, adjoint):
+    """Adjoints L_q, stage states Z_q = [X_q; u] and steps [Φ Γ; 0 I] of collocation steps.
+
+    Stages K_q = [F_q G_q] Z_q, X_q = x + h Σ_r a_qr K_r; step x + h Σ_q b_q K_q.
+    ``values`` holds [F G] at the nodes, shape (..., n_stages, n, n + m).
+    """
+    _, a, b = gauss_tableau(N_STAGES)
+    *batch, Q, n, columns = values.shape
+    coupling = h * values[..., :, :, None, :n] * a[:, None, :, None]
+    system = np.eye(Q * n) - coupling.reshape(*batch, Q * n, Q * n)
+    K = np.linalg.solve(system, values.reshape(*batch, Q * n, columns))
+    K = K.reshape(*batch, Q, n, columns)
+    steps = np.zeros((*batch, columns, columns)) + np.eye(columns)
+    steps[..., :n, :] += h * np.einsum("q,...qij->...ij", b, K)
+    if not adjoint:
+        return None, None, steps
+    stages = np.zeros((*batch, Q, columns, columns)) + np.eye(columns)
+    stages[..., :n, :] += h * np.einsum("qr,...rij->...qij", a, K)
+    weights = np.broadcast_to(h * np.kron(b[:, None], np.eye(n)), (*batch, Q * n, n))
+    left = np.linalg.solve(np.swapaxes(system, -1, -2), weights)
+    return np.swapaxes(left.reshape(*batch, Q, n, n), -1, -2), stages, steps
+
+
+def _chains(steps):
+    """Products of the steps before each one, and of those after it, all (p, S, n + m, n + m)."""
+    before, after = np.zeros_like(steps), np.zeros_like(steps)
+    before[:, 0] = after[:, -1] = np.eye(steps.shape[-1])
+    for s in range(1, steps.shape[1]):
+        before[:, s] = steps[:, s - 1] @ before[:, s - 1]
+        after[:, -1 - s] = after[:, -s] @ steps[:, -s]
+    return before, after
+
+
+def _entry_derivatives(entries, functions, left, stages):
+    """∂Ψ/∂θ, shape (k, p, n, n + m): Σ_q φ_h(ψ_q) L_q[:, row] Z_q[column, :] by the rates."""
+    harmonic, row, column, rates = entries
+    pushes = left[:, :, :, row] * functions[:, :, None, harmonic]  # (p, q, n, e)
+    moved = pushes.transpose(3, 0, 2, 1) @ stages[:, :, column].transpose(2, 0, 1, 3)
+    return _by_parameter(rates, moved)
+
+
+def _by_parameter(rates, moved):
+    """Derivatives by the parameters from those by the entries, (e, ...) -> (k, ...)."""
+    flat = rates @ moved.reshape(len(moved), int(np.prod(moved.shape[1:])))
+    return flat.reshape(rates.shape[0], *moved.shape[1:])
+
+
+# ---- outputs ------------------------------------------------------------------------------
+
+
+def _outputs(structure, theta, n_phases, observe, sensitivities):
+    """Out, shape (q, l', n + m), and ∂Out/∂θ, shape (k, q, l', n + m), or None."""
+    n, m, n_outputs = structure.n_states, structure.n_inputs, structure.n_outputs
+    observe = np.eye(n_outputs)[None] if observe is None else np.asarray(observe, dtype=float)
+    if observe.ndim != 3 or len(observe) not in (1, n_phases) or observe.shape[2] != n_outputs:
+        raise ValueError(
+            f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs "
+            f"of the model it must be ({n_phases}, n_measured, {n_outputs})"
+        )
+    q = n_phases if structure.varies[1] else 1
+    functions = harmonic_functions(
+        2.0 * np.pi * np.arange(q) / n_phases, range(structure.n_harmonics + 1)
+    )
+    Out = observe @ np.tensordot(functions, structure.coefficients(theta)[:, n:], 1)
+    if not sensitivities:
+        return Out, None
+    harmonic, row, column, rates = structure.output_entries
+    moved = np.zeros((len(row), len(Out), observe.shape[1], n + m))
+    values = observe[:, :, row] * functions[:, None, harmonic]  # (q, l', e)
+    moved[np.arange(len(row)), :, :, column] = values.transpose(2, 0, 1)
+    return Out, _by_parameter(rates, moved)

@@ -1,0 +1,1 @@
+"""Signals in time: Fourier coefficients, resampling, periods side by side."""

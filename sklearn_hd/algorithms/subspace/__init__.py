@@ -1,0 +1,1 @@
+"""Subspace identification: data matrices, projections, state matrices, B and D."""

@@ -1,0 +1,161 @@
+"""Triangular factor of the block Hankel matrices of input-output data (Eq. 11).
+
+Each block Hankel column holds 2i consecutive rows of the data, arranged
+
+    Z = [U_f; U_p; Y_p; Y_f],    Z = L Q,  L lower triangular,
+
+and only R = Lᵀ is needed afterwards (Verhaegen, 1994). The Hankel matrices never stand in
+memory as a whole, and no column straddles two segments. Three ways lead to R, each taken
+where the one before it would not do:
+
+1. Cholesky factor of the Gram matrix Z Zᵀ, which follows from lagged products of the data
+   (:mod:`~sklearn_hd.algorithms.subspace.lag_products`). Sums in double perturb the columns of R,
+   brought to equal length, by about ε ‖R⁻¹‖² beside each other. Noise makes ‖R⁻¹‖ small:
+   then this is far less than what noise does, 1/√n. Without noise R is singular, and the
+   loss total, without a sign of it in the result.
+2. The same from exact sums, in double-double, where there are many columns. Its errors are
+   those of orthogonal transformations: ε beside the length of each column of R.
+3. Orthogonal transformations of the Hankel columns, block by block, where there are few.
+"""
+
+import functools
+
+import numpy as np
+
+from sklearn_hd.algorithms.linalg.double_double import cholesky
+from sklearn_hd.algorithms.linalg.triangular import all_above, safe_cholesky, triangle
+from sklearn_hd.algorithms.subspace.lag_products import lag_products
+
+__all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
+
+RANK_TOLERANCE = 1e-10  # of directions of the inputs
+FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
+
+
+def n_hankel_columns(lengths, block_rows):
+    """Number of block Hankel columns that segments of some lengths give."""
+    return int(sum(max(0, length - 2 * block_rows + 1) for length in lengths))
+
+
+def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
+    """R factor of the transposed block Hankel matrix [U_f; U_p; Y_p; Y_f].
+
+    Parameters
+    ----------
+    inputs : list of ndarray, shapes (n_rows_s, m)
+        One array a segment.
+    outputs : list of ndarray, shapes (n_rows_s, l)
+    block_rows : int
+        Block rows i of the past, and as many of the future.
+    scale : ndarray, shape (m + l,), optional
+        What the channels, inputs and outputs, are divided by.
+    products : callable, optional
+        In place of ``lag_products``, such as a cache of them.
+
+    Returns
+    -------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+        Upper triangular; RᵀR = Z Zᵀ.
+    """
+    products = products or lag_products
+    n_inputs, n_lags = inputs[0].shape[1], 2 * block_rows
+    width = n_lags * (n_inputs + outputs[0].shape[1])
+    n_columns = n_hankel_columns([len(u) for u in inputs], block_rows)
+    records = list(zip(inputs, outputs, strict=True))
+    if n_columns >= width:
+        R = factor_of_products(products(records, n_lags, exact=False), n_inputs, scale)
+        if R is not None:
+            return R
+    if n_columns >= FEW_COLUMNS * width:
+        return factor_of_products(products(records, n_lags, exact=True), n_inputs, scale)
+    R = _orthogonal_factor(records, block_rows)
+    if scale is not None:
+        R /= np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
+    return R
+
+
+def factor_of_products(products, n_inputs, scale=None):
+    """R factor from lag products.
+
+    Parameters
+    ----------
+    products : LagProducts
+        Of the inputs and outputs, in 2i lags.
+    n_inputs : int
+        The first of the channels.
+    scale : ndarray, shape (m + l,), optional
+        What the channels are divided by.
+
+    Returns
+    -------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l)), or None
+        None where plain sums have lost what R should say; exact ones never have.
+    """
+    n_lags = len(products.lags)
+    order = _block_order(n_lags, len(products.exponents), n_inputs)
+    G = products.gram(order)
+    R = safe_cholesky(G.high, overwrite=not products.exact)
+    if R is None and products.exact:
+        R = cholesky(G.high, G.low)
+    if R is None:
+        return None
+    units = np.ldexp(1.0, products.exponents)
+    units = units if scale is None else units / scale
+    if np.any(units != 1.0):
+        R *= np.tile(units, n_lags)[order]
+    return R
+
+
+def n_excited(R, block_rows, n_inputs):
+    """Directions that the inputs excite of the 2 i m that their Hankel rows have.
+
+    Parameters
+    ----------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+        From :func:`hankel_factor`.
+    block_rows, n_inputs : int
+
+    Returns
+    -------
+    n_directions : int
+    """
+    size = 2 * block_rows * n_inputs
+    if all_above(R[:size, :size], RANK_TOLERANCE):
+        return size
+    values = np.linalg.svd(R[:size, :size], compute_uv=False)
+    return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
+
+
+@functools.lru_cache(maxsize=8)
+def _block_order(n_lags, n_channels, n_inputs):
+    """Where the rows U_f, U_p, Y_p, Y_f stand among rows ordered by time."""
+    rows = np.arange(n_lags * n_channels).reshape(n_lags, n_channels)
+    past, future = np.split(rows, 2)
+    parts = future[:, :n_inputs], past[:, :n_inputs], past[:, n_inputs:], future[:, n_inputs:]
+    return np.concatenate([part.reshape(-1) for part in parts])
+
+
+def _orthogonal_factor(records, block_rows):
+    """R factor by blocked QR factorisations."""
+    width = 2 * block_rows * sum(signal.shape[1] for signal in records[0])
+    R = np.zeros((0, width))
+    chunk = max(4 * width, 512)
+    for u, y in records:
+        n_columns = len(u) - 2 * block_rows + 1
+        for start in range(0, n_columns, chunk):
+            block = _columns(u, y, block_rows, start, min(start + chunk, n_columns))
+            R = triangle(block, R)  # R above the block would lose more digits
+    square = np.zeros((width, width))
+    square[: len(R)] = R
+    return square
+
+
+def _columns(u, y, block_rows, start, stop):
+    """Block Hankel columns start … stop − 1 of one segment, one a row."""
+
+    def windows(signal, shift):
+        rows = signal[start + shift : stop + shift + block_rows - 1]
+        view = np.lib.stride_tricks.sliding_window_view(rows, block_rows, axis=0)
+        return view.transpose(0, 2, 1).reshape(stop - start, -1)
+
+    return np.hstack([windows(u, block_rows), windows(u, 0), windows(y, 0), windows(y, block_rows)])

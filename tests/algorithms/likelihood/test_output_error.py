@@ -1,0 +1,332 @@
+"""Laws of the output-error fit: exact answers, and the bound that noise sets."""
+
+import numpy as np
+import pytest
+from scipy import linalg, sparse
+
+from sklearn_hd.algorithms.likelihood import sensitivity
+from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.sensitivity import as_records, jacobian_factors, simulate
+from sklearn_hd.algorithms.likelihood.uncertainty import (
+    fisher_information,
+    floquet_exponent_std,
+    propagate_std,
+)
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+OMEGA, N_PHASES = 2 * np.pi, 16
+
+
+def structure_of(coefficients, free, n_states):
+    """Structure whose free entries are those of a mask, and their values."""
+    moved = np.flatnonzero(free)
+    k = len(moved)
+    basis = sparse.csr_array((np.ones(k), (np.arange(k), moved)), shape=(k, coefficients.size))
+    names = tuple(",".join(map(str, entry)) for entry in np.argwhere(free))
+    structure = PeriodicStructure(np.where(free, 0.0, coefficients), basis, n_states, names)
+    return structure, coefficients[free]
+
+
+@pytest.fixture
+def oscillator():
+    """A Mathieu oscillator: stiffness, its modulation, damping and gain free; q measured."""
+    M = np.zeros((3, 3, 3))
+    M[0] = [[0.0, 1.0, 0.0], [-9.0, -0.8, 4.0], [1.0, 0.0, 0.1]]
+    M[1, 1, 0], M[2, 1, 0] = -2.0, 1.0
+    free = np.zeros(M.shape, dtype=bool)
+    free[:, 1, 0] = free[0, 1, 1] = free[0, 1, 2] = free[0, 2, 2] = True
+    return structure_of(M, free, 2)
+
+
+def recorded(structure, theta, rng, *, lengths=(150, 97), phases=(0, 5), noise=0.0, observe=None):
+    """Records of random held inputs, from random initial states."""
+    response = sampled_response(structure, theta, OMEGA, N_PHASES, observe)
+    segments, starts = [], []
+    for n_samples, phase in zip(lengths, phases, strict=True):
+        u = np.repeat(rng.standard_normal((n_samples // 4 + 1, structure.n_inputs)), 4, axis=0)
+        u = u[:n_samples]
+        starts.append(rng.standard_normal(structure.n_states))
+        record = as_records([(u, None, phase)], structure.n_inputs, response.Out.shape[1])[0]
+        y = simulate(response, record, starts[-1])[1]
+        segments.append((u, y + noise * rng.standard_normal(y.shape), phase))
+    return segments, np.array(starts)
+
+
+def residual_vector(structure, theta, segments, x0, observe=None):
+    response = sampled_response(structure, theta, OMEGA, N_PHASES, observe)
+    records = as_records(segments, structure.n_inputs, response.Out.shape[1])
+    parts = [
+        sensitivity.residuals(response, record, start)
+        for record, start in zip(records, x0, strict=True)
+    ]
+    return np.concatenate(parts)
+
+
+# ---- sensitivities ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("piece", [1, 3000, 8_000_000])
+def test_jacobian_is_that_of_central_differences(oscillator, rng, piece, monkeypatch):
+    """All at once or piece by piece, the factor has the Jacobian's Gram matrix."""
+    monkeypatch.setattr(sensitivity, "PIECE", piece)
+    structure, theta = oscillator
+    segments, x0 = recorded(structure, theta, rng, lengths=(150,), phases=(5,), noise=0.1)
+    response = sampled_response(structure, theta, OMEGA, N_PHASES)
+    record = as_records(segments, 1, 1)[0]
+    factor = jacobian_factors(response, record, x0[0])[0]
+
+    def residual(values):
+        return residual_vector(structure, values[2:], segments, [values[:2]])[:, 0]
+
+    values, step = np.concatenate([x0[0], theta]), 1e-6
+    columns = [
+        (residual(values + d) - residual(values - d)) / (2 * step)
+        for d in step * np.eye(len(values))
+    ]
+    stacked = np.column_stack([*columns, residual(values)])
+    exact = stacked.T @ stacked
+    size = np.sqrt(np.diag(exact))
+    scale = size[:, None] * size
+    np.testing.assert_allclose(factor.T @ factor / scale, exact / scale, rtol=0, atol=1e-7)
+
+
+def test_simulation_is_the_recursion(oscillator, rng):
+    structure, theta = oscillator
+    response = sampled_response(structure, theta, OMEGA, N_PHASES)
+    record = as_records([(rng.standard_normal((40, 1)), None, 21)], 1, 1)[0]
+    x = np.array([1.0, -2.0])
+    states, outputs = simulate(response, record, x)
+    for k, u in enumerate(record.inputs):
+        z = np.concatenate([x, u])
+        np.testing.assert_allclose(states[k], x, atol=1e-12)
+        np.testing.assert_allclose(outputs[k], response.Out[0] @ z, atol=1e-12)
+        x = response.Psi[(21 + k) % N_PHASES] @ z
+
+
+# ---- without noise ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("free_initial_state", [True, False])
+def test_noise_free_records_give_the_truth(oscillator, rng, free_initial_state):
+    structure, theta = oscillator
+    segments, x0 = recorded(structure, theta, rng)
+    result = output_error(
+        structure,
+        segments,
+        OMEGA,
+        N_PHASES,
+        theta * 1.1,
+        free_initial_state=free_initial_state,
+        x0=None if free_initial_state else x0,
+    )
+    assert result.converged
+    assert result.unidentified == ()
+    np.testing.assert_allclose(result.theta, theta, rtol=1e-12)
+    np.testing.assert_allclose(result.x0, x0, atol=1e-12)
+    np.testing.assert_allclose(result.fit_percent, 100.0)
+    assert np.all(result.theta_std < 1e-12)
+
+
+def test_time_invariant_states_measured_give_the_regression(rng):
+    """With C = I and no noise, x[k+1] = A x[k] + B u[k] is exact by linear least squares."""
+    M = np.zeros((1, 6, 4))
+    M[0, :3] = rng.standard_normal((3, 4)) - 2.0 * np.eye(3, 4)
+    M[0, 3:, :3] = np.eye(3)
+    free = np.zeros(M.shape, dtype=bool)
+    free[:, :3] = True
+    structure, theta = structure_of(M, free, 3)
+    [(u, y, _)], _ = recorded(structure, theta, rng, lengths=(200,), phases=(0,))
+    regression = linalg.lstsq(np.hstack([y[:-1], u[:-1]]), y[1:])[0].T
+    block = np.eye(4)
+    block[:3] = regression
+    exact = linalg.logm(block).real[:3] * N_PHASES * OMEGA / (2 * np.pi)
+    result = output_error(structure, [(u, y, 0)], OMEGA, N_PHASES, theta * 1.05)
+    np.testing.assert_allclose(result.theta.reshape(3, 4), exact, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(result.theta, theta, rtol=1e-11, atol=1e-12)
+
+
+def test_outputs_of_very_different_size_and_noise(rng):
+    """One output without noise: it rules, at whatever scale the other is."""
+    M = np.zeros((1, 3, 2))
+    M[0] = [[-1.0, 1.0], [1e6, 0.0], [1e-6, 0.0]]
+    free = np.zeros(M.shape, dtype=bool)
+    free[0, 0] = free[0, 1, 0] = True
+    structure, theta = structure_of(M, free, 1)
+    [(u, y, phase)], _ = recorded(structure, theta, rng, lengths=(300,), phases=(0,))
+    y[:, 0] += 1e5 * rng.standard_normal(300)
+    result = output_error(structure, [(u, y, phase)], OMEGA, N_PHASES, theta * 0.9)
+    assert result.converged
+    np.testing.assert_allclose(result.theta[:2], theta[:2], rtol=1e-12)
+    assert abs(result.theta[2] - theta[2]) < 4 * result.theta_std[2]
+    assert result.sigma[0] == pytest.approx(1e5, rel=0.15)
+    assert result.sigma[1] < 1e-20
+
+
+def test_missing_samples_are_left_out(oscillator, rng):
+    structure, theta = oscillator
+    segments, _ = recorded(structure, theta, rng)
+    segments[0][1][[3, 4, 50]] = np.nan
+    result = output_error(structure, segments, OMEGA, N_PHASES, theta * 1.05)
+    np.testing.assert_allclose(result.theta, theta, rtol=1e-12)
+    assert result.n_residuals == 150 + 97 - 3
+
+
+def test_observed_harmonics(rng):
+    """A time-invariant model of harmonics is fitted to the signal that they make."""
+    M = np.zeros((1, 6, 4))
+    M[0, :3, :3] = [[-1.0, 0.4, 0.0], [0.3, -2.0, -6.0], [0.0, 6.5, -2.0]]
+    M[0, 1, 3], M[0, 3:, :3] = 1.0, np.eye(3)
+    free = np.zeros(M.shape, dtype=bool)
+    free[0, :3, :3], free[0, 1, 3] = M[0, :3, :3] != 0, True
+    structure, theta = structure_of(M, free, 3)
+    functions = harmonic_functions(2 * np.pi * np.arange(N_PHASES) / N_PHASES, [0, 1])
+    observe = functions[:, None, :]
+    segments, x0 = recorded(structure, theta, rng, observe=observe)
+    result = output_error(structure, segments, OMEGA, N_PHASES, theta * 1.03, observe=observe)
+    np.testing.assert_allclose(result.theta, theta, rtol=1e-10)
+    np.testing.assert_allclose(result.x0, x0, atol=1e-10)
+
+
+# ---- degrees of freedom -------------------------------------------------------------------
+
+
+def test_parameters_without_effect_are_named(rng):
+    """y = c x, x' = −x + b u: only b c matters; and d has no effect at all."""
+    M = np.zeros((1, 2, 3))
+    M[0] = [[-1.0, 2.0, 0.7], [3.0, 0.0, 0.0]]
+    free = np.zeros(M.shape, dtype=bool)
+    free[0, 0], free[0, 1, 0] = True, True
+    structure, theta = structure_of(M, free, 1)
+    [(u, y, phase)], _ = recorded(structure, theta, rng, lengths=(200,), phases=(0,))
+    u[:, 1] = 0.0
+    record = as_records([(u, None, phase)], 2, 1)[0]
+    y = simulate(sampled_response(structure, theta, OMEGA, N_PHASES), record, [0.5])[1]
+    start = theta * [1.1, 1.2, 1.0, 1.3]
+    y += 0.01 * rng.standard_normal(y.shape)
+    result = output_error(structure, [(u, y, phase)], OMEGA, N_PHASES, start)
+    assert result.converged
+    assert result.unidentified == ("0,0,1", "0,0,2", "0,1,0")
+    assert result.theta[1] * result.theta[3] == pytest.approx(6.0, rel=0.01)
+    assert result.theta[2] == start[2]
+    assert np.isfinite(result.theta_std).tolist() == [True, False, False, False]
+    assert np.isnan(result.covariance[0, 1])
+
+
+def test_eliminating_the_initial_state_is_the_schur_complement(oscillator, rng):
+    structure, theta = oscillator
+    segments, x0 = recorded(structure, theta, rng)
+    response = sampled_response(structure, theta, OMEGA, N_PHASES)
+    full = np.zeros((10, 10))  # two initial states of two, six parameters
+    for k, (record, start) in enumerate(zip(as_records(segments, 1, 1), x0, strict=True)):
+        R = jacobian_factors(response, record, start)[0][:, :-1] / 0.3
+        mine = [2 * k, 2 * k + 1, *range(4, 10)]
+        full[np.ix_(mine, mine)] += R.T @ R
+    bound = fisher_information(structure, theta, segments, OMEGA, N_PHASES, [0.3], x0=x0)
+    np.testing.assert_allclose(bound.covariance, linalg.inv(full)[4:, 4:], rtol=1e-9)
+    np.testing.assert_allclose(bound.information @ bound.covariance, np.eye(6), atol=1e-9)
+    known = fisher_information(
+        structure, theta, segments, OMEGA, N_PHASES, [0.3], x0=x0, free_initial_state=False
+    )
+    np.testing.assert_allclose(known.information, full[4:, 4:], rtol=1e-9)
+    assert np.all(known.theta_std < bound.theta_std)
+    assert bound.unidentified == ()
+
+
+def test_unstable_steps_are_refused_when_asked(rng):
+    """Data of a growing motion pull a stable start across the border, unless held."""
+    M = np.zeros((1, 2, 2))
+    M[0] = [[0.2, 1.0], [1.0, 0.0]]
+    free = np.zeros(M.shape, dtype=bool)
+    free[0, 0, 0] = True
+    structure, theta = structure_of(M, free, 1)
+    segments, _ = recorded(structure, theta, rng)
+    held = output_error(structure, segments, OMEGA, N_PHASES, [-0.1])
+    assert held.theta[0] <= 0.0
+    assert held.theta[0] == pytest.approx(0.0, abs=1e-4)
+    loose = output_error(structure, segments, OMEGA, N_PHASES, [-0.1], keep_stable=False)
+    np.testing.assert_allclose(loose.theta, theta, rtol=1e-11)
+
+
+def test_criteria_count_everything_estimated(oscillator, rng):
+    structure, theta = oscillator
+    segments, _ = recorded(structure, theta, rng, noise=0.1)
+    result = output_error(structure, segments, OMEGA, N_PHASES, theta)
+    N, d = 247, 6 + 4 + 1
+    assert (result.n_residuals, result.n_parameters) == (N, d)
+    rss = np.sum(residual_vector(structure, result.theta, segments, result.x0) ** 2)
+    cost = 0.5 * N * (np.log(2 * np.pi * rss / N) + 1)
+    assert result.cost == pytest.approx(cost, rel=1e-12)
+    assert result.aic == pytest.approx(2 * cost + 2 * d)
+    assert result.bic == pytest.approx(2 * cost + d * np.log(N))
+    assert result.sigma[0] == pytest.approx(np.sqrt(rss / (N - 10)))
+    assert result.relative_decrease < 1e-8
+
+
+def test_noise_levels_may_be_given(oscillator, rng):
+    structure, theta = oscillator
+    segments, _ = recorded(structure, theta, rng, noise=0.1)
+    free = output_error(structure, segments, OMEGA, N_PHASES, theta)
+    given = output_error(structure, segments, OMEGA, N_PHASES, theta * 1.1, sigma=[0.2])
+    np.testing.assert_allclose(given.theta, free.theta, rtol=1e-3)
+    ratio = given.theta_std / free.theta_std
+    np.testing.assert_allclose(ratio, 0.2 / free.sigma[0], rtol=1e-4)
+    assert given.n_parameters == 10
+
+
+# ---- uncertainty --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stiffness", [-9.0, -4.0])
+def test_exponent_std_is_that_of_central_differences(oscillator, stiffness):
+    """With two negative real multipliers (parametric resonance), and a complex pair."""
+    structure, theta = oscillator
+    theta[0] = stiffness
+    covariance = np.diag(np.linspace(0.01, 0.02, 6))
+    exponents, std = floquet_exponent_std(structure, theta, covariance, OMEGA, N_PHASES)
+    slopes = []
+    for d in 1e-6 * np.eye(6):
+        ends = [
+            floquet_exponent_std(structure, theta + s * d, covariance, OMEGA, N_PHASES)[0]
+            for s in (1, -1)
+        ]
+        slopes.append((ends[0] - ends[1]) / 2e-6)
+    slopes = np.array(slopes).T
+    assert (exponents[0] == np.conj(exponents[1])) == (stiffness == -4.0)
+    np.testing.assert_allclose(std.real, propagate_std(slopes.real, covariance), rtol=1e-6)
+    np.testing.assert_allclose(std.imag, propagate_std(slopes.imag, covariance), rtol=1e-6)
+
+
+def test_std_of_what_depends_on_unidentified_parameters_is_infinite():
+    covariance = np.array([[4.0, np.nan], [np.nan, np.inf]])
+    assert propagate_std([[3.0, 0.0], [1.0, 1.0]], covariance).tolist() == [6.0, np.inf]
+    std = propagate_std([[3.0 + 1.0j, 0.0], [1.0, 1.0j]], covariance)
+    assert std.tolist() == [complex(6.0, 2.0), complex(2.0, np.inf)]
+
+
+# ---- bad input ----------------------------------------------------------------------------
+
+
+def test_errors_say_what_is_needed(oscillator, rng):
+    structure, theta = oscillator
+    segments, _ = recorded(structure, theta, rng)
+    u, y, _ = segments[0]
+
+    def fit(segments=segments, theta0=theta, **options):
+        return output_error(structure, segments, OMEGA, N_PHASES, theta0, **options)
+
+    with pytest.raises(ValueError, match=r"segment 0 has inputs of shape \(150, 1\) and outputs"):
+        fit([(u, y[:-1], 0)])
+    with pytest.raises(ValueError, match=r"inputs of segment 0 hold NaN or infinity"):
+        fit([(u * np.nan, y, 0)])
+    with pytest.raises(ValueError, match=r"outputs have \[0\] values in 1 segments"):
+        fit([(u, y * np.nan, 0)])
+    with pytest.raises(ValueError, match=r"sigma=\[0.0\] must hold a positive standard dev"):
+        fit(sigma=[0.0])
+    with pytest.raises(ValueError, match=r"theta0 has shape \(2,\); the structure has 6 param"):
+        fit(theta0=[1.0, 2.0])
+    with pytest.raises(ValueError, match=r"x0 has shape \(2,\); 2 segments of 2 states need"):
+        fit(x0=[0.0, 0.0])
+    with pytest.raises(ValueError, match=r"the response at theta0 overflows \(spectral radius"):
+        output_error(structure, [(np.ones((9000, 1)), np.ones((9000, 1)), 0)], OMEGA, N_PHASES,
+                     [90.0, 0.0, 0.0, 90.0, 4.0, 0.0])  # fmt: skip

@@ -1,0 +1,68 @@
+"""The multipliers' least-squares problem once all else is eliminated."""
+
+import numpy as np
+import pytest
+
+from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.periodic.multipliers import (
+    _Elimination,
+    characteristic,
+    invariant_blocks,
+)
+
+
+@pytest.mark.parametrize("n_segments", [1, 3])
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_jacobian_of_what_is_left_is_the_derivative(rng, n, n_segments):
+    """Central differences, with an input at rest in the first segment too."""
+    Phi = rng.standard_normal((n, n))
+    Phi *= 0.9 / np.max(np.abs(np.linalg.eigvals(Phi)))
+    _, blocks = invariant_blocks(Phi)
+    directions = [rng.standard_normal((40, 2)) for _ in range(n_segments)]
+    directions[0][:, 1] = 0.0
+    elimination = _Elimination(blocks, directions, rng.standard_normal((40 * n_segments, 7)), 2.0)
+    point = np.concatenate([characteristic(block) for block in blocks])
+    columns = [
+        (elimination.left(point + step)[0] - elimination.left(point - step)[0]) / 2e-6
+        for step in 1e-6 * np.eye(n)
+    ]
+    left, jacobian = elimination.left(point)
+    np.testing.assert_allclose(jacobian, np.transpose(columns), atol=1e-7)
+    factor, both = elimination.factor(point), np.column_stack([jacobian, left])
+    np.testing.assert_allclose(factor.T @ factor, both.T @ both, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_what_is_left_is_what_no_answer_of_the_modes_explains(rng, n):
+    """Simulated by the map itself, in two segments of which one is a single period."""
+    Phi = rng.standard_normal((n, n))
+    Phi *= 0.95 / np.max(np.abs(np.linalg.eigvals(Phi)))
+    _, blocks = invariant_blocks(Phi)
+    directions, target = (
+        [rng.standard_normal((k, 2)) for k in (40, 1)],
+        rng.standard_normal((41, 3)),
+    )
+    columns = [np.vstack(directions)]
+    for s, w in enumerate(directions):
+        free = [np.zeros((len(v), n)) for v in directions]
+        for x in np.eye(n):
+            free[s] = propagate(Phi, np.zeros((len(w), n)), x)
+            columns.append(np.vstack(free))
+    for j, unit in np.ndindex(2, n):
+        forced = [
+            propagate(Phi, np.outer(w[:, j], np.eye(n)[unit]), np.zeros(n)) for w in directions
+        ]
+        columns.append(np.vstack(forced))
+    M = np.hstack(columns)
+    expected = target - M @ np.linalg.lstsq(M, target)[0]
+    point = np.concatenate([characteristic(block) for block in blocks])
+    left, _ = _Elimination(blocks, directions, target, 2.0).left(point)
+    np.testing.assert_allclose(left, expected.ravel(), atol=1e-9)
+
+
+def test_beyond_the_largest_multiplier_nothing_is_explained_and_nothing_moves(rng):
+    target = rng.standard_normal((20, 3))
+    elimination = _Elimination([np.eye(1)], [rng.standard_normal((20, 1))], target, 2.0)
+    left, jacobian = elimination.left(np.array([2.5]))
+    np.testing.assert_array_equal(left, target.ravel())
+    assert not jacobian.any()
