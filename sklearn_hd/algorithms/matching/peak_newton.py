@@ -26,15 +26,9 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.lti.hinf import same_tops
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.matching.cone_programs import least_level
-from sklearn_hd.algorithms.matching.minimax import (
-    Certificate,
-    MinimaxResult,
-    on_bounds,
-    region_radius,
-    walls_of,
-)
 
 __all__ = ["newton_descent"]
 
@@ -53,7 +47,80 @@ _SINGLE = 1e-9  # least distance, relative, of a singular value from the largest
 _LEVEL = 1e-8  # singular value of gradients, of the largest, that is none
 _STIFF = 1e-6  # of the curvature, below which nothing is added across for what lies along
 _ROUNDING = 1e-13  # of F: what a step promises below it is none
+_LEAST_WEIGHT = 1e-4  # of a gradient that takes part in the combination
+_NEXT_TO = 1e-9  # distance from a bound, relative, that the cone programs leave
 _PRECISE = 1e-12  # of the programs: their multipliers are the certificate
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """First-order conditions of a least H∞ norm.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n_active,)
+        rad/s, of the peaks that hold the norm where it is.
+    errors : ndarray, shape (n_active,)
+        σ_max(E) there.
+    weights : ndarray, shape (n_active,)
+        Of their gradients in the convex combination nearest to zero; they sum to 1.
+    distance : float
+        Length of that combination, in units of F, where θ is counted in moves of the
+        response as long as the residual; bounds that are touched take their share. The
+        gradients are those of all peaks within ``predicted_decrease`` of the top (the
+        ε-subdifferential of F), so that both numbers together certify.
+    predicted_decrease : float
+        Largest decrease, relative to F, that the linearised peaks promise within one such
+        move. 0 at a stationary point.
+    """
+
+    frequencies: np.ndarray
+    errors: np.ndarray
+    weights: np.ndarray
+    distance: float
+    predicted_decrease: float
+
+    @classmethod
+    def of(cls, frequencies, errors, weights, distance, predicted_decrease):
+        """The same from weights of frequencies in any order, several of them on one peak."""
+        active = np.flatnonzero(weights > _LEAST_WEIGHT * weights.sum())
+        active = active[np.argsort(frequencies[active])]
+        groups = [active[each] for each in same_tops(frequencies[active])]
+        tops = [each[np.argmax(errors[each])] for each in groups]
+        weights = np.array([weights[each].sum() for each in groups]) / weights[active].sum()
+        return cls(frequencies[tops], errors[tops], weights, distance, predicted_decrease)
+
+
+@dataclass(frozen=True, eq=False)
+class MinimaxResult:
+    """Where :func:`minimise_peak` ended.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (k,)
+    value : float
+        F(θ).
+    predicted_decrease : float
+        By how much the last convex model, curvature included, could still be lowered,
+        relative to F.
+    converged : bool
+        Whether that is within tol, and what the linearised peaks promise in a region of
+        size one within √tol: a step that is second order in the distance.
+    history : tuple of float
+        F after each step that was accepted, the start first.
+    n_iter : int
+        Convex subproblems solved.
+    certificate : Certificate or None
+        Where there is one already.
+    """
+
+    theta: np.ndarray
+    value: float
+    predicted_decrease: float
+    converged: bool
+    history: tuple
+    n_iter: int
+    certificate: Certificate | None = None
 
 
 def newton_descent(problem, theta, *, max_iter=60, tol=1e-8, report=None):
@@ -288,3 +355,30 @@ def _turning(sizes, moved):
         yield 1.0 / largest, moved[:, i, 0]
     for i in range(n, moved.shape[2]):
         yield 1.0 / largest, moved[:, 0, i]
+
+
+def region_radius(radius, gain, length):
+    """Trust-region radius after a step of some length earned part of its prediction."""
+    if gain < 0.25 or not np.isfinite(gain):
+        return 0.3 * min(radius, length)
+    return max(radius, 2.5 * length) if gain > 0.75 else radius
+
+
+def on_bounds(problem, theta, history):
+    """Parameters that end next to a bound set on it if the norm is no worse; norms so far."""
+    near = _NEXT_TO * np.abs(theta)
+    there = np.where(theta - problem.lower <= near, problem.lower, theta)
+    there = np.where(problem.upper - theta <= near, problem.upper, there)
+    if np.array_equal(there, theta):
+        return theta, history
+    value = problem.peak(there)[0]
+    if value > history[-1]:
+        return theta, history
+    return there, [*history, value] if value < history[-1] else history
+
+
+def walls_of(problem, theta, directions):
+    """Rows and offsets of the bounds, rows · ζ ≤ offsets."""
+    above, below = np.isfinite(problem.upper), np.isfinite(problem.lower)
+    rows = np.vstack([directions[above], -directions[below]])
+    return rows, np.concatenate([(problem.upper - theta)[above], (theta - problem.lower)[below]])
