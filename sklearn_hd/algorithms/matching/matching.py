@@ -19,13 +19,13 @@ from scipy import linalg
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.least_squares import Start, levenberg_marquardt, local_fits
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
-from sklearn_hd.algorithms.matching.peak_newton import Certificate, newton_descent
 from sklearn_hd.algorithms.matching.similarity import (
     draw_transformation,
     output_transformation,
     project_transformed,
     solve_similarity,
 )
+from sklearn_hd.algorithms.matching.smooth_peak import Certificate, smooth_descent
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
 
@@ -203,7 +203,7 @@ def match_structure(
 
 
 TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
-NORM_TOLERANCE = 1e-4  # of the norm: what the descent's gap leaves to ten peaks and more
+NORM_TOLERANCE = 1e-3  # of the norm, the same: far below what models differ by in it
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
 _DESCENTS = 4  # least-squares matches that go down
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
@@ -265,9 +265,11 @@ def least_norm(problem, fits, max_iter):
     problem = problem.limited(fits[0].theta, _RUNAWAY)
     others = sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[: _DESCENTS - 1]
     ways = [fits[0], *others]
-    descents = [newton_descent(problem, fit.theta, max_iter=max_iter) for fit in ways]
+    descents = [
+        smooth_descent(problem, fit.theta, gap=_FIRST_GAP, max_iter=max_iter) for fit in ways
+    ]
     best = min(range(len(ways)), key=lambda k: descents[k].value)
-    return ways[best], descents[best]
+    return ways[best], descents[best].further(problem, max_iter)
 
 
 def starting_points(problem, theta0, closed_form, n_starts, random_state):

@@ -274,6 +274,38 @@ class MatchingProblem:
         frequencies[moves], heights[moves] = found
         return frequencies, heights
 
+    def _resolved(self, theta, gains):
+        """Tops between the points of the grid, where E has some gains, and their flanks."""
+        low, high = self._brackets(gains, 0.0)
+        peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high)
+        width = 0.02 * (high - low)
+        return np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
+
+    def sampling(self, theta, extra=()):
+        """The grid, then the tops between its points at θ, their flanks and some more."""
+        tops = self._resolved(theta, self.gains(theta, self.grid))
+        return np.concatenate([self.grid, np.setdiff1d(np.concatenate([tops, extra]), self.grid)])
+
+    def linearised(self, theta, frequencies):
+        """E, its slopes and :meth:`step_directions`.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (k,)
+        frequencies : ndarray, shape (n_points,)
+            The grid, then others.
+
+        Returns
+        -------
+        error, slope : complex ndarray, shapes (n_points, l, m), (n_points, l, m, k)
+        directions : ndarray, shape (k, n_directions)
+        """
+        error, slope = self.error_and_sensitivity(theta, frequencies)
+        scale = (self.output_scales / self.outputs)[:, None] * (self.input_scales / self.inputs)
+        n = len(self.grid)
+        scaled = _as_reals(error[:n] * scale, slope[:n] * scale[..., None])
+        return error, slope, self._step_directions(theta, *scaled)
+
     def _brackets(self, gains, least):
         """Between what neighbours on the grid its local maxima above some gain lie."""
         padded = np.concatenate([[-np.inf], gains, [-np.inf]])
@@ -290,7 +322,14 @@ class MatchingProblem:
         infinity (a pole that becomes a feedthrough) the response saturates, and one such
         direction would hold up the others.
         """
+        return self._step_directions(theta, *self.residual_and_jacobian(theta))
+
+    def moving_scales(self, theta):
+        """By how much each parameter alone moves the response as far as the residual is long."""
         residual, jacobian = self.residual_and_jacobian(theta)
+        return max(linalg.norm(residual), 1e-300) / column_sizes(jacobian)
+
+    def _step_directions(self, theta, residual, jacobian):
         size, length = column_sizes(jacobian), linalg.norm(residual)
         _, singular, adjoint = linalg.svd(triangle(jacobian / size), full_matrices=False)
         kept = singular > _RANK * singular.max(initial=0.0)
