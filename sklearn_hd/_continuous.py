@@ -85,7 +85,4 @@ def scaled_outputs(experiment):
 def observations(experiment, n_coefficients):
     """What is measured of the coefficients at each sample, a list of arrays."""
     basis = experiment.basis
-    if basis is None:
-        identity = np.eye(n_coefficients)
-        return [np.broadcast_to(identity, (len(u), *identity.shape)) for u in experiment.drive]
     return [basis.recomposition(basis.azimuth(time)) for time in experiment.times()]

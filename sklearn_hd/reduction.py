@@ -163,11 +163,11 @@ class SpuriousModeReducer(ModelStep):
         experiment, model = upstream(self, X, y)
         basis = experiment.basis
         self.r2_, self.left_out_ = np.nan, 0.0
-        if model.dt == 0.0 or (basis is not None and basis.synchronous):
+        if model.dt == 0.0 or basis.reading == "period":
             reason = "period-synchronous" if model.dt else "already continuous"
             self._check_passes(model, reason)
             self._keep_all(model, reason)
-        elif basis is None and self.n_states is None:
+        elif not basis.harmonic and self.n_states is None:
             model = self._keep_plain(model, experiment)
         else:
             with progress(self.verbose) as report:
@@ -221,7 +221,7 @@ class SpuriousModeReducer(ModelStep):
         modes = identified_modes(model, experiment)
         choice = choose_modes(modes, experiment, self.n_states)
         refined = None
-        if method == "truncate" and experiment.basis is not None:
+        if method == "truncate" and experiment.basis.harmonic:
             choice, refined = _refined(choice, modes, experiment, report)
         self.left_out_ = choice.left_out
         self._modes = (modes.exponents, modes.families, *verdicts(modes, choice))
@@ -230,7 +230,7 @@ class SpuriousModeReducer(ModelStep):
             A, C = refined
             B, D, self.r2_ = refit_inputs(A, C, experiment, model.feedthrough)
             return model.in_continuous_time(A, B, C, D)
-        if self.n_states is None and method == "truncate" and experiment.basis is not None:
+        if self.n_states is None and method == "truncate" and experiment.basis.harmonic:
             periodic = self._from_mode_shapes(model, experiment, modes, choice, report)
             if periodic is not None:
                 return periodic
@@ -330,6 +330,6 @@ def _to_residualize(method, others, modes, basis):
     fast = ~others & logarithm
     if method == "truncate":
         return np.zeros(len(z), dtype=bool)
-    if method == "both" and basis is not None:
+    if method == "both" and basis.harmonic:
         return fast & (np.abs(modes.exponents) > basis.omega)
     return fast

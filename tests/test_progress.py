@@ -266,7 +266,7 @@ def test_chunks_show_how_many_rows_there_are_so_far(record, screen):
 def test_orders_tried_period_by_period_are_counted(screen):
     data = make_flapping_wing("nltp", n_periods=40, start=12)
     analyzer = HarmonicAnalyzer(
-        data.omega, output_harmonics=KEPT, hop="period", trim_span=data.trim_span
+        data.omega, output_harmonics=KEPT, reading="period", trim_span=data.trim_span
     )
     X = analyzer.fit(data.inputs, data.outputs).transform(data.inputs)
     quiet = MOESPRegressor().fit(X, data.outputs)

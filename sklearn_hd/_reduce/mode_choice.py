@@ -140,7 +140,7 @@ def identified_modes(model, experiment):
     exponents = continuous_exponents(z, model.dt)
     window = np.zeros(len(z), dtype=bool)
     families = np.arange(len(z))
-    if basis is not None:
+    if basis.harmonic:
         window = _window_memory(z, basis)
         families = np.full(len(z), -1)
         families[~window] = floquet_families(z[~window], basis.rows_per_period, FAMILY_TOLERANCE)
@@ -310,7 +310,7 @@ def _beyond_bounds(exponents, experiment):
     """
     longest = max(segment.stop - segment.start for segment in experiment.base.segments)
     grows = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
-    if experiment.basis is None:
+    if not experiment.basis.harmonic:
         return grows
     highest = max(k for _, orders in experiment.basis.outputs for k in orders)
     turns = np.abs(exponents.imag) > (highest + 0.5) * experiment.basis.omega
@@ -323,7 +323,7 @@ def _whole_families(modes, basis):
     A weak family's copies agree less well than a strong one's: of the poles that belong to
     no family by the strictest tolerance the next are made.
     """
-    if basis is None:
+    if not basis.harmonic:
         return []
     z = modes.z
     rows, orders = basis.rows_per_period, [orders for _, orders in basis.outputs]
