@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
-from sklearn_hd.algorithms.matching.least_squares import Start, levenberg_marquardt, local_fits
+from sklearn_hd.algorithms.matching.least_squares import GridFit, Start, levenberg_marquardt, local_fits
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.matching.similarity import (
     draw_transformation,
@@ -25,7 +25,7 @@ from sklearn_hd.algorithms.matching.similarity import (
     project_transformed,
     solve_similarity,
 )
-from sklearn_hd.algorithms.matching.smooth_peak import Certificate, smooth_descent
+from sklearn_hd.algorithms.matching.smooth_peak import GAP, Certificate, smooth_descent
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
 
@@ -56,9 +56,9 @@ class MatchResult:
     exact : bool
         True if the match holds to ``exact_tol``, judged by the residual.
     converged : bool
-        True if exact, or if what the criterion could still fall is within ``tolerance``.
+        True if exact, or if ``left`` is within ``tolerance``.
     predicted_decrease : float
-        By how much, relative to itself, the criterion could still fall at first order.
+        By how much at most, relative to itself, the criterion could still fall at first order.
     certificate : Certificate or None
         First-order conditions of the least H∞ norm; None in the mean square and for exact
         matches.
@@ -68,8 +68,9 @@ class MatchResult:
         Stage and its measure after each step on the way here: ``"least squares"`` (length
         of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
         norm, after each tightening of its smooth bound).
-    tolerance : float
-        Below which ``predicted_decrease`` counts as none.
+    left, tolerance : float
+        What is left of the search, and where that counts as none: ``predicted_decrease`` in
+        the mean square; how far the smooth bound lies above the H∞ norm, relative to it.
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str
@@ -94,6 +95,7 @@ class MatchResult:
     certificate: Certificate | None
     n_iter: int
     history: tuple
+    left: float
     tolerance: float
     singular_values: np.ndarray
     unidentified: tuple
@@ -187,12 +189,12 @@ def match_structure(
     weights = output_weights, input_weights
     problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
     theta0 = _check_theta(theta0, problem)
-    starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
+    starts = list(starting_points(problem, theta0, closed_form, n_starts, random_state))
     fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
     fit, exact = exact_match(problem, fits[0], exact_tol)
     if exact or structure.n_parameters == 0 or criterion == "least_squares":
         return _result(problem, fit, fits, exact)
-    start, descent = least_norm(problem, fits, max_iter)
+    start, descent = least_norm(problem, fits, starts, max_iter)
     near = problem.limited(descent.theta, 1.0)
     last = levenberg_marquardt(near, descent.theta, max_iter=max_iter)
     if last.residual < fit.residual:  # the descent has left a poor valley
@@ -203,9 +205,8 @@ def match_structure(
 
 
 TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
-NORM_TOLERANCE = 1e-3  # of the norm, the same: far below what models differ by in it
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
-_DESCENTS = 4  # least-squares matches that go down
+_DESCENTS = 3  # matches and starts that go down
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
 
@@ -228,11 +229,12 @@ def _result(problem, fit, fits, exact, start=None, descent=None):
     start = fit if start is None else start
     history = tuple(("least squares", residual) for residual in start.history)
     theta, n_iter = start.theta, sum(each.n_iter for each in fits)
-    left, tolerance, certificate = 0.0 if exact else fit.promised, TOLERANCE, None
+    predicted, certificate = 0.0 if exact else fit.promised, None
+    left, tolerance = predicted, TOLERANCE
     if descent is not None:
         theta, certificate, n_iter = descent.theta, descent.certificate, n_iter + descent.n_iter
         history += tuple(("minimax", value) for value in descent.history)
-        left, tolerance = descent.predicted_decrease, NORM_TOLERANCE
+        predicted, left, tolerance = descent.predicted_decrease, descent.ratio - 1.0, GAP
     value, peak = problem.peak(theta)
     singular_values, unidentified = problem.identifiability(theta)
     return MatchResult(
@@ -246,7 +248,8 @@ def _result(problem, fit, fits, exact, start=None, descent=None):
         feedthrough_floor=problem.feedthrough_floor() * problem.unit,
         exact=exact,
         converged=bool(left <= tolerance),
-        predicted_decrease=float(left),
+        predicted_decrease=float(predicted),
+        left=float(left),
         certificate=certificate,
         n_iter=n_iter,
         history=history,
@@ -256,15 +259,21 @@ def _result(problem, fit, fits, exact, start=None, descent=None):
     )
 
 
-def least_norm(problem, fits, max_iter):
-    """Least norm in reach of the least-squares matches: where the way began, and its descent.
+def least_norm(problem, fits, starts, max_iter):
+    """Least norm in reach of some matches: where the way began, and its descent.
 
     The ranking by squares is not the ranking by peaks, so the match best in squares and
-    those best in peaks go down, first but a part of the way; the lowest goes on.
+    those best in peaks go down, first but a part of the way; the lowest goes on. Among them
+    are starts as they were: where squares lead to infinity, they do not.
     """
     problem = problem.limited(fits[0].theta, _RUNAWAY)
-    others = sorted(fits[1:], key=lambda fit: problem.peak(fit.theta)[0])[: _DESCENTS - 1]
-    ways = [fits[0], *others]
+    others = [(problem.peak(fit.theta)[0], fit) for fit in fits[1:]]
+    others += [
+        (problem.peak(start.theta)[0], GridFit(start.theta, np.inf, np.inf, ())) for start in starts
+    ]
+    others = [each for each in others if np.isfinite(each[0])]
+    others.sort(key=lambda each: each[0])
+    ways = [fits[0], *(fit for _, fit in others[: _DESCENTS - 1])]
     descents = [
         smooth_descent(problem, fit.theta, gap=_FIRST_GAP, max_iter=max_iter) for fit in ways
     ]
