@@ -35,7 +35,6 @@ C = np.array([[1.0, 0.0, 0.4], [0.2, 1.0, -0.3]])
 STRUCTURE = MatrixStructure([["-a", "w"], ["-w", "-b"]], [[1.0, "g"], ["h", -1.0]])
 SEARCHES = {
     "hinf": {},
-    "h2": {"criterion": "h2"},
     "least squares": {"criterion": "least_squares"},
     "likelihood": {"criterion": "output_error", "max_iter": 10},
     "noisy inputs": {"criterion": "output_error", "input_noise": 0.1, "max_iter": 2},
@@ -215,38 +214,13 @@ def test_nobody_to_tell():
 # ---- in the estimators ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("estimator", [StructuredMatcher, SpuriousModeReducer])
 @pytest.mark.parametrize("verbose", [-1, 0.5, "yes", None])
-def test_verbose_is_a_count(estimator, verbose, record):
-    step = estimator(MOESPRegressor(order=3, block_rows=8), verbose=verbose)
+def test_verbose_is_a_count(verbose, record):
+    step = SpuriousModeReducer(MOESPRegressor(order=3, block_rows=8), verbose=verbose)
     with pytest.raises(
         ValueError, match=r"verbose must be .* at least 0, got .*; 0 is silent, 1 s"
     ):
         step.fit(*record)
-
-
-@pytest.mark.parametrize("options", SEARCHES.values(), ids=SEARCHES)
-@pytest.mark.filterwarnings("ignore:the model has 3 states, the structure 2")
-@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
-def test_a_match_is_the_same_with_a_bar(identified, record, options, screen):
-    with redirect_stderr(screen):
-        quiet = match(identified, record, **options)
-        assert screen.getvalue() == ""
-        told = match(identified, record, **options, verbose=1)
-    (line,) = screen.left()
-    assert "100%" in line
-    assert learned(told) == learned(quiet)
-    assert clone(told).get_params()["verbose"] == 1
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(told)).theta_, quiet.theta_)
-
-
-@pytest.mark.filterwarnings("ignore:the model has 3 states, the structure 2")
-def test_starts_at_once_are_counted_as_they_end(identified, record, screen):
-    quiet = match(identified, record)
-    with redirect_stderr(screen), parallel_config(backend="threading", n_jobs=2):
-        told = match(identified, record, verbose=1)
-    assert any(frame.startswith("minimax, smooth descents") for frame in screen.frames())
-    np.testing.assert_array_equal(told.theta_, quiet.theta_)
 
 
 def test_chunks_show_how_many_rows_there_are_so_far(record, screen):
@@ -281,20 +255,6 @@ def test_chunks_of_a_quiet_model_write_nothing(record, screen):
     with redirect_stderr(screen):
         MOESPRegressor(3, block_rows=6).partial_fit(u, y)
     assert screen.getvalue() == ""
-
-
-def test_no_bar_is_left_of_a_match_that_fails(identified, record, screen):
-    growing = MatrixStructure(
-        [["p", "w"], ["-w", "p"]], [[1.0, "g"], ["h", -1.0]], bounds={"p": (0.5, None)}
-    )
-    matcher = StructuredMatcher(identified, structure=growing, n_starts=1, max_iter=5, verbose=1)
-    with (
-        redirect_stderr(screen),
-        pytest.raises(UnstableModelError, match="no stable model of this structure"),
-    ):
-        matcher.fit(*record)
-    assert "least squares, starts" in screen.getvalue()
-    assert screen.left() == []
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
