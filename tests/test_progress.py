@@ -11,34 +11,21 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import KEPT
-from joblib import parallel_config
 from scipy import signal
-from sklearn.base import clone
-from sklearn.frozen import FrozenEstimator
 
 from sklearn_hd import (
     HarmonicAnalyzer,
-    MatrixStructure,
     MOESPRegressor,
     SpuriousModeReducer,
-    StructuredMatcher,
 )
 from sklearn_hd._progress import KERNEL, progress
 from sklearn_hd.algorithms.reporting import stage, within
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.plotting import StabilizationDisplay
 
 A = np.array([[-0.3, 2.0, 0.1], [-2.0, -0.2, 0.4], [0.3, 0.2, -6.0]])
 B = np.array([[1.0, 0.2], [0.4, -1.0], [3.0, 2.0]])
 C = np.array([[1.0, 0.0, 0.4], [0.2, 1.0, -0.3]])
-STRUCTURE = MatrixStructure([["-a", "w"], ["-w", "-b"]], [[1.0, "g"], ["h", -1.0]])
-SEARCHES = {
-    "hinf": {},
-    "least squares": {"criterion": "least_squares"},
-    "likelihood": {"criterion": "output_error", "max_iter": 10},
-    "noisy inputs": {"criterion": "output_error", "input_noise": 0.1, "max_iter": 2},
-}
 
 
 class Screen(io.StringIO):
@@ -77,20 +64,11 @@ def record():
 
 
 @pytest.fixture(scope="module")
-def identified(record):
-    return FrozenEstimator(MOESPRegressor(order=3, block_rows=8).fit(*record))
-
-
-@pytest.fixture(scope="module")
 def noisy_wing():
     """A short noisy record of the flapping wing behind its analyzer and identified model."""
     data = make_flapping_wing("ltp", n_periods=30, start=8, width=3, snr_db=30, random_state=0)
     X = HarmonicAnalyzer(data.omega).fit(data.inputs, data.outputs).transform(data.inputs)
     return MOESPRegressor(order=6).fit(X, data.outputs).transform(X), data.outputs
-
-
-def match(identified, record, **options):
-    return StructuredMatcher(identified, structure=STRUCTURE, **options).fit(*record)
 
 
 def learned(estimator):
@@ -277,32 +255,3 @@ def test_a_sweep_over_orders_shows_a_bar(record, screen):
     assert line.startswith("orders: 100%")
     assert "3/3" in line
     pd.testing.assert_frame_equal(told.modes, quiet.modes)
-
-
-# ---- what algorithms tell ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("options", SEARCHES.values(), ids=SEARCHES)
-@pytest.mark.filterwarnings("ignore:the model has 3 states, the structure 2")
-@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
-def test_every_stage_begins_at_zero_and_counts_up(identified, record, options, monkeypatch):
-    heard = []
-
-    class Listener:
-        def __enter__(self):
-            return lambda *told: heard.append(told)
-
-        def __exit__(self, *error):
-            return None
-
-    monkeypatch.setattr("sklearn_hd.matching.progress", lambda verbose: Listener())
-    match(identified, record, **options)
-    stages = [name for name, *_ in heard]
-    assert stages[0] == "least squares, starts"
-    for name in set(stages):
-        own = [told for told in heard if told[0] == name]
-        done = [told[2] for told in own]
-        assert done[0] == 0
-        assert done == sorted(done)
-        assert len({told[1] for told in own}) == 1
-        assert done[-1] <= own[0][1]

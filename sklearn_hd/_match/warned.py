@@ -94,8 +94,8 @@ def warn_matched(result, criterion, poles, affine):
     if not result.converged:
         name = "H-infinity" if criterion == "hinf" else "least-squares"
         _warn(
-            f"the {name} match stopped after {result.n_iter} steps at a "
-            f"relative error of {result.relative_error:.3g}, with {result.left:.2g} of it left where "
+            f"the {name} match stopped after {result.n_iter} steps at a relative error of "
+            f"{result.relative_error:.3g}, with {result.left:.2g} of it left where "
             f"{result.tolerance:g} counts as converged; raise max_iter or n_starts",
             ConvergenceWarning,
         )

@@ -187,8 +187,9 @@ class _Search:
 
 def _search(problem, point, *, max_iter, tol, keep_stable, bounds):
     """Damped Gauss-Newton steps until the next one is not worth taking."""
-    damping, converged = FIRST_DAMPING, False
-    for n_iter in range(1, max_iter + 1):
+    damping, converged, n_iter = FIRST_DAMPING, False, 0
+    while n_iter < max_iter and not converged:
+        n_iter += 1
         system = problem.linearise(point)
         if bounds is not None:
             system = system.within(bounds[0] - point.theta, bounds[1] - point.theta)
@@ -200,8 +201,6 @@ def _search(problem, point, *, max_iter, tol, keep_stable, bounds):
         fall, point = point.cost - trial.cost, trial
         stalled = fall <= STALLED * problem.n_residuals
         converged = converged or (stalled and problem.at_rounding(point))
-        if converged:
-            break
     return _Search(point, n_iter, converged)
 
 
@@ -215,7 +214,7 @@ def _with_noisy_inputs(problem, search, input_sigma, options):
         )
     sigma, n_iter, settled = problem.noise(search.point.rss), search.n_iter, False
     smallest = SMALLEST_SHARE * sigma
-    for k in range(options["max_iter"]):
+    for _ in range(options["max_iter"]):
         noisy = noisy_input_problem(problem, sigma, input_sigma)
         start = noisy.point(search.point.theta, search.point.x0)
         search = _search(noisy, start, **options)

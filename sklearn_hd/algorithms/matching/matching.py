@@ -17,7 +17,12 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
-from sklearn_hd.algorithms.matching.least_squares import GridFit, Start, levenberg_marquardt, local_fits
+from sklearn_hd.algorithms.matching.least_squares import (
+    GridFit,
+    Start,
+    levenberg_marquardt,
+    local_fits,
+)
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.matching.similarity import (
     draw_transformation,
@@ -227,7 +232,7 @@ def exact_match(problem, fit, tol):
 def _result(problem, fit, fits, exact, start=None, descent=None):
     """The result in the user's units."""
     start = fit if start is None else start
-    history = tuple(("least squares", residual) for residual in start.history)
+    history = tuple(("least squares", residual) for residual in start.history or fit.history)
     theta, n_iter = start.theta, sum(each.n_iter for each in fits)
     predicted, certificate = 0.0 if exact else fit.promised, None
     left, tolerance = predicted, TOLERANCE

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.triangular import triangle
-from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks, same_tops
+from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -26,9 +26,6 @@ _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
 _NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
-_NEXT = 0.01  # distance of frequencies, relative, next to each other
-_LOW = 1e-3  # of the lowest frequency of the grid, below which there is no difference to 0
-_ROUNDS = 5  # of closing in on a top whose frequency matters
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
 _ROUNDING = 1e-13  # of a pole, relative to the largest
@@ -244,35 +241,6 @@ class MatchingProblem:
     def singular_values(self, theta, frequencies):
         """Those of E(jω; θ), shape (n_points, min(l, m)), largest first."""
         return np.linalg.svd(self.error(theta, frequencies), compute_uv=False)
-
-    def high_frequencies(self, theta, least, near=(), extra=()):
-        """Where the gain of E is above some level, local maxima resolved, and how high.
-
-        Points of the grid, tops between them and next to the frequencies ``near``, and the
-        frequencies ``extra``; but one of those that are as good as one.
-        """
-        gains = self.gains(theta, self.grid)
-        low, high = self._brackets(gains, least)
-        between, heights = refine_peaks(lambda w: self.gains(theta, w), low, high, _ROUNDS)
-        near, near_heights = self.tops_near(theta, np.asarray(near, dtype=float))
-        extra = np.asarray(extra, dtype=float)
-        frequencies = np.concatenate([self.grid, between, near, extra])
-        frequencies[frequencies < _LOW * self.grid[1]] = 0.0
-        heights = np.concatenate([gains, heights, near_heights, self.gains(theta, extra)])
-        kept = np.flatnonzero(heights >= least)
-        kept = kept[np.argsort(frequencies[kept])]
-        groups = same_tops(frequencies[kept])
-        kept = np.array([kept[each[np.argmax(heights[kept[each]])]] for each in groups], dtype=int)
-        return frequencies[kept], heights[kept]
-
-    def tops_near(self, theta, frequencies):
-        """The highest gains next to some frequencies: where, and how high; 0 and infinity stay."""
-        frequencies, heights = frequencies.copy(), self.gains(theta, frequencies)
-        moves = (frequencies > 0) & np.isfinite(frequencies)
-        low, high = (1.0 - _NEXT) * frequencies[moves], (1.0 + _NEXT) * frequencies[moves]
-        found = refine_peaks(lambda w: self.gains(theta, w), low, high, _ROUNDS)
-        frequencies[moves], heights[moves] = found
-        return frequencies, heights
 
     def _resolved(self, theta, gains):
         """Tops between the points of the grid, where E has some gains, and their flanks."""

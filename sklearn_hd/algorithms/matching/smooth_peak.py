@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize
 
-from sklearn_hd.algorithms.lti.hinf import same_tops, tops_between
+from sklearn_hd.algorithms.lti.hinf import tops_between
 from sklearn_hd.algorithms.matching.log_det_bound import BoundSlopes, LogDetBound, log_det_value
 
 __all__ = ["Certificate", "SmoothDescent", "smooth_descent"]
@@ -41,7 +41,7 @@ _TO_WALL = 0.9  # of the way to a bound that one step may go
 _OFF_WALL = 1e-2  # distance from bounds to begin with, in scales of θ
 _TOUCHED = 1e-3  # from which a parameter ends on its bound, if the norm allows
 _POLISH = 8  # Newton steps at the end, which converge quadratically
-_LEAST_WEIGHT = 1e-4  # of a gradient that takes part in the combination
+_LEAST_WEIGHT = 1e-3  # of a peak that counts: the bound weighs all points, most of them little
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,12 +403,15 @@ class _Point:
         slopes = self.slopes(mu)
         total, distance = slopes.bound.weights.sum(), float(np.linalg.norm(slopes.gradient))
         floor = (1.0 - mu * self.walls.n_walls - distance) / (total * value)
-        weights, heights = slopes.bound.weights.sum(axis=1) / total, self.bound.sizes[:, 0]
-        active = np.flatnonzero(weights > _LEAST_WEIGHT)
-        active = active[np.argsort(self.frequencies[active])]
-        groups = [active[each] for each in same_tops(self.frequencies[active])]
-        tops = [each[np.argmax(heights[each])] for each in groups]
-        weights = np.array([weights[each].sum() for each in groups]) / weights[active].sum()
+        order = np.argsort(self.frequencies)
+        weights = slopes.bound.weights.sum(axis=1)[order] / total
+        frequencies, heights = self.frequencies[order], self.bound.sizes[order, 0]
+        left, middle, right = heights[:-2], heights[1:-1], heights[2:]
+        valleys = 1 + np.flatnonzero((middle < left) & (middle <= right))
+        hills = np.split(np.arange(len(order)), valleys)
+        hills = [hill for hill in hills if weights[hill].sum() > _LEAST_WEIGHT]
+        tops = [hill[np.argmax(heights[hill])] for hill in hills]
+        shares = np.array([weights[hill].sum() for hill in hills])
         distance = distance / (total * value)
-        left = float(max(0.0, 1.0 - floor))
-        return Certificate(self.frequencies[tops], heights[tops], weights, distance, left)
+        fall = float(max(0.0, 1.0 - floor))
+        return Certificate(frequencies[tops], heights[tops], shares / shares.sum(), distance, fall)
