@@ -42,7 +42,7 @@ LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 TOPIC = {name: level for level, names in enumerate(TOPICS) for name in names}
 STEPS = {"harmonics", "subspace", "reduction", "matching"}  # they never import each other
 PARTS = {"_identify": "subspace", "_reduce": "reduction", "_match": "matching"}  # nor do these
-ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "clarabel", "joblib", "sklearn_hd"}
+ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "joblib", "sklearn_hd"}
 STANDARD = {
     "collections", "contextlib", "dataclasses", "functools", "itertools", "math", "numbers",
     "threading", "typing", "warnings",

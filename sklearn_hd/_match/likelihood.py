@@ -6,48 +6,57 @@ from functools import partial
 import numpy as np
 
 from sklearn_hd._match.match import Uncertainty, periodic_match
+from sklearn_hd._match.warned import warn_refined
 from sklearn_hd.algorithms.likelihood.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.likelihood.uncertainty import floquet_exponent_std
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.reporting import within
+from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 FIRST_INPUT_HARMONICS = 2  # more of G are tried afterwards
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 
 
-def refine(match, structure, experiment, max_iter, input_noise, report=None):
-    """The same structure, its parameters those of the largest likelihood of the record.
+def match_likelihood(match, structure, experiment, max_iter, input_noise):
+    """A match refined to the largest likelihood of the record, in the same structure.
 
     Parameters
     ----------
     match : Match
         To start from.
-    structure : MatrixStructure or HarmonicStructure
+    structure : MatrixStructure, HarmonicStructure or None
         As asked for; numbers of harmonics that it leaves open are chosen here.
     experiment : Experiment
     max_iter : int
     input_noise : ndarray, shape (m,), or None
-    report : callable, optional
-        ``report(stage, most, done, note)``.
 
     Returns
     -------
     match : Match
-    result : OutputErrorResult
     """
-    if match.periodic is None:
-        return _refine_invariant(match, structure, experiment, max_iter, input_noise, report)
+    if match.structure is None:
+        raise ValueError(
+            "criterion='output_error' needs a structure whose parameters the record "
+            "determines; give a MatrixStructure or a HarmonicStructure"
+        )
+    refine = _refine_invariant if match.periodic is None else _refine_periodic
+    structure = HarmonicStructure() if structure is None else structure
+    refined, result = refine(match, structure, experiment, max_iter, input_noise)
+    warn_refined(result)
+    return refined
+
+
+def _refine_periodic(match, structure, experiment, max_iter, input_noise):
     resolved = match.structure
     if match.periodic.physical and None in map(structure.n_harmonics, "FG"):
         fixed = {name: structure.n_harmonics(name) for name in "FG"}
         fixed = {name: count for name, count in fixed.items() if count is not None}
         fixed["P"] = _n_harmonics_of_outputs(match, structure)
         resolved, result = refine_harmonics(
-            structure, match.periodic, fixed, experiment, max_iter, input_noise, report
+            structure, match.periodic, fixed, experiment, max_iter, input_noise
         )
     else:
-        result = refine_periodic(resolved, match.theta, experiment, max_iter, input_noise, report)
+        result = refine_periodic(resolved, match.theta, experiment, max_iter, input_noise)
     periodic = replace(match.periodic, coefficients=resolved.coefficients(result.theta))
     affine, seen = periodic.decomposed_structure(resolved, experiment.basis)
     refined = periodic_match(resolved, result.theta, periodic, match.model, experiment.basis)
@@ -55,10 +64,10 @@ def refine(match, structure, experiment, max_iter, input_noise, report=None):
     return replace(refined, n_iter=result.n_iter, uncertainty=found), result
 
 
-def _refine_invariant(match, structure, experiment, max_iter, input_noise, report):
+def _refine_invariant(match, structure, experiment, max_iter, input_noise):
     bounds = structure.lower, structure.upper
     result = refine_invariant(
-        match.structure, match.theta, experiment, max_iter, input_noise, bounds, report
+        match.structure, match.theta, experiment, max_iter, input_noise, bounds
     )
     matrices = [M[0] for M in match.structure.matrices(result.theta)]
     names = match.model.state_names
@@ -117,9 +126,7 @@ def observation(experiment):
     )
 
 
-def refine_invariant(
-    structure, theta, experiment, max_iter, input_noise=None, bounds=None, report=None
-):
+def refine_invariant(structure, theta, experiment, max_iter, input_noise=None, bounds=None):
     """A time-invariant structure between the drive and the (harmonics of the) outputs."""
     return output_error(
         structure,
@@ -130,11 +137,10 @@ def refine_invariant(
         input_sigma=input_noise,
         bounds=bounds,
         max_iter=max_iter,
-        report=report,
     )
 
 
-def refine_periodic(structure, theta, experiment, max_iter, input_noise=None, report=None):
+def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
     """A periodic structure between the raw inputs and outputs."""
     return output_error(
         structure,
@@ -143,11 +149,10 @@ def refine_periodic(structure, theta, experiment, max_iter, input_noise=None, re
         theta,
         input_sigma=input_noise,
         max_iter=max_iter,
-        report=report,
     )
 
 
-def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None, report=None):
+def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None):
     """A periodic structure with as many harmonics of F and G as the data show.
 
     From the number of the start up and down, as long as Akaike's criterion falls: first
@@ -165,8 +170,6 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
     experiment : Experiment
     max_iter : int
     input_noise : ndarray, shape (m,), optional
-    report : callable, optional
-        ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -180,8 +183,7 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
     def fit(counts, near, noise=None):
         resolved = structure.resolve(*names, counts)
         theta = resolved.nearest(near)
-        told = within(report, ", ".join(f"{name} {counts[name]}" for name in "FG"))
-        result = refine_periodic(resolved, theta, experiment, max_iter, noise, told)
+        result = refine_periodic(resolved, theta, experiment, max_iter, noise)
         return _Candidate(counts, resolved, result)
 
     best = fit({**counts, **fixed}, start.coefficients)
