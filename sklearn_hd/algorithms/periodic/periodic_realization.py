@@ -81,7 +81,7 @@ def order_by_residual(candidates, directions, lifted, told=None):
     per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
-        refined = refine_multipliers(Phi, directions, lifted).Phi
+        refined = refine_multipliers(Phi, directions, lifted)
         if not _is_possible(refined, max(map(len, lifted))):
             left.append(target)
             bic.append(np.inf)
