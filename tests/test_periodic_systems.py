@@ -124,7 +124,7 @@ def test_multipliers_are_found_from_a_step(seed):
     """Answers to the step depend on those to its edges: a column too many hides the slope."""
     true, rng = np.diag([0.6, -0.3]), np.random.default_rng(seed)
     directions, lifted = answers_to_a_step(true, rng, noise=1e-2)
-    found = refine_multipliers(np.diag([0.3, 0.1]), directions, lifted).Phi
+    found = refine_multipliers(np.diag([0.3, 0.1]), directions, lifted)
     np.testing.assert_allclose(np.sort(linalg.eigvals(found).real), [-0.3, 0.6], atol=0.02)
 
 

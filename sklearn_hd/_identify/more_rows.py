@@ -4,7 +4,7 @@ import numpy as np
 
 from sklearn_hd._identify.checks import is_lifted
 from sklearn_hd._records.sliding_inputs import changes_at_one_phase, inputs_by_phase
-from sklearn_hd.algorithms.modes.modes import FAINT, agreeing_copies, is_window_pole
+from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
 __all__ = ["MoreRows", "is_sliding"]

@@ -22,7 +22,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 
-__all__ = ["LinearSystem", "Point", "Problem", "eliminate_states", "likelihood_problem"]
+__all__ = ["LinearSystem", "Point", "Problem", "eliminate_states", "is_white", "likelihood_problem"]
 
 SMALLEST_NOISE = 4.0 * np.finfo(float).eps  # of an output's rms; below it is rounding
 ROUNDING = 1e-10  # noise relative to the output that may be rounding
@@ -269,3 +269,30 @@ def likelihood_problem(structure, segments, omega, n_phases, observe, free_x0, s
     largest = np.max(size) if np.max(size) > 0 else 1.0
     size = np.where(size > 0, size, largest)
     return Problem(structure, records, omega, n_phases, observe, free_x0, sigma, counts, size)
+
+
+def is_white(left, lags):
+    """Whether residuals look like white noise over some lags, each output by itself.
+
+    With ρ_k the autocorrelation at lag k of n samples, n Σ ρ_k² has mean L and variance
+    2 L over L lags of white noise (Box and Pierce, 1970); four spreads above the mean it
+    is none.
+
+    Parameters
+    ----------
+    left : ndarray, shape (n_samples, l)
+    lags : int
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).standard_normal((2000, 1))
+    >>> is_white(noise, 20), is_white(np.cumsum(noise, axis=0), 20)
+    (True, False)
+    """
+    n = len(left)
+    spectrum = np.abs(np.fft.rfft(left, 2 * n, axis=0)) ** 2
+    covariance = np.fft.irfft(spectrum, axis=0)[: lags + 1]
+    if not covariance[0].all():
+        return False
+    statistic = n * np.sum((covariance[1:] / covariance[0]) ** 2, axis=0)
+    return bool(np.all(statistic <= lags + 4.0 * np.sqrt(2.0 * lags)))

@@ -35,12 +35,14 @@ __all__ = [
     "order_by_residual",
     "response_to_states",
     "shape_functions",
+    "shapes_determine_state",
     "state_response",
     "told_apart",
     "without_noise",
 ]
 
 BIC_PATIENCE = 2
+SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
 TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
@@ -455,6 +457,24 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
     edges = np.cumsum([f.shape[1] for f in functions[chosen]])[:-1]
     noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
     return FloquetShapes(R, flips, tuple(np.split(solution, edges)), counts[chosen], noise)
+
+
+def shapes_determine_state(P):
+    """Whether P(ψ) can be inverted at every phase, rows and columns scaled over the period.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n_phases, n, n)
+    """
+    scaled = P / np.max(np.abs(P)) if P.any() else P
+    for _ in range(20):
+        rows = np.linalg.norm(scaled, axis=(0, 2))[:, None]
+        columns = np.linalg.norm(scaled, axis=(0, 1))
+        if not (rows.all() and columns.all()):
+            return False
+        scaled = scaled / rows
+        scaled = scaled / np.linalg.norm(scaled, axis=(0, 1))
+    return bool(np.max(np.linalg.cond(scaled)) <= SHAPE_CONDITION)
 
 
 def _shape_design(functions, weighted):

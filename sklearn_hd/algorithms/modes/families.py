@@ -11,7 +11,7 @@ finite memory: a nilpotent block that rounding and noise spread to small |z|.
 
 Sampled r times a period, z^r = e^{λT} is the same for a mode and its copies:
 that groups the families. Which members stand for a family is decided by how
-well they explain the raw signals (:mod:`sklearn_hd.algorithms.modes.mode_selection`).
+well they explain the raw signals (:mod:`sklearn_hd.algorithms.modes.selection`).
 """
 
 import itertools
@@ -28,6 +28,7 @@ __all__ = [
     "floquet_families",
     "invariant_pair",
     "is_window_pole",
+    "real_block",
 ]
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
@@ -271,3 +272,23 @@ def invariant_pair(A, C, kept, dropped):
             f"to working precision; change n_states or the order"
         )
     return T[:n_kept, :n_kept], C @ Q[:, :n_kept]
+
+
+def real_block(exponents):
+    """Real block-diagonal R of some real exponents and complex pairs.
+
+    Parameters
+    ----------
+    exponents : sequence of complex
+        Real ones, and one member of each pair.
+
+    Examples
+    --------
+    >>> real_block([-1.0, -0.5 + 2j]).tolist()
+    [[-1.0, 0.0, 0.0], [0.0, -0.5, 2.0], [0.0, -2.0, -0.5]]
+    """
+    blocks = [
+        np.array([[e.real, e.imag], [-e.imag, e.real]]) if e.imag else np.array([[e.real]])
+        for e in np.asarray(exponents, dtype=complex)
+    ]
+    return linalg.block_diag(*blocks) if blocks else np.zeros((0, 0))
