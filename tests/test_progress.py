@@ -215,10 +215,9 @@ def test_nobody_to_tell():
 # ---- in the estimators ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("estimator", [StructuredMatcher, SpuriousModeReducer])
 @pytest.mark.parametrize("verbose", [-1, 0.5, "yes", None])
-def test_verbose_is_a_count(estimator, verbose, record):
-    step = estimator(MOESPRegressor(order=3, block_rows=8), verbose=verbose)
+def test_verbose_is_a_count(verbose, record):
+    step = StructuredMatcher(MOESPRegressor(order=3, block_rows=8), verbose=verbose)
     with pytest.raises(
         ValueError, match=r"verbose must be .* at least 0, got .*; 0 is silent, 1 s"
     ):
@@ -295,16 +294,6 @@ def test_no_bar_is_left_of_a_match_that_fails(identified, record, screen):
         matcher.fit(*record)
     assert "least squares, starts" in screen.getvalue()
     assert screen.left() == []
-
-
-@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
-def test_a_reduction_is_the_same_with_a_bar(noisy_wing, screen):
-    with redirect_stderr(screen):
-        quiet = SpuriousModeReducer().fit(*noisy_wing)
-        assert screen.getvalue() == ""
-        told = SpuriousModeReducer(verbose=1).fit(*noisy_wing)
-    assert "likelihood of modes, steps" in screen.getvalue()
-    assert learned(told) == learned(quiet)
 
 
 def test_a_sweep_over_orders_shows_a_bar(record, screen):

@@ -1,16 +1,24 @@
-"""Laws of the response in modal coordinates and of its fit to raw signals."""
+"""Laws of what the reducer takes from the raw record."""
 
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.modes.modal_response import Record, fit_modal_model, is_white, residuals
-from sklearn_hd.algorithms.modes.mode_shapes import real_block
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd._reduce.refinement import (
+    _decaying_shapes,
+    _refined_exponents,
+    most_likely,
+    strongest_free_decay,
+)
+from sklearn_hd.algorithms.likelihood.likelihood import is_white
+from sklearn_hd.algorithms.modes.families import real_block
 from sklearn_hd.systems import LTPSystem
 
 OMEGA, SPP, N_HARMONICS = 2 * np.pi, 32, 2
 DT = 1.0 / SPP
 EXPONENTS = np.array([-0.3, -0.6 + 1.1j])  # 1/s
+
+
+# ---- likelihood of modes -----------------------------------------------------------------------
 
 
 def periodic_system(rng):
@@ -21,53 +29,53 @@ def periodic_system(rng):
 
 
 def records(rng, system, noise=0.0):
-    """Two segments, and the observation by all harmonics of both outputs."""
-    drive, outputs, azimuths, observe = [], [], [], []
+    """Two segments, the second from another phase on."""
+    segments = []
     for n_samples in (20 * SPP, 12 * SPP + 5):
-        t = DT * np.arange(n_samples)
-        drive.append(np.repeat(rng.standard_normal((n_samples // 7 + 1, 1)), 7, axis=0)[:n_samples])
-        y = system.simulate(drive[-1], t, x0=rng.standard_normal(3))
-        outputs.append(y + noise * rng.standard_normal(y.shape))
-        azimuths.append(OMEGA * t)
-        functions = harmonic_functions(azimuths[-1], range(N_HARMONICS + 1))
-        zero = np.zeros_like(functions)
-        observe.append(
-            np.stack([np.hstack([functions, zero]), np.hstack([zero, functions])], axis=1)
-        )
-    return Record(drive, outputs, observe, azimuths, OMEGA, DT, N_HARMONICS)
+        first = 0 if not segments else 7
+        t = DT * (first + np.arange(n_samples))
+        u = np.repeat(rng.standard_normal((n_samples // 7 + 1, 1)), 7, axis=0)[:n_samples]
+        y = system.simulate(u, t, x0=rng.standard_normal(3))
+        segments.append((u, y + noise * rng.standard_normal(y.shape), first))
+    return segments
 
 
 def rough_start(rng, P, size):
-    """Exponents and shapes off by some share; pairs of coefficients lie output by output."""
-    C = P.transpose(1, 0, 2).reshape(-1, 3)
-    return EXPONENTS * (1 + size), C * (1 + size * rng.standard_normal(C.shape))
+    return EXPONENTS * (1 + size), P * (1 + size * rng.standard_normal(P.shape))
 
 
 def test_a_periodic_system_comes_back_from_a_rough_start(rng):
     system, P = periodic_system(rng)
-    record = records(rng, system)
-    model = fit_modal_model(record, *rough_start(rng, P, 0.1))
-    np.testing.assert_allclose(model.exponents, EXPONENTS, rtol=1e-5)
-    assert model.residual < 1e-9 * np.sum(record.outputs**2)
+    segments = records(rng, system)
+    modes = most_likely(segments, *rough_start(rng, P, 0.1), OMEGA, SPP)
+    np.testing.assert_allclose(modes.exponents, EXPONENTS, rtol=1e-5)
+    assert np.sum(modes.left**2) < 1e-9 * sum(np.sum(y**2) for _, y, _ in segments)
 
 
 def test_what_is_left_under_noise_is_the_noise(rng):
     system, P = periodic_system(rng)
-    record = records(rng, system, noise=0.1)
-    model = fit_modal_model(record, *rough_start(rng, P, 0.1))
-    left = residuals(record, model)
-    assert np.sum(left**2) == pytest.approx(model.residual)
-    assert model.residual / left.size == pytest.approx(0.01, rel=0.15)
-    assert is_white(left, SPP)
-    np.testing.assert_allclose(model.exponents, EXPONENTS, atol=0.1)
+    segments = records(rng, system, noise=0.1)
+    modes = most_likely(segments, *rough_start(rng, P, 0.1), OMEGA, SPP)
+    assert np.mean(modes.left**2) == pytest.approx(0.01, rel=0.15)
+    assert is_white(modes.left, SPP)
+    np.testing.assert_allclose(modes.exponents, EXPONENTS, atol=0.1)
 
 
 def test_a_structure_that_is_wrong_leaves_more_than_noise(rng):
     system, P = periodic_system(rng)
-    record = records(rng, system, noise=0.01)
-    exponents, C = rough_start(rng, P, 0.0)
-    model = fit_modal_model(record, exponents[1:], C[:, 1:])
-    assert not is_white(residuals(record, model), SPP)
+    segments = records(rng, system, noise=0.01)
+    modes = most_likely(segments, EXPONENTS[1:], P[:, :, 1:], OMEGA, SPP)
+    assert not is_white(modes.left, SPP)
+
+
+def test_more_harmonics_start_from_fewer(rng):
+    system, P = periodic_system(rng)
+    segments = records(rng, system)
+    few = most_likely(segments, EXPONENTS, P[:3], OMEGA, SPP)
+    start = np.concatenate([few.P, np.zeros((2, 2, 3))])
+    modes = most_likely(segments, few.exponents, start, OMEGA, SPP, start=few)
+    np.testing.assert_allclose(modes.exponents, EXPONENTS, rtol=1e-5)
+    assert modes.aic < few.aic
 
 
 def test_whiteness_is_rarely_denied_to_noise_and_never_granted_to_zero():
@@ -76,25 +84,46 @@ def test_whiteness_is_rarely_denied_to_noise_and_never_granted_to_zero():
     assert not is_white(np.zeros((50, 1)), 5)
 
 
-def test_responses_are_exact_for_inputs_held(rng):
-    """Against the transition matrices of the periodic system itself."""
-    system, _ = periodic_system(rng)
-    one = LTPSystem(real_block(EXPONENTS[:1]), system.G.coefficients[:, :1], omega=OMEGA)
-    t = DT * np.arange(3 * SPP)
-    u = rng.standard_normal((len(t), 1))
-    nothing = np.zeros((len(t), 1, 1))
-    record = Record([u], [u], [nothing], [OMEGA * t], OMEGA, DT, N_HARMONICS)
-    order = [0, 1, 3, 2, 4]  # 0, 1c, 2c, 1s, 2s
-    forced = record.responses(EXPONENTS[0])[:, :5] @ system.G.coefficients[order, 0, 0]
-    np.testing.assert_allclose(forced, one.simulate(u, t)[:, 0], atol=1e-11)
+# ---- free decay ----------------------------------------------------------------------------------
 
 
-def test_an_exponent_that_turns_with_a_harmonic_of_the_input_has_no_pole_in_its_gain():
-    t = DT * np.arange(2 * SPP)
-    u = np.ones((len(t), 1))
-    record = Record([u], [u], [u[..., None]], [OMEGA * t], OMEGA, DT, 1)
-    response = record.responses(0.0 + 1j * OMEGA)
-    assert np.isfinite(response).all()
-    resonant = response[:, 1] + 1j * response[:, 2]  # driven by e^{jψ} or its conjugate
-    other = response[:, 1] - 1j * response[:, 2]
-    assert max(abs(resonant[-1]), abs(other[-1])) == pytest.approx(t[-1], rel=1e-9)
+def free_decay(system, n, n_periods):
+    t = DT * np.arange(n_periods * SPP)
+    y = system.simulate(np.zeros((len(t), 1)), t, x0=np.ones(n))
+    return y.reshape(n_periods, -1)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_state_matrix_comes_back_from_a_free_decay(rng, n):
+    F = 0.5 * rng.standard_normal((5, n, n))
+    F[0] -= 1.5 * np.eye(n)
+    system = LTPSystem(F, np.ones((n, 1)), omega=OMEGA)
+    exponents = np.asarray(system.floquet_exponents())
+    lead = exponents[exponents.imag >= 0]
+    decay = free_decay(system, n, 3 + 2 * n)
+    shapes, left = _decaying_shapes(decay, lead, OMEGA, SPP)
+    psi = 2 * np.pi * np.arange(SPP) / SPP
+    np.testing.assert_allclose(shapes.state_matrix(psi, OMEGA, range(n)), system.F(psi), atol=1e-6)
+    assert np.sum(left**2) < 1e-20 * np.sum(decay**2)
+    other = np.where(lead.imag != 0, lead + 1j * OMEGA, lead)  # a mode's shape takes it up
+    shapes, _ = _decaying_shapes(decay, other, OMEGA, SPP)
+    np.testing.assert_allclose(shapes.state_matrix(psi, OMEGA, range(n)), system.F(psi), atol=1e-6)
+
+
+@pytest.mark.parametrize("exponents", [[-0.4, -2.0], [-0.3 + 1.2j], [-0.1, -0.5 + 0.8j]])
+def test_exponents_are_refined_to_those_of_the_decay(rng, exponents):
+    """Whatever the mode shapes: they are eliminated."""
+    step, state = np.exp(exponents), np.ones(len(exponents))
+    shapes = rng.standard_normal((32, len(step))) + 1j * rng.standard_normal((32, len(step)))
+    decay = np.array([(shapes @ (step**k * state)).real for k in range(12)])
+    found = _refined_exponents(decay, np.array(exponents, dtype=complex) * 1.15)
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(exponents), rtol=1e-7)
+
+
+def test_the_strongest_decay_starts_with_the_period_after_the_last_motion():
+    u = [np.zeros((40, 1)), np.zeros((40, 1))]
+    u[0][5], u[1][9] = 1.0, 1.0
+    y = [np.ones((40, 1)), 2 * np.arange(40.0)[:, None]]
+    decay = strongest_free_decay([(u[0], y[0], 0), (u[1], y[1], 3)], 8)
+    np.testing.assert_array_equal(decay, y[1][13:37].reshape(3, 8))
+    assert strongest_free_decay([(u[0] * 0, y[0], 0)], 8) is None

@@ -35,7 +35,7 @@ from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 __all__ = ["LikelyModes", "harmonic_form", "most_likely", "refined_modes", "strongest_free_decay"]
 
 REST = 1e-9  # of an input's largest value, below which it rests: written in nine digits or more
-STEPS = 15  # of the search; starts are near enough for ten
+STEPS = 10  # of the search, whose starts are near; more fit modes that are none
 WORTH = 0.01  # variances of the noise that a step has to gain: a tenth of a standard deviation
 HARMONICS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of shapes: a fourth more each costs no likelihood
 
@@ -52,6 +52,8 @@ class LikelyModes:
         Fourier coefficients of the output vectors, by the states of ``real_block``.
     left : ndarray, shape (n_samples, l)
         The outputs of the model less those measured.
+    B : ndarray, shape (2 K + 1, n, m)
+    x0 : list of ndarray, shape (n,)
     aic : float
         Akaike's criterion.
     """
@@ -59,10 +61,12 @@ class LikelyModes:
     exponents: np.ndarray
     P: np.ndarray
     left: np.ndarray
+    B: np.ndarray
+    x0: list
     aic: float
 
 
-def most_likely(segments, exponents, P, omega, n_phases, observe=None):
+def most_likely(segments, exponents, P, omega, n_phases, observe=None, start=None):
     """Exponents, output vectors, inputs and initial states of largest likelihood.
 
         ż = R z + B(ψ) u,   y = O(ψ) P(ψ) z,   R real, of some exponents
@@ -79,6 +83,9 @@ def most_likely(segments, exponents, P, omega, n_phases, observe=None):
     n_phases : int
     observe : ndarray, shape (n_phases, l, n_coefficients), optional
         O at each phase.
+    start : LikelyModes, optional
+        Of no more harmonics: its B and initial states are where to start from; by default they
+        are fitted to the modes given.
 
     Returns
     -------
@@ -86,20 +93,28 @@ def most_likely(segments, exponents, P, omega, n_phases, observe=None):
     """
     R, m = real_block(exponents), segments[0][0].shape[1]
     n, size = len(R), sum(y.size for _, y, _ in segments)
-    start = np.zeros((len(P), n + P.shape[1], n + m))
-    start[0, :n, :n], start[:, n:, :n] = R, P
-    driven = _modal_structure(start, [], n, ["B"])
+    near = np.zeros((len(P), n + P.shape[1], n + m))
+    near[0, :n, :n], near[:, n:, :n] = R, P
     given = (omega, n_phases)
-    options = {"observe": observe, "max_iter": STEPS, "tol": WORTH / size, "keep_stable": False}
-    result = output_error(driven, segments, *given, np.zeros(driven.n_parameters), **options)
-    start = driven.coefficients(result.theta)
-    free = _modal_structure(np.zeros(start.shape), exponents, n, ["B", "P"])
-    result = output_error(free, segments, *given, free.nearest(start), x0=result.x0, **options)
+    options = {"observe": observe, "tol": WORTH / size, "keep_stable": False}
+    if start is None:
+        driven = _modal_structure(near, [], n, ["B"])
+        nothing = np.zeros(driven.n_parameters)
+        linear = output_error(driven, segments, *given, nothing, max_iter=1, **options)
+        near, x0 = driven.coefficients(linear.theta), linear.x0
+    else:
+        near[: len(start.B), :n, n:], x0 = start.B, start.x0
+    free = _modal_structure(np.zeros(near.shape), exponents, n, ["B", "P"])
+    result = output_error(
+        free, segments, *given, free.nearest(near), x0=x0, max_iter=STEPS, **options
+    )
     response = sampled_response(free, result.theta, *given, observe, sensitivities=False)
     records = as_records(segments, m, segments[0][1].shape[1])
     left = [residuals(response, *each) for each in zip(records, result.x0, strict=True)]
-    F, _, P, _ = free.matrices(result.theta)
-    return LikelyModes(_exponents(F[0], exponents), P, np.concatenate(left), result.aic)
+    F, B, P, _ = free.matrices(result.theta)
+    return LikelyModes(
+        _exponents(F[0], exponents), P, np.concatenate(left), B, result.x0, result.aic
+    )
 
 
 def _modal_structure(constant, exponents, n, free):
@@ -200,7 +215,7 @@ def harmonic_form(experiment, choices):
         return None, None
     shapes, left, exponents = min(found, key=lambda each: np.sum(each[1] ** 2))
     if np.sum(left**2) > EPS * np.sum(decay**2) and is_white(left.reshape(-1, n), spp - 1):
-        shapes = _likely_shapes(experiment, exponents, shapes, decay)
+        shapes = _likely_shapes(experiment, exponents, shapes)
     psi = 2.0 * np.pi * np.arange(spp) / spp
     if not shapes_determine_state(shapes(psi)[0]):
         return None, None
@@ -252,7 +267,7 @@ def _refined_exponents(decay, exponents):
     return None if negative.any() else np.log(multipliers)
 
 
-def _decaying_shapes(decay, exponents, omega, n_phases, n_harmonics=None):
+def _decaying_shapes(decay, exponents, omega, n_phases):
     """Shapes of a free decay of some exponents (1/s), and what shapes free at every phase leave."""
     R, period = real_block(exponents), 2.0 * np.pi / omega
     step, states = linalg.expm(R * period), np.ones((len(decay), len(R)))
@@ -262,28 +277,26 @@ def _decaying_shapes(decay, exponents, omega, n_phases, n_harmonics=None):
     sights, information, residual = seen
     sights, residual = (each.reshape(n_phases, -1, *each.shape[1:]) for each in (sights, residual))
     flips, n_rows = np.zeros(len(R), dtype=bool), len(decay) - len(R)
-    shapes = fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmonics)
+    shapes = fit_shapes(sights, information, residual, R, flips, period, n_rows)
     return shapes, decay - states @ seen[0].T
 
 
-def _likely_shapes(experiment, exponents, shapes, decay):
+def _likely_shapes(experiment, exponents, shapes):
     """Shapes of few harmonics, and R, most likely by the whole record (Akaike, 1974).
 
     Those given where no number of harmonics leaves white noise.
     """
-    basis, best = experiment.basis, None
+    basis, best, P = experiment.basis, None, np.stack(shapes.coefficients, axis=2)
     spp, omega = basis.samples_per_period, basis.omega
     if any(orders != (0,) for _, orders in basis.inputs):
         return shapes  # the drive is not the raw input
-    for n_harmonics in HARMONICS:
-        if n_harmonics > spp // 2 - 1:
-            break
-        start, _ = _decaying_shapes(decay, exponents, omega, spp, n_harmonics)
-        P = np.stack(start.coefficients, axis=2)
-        found = most_likely(_segments(experiment), exponents, P, omega, spp)
+    segments, highest = _segments(experiment), spp // 2 - 1
+    for count in [k for k in HARMONICS if shapes.n_harmonics <= k <= highest]:
+        P = np.concatenate([P, np.zeros((2 * count + 1 - len(P), *P.shape[1:]))])
+        found = most_likely(segments, exponents, P, omega, spp, start=best)
         if best is not None and found.aic >= best.aic:
             break
-        best, exponents = found, found.exponents
+        best, exponents, P = found, found.exponents, found.P
     if best is None or not is_white(best.left, spp):
         return shapes
     R, columns = real_block(best.exponents), tuple(best.P.transpose(2, 0, 1))

@@ -405,7 +405,7 @@ class FloquetShapes:
         return (slope + P @ self.R) @ inverse
 
 
-def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmonics=None):
+def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     """Mode shapes behind what each sample of the period sees of the state.
 
     P(ψ_j) e^{R t_j} = O_j in the least-squares sense that the noise of O asks for, with as
@@ -423,8 +423,6 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
     period : float
     n_rows : int
         Periods less parameters behind each sum of squares.
-    n_harmonics : int, optional
-        Decided by the data where not given.
 
     Returns
     -------
@@ -443,20 +441,19 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
     variance = residual.sum(axis=0) / (n_phases * max(1, n_rows))
     rounding = (1e-15 * np.linalg.norm(target, axis=0)) ** 2
     variance = np.where(variance > rounding, variance, np.where(rounding > 0, rounding, 1.0))
-    highest = n_phases // 2
-    counts = list(range(highest + 1)) if n_harmonics is None else [min(n_harmonics, highest)]
-    functions = [[shape_functions(psi, count, flip)[0] for flip in flips] for count in counts]
-    chosen = 0
-    if len(counts) > 1:
-        left, n_columns = _left_by_count(functions, weighted, target)
-        chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
+    functions = [
+        [shape_functions(psi, count, flip)[0] for flip in flips]
+        for count in range(n_phases // 2 + 1)
+    ]
+    left, n_columns = _left_by_count(functions, weighted, target)
+    chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
     design = _shape_design(functions[chosen], weighted)
     size = np.linalg.norm(design, axis=0)
     size[size < UNSEEN * size.max()] = np.inf  # the sine that is zero at every sample
     solution = linalg.lstsq(design / size, target)[0] / size[:, None]
     edges = np.cumsum([f.shape[1] for f in functions[chosen]])[:-1]
     noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
-    return FloquetShapes(R, flips, tuple(np.split(solution, edges)), counts[chosen], noise)
+    return FloquetShapes(R, flips, tuple(np.split(solution, edges)), chosen, noise)
 
 
 def shapes_determine_state(P):

@@ -140,11 +140,6 @@ def test_noise_costs_harmonics(rng):
     np.testing.assert_allclose(shapes(PSI)[0], shape(PSI)[0], atol=5e-3)
 
 
-def test_harmonics_asked_for_are_given_up_to_half_the_phases():
-    assert fitted(sights(), n_harmonics=4).n_harmonics == 4
-    assert fitted(sights(), n_harmonics=99).n_harmonics == N_PHASES // 2
-
-
 # ---- the Poincaré map ----------------------------------------------------------------------------
 
 
