@@ -125,7 +125,7 @@ def build_synchronous(case, data):
                 HarmonicAnalyzer(
                     data.omega,
                     output_harmonics=SIGNALS[case.subsystem],
-                    hop="period",
+                    reading="period",
                     trim_span=data.trim_span if case.kind == "nltp" else None,
                     small_signal="odd" if case.pair else None,
                 ),

@@ -80,11 +80,11 @@ print(f"size of the copy: measured {measured.iloc[-1]:.5f}, predicted {predicted
 # is the signal as the window saw it. With all the harmonics that the samples hold, it is the
 # signal itself.
 
-for hop, harmonics in ((None, 1), (None, 32), ("period", 1), ("period", 32)):
-    analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, hop=hop).fit(y)
+for reading, harmonics in (("sliding", 1), ("sliding", 32), ("period", 1), ("period", 32)):
+    analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, reading=reading).fit(y)
     back = analyzer.inverse_transform(analyzer.transform(y))
     lost = (back - y).dropna()["phi_dot"].std() / y["phi_dot"].std()
-    print(f"hop={hop!s:7} harmonics 0 to {harmonics:<3} lost of phi_dot: {lost:.1e}")
+    print(f"{reading:7} harmonics 0 to {harmonics:<3} lost of phi_dot: {lost:.1e}")
 
 # %%
 # What was learned

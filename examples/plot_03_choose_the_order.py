@@ -41,11 +41,11 @@ HarmonicsDisplay.from_data(signals, data.omega, kept, span=(0.0, 2.0), units=uni
 # %%
 # One fit, and a look at it
 # -------------------------
-# ``hop="period"`` reads the record once a wingbeat. Read like that, a periodic system is exactly
-# time-invariant and keeps its own number of states. Singular values above the gap belong to
+# ``reading="period"`` reads the record once a wingbeat. Read like that, a periodic system is
+# exactly time-invariant and keeps its own number of states. Singular values above the gap belong to
 # states, the others to noise.
 
-analyzer = HarmonicAnalyzer(data.omega, output_harmonics=3, hop="period")
+analyzer = HarmonicAnalyzer(data.omega, output_harmonics=3, reading="period")
 pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())]).fit(u, y)
 SingularValueDisplay.from_estimator(pipe)
 

@@ -40,7 +40,7 @@ HarmonicsDisplay.from_data(signals, omega, kept, span=(0.0, 2.0), units=units)
 # %%
 # Period by period
 # ----------------
-# With ``hop="period"`` the record is read once a wingbeat. From one wingbeat to the next a
+# With ``reading="period"`` the record is read once a wingbeat. From one wingbeat to the next a
 # periodic system is exactly time-invariant: no spurious modes, and as many states as the system
 # has. What happens within a wingbeat then gives its matrices.
 
@@ -48,7 +48,7 @@ HarmonicsDisplay.from_data(signals, omega, kept, span=(0.0, 2.0), units=units)
 def identify(data, structure, criterion):
     """All steps, period by period."""
     steps = [
-        ("harmonics", HarmonicAnalyzer(omega, output_harmonics=2, hop="period")),
+        ("harmonics", HarmonicAnalyzer(omega, output_harmonics=2, reading="period")),
         ("identify", MOESPRegressor()),
         ("reduce", SpuriousModeReducer()),
         ("match", StructuredMatcher(structure=structure, criterion=criterion)),

@@ -52,7 +52,7 @@ HarmonicsDisplay.from_data(pitch.join(flap), 1.0, 0, span=(0, 100), units=units)
 
 pipe = Pipeline(
     [
-        ("harmonics", HarmonicAnalyzer(1.0, output_harmonics=1, hop="period")),
+        ("harmonics", HarmonicAnalyzer(1.0, output_harmonics=1, reading="period")),
         ("identify", MOESPRegressor(order=2)),
         (
             "match",
@@ -138,7 +138,7 @@ HarmonicsDisplay.from_data(motion[[*tower, "BE1_b1_dot"]], system.omega, 0, span
 kept = {name: [2, 3] for name in tower} | {name: [5, 9, 10] for name in edges}
 pipe = Pipeline(
     [
-        ("harmonics", HarmonicAnalyzer(system.omega, output_harmonics=kept, hop="period")),
+        ("harmonics", HarmonicAnalyzer(system.omega, output_harmonics=kept, reading="period")),
         ("identify", MOESPRegressor(order=10, block_rows=3)),
     ]
 ).fit(force, motion)

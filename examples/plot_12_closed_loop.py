@@ -70,7 +70,7 @@ axes[-1].set_xlabel("wingbeats")
 def five_steps(weighting):
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(moth.omega, hop="period", trim_span=moth.trim_span)),
+            ("harmonics", HarmonicAnalyzer(moth.omega, reading="period", trim_span=moth.trim_span)),
             ("identify", MOESPRegressor(order=4, weighting=weighting)),
             ("reduce", SpuriousModeReducer()),
             ("match", StructuredMatcher(structure=HarmonicStructure())),
@@ -127,8 +127,8 @@ pd.concat({key: pd.DataFrame(F, names, names).round(2) for key, F in parts.items
 # ----------------
 # - With the stabiliser on, give :class:`~sklearn_hd.MOESPRegressor` ``weighting="pbsid"``; more
 #   data do not mend MOESP's bias.
-# - Feedback that acts wingbeat by wingbeat is read wingbeat by wingbeat (``hop="period"``); what
-#   acts within the wingbeat would be identified with the moth.
+# - Feedback that acts wingbeat by wingbeat is read wingbeat by wingbeat (``reading="period"``);
+#   what acts within the wingbeat would be identified with the moth.
 # - The model found is that of the moth without its pilot, of which a better pilot can be designed.
 #   How well it does over many flights: :doc:`against the world </world>`; what PBSID asks:
 #   :doc:`the user guide </guide/3_subspace>`.

@@ -21,7 +21,7 @@ more, yet without noise A comes back as well as if there were no analyzer. Nonli
 a percent or two. Noise is what hurts: read through the window, a record yields A ten times
 less accurately than the bound allows, although the responses are predicted well all the same.
 
-A second route reads the same kinds of data period by period (hop="period"). Sampled once a
+A second route reads the same kinds of data period by period (reading="period"). Sampled once a
 period a periodic system is time-invariant, so that no spurious modes arise; its state matrix
 F(ψ), and from it the harmonic decomposition, follow in closed form, and under noise by
 maximum likelihood.

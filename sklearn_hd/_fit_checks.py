@@ -38,7 +38,7 @@ def warn_of_mismatch(experiment):
     azimuth was measured.
     """
     basis = experiment.basis
-    if basis is None or basis.reading.azimuth is not None:
+    if not basis.harmonic or basis.timing.azimuth is not None:
         return
     outputs, trim = experiment.outputs, experiment.output_trim()
     if trim is not None and basis.small_signal is None:
@@ -66,7 +66,7 @@ def warn_of_mismatch(experiment):
 def warn_of_growing_data(experiment):
     """Warn if outputs grow so much that what decays beside them is lost in rounding."""
     basis = experiment.basis
-    if basis is None:
+    if not basis.harmonic:
         return
     spp, period = basis.samples_per_period, basis.samples_per_period * basis.sample_time
     for y in experiment.outputs:
@@ -102,7 +102,7 @@ def _growth_rate(y, spp):
 
 def warn_of_growth(model, experiment):
     """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
-    if experiment.basis is None or model.n_states == 0:
+    if not experiment.basis.harmonic or model.n_states == 0:
         return
     rate, longest = growth_rate(model), longest_span(experiment)
     period = 2.0 * np.pi / experiment.basis.omega
@@ -136,7 +136,7 @@ def warn_idle(moving, experiment):
     idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
     if idle:
         effect = "their effect is not identified, and their columns of B are zero"
-        if experiment.basis is not None and experiment.basis.synchronous:
+        if experiment.basis.reading == "period":
             effect = (
                 "their columns of B are zero; StructuredMatcher fits what inputs do within the "
                 "period"
@@ -184,10 +184,10 @@ def moving_inputs(inputs, experiment):
     moving = _spread_of_first(inputs) > 0.0
     for smallest, largest in map(extremes, inputs if not moving.all() else ()):
         moving |= largest > smallest
-    signals, seen = experiment.drive_signals(), moving
-    if experiment.basis is not None and experiment.basis.synchronous:
+    signals, seen = experiment.basis.drive_signals, moving
+    if experiment.basis.reading == "period":
         # what has no mean over any period may move within it all the same
-        signals = tuple(signal for signal, _ in experiment.basis.inputs)
+        signals = experiment.basis.input_signals
         seen = np.any([np.greater(*extremes(u)[::-1]) for u in experiment.inputs], axis=0)
     for name in dict.fromkeys(signals):
         if not any(m for m, signal in zip(seen, signals, strict=True) if signal == name):

@@ -16,25 +16,23 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._readings import first_difference
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
     as_frame,
     check_features,
-    hop_means,
     is_decomposed,
     read_experiment,
     read_signals,
 )
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states
-from sklearn_hd._records.time import STEP_TOLERANCE
 from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
-WARMUP_PERIODS = 5
-WARMUP_SAMPLES = 50
 WARMUP_SHARE = 0.25
 MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 
@@ -76,15 +74,13 @@ def upstream(step, X, y):
 class SegmentSimulator:
     """Free simulation of a model over one segment, linear in its initial state.
 
-    A continuous model steps at the data's own sample time. A discrete model
-    of harmonic coefficients steps from one row read to the next; between
-    those rows its coefficients are interpolated (held over the period when
-    analysed period by period).
+    A continuous model steps at the data's own sample time. A discrete model steps from one row
+    that its reading reads to the next.
 
     Parameters
     ----------
     model : LTIModel
-    basis : HarmonicBasis or None
+    basis : HarmonicBasis or PlainReading
     drive : ndarray, shape (n_samples, n_drive)
     time : ndarray, shape (n_samples,)
     sample_time : float
@@ -96,9 +92,10 @@ class SegmentSimulator:
         self.A, self.B = model.A, model.B
         if model.dt == 0.0:
             self.A, self.B = continuous_to_discrete(model.A, model.B, sample_time)
-        elif basis is not None:
-            self.rows = basis.rows_read(time, whole_windows=False)
-            self.drive = hop_means(drive, basis, self.rows)
+        else:
+            self.rows = basis.simulated_rows(time)
+        if self.rows is not None:
+            self.drive = basis.held_drive(drive, self.rows)
 
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
@@ -126,28 +123,16 @@ class SegmentSimulator:
         return min(steps, len(self.drive))
 
     def observe(self, Y, time, recompose=True):
-        """Model outputs brought to every sample, and recomposed where there is a basis."""
-        if self.basis is None:
-            return Y
+        """Model outputs brought to every sample, and recomposed to signals."""
         if self.rows is not None:
             Y = self._between_rows(Y, len(time))
-        if not recompose:
-            return Y
-        R = self.basis.recomposition(self.basis.azimuth(time))
-        return np.einsum("tsk,...tk->...ts", R, Y)
+        return self.basis.recomposed(Y, time) if recompose else Y
 
     def _between_rows(self, Y, n_samples):
         rows = self.rows[: Y.shape[-2]]
         if len(rows) == 0:
             return np.zeros((*Y.shape[:-2], n_samples, Y.shape[-1]))
-        samples = np.arange(n_samples)
-        left = np.clip(np.searchsorted(rows, samples, side="right") - 1, 0, len(rows) - 1)
-        if self.basis.synchronous:
-            return Y[..., left, :]
-        right = np.minimum(left + 1, len(rows) - 1)
-        gap = np.maximum(rows[right] - rows[left], 1)
-        share = np.clip((samples - rows[left]) / gap, 0.0, 1.0)[:, None]
-        return (1.0 - share) * Y[..., left, :] + share * Y[..., right, :]
+        return self.basis.between_rows(Y, rows, n_samples)
 
 
 class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
@@ -206,7 +191,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         frame = self._upstream_frame(check_features(self, X, reset=False))
-        if frame.basis is None:
+        if not frame.is_analysed:
             read_signals(frame, "x", "X")  # finite numbers on increasing times
         return HarmonicFrame.attach(frame, frame.basis, self.model_)
 
@@ -368,22 +353,15 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
     def _score_rows(self, simulator, experiment):
         """Rows of one segment that the initial state is fitted on, and those scored."""
-        basis, dt = experiment.basis, experiment.base.sample_time
-        first, last = 0, len(simulator.time)
-        if basis is not None:
-            spp = basis.samples_per_period
-            phase = basis.phase_index(simulator.time)
-            first = len(basis.weights) - 1 - basis.lead
-            first += -phase[min(first, last - 1)] % spp
-            last -= (phase[-1] + 1) % spp
-        warm = self._warmup_samples(basis, dt)
+        first, last = experiment.basis.scored_rows(simulator.time)
+        warm = self._warmup_samples(experiment)
         warm = max(1, min(warm, int(WARMUP_SHARE * (last - first))))
         return slice(first, first + warm), slice(first + warm, last)
 
-    def _warmup_samples(self, basis, dt):
+    def _warmup_samples(self, experiment):
         if self._check_warmup() is None:
-            return WARMUP_SAMPLES if basis is None else WARMUP_PERIODS * basis.samples_per_period
-        return round(self.warmup / dt)
+            return experiment.basis.warmup_samples
+        return round(self.warmup / experiment.base.sample_time)
 
     def _check_warmup(self):
         if self.warmup is None:
@@ -400,24 +378,29 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         self._check_basis(experiment.basis)
         if y is not None and not self.predicts_harmonics_:
             check_output_names(experiment.output_names, self.target_names_, "the model")
-        dt, found = self.model_.dt, experiment.base.sample_time
-        plain = experiment.basis is None and dt > 0.0 and len(experiment.base.time) > 1
-        if plain and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * experiment.base.uncertainty:
+        if not experiment.basis.harmonic:
+            self._check_step(experiment.base)
+        return experiment
+
+    def _check_step(self, base):
+        """Raise ValueError if plain rows are another step apart than those of a discrete model."""
+        dt, found = self.model_.dt, base.sample_time
+        told = dt > 0.0 and len(base.time) > 1
+        if told and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * base.uncertainty:
             raise ValueError(
                 f"the model was identified at a sample time of {dt:.6g} s, X has {found:.6g} s; "
                 f"resample X, or bring the model to continuous time with SpuriousModeReducer"
             )
-        return experiment
 
     def _check_basis(self, basis):
         """Raise ValueError if X was analysed in another way than at fit."""
-        for name in ("omega", "sample_time", "hop", "window", "inputs", "outputs"):
-            here, there = getattr(basis, name, None), getattr(self.basis_, name, None)
-            if here != there:
-                raise ValueError(
-                    f"X was analysed with {name}={here!r}, the data at fit with {there!r}; use the "
-                    f"same HarmonicAnalyzer"
-                )
+        difference = first_difference(basis, self.basis_)
+        if difference is not None:
+            name, here, there = difference
+            raise ValueError(
+                f"X was analysed with {name}={here!r}, the data at fit with {there!r}; use the "
+                f"same HarmonicAnalyzer"
+            )
 
     def _simulators(self, experiment):
         dt = experiment.base.sample_time

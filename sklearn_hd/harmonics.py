@@ -23,14 +23,8 @@ from sklearn_hd._checks import (
     whole_period,
 )
 from sklearn_hd._containers import check_has_signals
-from sklearn_hd._frame import (
-    PERIOD,
-    FrameTransformer,
-    HarmonicBasis,
-    HarmonicFrame,
-    Reading,
-    coefficient_names,
-)
+from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._readings import READINGS, Timing, coefficient_names
 from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
@@ -42,7 +36,7 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._records.time import why_short
+from sklearn_hd._time import why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -80,11 +74,15 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         end at the row that they are for, as a causal analyzer must;
         ``"centred-boxcar"``, ``"centred-triangle"`` and ``"centred-hann"``
         are centred on it.
-    hop : int, "period" or None, default=None
-        Samples from one row read by the model steps to the next, a divisor of
-        the samples in a period; None reads at least eight rows a period, and
-        three more than twice the highest harmonic. ``"period"`` decomposes whole periods, one
-        after another (the blockwise Fourier transform), whatever the window.
+    reading : {"sliding", "period"}, default="sliding"
+        How model steps read the record. ``"sliding"`` is the paper's: coefficients through
+        the window, every ``hop`` samples. ``"period"`` decomposes whole periods, one after
+        another (the blockwise Fourier transform), whatever the window: sampled once a period,
+        a periodic system is time-invariant.
+    hop : int or None, default=None
+        Samples from one row read by the model steps to the next, a divisor of the samples in
+        a period, where ``reading="sliding"``; None reads at least eight rows a period, and
+        three more than twice the highest harmonic.
     trim_span : (float, float) or None, default=None
         Index times, in seconds within each record (dates: since
         ``time_origin``), between which the machine is in periodic trim. The
@@ -205,6 +203,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         input_harmonics=0,
         output_harmonics=1,
         window="boxcar",
+        reading="sliding",
         hop=None,
         trim_span=None,
         sample_time=None,
@@ -217,6 +216,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         self.input_harmonics = input_harmonics
         self.output_harmonics = output_harmonics
         self.window = window
+        self.reading = reading
         self.hop = hop
         self.trim_span = trim_span
         self.sample_time = sample_time
@@ -251,58 +251,76 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         self : HarmonicAnalyzer
             Fitted.
         """
-        window = check_choice("window", self.window, WINDOWS)
-        reading = self._reading()
-        if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
-            raise ValueError(
-                "X comes from HarmonicAnalyzer or a model step already; the order of steps is "
-                "HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher, each "
-                "once"
-            )
+        timing = self._checked_timing()
+        _check_not_analysed(X)
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
-        inputs = read_signals(X, "x", "X", reading)
+        inputs = read_signals(X, "x", "X", timing)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
-            outputs, output_names = read_values(y, X, inputs.base, reading)
-        if inputs.base.counted:
-            warn(
-                f"no times given: samples are counted, {inputs.base.sample_time:g} s apart and "
-                f"one contiguous record from psi = 0, in the order given; use a DataFrame indexed "
-                f"by seconds",
-                TimeBaseWarning,
-            )
+            outputs, output_names = read_values(y, X, inputs.base, timing)
+        _warn_if_counted(inputs.base)
         kept_in = check_harmonics("input_harmonics", self.input_harmonics, inputs.names)
         kept_out = ()
         if outputs is not None:
             kept_out = check_harmonics("output_harmonics", self.output_harmonics, output_names)
         highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
-        if self.azimuth is None:
-            omega, spp, step, resampled = self._constant_speed(inputs.base, highest)
-            own = inputs.base.sample_time if resampled else step
-            reading = replace(reading, sample_time=own, resampled=resampled)
-        else:
-            omega, spp, step = self._varying_speed(inputs, highest)
-        basis = HarmonicBasis(
+        omega, spp, step, timing = self._grid(inputs, highest, timing)
+        basis = READINGS[self.reading](
             omega=omega,
             sample_time=step,
             samples_per_period=spp,
-            window=window,
-            hop=_check_hop(self.hop, spp, highest),
+            window=self.window,
+            hop=self._checked_hop(spp, highest),
             inputs=kept_in,
             outputs=kept_out,
-            reading=reading,
-            small_signal=self._checked_small_signal(),
+            timing=timing,
+            small_signal=self.small_signal,
         )
         self.basis_ = self._with_trim(basis, inputs, outputs)
-        if reading.resampled:
+        if timing.resampled:
             warn_of_resampling(self.basis_, inputs, outputs)
         return self
 
-    def _reading(self):
-        """How rows are to be read, as the parameters say."""
+    def _checked_timing(self):
+        """When rows were sampled, as the parameters say; ValueError if one is not understood."""
+        check_choice("window", self.window, WINDOWS)
+        check_choice("reading", self.reading, tuple(READINGS))
+        if self.small_signal is not None:
+            check_choice("small_signal", self.small_signal, SMALL_SIGNAL)
+        if self.hop is not None and (self.reading == "period" or isinstance(self.hop, str)):
+            raise ValueError(
+                f"hop={self.hop!r} with reading={self.reading!r}: a hop is a number of samples "
+                f"between rows of a sliding window; leave hop=None for reading='period'"
+            )
         origin = check_phase(self.omega, self.azimuth, self.time_origin)
-        return Reading(self.sample_time, origin, self.azimuth, check_missing(self.missing))
+        return Timing(self.sample_time, origin, self.azimuth, check_missing(self.missing))
+
+    def _grid(self, inputs, highest, timing):
+        """ω, samples in a period, their distance in seconds, and when rows were sampled."""
+        if self.azimuth is not None:
+            return *self._varying_speed(inputs, highest), timing
+        omega, spp, step, resampled = self._constant_speed(inputs.base, highest)
+        own = inputs.base.sample_time if resampled else step
+        return omega, spp, step, replace(timing, sample_time=own, resampled=resampled)
+
+    def _checked_hop(self, spp, highest):
+        """The hop; None stands for about eight rows a period, more for high harmonics."""
+        if self.reading == "period":
+            return spp
+        small = [d for d in range(1, math.isqrt(spp) + 1) if spp % d == 0]
+        divisors = sorted({*small, *(spp // d for d in small)})
+        hop = self.hop
+        if hop is None:
+            rows = _least_rows(highest)
+            return max((d for d in divisors if spp // d >= rows), default=1)
+        whole = isinstance(hop, numbers.Integral) and not isinstance(hop, bool)
+        if not whole or hop < 1 or spp % hop:
+            raise ValueError(
+                f"hop={hop!r} does not divide the {spp} samples of a period; use one of "
+                f"{divisors}, None for about {ROWS_PER_PERIOD} rows a period, or reading='period'"
+            )
+        return int(hop)
 
     def _constant_speed(self, base, highest):
         """ω, samples in a period of the grid, their distance, and whether all is resampled."""
@@ -323,8 +341,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         least = samples - PERIOD_TOLERANCE
         whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
         unit = int(self.hop) if whole else 1
-        if self.hop is None:
-            unit = max(ROWS_PER_PERIOD, 2 * highest + 3)  # rows read a turn, of whole hops
+        if self.hop is None and self.reading == "sliding":
+            unit = _least_rows(highest)  # rows read a turn, of whole hops
         return unit * int(np.ceil(least / unit))
 
     def _varying_speed(self, inputs, highest):
@@ -364,11 +382,6 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
 
-    def _checked_small_signal(self):
-        if self.small_signal is None:
-            return None
-        return check_choice("small_signal", self.small_signal, SMALL_SIGNAL)
-
     @within_range
     def transform(self, X):
         """Inputs with their harmonic coefficients, on the same rows.
@@ -393,7 +406,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         check_is_fitted(self)
         basis = self.basis_
         X = check_features(self, X, reset=False)
-        signals = read_signals(X, "x", "X", basis.reading)
+        signals = read_signals(X, "x", "X", basis.timing)
         sampling, inputs, _ = sample(signals, basis)
         shortest = min(len(piece.grid) for piece in sampling.pieces)
         if shortest < len(basis.weights):
@@ -413,8 +426,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             ]
         )
         columns = dict(zip(signals.names, signals.data.T, strict=True))
-        if basis.reading.azimuth is not None:
-            columns[basis.reading.azimuth] = signals.azimuth
+        if basis.timing.azimuth is not None:
+            columns[basis.timing.azimuth] = signals.azimuth
         columns |= dict(zip(basis.drive_labels, coefficients.T, strict=True))
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
         return HarmonicFrame.attach(pd.DataFrame(columns, index=index), basis, None)
@@ -424,7 +437,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         """Signals put together again from their coefficients (Eq. 7), trim added.
 
         Exact for periodic signals that hold only the harmonics kept, lossless
-        for ``hop="period"`` with all harmonics kept; otherwise the signal as
+        for ``reading="period"`` with all harmonics kept; otherwise the signal as
         seen through the window.
 
         Parameters
@@ -452,17 +465,17 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"X lacks the coefficient column {missing[0]!r}; give a frame as transform "
                 f"returns it"
             )
-        azimuth = [] if basis.reading.azimuth is None else [basis.reading.azimuth]
+        azimuth = [] if basis.timing.azimuth is None else [basis.timing.azimuth]
         if not set(azimuth) <= set(X.columns):
             raise ValueError(
                 f"X lacks the azimuth column {azimuth[0]!r}; give a frame as transform returns it"
             )
-        given = read_signals(X[[*basis.drive_labels, *azimuth]], "x", "X", basis.reading)
+        given = read_signals(X[[*basis.drive_labels, *azimuth]], "x", "X", basis.timing)
         places = given.places(basis.omega)
         trim = 0.0
         if basis.input_trim is not None:
             present = np.isfinite(given.data).all(axis=1) & np.isfinite(places)
-            sampling = lay_grid(given.base, places, present, basis.sample_time, basis.reading)
+            sampling = lay_grid(given.base, places, present, basis.sample_time, basis.timing)
             times = [piece.grid for piece in sampling.pieces]
             trim = sampling.back([basis.input_trim[basis.phase_index(time)] for time in times])
         columns, start = {}, 0
@@ -497,19 +510,25 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         return np.asarray([*self.basis_.measured, *self.basis_.drive_labels], dtype=object)
 
 
-def _check_hop(hop, spp, highest):
-    """The hop, None standing for about eight rows a period, more for high harmonics."""
-    if isinstance(hop, str) and hop == PERIOD:
-        return PERIOD
-    small = [d for d in range(1, math.isqrt(spp) + 1) if spp % d == 0]
-    divisors = sorted({*small, *(spp // d for d in small)})
-    if hop is None:
-        rows = max(ROWS_PER_PERIOD, 2 * highest + 3)
-        return max((d for d in divisors if spp // d >= rows), default=1)
-    whole = isinstance(hop, numbers.Integral) and not isinstance(hop, bool)
-    if not whole or hop < 1 or spp % hop:
+def _check_not_analysed(X):
+    if isinstance(X, HarmonicFrame) and X.is_laden:
         raise ValueError(
-            f"hop={hop!r} does not divide the {spp} samples of a period; use one of {divisors}, "
-            f"'period', or None for about {ROWS_PER_PERIOD} rows a period"
+            "X comes from HarmonicAnalyzer or a model step already; the order of steps is "
+            "HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher, each "
+            "once"
         )
-    return int(hop)
+
+
+def _warn_if_counted(base):
+    if base.counted:
+        warn(
+            f"no times given: samples are counted, {base.sample_time:g} s apart and one "
+            f"contiguous record from psi = 0, in the order given; use a DataFrame indexed by "
+            f"seconds",
+            TimeBaseWarning,
+        )
+
+
+def _least_rows(highest):
+    """Rows of a sliding window in a period, for the highest harmonic kept."""
+    return max(ROWS_PER_PERIOD, 2 * highest + 3)

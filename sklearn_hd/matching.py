@@ -9,7 +9,6 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
 from sklearn_hd._continuous import to_continuous
-from sklearn_hd._frame import highest_harmonic
 from sklearn_hd._match.match import Match, NormReport, ParameterReport, periodic_match
 from sklearn_hd._match.norm_matching import NORMS, NormSettings
 from sklearn_hd._match.periodic import PeriodicModel, PeriodicSimulator
@@ -24,6 +23,7 @@ from sklearn_hd._match.warned import (
 )
 from sklearn_hd._model_step import ModelStep, upstream
 from sklearn_hd._progress import check_verbose, progress
+from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.reporting import stage
@@ -44,7 +44,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     With a :class:`MatrixStructure` the model is time-invariant. With a
     :class:`HarmonicStructure` it is the linear time-periodic system behind the
     harmonics: ``ltp_``, which ``predict`` then simulates, and ``system_``, its harmonic
-    decomposition. A model identified period by period (``HarmonicAnalyzer(hop="period")``)
+    decomposition. A model identified period by period (``HarmonicAnalyzer(reading="period")``)
     is brought to periodic form in closed form first, whatever the structure.
 
     Parameters
@@ -242,7 +242,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
                 f"structure={structure!r} is not understood; give a MatrixStructure, a "
                 f"HarmonicStructure, or None to leave every entry free"
             )
-        lifted = experiment.basis is not None and experiment.basis.synchronous and model.dt > 0.0
+        lifted = experiment.basis.reading == "period" and model.dt > 0.0
         periodic = isinstance(structure, HarmonicStructure) or (lifted and structure is None)
         noise = self._input_noise(experiment, periodic)
         self._check_weights(closed_form=periodic and lifted)
@@ -338,7 +338,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
 
     def _match_periodic(self, model, experiment, lifted, report):
         """The linear time-periodic system behind the model."""
-        if experiment.basis is None:
+        if not experiment.basis.harmonic:
             raise ValueError(
                 "a HarmonicStructure needs the fundamental frequency, and no harmonic basis rides "
                 "on X; put a HarmonicAnalyzer before the model"
@@ -366,7 +366,7 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
             raise ValueError(
                 f"states={list(structure.states)} are not the outputs {list(outputs)}, whose "
                 f"coefficients are the states of a harmonic decomposition; name these, or use "
-                f"HarmonicAnalyzer(hop='period')"
+                f"HarmonicAnalyzer(reading='period')"
             )
         driven, measured = map(highest_harmonic, (basis.inputs, basis.outputs))
         n_harmonics = {"F": 2 * measured, "G": driven + measured, "P": None}
@@ -428,8 +428,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
                 f"input_noise={given!r} is allowed for by maximum likelihood only; fit with "
                 f"criterion='output_error', or leave input_noise=None"
             )
-        names = experiment.drive_names if basis is None else tuple(s for s, _ in basis.inputs)
-        if not periodic and basis is not None and not basis.held.all():
+        names = basis.input_signals
+        if not periodic and not np.all(basis.held):
             raise ValueError(
                 "input_noise is that of the measured inputs, but this model is driven by their "
                 "harmonics; keep harmonic 0 of the inputs alone, or use a HarmonicStructure"

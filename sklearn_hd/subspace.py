@@ -19,6 +19,7 @@ from sklearn_hd._fit_checks import (
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import PREDICTOR, SubspaceChecks, is_lifted
 from sklearn_hd._identify.innovation_model import InnovationModel
+from sklearn_hd._identify.modulation import modulated_inputs
 from sklearn_hd._identify.more_rows import MoreRows, is_sliding
 from sklearn_hd._identify.partitioned_fit import PartitionedFit
 from sklearn_hd._identify.partitions import is_partitioned
@@ -28,7 +29,6 @@ from sklearn_hd._model_step import ModelStep
 from sklearn_hd._progress import progress
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
-from sklearn_hd._records.sliding_inputs import modulated_inputs
 from sklearn_hd._threads import one_blas_thread
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.periodic_realization import order_by_residual
@@ -81,14 +81,14 @@ class MOESPRegressor(
         correlations: each output counts by its information, whatever its unit) project the
         future inputs out; ``"n4sid"`` is the oblique projection. All three are biased where
         inputs answer to noisy outputs: for data measured in closed loop use ``"pbsid"``
-        (predictor-based; on plain data, or ``hop="period"`` where the feedback is of earlier
+        (predictor-based; on plain data, or ``reading="period"`` where the feedback is of earlier
         periods; with ``feedthrough=True``, of earlier rows).
     feedthrough : bool, default=False
-        Whether D is free, else zero. Period by period (``hop="period"``) D
+        Whether D is free, else zero. Period by period (``reading="period"``) D
         always is, for inputs act within the period that they belong to.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
-        (on plain data or ``hop="period"``); with ``weighting="pbsid"`` it always is.
+        (on plain data or ``reading="period"``); with ``weighting="pbsid"`` it always is.
 
             x[k+1] = A x[k] + B u[k] + K e[k],   y[k] = C x[k] + D u[k] + e[k]
     scale : bool, default=True
@@ -147,7 +147,7 @@ class MOESPRegressor(
         says at which.
     InstabilityWarning
         If the outputs grow beyond what rounding lets see beside them, or a
-        Floquet exponent is positive (``hop="period"``; else
+        Floquet exponent is positive (``reading="period"``; else
         :class:`SpuriousModeReducer` warns of it).
 
     References
@@ -250,7 +250,7 @@ class MOESPRegressor(
             found = self._decompose(kept, excitation, outputs, n_moving, experiment, scale)
         if self.block_rows is None and self.order == "auto" and is_sliding(experiment):
             found = self._exact_map(kept, found, experiment, excitation, outputs, scale)
-        basis, scales = experiment.basis, (u_scale, y_scale)
+        scales = u_scale, y_scale
         feedthrough = feedthrough or is_lifted(experiment)
         if self.weighting == PREDICTOR:
             parts = self._predictor_matrices(found, excitation, inputs, outputs, scales)
@@ -260,7 +260,7 @@ class MOESPRegressor(
             parts = A, B, C, D, *self._noise_model(found)
         dt = experiment.base.sample_time
         model = self._model(parts, scales, experiment, dt, y, feedthrough)
-        if basis is not None and basis.synchronous:  # else the window's own poles may grow
+        if is_lifted(experiment):  # else the window's own poles may grow
             warn_of_growth(model, experiment)
         return self._remember(model, experiment, X, y)
 
@@ -300,11 +300,11 @@ class MOESPRegressor(
             B=B / u_scale,
             C=C * y_scale[:, None],
             D=D * (y_scale[:, None] / u_scale),
-            dt=sample_time * (1 if basis is None else basis.hop_samples),
+            dt=sample_time * basis.hop,
             input_names=experiment.drive_names,
             output_names=self._output_names(basis, y),
             feedthrough=feedthrough,
-            windowed=basis is not None,
+            windowed=basis.harmonic,
             kalman_gain=K,
             innovations_covariance=covariance,
             closed_loop=self.weighting == PREDICTOR,
@@ -318,7 +318,9 @@ class MOESPRegressor(
         another way, which matters where inputs change at more than one.
         """
         if not is_lifted(experiment):
-            modulated = modulated_inputs(experiment, [len(u) for u in inputs])
+            modulated = None
+            if is_sliding(experiment):
+                modulated = modulated_inputs(experiment, [len(u) for u in inputs])
             return inputs if modulated is None else modulated
         lifted = lifted_periods(experiment, experiment.inputs)
         rows = 2 if self.block_rows is None else self.block_rows
@@ -337,7 +339,7 @@ class MOESPRegressor(
             if left_out > MOST_LEFT_OUT:
                 raise ValueError(
                     f"{words}; use a longer record, inputs that change less often, or analyse "
-                    f"with hop=None and refine with StructuredMatcher(structure="
+                    f"with reading='sliding' and refine with StructuredMatcher(structure="
                     f"HarmonicStructure(), criterion='output_error')"
                 )
             warn(words, ExcitationWarning)
@@ -436,7 +438,7 @@ class MOESPRegressor(
             D=D,
             dt=experiment.base.sample_time,
             input_names=experiment.drive_names,
-            output_names=self._output_names(None, y),
+            output_names=experiment.basis.output_labels,
             feedthrough=True,
             **noise,
         )
@@ -449,9 +451,7 @@ class MOESPRegressor(
 
     @staticmethod
     def _output_names(basis, y):
-        if basis is not None:
-            return basis.output_labels
-        return signal_names(as_container(y, "y"), "y")
+        return basis.output_labels or signal_names(as_container(y, "y"), "y")
 
 
 def _scales(signals):

@@ -160,6 +160,8 @@ class Sampling:
 
     @property
     def options(self):
+        if self.hop == "period":
+            return {"reading": "period", "window": self.window}
         return {"hop": self.hop, "window": self.window}
 
     def time(self, first, length):

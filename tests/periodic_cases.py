@@ -81,7 +81,7 @@ def record(system, *, n_periods=60, samples=32, seed=0, noise=0.0, shift=0, n_ch
 
 def synchronous(omega, structure=None, *, order="auto", harmonics=1, analyzer=None, **match):
     """Analyzer, identification and matching, period by period."""
-    options = {"output_harmonics": harmonics, "hop": "period"} | (analyzer or {})
+    options = {"output_harmonics": harmonics, "reading": "period"} | (analyzer or {})
     structure = HarmonicStructure() if structure is None else structure
     return Pipeline(
         [

@@ -299,7 +299,7 @@ def test_exponents_come_back_from_a_record(system):
     y = pd.DataFrame(system.simulate(u, t), t, list(system.output_names))
     pipe = Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(system.omega, hop="period")),
+            ("harmonics", HarmonicAnalyzer(system.omega, reading="period")),
             ("identify", MOESPRegressor(order=system.n_states)),
             ("reduce", SpuriousModeReducer()),
             ("match", StructuredMatcher(structure=HarmonicStructure())),

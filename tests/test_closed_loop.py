@@ -38,7 +38,7 @@ def growing(exponents):
 
 def test_only_the_predictor_sees_that_the_moth_is_unstable(gusty):
     frame = HarmonicAnalyzer(
-        gusty.omega, hop="period", trim_span=gusty.trim_span
+        gusty.omega, reading="period", trim_span=gusty.trim_span
     ).fit_transform(gusty.inputs, gusty.outputs)  # fmt: skip
     found = {}
     for weighting in ("moesp", "n4sid", "cva", "pbsid"):

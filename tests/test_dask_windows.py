@@ -151,9 +151,9 @@ def test_other_analyses(steady):
     X = through_window(steady, other, frame, [[0, 1, 2, 3]])
     y = by_record(steady.outputs, [[0, 1, 2, 3]])
     assert "it was analysed with hop=4, others with 8; fit one" in fit_error(X, y)
-    synchronous, frame = analyzed(steady, hop="period")
+    synchronous, frame = analyzed(steady, reading="period")
     X = through_window(steady, synchronous, frame)
-    assert "X was analysed with hop='period', which looks at all records" in fit_error(X, y)
+    assert "X was analysed with reading='period', which looks at all records" in fit_error(X, y)
 
 
 def test_outputs_are_given_in_time(steady):

@@ -14,7 +14,7 @@ EXPECTED_FAILURES = {
 ESTIMATORS = [
     HarmonicAnalyzer(np.pi),
     HarmonicAnalyzer(np.pi, window="centred-boxcar", output_harmonics=0),
-    HarmonicAnalyzer(np.pi / 2, input_harmonics=1, hop="period"),
+    HarmonicAnalyzer(np.pi / 2, input_harmonics=1, reading="period"),
     HarmonicAnalyzer(np.pi, missing="gap"),
     HarmonicAnalyzer(np.pi, window="hann"),
     HarmonicAnalyzer(np.pi, small_signal="odd", hop=1),

@@ -13,8 +13,8 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd._frame import HarmonicBasis
 from sklearn_hd._match.periodic import PeriodicModel
+from sklearn_hd._readings import SlidingBasis
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 STATES, INPUTS = ("x", "v"), ("u",)
@@ -109,7 +109,7 @@ def test_the_heave_decomposition_has_eight_parameters_in_A():
     stands on the diagonal twice; and one input matrix of harmonic 0 stands in B."""
     omega, names = 165.0, ("w", "phi_dot")
     kept = (("U", (0,)),), (("w", (0,)), ("phi_dot", (1,)))
-    basis = HarmonicBasis(omega, 2 * np.pi / omega / 64, 64, "boxcar", 8, *kept)
+    basis = SlidingBasis(omega, 2 * np.pi / omega / 64, 64, "boxcar", 8, *kept)
     full = HarmonicStructure(F=2, G=1).resolve(names, ("U",), names, {})
     zero = np.zeros(full.n_parameters)
     periodic = PeriodicModel(full.coefficients(zero), omega, names, ("U",), names)

@@ -23,10 +23,10 @@ def record(signal, n_periods=6, spp=SPP, name="u"):
     "window",
     ["boxcar", "triangle", "hann", "centred-boxcar", "centred-triangle", "centred-hann"],
 )
-@pytest.mark.parametrize("hop", [1, 4, "period"])
-def test_periodic_signals_survive_the_round_trip(window, hop):
+@pytest.mark.parametrize("rows", [{"hop": 1}, {"hop": 4}, {"reading": "period"}])
+def test_periodic_signals_survive_the_round_trip(window, rows):
     u = record(lambda t: 2 + np.cos(OMEGA * t) - 3 * np.sin(2 * OMEGA * t))
-    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=2, window=window, hop=hop)
+    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=2, window=window, **rows)
     frame = analyzer.fit_transform(u)
     assert frame.index.equals(u.index)
     assert analyzer.get_feature_names_out().tolist() == frame.columns.tolist()
@@ -37,7 +37,7 @@ def test_periodic_signals_survive_the_round_trip(window, hop):
 def test_whole_periods_lose_nothing(rng, spp):
     """The blockwise transform with all harmonics is invertible, whatever the signal."""
     u = record(lambda t: rng.standard_normal(len(t)), spp=spp)
-    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=spp // 2, hop="period")
+    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=spp // 2, reading="period")
     back = analyzer.inverse_transform(analyzer.fit_transform(u))
     pd.testing.assert_frame_equal(back, u, atol=1e-12)
 

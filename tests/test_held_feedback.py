@@ -288,7 +288,7 @@ def identified(random_state=7, **given):
     data = make_hawkmoth(samples_per_period=32, random_state=random_state, **given)
     pipe = Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(data.omega, hop="period", trim_span=data.trim_span)),
+            ("harmonics", HarmonicAnalyzer(data.omega, reading="period", trim_span=data.trim_span)),
             ("identify", MOESPRegressor(order=4)),
         ]
     ).fit(data.inputs, data.outputs)

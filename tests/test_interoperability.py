@@ -209,9 +209,9 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     skops.dump(fitted, path)
     trusted = skops.get_untrusted_types(file=path)
     assert set(trusted) <= {
-        "sklearn_hd._frame.HarmonicBasis",
+        "sklearn_hd._readings.sliding.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
-        "sklearn_hd._frame.Reading",
+        "sklearn_hd._readings.basis.Timing",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.reduction.SpuriousModeReducer",
@@ -238,9 +238,9 @@ def test_skops_keeps_a_structure(tmp_path, short):
     skops.dump(pipe, path)
     trusted = skops.get_untrusted_types(file=path)
     assert set(trusted) == {
-        "sklearn_hd._frame.HarmonicBasis",
+        "sklearn_hd._readings.sliding.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
-        "sklearn_hd._frame.Reading",
+        "sklearn_hd._readings.basis.Timing",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.structures._matrix.MatrixStructure",
         "sklearn_hd.matching.StructuredMatcher",
@@ -309,9 +309,9 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     skops.dump(pipe, path)
     trusted = skops.get_untrusted_types(file=path)
     expected = {
-        "sklearn_hd._frame.HarmonicBasis",
+        "sklearn_hd._readings.period.PeriodBasis",
         "sklearn_hd._frame.LTIModel",
-        "sklearn_hd._frame.Reading",
+        "sklearn_hd._readings.basis.Timing",
         "sklearn_hd._match.periodic.PeriodicModel",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",

@@ -251,7 +251,7 @@ def test_signals_held_over_the_period_leave_plain_identification(system, samplin
         pd.DataFrame(np.repeat(z.to_numpy(), spp, axis=0), index, z.columns) for z in (X, y)
     )
     plain = moesp(system).fit(X, y)
-    analyzer = HarmonicAnalyzer(sampling.omega, output_harmonics=0, hop="period")
+    analyzer = HarmonicAnalyzer(sampling.omega, output_harmonics=0, reading="period")
     pipe = Pipeline([("harmonics", analyzer), ("identify", moesp(system))]).fit(X_held, y_held)
     assert same_poles(pipe[-1].eigenvalues_, plain.eigenvalues_, 1e-7)
     same(impulse(pipe[-1]), impulse(plain), 1e-8)

@@ -9,9 +9,19 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_arithmetic", "_checks", "_containers", "_progress", "_threads", "_warn"},
+    {
+        "exceptions",
+        "_arithmetic",
+        "_checks",
+        "_containers",
+        "_progress",
+        "_threads",
+        "_time",
+        "_warn",
+    },
     {"algorithms"},
     {"systems", "structures"},
+    {"_readings"},
     {"_frame"},
     {"_records"},
     {"_continuous", "_fit_checks"},

@@ -201,7 +201,7 @@ def test_azimuth_survives_clones_pickles_folds_and_records(spun):
     again = pickle.loads(pickle.dumps(pipe))
     pd.testing.assert_frame_equal(again.predict(X), pipe.predict(X))
     frame = pickle.loads(pickle.dumps(pipe[:1].transform(X)))
-    assert frame.basis.reading.azimuth == "psi"
+    assert frame.basis.timing.azimuth == "psi"
     search = GridSearchCV(pipe, {"identify__order": [8, 12]}, cv=TimeSeriesSplit(2)).fit(X, y)
     assert np.isfinite(search.cv_results_["mean_test_score"]).all()
     both = by_record(X, y)
@@ -405,19 +405,21 @@ def test_even_rows_pass_unchanged(steady, rng):
     for missing in ("gap", 5 * DT):
         again = HarmonicAnalyzer(OMEGA, input_harmonics=1, missing=missing).fit_transform(X)
         np.testing.assert_array_equal(again, frame)
-        assert again.basis.reading.missing == missing
-    sampling, inputs, _ = sample(read_signals(X, "x", "X", frame.basis.reading), frame.basis)
+        assert again.basis.timing.missing == missing
+    sampling, inputs, _ = sample(read_signals(X, "x", "X", frame.basis.timing), frame.basis)
     assert all(piece.is_grid for piece in sampling.pieces)
     np.testing.assert_array_equal(np.vstack(inputs), X)
     np.testing.assert_array_equal(sampling.back(inputs), X)
 
 
-@pytest.mark.parametrize(("hop", "samples"), [(7, 70), (8, 72), ("period", 67)])
-def test_the_grid_in_azimuth_suits_the_hop(hop, samples):
+@pytest.mark.parametrize(
+    ("rows", "samples"), [({"hop": 7}, 70), ({"hop": 8}, 72), ({"reading": "period"}, 67)]
+)
+def test_the_grid_in_azimuth_suits_the_hop(rows, samples):
     """66.5 samples a turn are measured; the grid has as many or more, and whole hops."""
     psi = np.arange(40 * SPP) * 2 * np.pi / 66.5
     X = pd.DataFrame({"u": np.cos(psi), "psi": psi}, index=np.arange(len(psi)) * DT)
-    analyzer = HarmonicAnalyzer(azimuth="psi", input_harmonics=1, hop=hop)
+    analyzer = HarmonicAnalyzer(azimuth="psi", input_harmonics=1, **rows)
     frame = analyzer.fit_transform(X)
     assert analyzer.basis_.samples_per_period == samples
     np.testing.assert_allclose(frame[["u_0", "u_1c", "u_1s"]] - [0.0, 1.0, 0.0], 0.0, atol=1e-6)

@@ -54,7 +54,7 @@ def ltp_records():
 
 
 def synchronous(omega, **kwargs):
-    analyzer = HarmonicAnalyzer(omega, output_harmonics=3, hop="period", **kwargs)
+    analyzer = HarmonicAnalyzer(omega, output_harmonics=3, reading="period", **kwargs)
     return Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor(block_rows=4))])
 
 

@@ -296,7 +296,7 @@ def test_reducer_and_matcher_as_meta_estimators(lti_signal):
 
 def test_period_synchronous_rows_have_the_order_of_the_system(ltp):
     """One row a period, all of whose harmonics are kept: two states, and no copies."""
-    analyzer = HarmonicAnalyzer(ltp.omega, output_harmonics=4, hop="period")
+    analyzer = HarmonicAnalyzer(ltp.omega, output_harmonics=4, reading="period")
     pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor(block_rows=3))])
     pipe.fit(ltp.inputs, ltp.outputs)
     assert pipe["identify"].order_ == 2
@@ -417,7 +417,7 @@ def test_harmonics_that_are_rounding_are_no_signals(trim):
     y = propagate(np.array([[0.9, 0.3], [-0.3, 0.6]]), u @ [[1.0, 0.5]], np.zeros(2))[:, :1]
     index = pd.Index(np.arange(len(u) * spp) / spp, name="time")
     X, y = (pd.DataFrame(np.repeat(z, spp, axis=0), index, [s]) for z, s in ((u, "u"), (y, "y")))
-    analyzer = HarmonicAnalyzer(2 * np.pi, output_harmonics=1, hop="period")
+    analyzer = HarmonicAnalyzer(2 * np.pi, output_harmonics=1, reading="period")
     if trim is not None:
         y += trim * (1.0 + np.cos(2 * np.pi * index.to_numpy()[:, None]))
         analyzer.set_params(trim_span=(0.0, 5.0))

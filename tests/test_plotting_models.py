@@ -239,7 +239,7 @@ def test_the_record_is_taken_about_its_trim():
     y.iloc[:] = mathieu().simulate(u, t)
     waveform = np.cos(2.0 * t)[:, None] * [3.0, -2.0]
     span = (0.0, 16 * 60 * np.pi / 16)
-    analyzer = HarmonicAnalyzer(2.0, output_harmonics=1, hop="period", trim_span=span)
+    analyzer = HarmonicAnalyzer(2.0, output_harmonics=1, reading="period", trim_span=span)
     steps = [
         ("harmonics", analyzer),
         ("identify", MOESPRegressor(order=2)),

@@ -20,7 +20,6 @@ from sklearn_hd import (
     HarmonicAnalyzer,
     MatrixStructure,
     MOESPRegressor,
-    SpuriousModeReducer,
     StructuredMatcher,
 )
 from sklearn_hd._progress import KERNEL, progress
@@ -80,14 +79,6 @@ def record():
 @pytest.fixture(scope="module")
 def identified(record):
     return FrozenEstimator(MOESPRegressor(order=3, block_rows=8).fit(*record))
-
-
-@pytest.fixture(scope="module")
-def noisy_wing():
-    """A short noisy record of the flapping wing behind its analyzer and identified model."""
-    data = make_flapping_wing("ltp", n_periods=30, start=8, width=3, snr_db=30, random_state=0)
-    X = HarmonicAnalyzer(data.omega).fit(data.inputs, data.outputs).transform(data.inputs)
-    return MOESPRegressor(order=6).fit(X, data.outputs).transform(X), data.outputs
 
 
 def match(identified, record, **options):
@@ -265,7 +256,7 @@ def test_chunks_show_how_many_rows_there_are_so_far(record, screen):
 def test_orders_tried_period_by_period_are_counted(screen):
     data = make_flapping_wing("nltp", n_periods=40, start=12)
     analyzer = HarmonicAnalyzer(
-        data.omega, output_harmonics=KEPT, hop="period", trim_span=data.trim_span
+        data.omega, output_harmonics=KEPT, reading="period", trim_span=data.trim_span
     )
     X = analyzer.fit(data.inputs, data.outputs).transform(data.inputs)
     quiet = MOESPRegressor().fit(X, data.outputs)

@@ -151,7 +151,8 @@ def test_linear_records_are_left_as_they_are():
     alone = pipeline(data).fit(data.inputs.loc[0], data.outputs.loc[0])
     assert same_poles(odd["reduce"].system_.poles(), alone["reduce"].system_.poles(), 1e-9)
     assert odd["identify"].x0_.shape == (1, 16)
-    whole = clone(odd[:2]).set_params(harmonics__hop="period", identify__order=2)
+    whole = clone(odd[:2]).set_params(identify__order=2)
+    whole.set_params(harmonics__reading="period", harmonics__hop=None)
     assert whole.fit(data.inputs, data.outputs)["identify"].x0_.shape == (1, 2)
 
 

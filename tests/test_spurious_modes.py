@@ -12,8 +12,8 @@ import reducer_thresholds as thresholds
 import spurious_modes_study as study
 
 from sklearn_hd import HarmonicAnalyzer
+from sklearn_hd._identify.modulation import inputs_by_phase
 from sklearn_hd._records.amplitudes import read_for_fit
-from sklearn_hd._records.sliding_inputs import inputs_by_phase
 from sklearn_hd._reduce.choice import without_trifles
 
 FIRST = {  # the first seed of each kind and excitation
@@ -58,7 +58,7 @@ def test_inputs_by_phase_hold_all_that_inputs_do_within_a_hop():
     analyzer = HarmonicAnalyzer(trial.omega, output_harmonics=trial.kept, window=trial.window)
     experiment = read_for_fit(analyzer.fit(trial.u, trial.y).transform(trial.u), trial.y)
     basis, time = experiment.basis, experiment.times()[0]
-    r, hop = basis.rows_per_period, basis.hop_samples
+    r, hop = basis.rows_per_period, basis.hop
     choices = inputs_by_phase(experiment)
     m = trial.u.shape[1]
     assert [choice[0].shape[1] for choice in choices] == [d * r for d in range(hop * m, m - 1, -1)]

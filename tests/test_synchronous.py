@@ -240,7 +240,7 @@ def test_azimuth_is_counted_from_time_zero_and_states_from_any_phase():
 def test_outputs_that_are_decomposed_already():
     system = mathieu()
     u, y = record(system)
-    harmonics = HarmonicAnalyzer(2.0, input_harmonics=1, hop="period").fit_transform(y)
+    harmonics = HarmonicAnalyzer(2.0, input_harmonics=1, reading="period").fit_transform(y)
     pipe = synchronous(2.0).fit(u, harmonics)
     comes_back(pipe, system)
     assert list(pipe.predict(u).columns) == ["y_0", "y_1c", "y_1s", "v_0", "v_1c", "v_1s"]
@@ -492,7 +492,11 @@ def test_what_the_trim_is_off_by_is_no_state():
     """The span holds the end of a decay: its mean waveform is off alike in every period."""
     data = make_flapping_wing("ltp", n_periods=60, start=5)
     period = 2 * np.pi / data.omega
-    analyzer = {"trim_span": (50 * period, 55 * period), "output_harmonics": KEPT, "hop": "period"}
+    analyzer = {
+        "trim_span": (50 * period, 55 * period),
+        "output_harmonics": KEPT,
+        "reading": "period",
+    }
     pipe = Pipeline([("a", HarmonicAnalyzer(data.omega, **analyzer)), ("i", MOESPRegressor())])
     found = pipe.fit(data.inputs, data.outputs)["i"]
     assert found.order_ == 2

@@ -9,7 +9,7 @@ from conftest import KEPT, same_poles
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd._frame import HarmonicBasis
+from sklearn_hd._readings import SlidingBasis
 from sklearn_hd.algorithms.signals.resampling import interpolate, interpolation_error
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import JitterWarning, ResamplingWarning
@@ -50,12 +50,18 @@ def periodic(samples, n_periods=20):
 
 
 @pytest.mark.parametrize(
-    ("samples", "hop", "grid"),
-    [(50.3, None, 56), (50.3, 7, 56), (50.3, "period", 51), (63.97, None, 64), (64.05, 8, 64)],
+    ("samples", "rows", "grid"),
+    [
+        (50.3, {}, 56),
+        (50.3, {"hop": 7}, 56),
+        (50.3, {"reading": "period"}, 51),
+        (63.97, {}, 64),
+        (64.05, {"hop": 8}, 64),
+    ],
 )
-def test_coefficients_of_a_periodic_signal_are_those_of_a_whole_number(samples, hop, grid):
+def test_coefficients_of_a_periodic_signal_are_those_of_a_whole_number(samples, rows, grid):
     X = periodic(samples)
-    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=2, hop=hop)
+    analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=2, **rows)
     with pytest.warns(ResamplingWarning, match=rf"give {samples} .* onto {grid} a period"):
         frame = analyzer.fit_transform(X)
     assert analyzer.basis_.samples_per_period == grid
@@ -97,13 +103,13 @@ def test_a_mismatch_that_moves_no_row_is_none():
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             analyzer.fit(X)
-        assert analyzer.basis_.reading.resampled == resampled
+        assert analyzer.basis_.timing.resampled == resampled
         assert len(caught) == resampled
         assert analyzer.basis_.samples_per_period == 100
 
 
 def test_rows_halfway_between_phases_are_counted_one_by_one():
-    basis = HarmonicBasis(OMEGA, 2 * np.pi / OMEGA / 16, 16, "boxcar", 4, (("u", (0,)),), ())
+    basis = SlidingBasis(OMEGA, 2 * np.pi / OMEGA / 16, 16, "boxcar", 4, (("u", (0,)),), ())
     time = (np.arange(200) + 0.5) * basis.sample_time
     np.testing.assert_array_equal(basis.phase_index(time), (np.arange(200) + 1) % 16)
     drifting = time * (1 + 1e-5)

@@ -50,10 +50,10 @@ def record(system, n_periods):
     return pd.DataFrame(u, index, ["u"]), pd.DataFrame(y, index, ["a", "b"])
 
 
-def pipeline(hop, kept, order):
+def pipeline(kept, order, **rows):
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(OMEGA, output_harmonics=kept, hop=hop)),
+            ("harmonics", HarmonicAnalyzer(OMEGA, output_harmonics=kept, **rows)),
             ("identify", MOESPRegressor(order=order)),
             ("reduce", SpuriousModeReducer()),
         ]
@@ -61,7 +61,7 @@ def pipeline(hop, kept, order):
 
 
 def synchronous():
-    return pipeline("period", 15, 2)
+    return pipeline(15, 2, reading="period")
 
 
 def messages(pipe, X, y):
@@ -88,14 +88,14 @@ def test_an_unstable_orbit_is_identified_and_named(rate, n_periods):
 def test_an_unstable_orbit_through_the_sliding_analyzer():
     system = orbit(0.1)
     X, y = record(system, 60)
-    pipe = pipeline(None, 1, 12)
+    pipe = pipeline(1, 12)
     (message,) = messages(pipe, X, y)
     assert "the periodic orbit is unstable: a Floquet exponent of the model" in message
     poles = pipe["reduce"].system_.poles()
     assert np.max(poles.real) == pytest.approx(np.max(system.floquet_exponents().real), rel=1e-4)
 
 
-@pytest.mark.parametrize("pipe", [synchronous(), pipeline(None, 1, 12)])
+@pytest.mark.parametrize("pipe", [synchronous(), pipeline(1, 12)])
 def test_growth_that_hides_the_rest_is_the_reason_named(pipe):
     X, y = record(orbit(0.5), 60)
     first = messages(pipe, X, y)[0]
@@ -170,7 +170,7 @@ def noisy():
 
 
 def matched(data, **kwargs):
-    analyzer = HarmonicAnalyzer(data.omega, output_harmonics=2, hop="period")
+    analyzer = HarmonicAnalyzer(data.omega, output_harmonics=2, reading="period")
     steps = MOESPRegressor(order=3), StructuredMatcher(**kwargs)
     pipe = Pipeline(list(zip(("harmonics", "identify", "match"), (analyzer, *steps), strict=True)))
     return pipe.fit(data.inputs, data.outputs)

@@ -225,7 +225,7 @@ def test_periodic_inputs_bound_how_far_back_a_predictor_reaches(rng):
 def test_trims_and_gains_go_together_period_by_period(weighting):
     """The constant direction of an averaged trim repeats itself in every block row."""
     data = make_flapping_wing("ltp", snr_db=40, random_state=100)
-    analyzer = HarmonicAnalyzer(data.omega, hop="period", trim_span=data.trim_span)
+    analyzer = HarmonicAnalyzer(data.omega, reading="period", trim_span=data.trim_span)
     frame = analyzer.fit_transform(data.inputs, data.outputs)
     model = MOESPRegressor(2, weighting=weighting, disturbance_model=True)
     model.fit(frame, data.outputs)
@@ -243,7 +243,7 @@ def test_a_gain_alone_does_not_change_the_periodic_model():
     for disturbance_model in (False, True):
         pipe = Pipeline(
             [
-                ("harmonics", HarmonicAnalyzer(data.omega, hop="period")),
+                ("harmonics", HarmonicAnalyzer(data.omega, reading="period")),
                 ("identify", MOESPRegressor(2, disturbance_model=disturbance_model)),
                 ("match", StructuredMatcher(structure=HarmonicStructure())),
             ]
@@ -420,7 +420,9 @@ def test_unknown_weighting(rng):
 def test_a_sliding_window_leaves_no_predictor(asked):
     data = make_flapping_wing("ltp")
     frame = HarmonicAnalyzer(data.omega, hop=8).fit_transform(data.inputs, data.outputs)
-    with pytest.raises(ValueError, match="use HarmonicAnalyzer\\(hop='period'\\), or plain data"):
+    with pytest.raises(
+        ValueError, match="use HarmonicAnalyzer\\(reading='period'\\), or plain data"
+    ):
         MOESPRegressor(**asked).fit(frame, data.outputs)
 
 

@@ -338,7 +338,7 @@ def test_vinograds_exponents_come_back_from_short_records():
     u, y = short_records(vinograd(), 12.0, samples=32, n_periods=8, n_records=20, seed=3)
     pipe = Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(12.0, hop="period")),
+            ("harmonics", HarmonicAnalyzer(12.0, reading="period")),
             ("identify", MOESPRegressor()),
             ("match", StructuredMatcher(structure=HarmonicStructure())),
         ]

@@ -61,7 +61,7 @@ def pipelines(data):
     outputs = {"w": [0], "phi_dot": [1]}
     free = MatrixStructure(A=np.full((3, 3), np.nan), B=np.full((3, 1), np.nan))
     routes = {
-        "period by period": ({"hop": "period"}, HarmonicStructure()),
+        "period by period": ({"reading": "period"}, HarmonicStructure()),
         "sliding window": ({"hop": 8}, free),
     }
     return {

@@ -37,7 +37,7 @@ def pipeline(data, weighting):
     """The five steps, wingbeat by wingbeat."""
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(data.omega, hop="period", trim_span=data.trim_span)),
+            ("harmonics", HarmonicAnalyzer(data.omega, reading="period", trim_span=data.trim_span)),
             ("identify", MOESPRegressor(4, weighting=weighting)),
             ("reduce", SpuriousModeReducer()),
             ("match", StructuredMatcher(structure=HarmonicStructure())),

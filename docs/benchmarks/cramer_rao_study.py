@@ -98,14 +98,12 @@ class Case:
         return self.clean + sigma * rng.standard_normal(self.clean.shape), sigma
 
     def pipeline(self):
-        sliding = self.kind == "lti-signal"
+        rows = {"hop": 16} if self.kind == "lti-signal" else {"reading": "period"}
         return Pipeline(
             [
                 (
                     "harmonics",
-                    HarmonicAnalyzer(
-                        self.omega, output_harmonics=KEPT, hop=16 if sliding else "period"
-                    ),
+                    HarmonicAnalyzer(self.omega, output_harmonics=KEPT, **rows),
                 ),
                 ("identify", MOESPRegressor()),
                 ("reduce", SpuriousModeReducer()),

@@ -83,7 +83,7 @@ def search_order(row, seed):
         grid = {"order": ORDERS, "block_rows": [10, 15]}
     else:
         analyzer = HarmonicAnalyzer(
-            data.omega, output_harmonics=3, hop="period", trim_span=trim_span
+            data.omega, output_harmonics=3, reading="period", trim_span=trim_span
         )
         model = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
         grid = {"identify__order": ORDERS, "identify__block_rows": [4, 6]}

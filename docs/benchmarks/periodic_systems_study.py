@@ -102,7 +102,7 @@ def record(system, kind, seed, n_periods=None):
 def pipeline(omega, criterion="hinf", order="auto", **analyzer):
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(omega, hop="period", **analyzer)),
+            ("harmonics", HarmonicAnalyzer(omega, reading="period", **analyzer)),
             ("identify", MOESPRegressor(order=order)),
             ("reduce", SpuriousModeReducer()),
             ("match", StructuredMatcher(structure=HarmonicStructure(), criterion=criterion)),

@@ -2,7 +2,7 @@
 
     python docs/benchmarks/wind_turbine_study.py --seeds 20 --first-seed 1000
 
-Period by period (``hop="period"``), one percent of noise; frequencies and damping ratios
+Period by period (``reading="period"``), one percent of noise; frequencies and damping ratios
 of the five lightly damped modes below 2 Hz.
 """
 
@@ -66,7 +66,7 @@ def record(system, *, n_periods=300, noise=0.01, seed=0):
 def pipeline(omega, order=10):
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(omega, output_harmonics=KEPT, hop="period")),
+            ("harmonics", HarmonicAnalyzer(omega, output_harmonics=KEPT, reading="period")),
             ("identify", MOESPRegressor(order=order, block_rows=3)),
         ]
     )

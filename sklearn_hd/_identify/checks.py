@@ -3,7 +3,7 @@
 from sklearn_hd._checks import check_choice, check_count, check_flag
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._progress import check_verbose
-from sklearn_hd._records.time import why_short
+from sklearn_hd._time import why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.subspace.predictor_subspace import rows_remembered
@@ -22,7 +22,7 @@ WEIGHTINGS = (*PROJECTIONS, PREDICTOR)
 
 def is_lifted(experiment):
     """Whether the record is read period by period."""
-    return experiment.basis is not None and experiment.basis.synchronous
+    return experiment.basis.reading == "period"
 
 
 class SubspaceChecks:
@@ -59,10 +59,11 @@ class SubspaceChecks:
 
     def _block_rows_asked(self, basis):
         """Block rows given, or the default, which must exceed the window."""
-        sliding = basis is not None and not basis.synchronous
+        sliding = basis.reading == "sliding"
         self._check_noise_is_white(sliding)
         if self.block_rows is None:
-            long = basis is None or self.weighting == PREDICTOR  # which has to forget its state
+            # a predictor has to forget its state
+            long = not basis.harmonic or self.weighting == PREDICTOR
             return DEFAULT_BLOCK_ROWS if long else 2 * basis.window_rows + 2
         i = int(self.block_rows)
         if sliding and i <= basis.window_rows + 1:
@@ -81,12 +82,12 @@ class SubspaceChecks:
                 asked = f"weighting={PREDICTOR!r}"
             raise ValueError(
                 f"{asked} identifies the noise from row to row, which a sliding window averages "
-                f"until no predictor is left; use HarmonicAnalyzer(hop='period'), or plain data"
+                f"until no predictor is left; use HarmonicAnalyzer(reading='period'), or plain data"
             )
 
     def _fewer_block_rows(self, asked, basis, lengths, n_inputs, n_outputs):
         """Block rows asked for, or fewer by default where the record is short."""
-        sliding = basis is not None and not basis.synchronous
+        sliding = basis.reading == "sliding"
         least, i = (max(2, basis.window_rows + 2) if sliding else 2), asked
         while (
             self.block_rows is None
@@ -99,7 +100,7 @@ class SubspaceChecks:
     def _check_block_rows(self, experiment, lengths, n_inputs, n_outputs):
         """Block rows that the window, the order and the record allow."""
         basis = experiment.basis
-        sliding = basis is not None and not basis.synchronous
+        sliding = basis.reading == "sliding"
         asked = self._block_rows_asked(basis)
         i = self._fewer_block_rows(asked, basis, lengths, n_inputs, n_outputs)
         self._check_rank_bound(i, n_outputs)
@@ -108,7 +109,7 @@ class SubspaceChecks:
             self._check_rows_per_period(basis)
         n_projected = n_inputs + (n_outputs if self.weighting == PREDICTOR else 0)
         need = i * n_projected + 1 + (1 if self.order == "auto" else int(self.order))
-        free = self.order == "auto" and self.block_rows is None and basis is None
+        free = self.order == "auto" and self.block_rows is None and not basis.harmonic
         if n_hankel_columns(lengths, i) < need and not (free and sum(lengths) > 1):
             unit, moving = "row", "input(s)"
             way_out = "use a longer record, fewer block rows or a smaller hop"
@@ -131,7 +132,7 @@ class SubspaceChecks:
             raise ValueError(
                 f"hop={basis.hop} reads {basis.rows_per_period} rows a period, too few for "
                 f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
-                f"most {most}, or hop='period'"
+                f"most {most}, or reading='period'"
             )
 
     def _warn_excitation(self, excited, n_moving, experiment):

@@ -101,7 +101,7 @@ class InnovationModel:
         model, u = simulator.model, simulator.drive
         form = InnovationForm(model.A, model.B, model.C, model.D, model.kalman_gain)
         Y, seen = outputs, None if rows is None else rows.stop
-        if simulator.basis is not None:
+        if simulator.basis.harmonic:
             basis, time = simulator.basis, simulator.time
             whole = basis.rows_read(time)
             Y = basis.output_coefficients(outputs, time, whole)

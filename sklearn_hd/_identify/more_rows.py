@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._identify.checks import is_lifted
-from sklearn_hd._records.sliding_inputs import changes_at_one_phase, inputs_by_phase
+from sklearn_hd._identify.modulation import changes_at_one_phase, inputs_by_phase
 from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
@@ -15,7 +14,7 @@ EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model m
 
 def is_sliding(experiment):
     """Whether the record is read through a window that slides."""
-    return experiment.basis is not None and not experiment.basis.synchronous
+    return experiment.basis.reading == "sliding"
 
 
 class MoreRows:
@@ -27,7 +26,7 @@ class MoreRows:
         Few coefficients of many states: copies and memory need more rows than a window's.
         """
         i = self.block_rows_
-        if experiment.basis is None or is_lifted(experiment):
+        if not is_sliding(experiment):
             return False
         if self.block_rows is not None or self.order != "auto":
             return False

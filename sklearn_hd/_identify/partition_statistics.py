@@ -8,26 +8,21 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._arithmetic import extremes
+from sklearn_hd._identify.modulation import largest_changes, modulated
+from sklearn_hd._readings import first_difference
 from sklearn_hd._records.data import (
     PLAIN,
-    Experiment,
     as_frame,
     is_decomposed,
     read_experiment,
-    read_signals,
-    read_values,
     rows_read,
-    sample,
 )
-from sklearn_hd._records.sliding_inputs import largest_changes, modulated
-from sklearn_hd._records.time import STEP_TOLERANCE
 from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import STEP_TOLERANCE, read_time
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, stretch
 from sklearn_hd.algorithms.subspace.record_parts import InputEquations, input_equations
 
 __all__ = ["partition_changes", "partition_equations", "partition_sums", "worded"]
-
-SAME = ("omega", "sample_time", "hop", "window", "inputs", "outputs")
 
 
 @dataclass(frozen=True)
@@ -256,50 +251,37 @@ def _read(partition, X, y, basis):
     """The experiment of one partition; errors name it."""
     try:
         found = as_frame(X).basis
-        if (found is None) != (basis is None):
+        if (found is not None) != basis.harmonic:
             has = "no harmonic basis, which X had" if found is None else "a harmonic basis, X none"
             raise ValueError(
                 f"its frame carries {has} when the graph was built; give the analyzer's frame as "
                 f"meta: X.map_partitions(analyzer.transform, meta=analyzer.transform(u).iloc[:0])"
             )
-        return _plain(X, y) if basis is None else _windowed(X, y, found, basis)
+        return _windowed(X, y, found, basis) if basis.harmonic else _plain(X, y)
     except (TypeError, ValueError) as error:
         kind = TypeError if isinstance(error, TypeError) else ValueError
         raise kind(f"partition {partition}: {error}") from error
 
 
 def _plain(X, y):
-    frame = as_frame(X)
-    signals = read_signals(frame, "x", "X")
-    measured, names = read_values(y, X, signals.base, PLAIN)
-    if signals.base.jitter[1] > 0.0:
+    base = read_time(X)
+    if base.jitter[1] > 0.0:
         raise ValueError(
-            f"the rows are off an even grid of {signals.base.sample_time:.4g} s by up to "
-            f"{signals.base.jitter[1]:.2g} s; partitions are not resampled: resample the "
+            f"the rows are off an even grid of {base.sample_time:.4g} s by up to "
+            f"{base.jitter[1]:.2g} s; partitions are not resampled: resample the "
             f"records, or give frames in memory, X.compute() and y.compute()"
         )
-    sampling, inputs, outputs = sample(signals, None, measured)
-    return Experiment(
-        sampling.base,
-        None,
-        inputs,
-        signals.names,
-        inputs,
-        sampling,
-        outputs,
-        measured,
-        names,
-    )
+    return read_experiment(X, y)
 
 
 def _windowed(X, y, found, basis):
-    for name in SAME:
-        here, there = getattr(found, name), getattr(basis, name)
-        if here != there:
-            raise ValueError(
-                f"it was analysed with {name}={here!r}, others with {there!r}; fit one "
-                f"HarmonicAnalyzer, and transform all partitions with it"
-            )
+    difference = first_difference(found, basis)
+    if difference is not None:
+        name, here, there = difference
+        raise ValueError(
+            f"it was analysed with {name}={here!r}, others with {there!r}; fit one "
+            f"HarmonicAnalyzer, and transform all partitions with it"
+        )
     if is_decomposed(y):
         raise ValueError(
             "y is a frame of harmonics; give it in time: it is decomposed with the basis of X"
@@ -323,7 +305,7 @@ def partition_changes(partition, X, y, basis):
 
 
 @one_blas_thread
-def partition_sums(partition, X, y, basis=None, highest=0, *, n_lags, exact):
+def partition_sums(partition, X, y, basis=PLAIN, highest=0, *, n_lags, exact):
     """What lagged products, scales and checks need of one partition.
 
     Inputs are multiplied by the harmonics of ψ up to the highest.
@@ -361,7 +343,7 @@ def _runs(experiment, inputs, partition, times):
                 np.array([np.fmax.reduce(column) for column in measured.T]),
                 ((partition, len(inputs[s])),),
                 rows.stop - rows.start,
-                experiment.basis is not None,
+                experiment.basis.harmonic,
             )
         )
     return runs

@@ -16,7 +16,7 @@ from functools import cached_property, partial
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._frame import HarmonicBasis
+from sklearn_hd._identify.modulation import n_modulating_harmonics, steps_at_one_phase
 from sklearn_hd._identify.partition_statistics import (
     Statistic,
     partition_changes,
@@ -24,8 +24,7 @@ from sklearn_hd._identify.partition_statistics import (
     partition_sums,
     worded,
 )
-from sklearn_hd._records.data import Experiment
-from sklearn_hd._records.sliding_inputs import n_modulating_harmonics, steps_at_one_phase
+from sklearn_hd._readings import HarmonicBasis, PlainReading
 from sklearn_hd.algorithms.subspace.hankel import factor_of_products, n_hankel_columns
 from sklearn_hd.algorithms.subspace.record_parts import cuts
 
@@ -61,7 +60,7 @@ class Condensed:
     words : str
     measured : ndarray, shape (n_segments, l)
         Largest magnitudes of the outputs.
-    basis : HarmonicBasis or None
+    basis : HarmonicBasis or PlainReading
     """
 
     inputs: list
@@ -71,11 +70,7 @@ class Condensed:
     base: RowCount
     words: str
     measured: np.ndarray
-    basis: HarmonicBasis | None
-
-    def drive_signals(self):
-        """The measured signal that each entry of ``drive_names`` comes from."""
-        return Experiment.drive_signals(self)
+    basis: HarmonicBasis | PlainReading
 
     def span(self):
         """First and last time, worded for messages."""
@@ -114,7 +109,7 @@ class Partitions:
     @cached_property
     def highest(self):
         """Harmonics that inputs are multiplied by, as ``modulated_inputs`` has it."""
-        if self.basis is None:
+        if not self.basis.harmonic:
             return 0
         found = self._tree(partial(partition_changes, basis=self.basis))
         if found is None or steps_at_one_phase(found.changes):
@@ -154,19 +149,20 @@ class Partitions:
         """What checks of the data read."""
         sums = self.sums
         drive, names = (tuple(map(str, pd.DataFrame(each).columns)) for each in self.head)
-        if self.basis is not None:
-            drive = self.basis.drive_labels
+        basis = self.basis
+        if not basis.harmonic:
+            basis = PlainReading(drive, names)
         ends = [run.extremes for run in sums.runs]
         n_samples = sum(run.n_samples for run in sums.runs)
         return Condensed(
-            inputs=[each[:, : len(drive)] for each in ends],
-            outputs=[each[:, len(drive) :] for each in ends],
-            drive_names=drive,
+            inputs=[each[:, : len(basis.drive_labels)] for each in ends],
+            outputs=[each[:, len(basis.drive_labels) :] for each in ends],
+            drive_names=basis.drive_labels,
             output_names=names,
             base=RowCount(range(n_samples), sums.sample_time or 1.0),
             words=f"rows from t = {worded(sums.runs[0].first)} to {worded(sums.runs[-1].last)}",
             measured=np.array([run.size for run in sums.runs]),
-            basis=self.basis,
+            basis=basis,
         )
 
     @property
@@ -232,9 +228,13 @@ def basis_of(X):
     ValueError
         If it is of an analysis that partitions are not read through.
     """
-    basis = getattr(getattr(X, "_meta", None), "basis", None)
-    if basis is not None and (basis.synchronous or basis.small_signal is not None):
-        what = "hop='period'" if basis.synchronous else f"small_signal={basis.small_signal!r}"
+    basis = getattr(getattr(X, "_meta", None), "basis", None) or PlainReading()
+    if basis.reading == "period" or basis.small_signal is not None:
+        what = (
+            "reading='period'"
+            if basis.reading == "period"
+            else f"small_signal={basis.small_signal!r}"
+        )
         raise ValueError(
             f"X was analysed with {what}, which looks at all records at once; give frames in "
             f"memory, X.compute() and y.compute()"

@@ -11,16 +11,15 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE
-from sklearn_hd._frame import Reading
-from sklearn_hd._records.data import read_experiment
-from sklearn_hd._records.sliding_inputs import (
+from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
     steps_at_one_phase,
 )
-from sklearn_hd._records.time import STEP_TOLERANCE
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
+from sklearn_hd._readings import PlainReading, Timing, first_difference
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._time import STEP_TOLERANCE
 from sklearn_hd.algorithms.subspace.running_products import RunningRecord, RunningSums
 
 __all__ = ["Stream", "first_date", "read_chunk"]
@@ -28,7 +27,6 @@ __all__ = ["Stream", "first_date", "read_chunk"]
 DUST = 1e-12  # share of an input's size that is rounding
 PART = 2**17  # rows read at a time
 MOST_BYTES = 2**33  # of one matrix of the sums
-SAME = ("omega", "sample_time", "hop", "window", "inputs", "outputs")
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ class Stream:
         basis, n = experiment.basis, len(experiment.drive_names) + len(experiment.output_names)
         _check_first(experiment, block_rows, n)
         changes = None
-        if basis is not None:
+        if basis.harmonic:
             changes = np.zeros((basis.samples_per_period, len(experiment.drive_names)))
         return cls(
             block_rows,
@@ -165,19 +163,19 @@ class Stream:
                     f"give all chunks the same columns in the same order, or begin anew with "
                     f"a clone of the estimator"
                 )
-        if (experiment.basis is None) != (self.basis is None):
-            has, had = ("no ", "a ") if experiment.basis is None else ("a ", "no ")
+        if experiment.basis.harmonic != self.basis.harmonic:
+            has, had = ("a ", "no ") if experiment.basis.harmonic else ("no ", "a ")
             raise ValueError(
                 f"this chunk carries {has}harmonic basis, the first one {had.strip()} one; pass "
                 f"all chunks through the same HarmonicAnalyzer, or none"
             )
-        for name in SAME if self.basis is not None else ():
-            here, there = getattr(experiment.basis, name), getattr(self.basis, name)
-            if here != there:
-                raise ValueError(
-                    f"this chunk was analysed with {name}={here!r}, the first one with "
-                    f"{there!r}; fit one HarmonicAnalyzer, and transform all chunks with it"
-                )
+        difference = first_difference(experiment.basis, self.basis)
+        if difference is not None:
+            name, here, there = difference
+            raise ValueError(
+                f"this chunk was analysed with {name}={here!r}, the first one with "
+                f"{there!r}; fit one HarmonicAnalyzer, and transform all chunks with it"
+            )
         dt, base = experiment.base.sample_time, experiment.base
         single = all(s.stop - s.start == 1 for s in base.segments)  # one row tells no step
         tolerance = STEP_TOLERANCE * self.sample_time + 4.0 * base.uncertainty
@@ -194,7 +192,7 @@ class Stream:
     def _continued(self, time, *signals):
         """Rows counted from 0 as they go on where the last chunk ended, trim and all."""
         later = time + self.record.time[-1] + self.sample_time
-        if self.basis is not None:
+        if self.basis.harmonic:
             was, phase = self.basis.phase_index(time), self.basis.phase_index(later)
             trims = self.basis.input_trim, self.basis.output_trim
             signals = (
@@ -237,7 +235,7 @@ class Stream:
         record = replace(
             old, **dict(zip(("time", "inputs", "outputs"), map(np.concatenate, parts), strict=True))
         )
-        if self.basis is not None:
+        if self.basis.harmonic:
             return self._with_complete_rows(record)
         rows = np.hstack([inputs, outputs])
         last = {name: getattr(record, name)[-1:] for name in ("time", "inputs", "outputs")}
@@ -269,7 +267,7 @@ class Stream:
         stream = replace(self, changes=np.maximum(self.changes, changes))
         stream = stream._with_extremes(np.hstack([drive[done], record.outputs[done]]))
         rows = self._unread(record)
-        rows = rows[rows + basis.lead + basis.hop_samples <= complete]
+        rows = rows[rows + basis.lead + basis.hop <= complete]
         record = self._with_read(record, drive, rows)
         # the next row's window, and the whole periods that it reaches into
         unread = self._unread(record)
@@ -306,7 +304,7 @@ class Stream:
     def _n_channels(self):
         """Channels of the sums: what inputs become, and what outputs become."""
         m, basis = len(self.drive_names), self.basis
-        if basis is None:
+        if not basis.harmonic:
             return m, len(self.output_names)
         return m * (2 * (basis.rows_per_period // 2) + 1), len(basis.output_labels)
 
@@ -321,9 +319,9 @@ class Stream:
     def sums(self):
         """Sums over everything so far, as if the open record were over; None of no rows."""
         record = self.record
-        if record is None or (self.basis is None and record.sums.n_rows == 0):
+        if record is None or (not self.basis.harmonic and record.sums.n_rows == 0):
             return self.closed
-        if self.basis is not None:
+        if self.basis.harmonic:
             record = self._with_read(record, self._drive(record), self._unread(record))
             if record.sums.n_rows == 0:
                 return self.closed
@@ -344,11 +342,7 @@ class Stream:
 
     def drive_signals(self):
         """The measured signal that each entry of ``drive_names`` comes from."""
-        if self.basis is None:
-            return self.drive_names
-        return tuple(
-            signal for signal, orders in self.basis.inputs for _ in harmonic_labels(orders)
-        )
+        return self.basis.drive_signals
 
     def channels(self, sums, moving):
         """Channels of inputs projected out of the future, of inputs alone, and of outputs.
@@ -357,7 +351,7 @@ class Stream:
         """
         n_inputs, n_outputs = self._n_channels()
         highest = 0
-        if self.basis is not None and not steps_at_one_phase(self.changes):
+        if self.basis.harmonic and not steps_at_one_phase(self.changes):
             lengths = [ends.n_rows for ends in sums.ends]
             highest = n_modulating_harmonics(self.basis, lengths, len(self.drive_names))
         wide, alone = (self._wave_channels(k, moving) for k in (highest, 0))
@@ -377,22 +371,24 @@ def first_date(data):
 
 def read_chunk(X, y, origin=None):
     """The experiment of one chunk, whose rows are those of the grid; dates from an origin on."""
-    experiment = read_experiment(X, y, plain=Reading(time_origin=origin or FIRST))
+    experiment = read_experiment(
+        X, y, plain=PlainReading(timing=Timing(time_origin=origin or FIRST))
+    )
     basis = experiment.basis
-    if basis is not None and basis.synchronous:
+    if basis.reading == "period":
         raise ValueError(
             "partial_fit reads rows one by one or through a sliding window, not period by period "
-            "(hop='period'), where a model depends on which directions inputs take over the whole "
-            "record; use fit, or an analyzer with hop=None"
+            "(reading='period'), where a model depends on which directions inputs take over the "
+            "whole record; use fit, or an analyzer with reading='sliding'"
         )
-    if basis is not None and basis.small_signal is not None:
+    if basis.small_signal is not None:
         raise ValueError(
             f"small_signal={basis.small_signal!r} combines whole records at several amplitudes; "
             f"use fit, or an analyzer with small_signal=None"
         )
-    if basis is not None and basis.reading.missing != RAISE:
+    if basis.timing.missing != RAISE:
         raise ValueError(
-            f"partial_fit takes no missing samples (missing={basis.reading.missing!r}): what is "
+            f"partial_fit takes no missing samples (missing={basis.timing.missing!r}): what is "
             f"bridged at the end of a chunk depends on the next; fill them before, or use fit"
         )
     if not all(piece.is_grid for piece in experiment.sampling.pieces):
@@ -408,7 +404,7 @@ def _check_first(experiment, block_rows, n_channels):
     """Raise ValueError if a first chunk tells no sample time, or its sums fill no memory."""
     base = experiment.base
     single = all(s.stop - s.start == 1 for s in base.segments)
-    if experiment.basis is None and single and not base.counted:
+    if not experiment.basis.harmonic and single and not base.counted:
         raise ValueError(
             f"no record of the first chunk has two rows (n_samples = {len(base.time)}), from which "
             f"the sample time could be told; begin with a longer chunk"
@@ -423,6 +419,4 @@ def _check_first(experiment, block_rows, n_channels):
 
 def _input_names(experiment):
     """Names of the raw inputs."""
-    if experiment.basis is None:
-        return tuple(experiment.drive_names)
-    return tuple(signal for signal, _ in experiment.basis.inputs)
+    return tuple(experiment.basis.input_signals)

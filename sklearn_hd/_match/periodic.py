@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd._frame import highest_harmonic
+from sklearn_hd._readings import highest_harmonic
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition

@@ -95,7 +95,7 @@ def uncertainty(structure, result, experiment, affine, seen):
 def sampling(experiment):
     """Fundamental frequency and samples a period; plain data count one sample a period."""
     basis = experiment.basis
-    if basis is None:
+    if not basis.harmonic:
         return 2.0 * np.pi / experiment.base.sample_time, 1
     return basis.omega, basis.samples_per_period
 
@@ -103,14 +103,14 @@ def sampling(experiment):
 def records(experiment, inputs):
     """(inputs, outputs, first phase) of each segment."""
     basis = experiment.basis
-    phases = [0 if basis is None else int(basis.phase_index(t)[0]) for t in experiment.times()]
+    phases = [int(basis.phase_index(t)[0]) for t in experiment.times()]
     return list(zip(inputs, experiment.outputs, phases, strict=True))
 
 
 def observation(experiment):
     """What is measured of harmonic coefficients at each phase; None on plain data."""
     basis = experiment.basis
-    if basis is None:
+    if not basis.harmonic:
         return None
     return basis.recomposition(
         2.0 * np.pi * np.arange(basis.samples_per_period) / basis.samples_per_period

@@ -31,10 +31,8 @@ def read_for_fit(X, y):
     amplitudes combined where the analyzer was asked to.
     """
     experiment = read_experiment(X, y)
-    basis = experiment.basis
-    if basis is None or basis.small_signal is None:
-        return experiment
-    return _small_signal(experiment, basis.small_signal)
+    how = experiment.basis.small_signal
+    return experiment if how is None else _small_signal(experiment, how)
 
 
 def _small_signal(experiment, how):

@@ -17,16 +17,16 @@ from sklearn_hd._checks import (
     signal_names,
 )
 from sklearn_hd._containers import as_container, to_float, without_inputs
-from sklearn_hd._frame import HarmonicBasis, HarmonicFrame, Reading
+from sklearn_hd._frame import HarmonicFrame
+from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
 from sklearn_hd._records.sampling import Sampling, lay_grid
-from sklearn_hd._records.time import TimeBase, read_time
+from sklearn_hd._time import TimeBase, read_time
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.algorithms.signals.lifting import lift
 from sklearn_hd.algorithms.signals.resampling import bridge, unwrap
 from sklearn_hd.exceptions import JitterWarning
 
-PLAIN = Reading()
+PLAIN = PlainReading()
 
 
 @dataclass(frozen=True)
@@ -58,27 +58,27 @@ class Signals:
         return self.data[:, keep], tuple(self.names[i] for i in keep)
 
 
-def read_signals(data, prefix, what, reading=PLAIN):
+def read_signals(data, prefix, what, timing=PLAIN.timing):
     """Float values, names and time base of a frame, Series or array.
 
-    The column that ``reading`` names as the azimuth is set apart.
+    The column that ``timing`` names as the azimuth is set apart.
     """
     data = as_container(data, what)
     names = signal_names(data, prefix)
-    base = read_time(data, reading.sample_time, reading.time_origin)
+    base = read_time(data, timing.sample_time, timing.time_origin)
     values = to_float(data, what)
-    values = check_values(values, names, base.time, what, reading.missing)
+    values = check_values(values, names, base.time, what, timing.missing)
     signals = Signals(values, names, base)
-    return signals if reading.azimuth is None else _set_azimuth_apart(signals, reading)
+    return signals if timing.azimuth is None else _set_azimuth_apart(signals, timing)
 
 
-def _set_azimuth_apart(signals, reading):
-    name, base = reading.azimuth, signals.base
+def _set_azimuth_apart(signals, timing):
+    name, base = timing.azimuth, signals.base
     if signals.names == (name,):
         raise ValueError(f"X holds the azimuth {name!r} alone; give the inputs beside it")
     psi = _azimuth(signals.data, signals.names, base, name)
     data, names = signals.without(name)
-    return Signals(data, names, base, _bridged(psi[:, None], base, reading)[:, 0])
+    return Signals(data, names, base, _bridged(psi[:, None], base, timing)[:, 0])
 
 
 def _azimuth(data, names, base, name):
@@ -102,24 +102,24 @@ def read_azimuth(X, base, name):
     return _azimuth(to_float(X, "X"), names, base, name)
 
 
-def read_values(y, X, base, reading):
+def read_values(y, X, base, timing):
     """Float values and names of outputs sampled at the times of the inputs."""
     y = as_container(y, "y")
     check_same_rows(X, y)
     names = signal_names(y, "y")
     values = to_float(y, "y")
-    return check_values(values, names, base.time, "y", reading.missing), names
+    return check_values(values, names, base.time, "y", timing.missing), names
 
 
-def _bridged(values, base, reading, held=False):
+def _bridged(values, base, timing, held=False):
     """Values whose short runs of NaN are interpolated, where that was asked for.
 
     Linearly where signals are held (a spline overshoots their steps), by
     cubic splines where they are smooth.
     """
-    if reading.missing in (RAISE, GAP) or not np.isnan(values).any():
+    if timing.missing in (RAISE, GAP) or not np.isnan(values).any():
         return values
-    longest = int(np.floor(reading.missing / base.sample_time + 1e-6))
+    longest = int(np.floor(timing.missing / base.sample_time + 1e-6))
     values = values.copy()
     held = np.broadcast_to(held, values.shape[1:])
     for segment in base.segments:
@@ -165,10 +165,9 @@ class Experiment:
     ----------
     base : TimeBase
         Of the uniform grid that models are fitted and simulated on.
-    basis : HarmonicBasis or None
+    basis : HarmonicBasis or PlainReading
     drive : list of ndarray, shapes (n_samples_s, n_drive)
         What drives the model, trim subtracted.
-    drive_names : tuple of str
     inputs : list of ndarray, shapes (n_samples_s, n_inputs)
         Measured inputs on the grid, trim subtracted.
     sampling : Sampling
@@ -182,9 +181,8 @@ class Experiment:
     """
 
     base: TimeBase
-    basis: HarmonicBasis | None
+    basis: HarmonicBasis | PlainReading
     drive: list
-    drive_names: tuple
     inputs: list
     sampling: Sampling
     outputs: list | None = None
@@ -194,24 +192,21 @@ class Experiment:
     @property
     def has_gaps(self):
         """Whether samples may be missing."""
-        return self.basis is not None and self.basis.reading.missing != RAISE
+        return self.basis.timing.missing != RAISE
+
+    @property
+    def drive_names(self):
+        """Name of each entry of ``drive``."""
+        return self.basis.drive_labels
 
     def times(self):
         """Time of the rows of each segment, seconds."""
         return [self.base.time[segment] for segment in self.base.segments]
 
-    def drive_signals(self):
-        """The measured signal that each entry of ``drive_names`` comes from."""
-        if self.basis is None:
-            return self.drive_names
-        return tuple(
-            signal for signal, orders in self.basis.inputs for _ in harmonic_labels(orders)
-        )
-
     def output_trim(self):
         """Periodic waveforms of the outputs on each segment, zero where none were learned."""
         basis = self.basis
-        if basis is None or basis.output_trim is None:
+        if basis.output_trim is None:
             return None
         return [basis.output_trim[basis.phase_index(time)] for time in self.times()]
 
@@ -223,7 +218,7 @@ class Experiment:
 
 def as_frame(X):
     """X as a HarmonicFrame; plain data get neither basis nor model."""
-    if isinstance(X, HarmonicFrame) and (X.basis is not None or X.model is not None):
+    if isinstance(X, HarmonicFrame) and X.is_laden:
         return X
     if isinstance(X, pd.DataFrame):
         _refuse_lost_basis(X)
@@ -252,7 +247,7 @@ def sample(signals, basis, outputs=None):
     ----------
     signals : Signals
         Inputs.
-    basis : HarmonicBasis or None
+    basis : HarmonicBasis or PlainReading
     outputs : ndarray, shape (n_rows, n_outputs), optional
         At the same rows; what is missing of them is missing of the record.
 
@@ -262,20 +257,16 @@ def sample(signals, basis, outputs=None):
     inputs : list of ndarray
     outputs : list of ndarray or None
     """
-    reading = PLAIN if basis is None else basis.reading
-    base = signals.base
-    held = True if basis is None else basis.held
-    inputs = _bridged(signals.data, base, reading, held)
-    outputs = None if outputs is None else _bridged(outputs, base, reading)
+    base, timing, held = signals.base, basis.timing, basis.held
+    inputs = _bridged(signals.data, base, timing, held)
+    outputs = None if outputs is None else _bridged(outputs, base, timing)
     present = None
-    if reading.missing != RAISE:
+    if timing.missing != RAISE:
         columns = [inputs, signals.azimuth, outputs]
         given = [z.reshape(len(z), -1) for z in columns if z is not None]
         present = np.logical_and.reduce([np.isfinite(z).all(axis=1) for z in given])
-    step, shortest, places = base.sample_time, 1, base.time
-    if basis is not None:
-        step, shortest, places = basis.sample_time, len(basis.weights), signals.places(basis.omega)
-    sampling = lay_grid(base, places, present, step, reading, shortest)
+    step, shortest, places = basis.grid(signals)
+    sampling = lay_grid(base, places, present, step, timing, shortest)
     return (
         sampling,
         sampling.onto_grid(inputs, held),
@@ -315,7 +306,7 @@ def mean_waveforms(sampling, blocks, basis, start, stop):
 
 def is_decomposed(y):
     """Whether y is a frame of harmonics, as HarmonicAnalyzer makes it."""
-    return isinstance(y, HarmonicFrame) and y.basis is not None
+    return isinstance(y, HarmonicFrame) and y.is_analysed
 
 
 def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
@@ -327,91 +318,52 @@ def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
     """
     if not isinstance(X, np.ndarray):  # of which a frame would be no more than names
         X = as_frame(X)
-    basis = getattr(X, "basis", None)
+    basis = getattr(X, "basis", None) or plain
     if is_decomposed(y):
         decomposition = replace(y.basis, outputs=y.basis.inputs, output_trim=y.basis.input_trim)
-        y = pd.DataFrame(y)[[signal for signal, _ in y.basis.inputs]]
+        y = pd.DataFrame(y)[list(y.basis.input_signals)]
     if decomposition is not None:
         basis = _with_outputs_of(basis, decomposition)
-    if basis is not None:
-        _check_columns(X, basis)
-    reading = plain if basis is None else basis.reading
-    signals = read_signals(X if basis is None else X[basis.measured], "x", "X", reading)
+    signals = read_signals(basis.select(X), "x", "X", basis.timing)
     measured, output_names = None, ()
     if y is not None:
         indexed = isinstance(y, pd.DataFrame | pd.Series)
         given = without_inputs(X) if indexed and isinstance(X, np.ndarray) else X
-        measured, output_names = read_values(y, given, signals.base, reading)
-        if basis is not None:
+        measured, output_names = read_values(y, given, signals.base, basis.timing)
+        if basis.harmonic:
             expected = tuple(signal for signal, _ in basis.outputs)
             check_output_names(output_names, expected, "the harmonic basis")
-    sampling, drive, outputs = sample(signals, basis, measured)
-    base = sampling.base
-    times = [base.time[segment] for segment in base.segments]
-    if basis is None:
-        warn_of_jitter(signals.base, base.sample_time)
-        names = signals.names
-        inputs = drive
-    else:
-        inputs = without_trim(drive, times, basis, basis.input_trim)
-        drive = [basis.drive(u, time) for u, time in zip(inputs, times, strict=True)]
-        if outputs is not None:
-            outputs = without_trim(outputs, times, basis, basis.output_trim)
-        names = basis.drive_labels
-    return Experiment(base, basis, drive, names, inputs, sampling, outputs, measured, output_names)
-
-
-def _check_columns(frame, basis):
-    """Raise ValueError if a step has changed the columns that the analyzer made."""
-    found, made = [str(c) for c in frame.columns], [*basis.measured, *basis.drive_labels]
-    missing = [name for name in made if name not in found]
-    extra = [name for name in found if name not in made]
-    if missing or extra:
-        what = f"dropped {missing[0]!r}" if missing else f"added {extra[0]!r}"
-        raise ValueError(
-            f"a step between HarmonicAnalyzer and this one has {what}; the analyzer made {made}: "
-            f"put steps that change columns before it"
-        )
+    sampling, values, outputs = sample(signals, basis, measured)
+    if not basis.harmonic:
+        warn_of_jitter(signals.base, sampling.base.sample_time)
+        basis = replace(basis, drive_labels=signals.names, output_labels=output_names)
+    times = [sampling.base.time[segment] for segment in sampling.base.segments]
+    inputs = without_trim(values, times, basis, basis.input_trim)
+    drive = [basis.drive(u, time) for u, time in zip(inputs, times, strict=True)]
+    if outputs is not None:
+        outputs = without_trim(outputs, times, basis, basis.output_trim)
+    return Experiment(
+        sampling.base, basis, drive, inputs, sampling, outputs, measured, output_names
+    )
 
 
 def _with_outputs_of(basis, other):
     """A basis whose outputs are decomposed as those of another one of the same analysis."""
-    for name in ("omega", "sample_time", "hop", "window"):
-        here, there = getattr(basis, name, None), getattr(other, name)
-        if here != there:
-            raise ValueError(
-                f"y was decomposed with {name}={there!r}, X with {here!r}; use the same "
-                f"HarmonicAnalyzer parameters for both, or give y in time"
-            )
+    difference = first_difference(basis, other)
+    if difference is not None and difference[0] not in ("inputs", "outputs"):
+        name, here, there = difference
+        raise ValueError(
+            f"y was decomposed with {name}={there!r}, X with {here!r}; use the same "
+            f"HarmonicAnalyzer parameters for both, or give y in time"
+        )
     return replace(basis, outputs=other.outputs, output_trim=other.output_trim)
 
 
 def rows_read(experiment):
     """Inputs and (decomposed) outputs of each segment at the rows that models are made of."""
-    basis = experiment.basis
-    if basis is None:
-        return experiment.drive, experiment.outputs
-    inputs, outputs = [], []
-    for drive, y, time in zip(
-        experiment.drive, experiment.outputs, experiment.times(), strict=True
-    ):
-        rows = basis.rows_read(time)
-        inputs.append(hop_means(drive, basis, rows))
-        outputs.append(basis.output_coefficients(y, time, rows))
-    return inputs, outputs
-
-
-def hop_means(drive, basis, rows):
-    """Mean of the drive over the hop that follows the end of each row's window.
-
-    What lies beyond the segment is held at its last value.
-    """
-    if len(rows) == 0:
-        return drive[rows]
-    hop, ends = basis.hop_samples, rows + basis.lead
-    beyond = max(0, int(ends[-1]) + hop - len(drive))
-    held = np.concatenate([drive, np.repeat(drive[-1:], beyond, axis=0)])
-    return np.lib.stride_tricks.sliding_window_view(held, hop, axis=0)[ends].mean(axis=-1)
+    parts = zip(experiment.drive, experiment.outputs, experiment.times(), strict=True)
+    pairs = [experiment.basis.read(*part) for part in parts]
+    return tuple(map(list, zip(*pairs, strict=True)))
 
 
 def beside_trim(directions, basis):

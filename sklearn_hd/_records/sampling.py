@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import RAISE
-from sklearn_hd._records.time import TimeBase, even
+from sklearn_hd._time import TimeBase, even
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,
@@ -122,7 +122,7 @@ class Sampling:
         return result
 
 
-def lay_grid(base, places, present, step, reading, shortest=1):
+def lay_grid(base, places, present, step, timing, shortest=1):
     """Grid for some rows.
 
     Parameters
@@ -135,7 +135,7 @@ def lay_grid(base, places, present, step, reading, shortest=1):
         Rows of which no sample is missing; None is all.
     step : float
         Of the grid, seconds.
-    reading : Reading
+    timing : Timing
     shortest : int
         Rows of the grid below which a piece is left out, if samples may be missing.
 
@@ -148,9 +148,9 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     for segment, record in zip(base.segments, base.records, strict=True):
         for rows in _runs_of(present, segment):
             own = places[rows]
-            uniform = not (reading.azimuth or reading.resampled) and (as_read or even(own, step))
+            uniform = not (timing.azimuth or timing.resampled) and (as_read or even(own, step))
             grid = own if uniform else uniform_grid(own[0], own[-1], step)
-            if len(grid) >= shortest or reading.missing == RAISE:
+            if len(grid) >= shortest or timing.missing == RAISE:
                 pieces.append(Piece(rows, own, grid, step))
                 records.append(record)
     if not pieces:
@@ -162,7 +162,7 @@ def lay_grid(base, places, present, step, reading, shortest=1):
     edges = np.cumsum([0, *(len(piece.grid) for piece in pieces)])
     clock = [
         base.time[piece.rows]
-        if reading.azimuth is None and piece.is_grid
+        if timing.azimuth is None and piece.is_grid
         else np.interp(piece.grid, piece.places, base.time[piece.rows])
         for piece in pieces
     ]

@@ -148,7 +148,7 @@ def identified_modes(model, experiment):
     longest = max(segment.stop - segment.start for segment in experiment.base.segments)
     wild = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
     shapes, basis, n = (model.C @ V).T, experiment.basis, len(z)
-    if basis is None:
+    if not basis.harmonic:
         whole, window = np.full(n, -1), np.zeros(n, dtype=bool)
         return IdentifiedModes(z, exponents, shapes, np.arange(n), window, wild, whole, 0.0)
     window = _window_memory(z, basis)
@@ -340,7 +340,7 @@ def _whole_families(z, rest, basis):
 def _regressors(modes, experiment):
     """Triangular factor of the responses of all units beside the raw outputs, and columns."""
     scale = output_scale(experiment)
-    observe = observations(experiment, modes.shapes.shape[1])
+    observe = observations(experiment)
     return unit_regressors(
         modes.units,
         modes.exponents,

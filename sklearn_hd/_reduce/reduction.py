@@ -72,8 +72,7 @@ def reduced(model, experiment, method, n_states=None):
     -------
     reduction : Reduction
     """
-    basis = experiment.basis
-    if model.dt == 0.0 or (basis is not None and basis.synchronous):
+    if model.dt == 0.0 or experiment.basis.reading == "period":
         return _passed(model, n_states)
     modes = identified_modes(model, experiment)
     if n_states is None and not modes.omega:

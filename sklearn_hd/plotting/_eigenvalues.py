@@ -142,7 +142,7 @@ class EigenvalueDisplay:
             None if reducer is None else reducer.modes_,
             model=model,
             true=_of_truth(true),
-            omega=None if basis is None else basis.omega,
+            omega=getattr(basis, "omega", None),
             model_name="identified" if matcher is None else "after matching",
         )
         return display.plot(ax=ax, level=level)

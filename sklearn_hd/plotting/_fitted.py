@@ -8,7 +8,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import FIRST
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._records.time import read_time
+from sklearn_hd._time import read_time
 from sklearn_hd.plotting._style import SAMPLES, TIME
 
 NAMES = {ModelStep: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher"}
@@ -65,8 +65,8 @@ class Record:
     data : DataFrame, Series or ndarray
     record : label or None
         None is the first record.
-    reading : Reading, optional
-        How times are read.
+    timing : Timing, optional
+        When rows were sampled.
 
     Attributes
     ----------
@@ -81,9 +81,9 @@ class Record:
         What the time axis is called.
     """
 
-    def __init__(self, data, record=None, reading=None):
-        step = None if reading is None else reading.sample_time
-        origin = FIRST if reading is None or reading.time_origin is None else reading.time_origin
+    def __init__(self, data, record=None, timing=None):
+        step = None if timing is None else timing.sample_time
+        origin = FIRST if timing is None or timing.time_origin is None else timing.time_origin
         base = read_time(data, step, origin)
         self.rows, self.label = _rows_of(getattr(data, "index", None), len(data), record)
         place = np.cumsum(self.rows) - 1

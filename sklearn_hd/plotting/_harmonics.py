@@ -8,7 +8,7 @@ import pandas as pd
 
 from sklearn_hd._checks import check_output_names, signal_names
 from sklearn_hd._containers import as_container
-from sklearn_hd._frame import coefficient_names
+from sklearn_hd._readings import coefficient_names
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.plotting._fitted import Record, fitted_step
 from sklearn_hd.plotting._panels import Panels, grid_of, places
@@ -168,7 +168,7 @@ class HarmonicsDisplay:
         """
         analyzer = fitted_step(estimator, HarmonicAnalyzer, cls.__name__)
         basis = analyzer.basis_
-        record = Record(X, record, basis.reading)
+        record = Record(X, record, basis.timing)
         frame = pd.DataFrame(analyzer.transform(X))
         parts, harmonics = [frame], _names(basis.inputs)
         if y is not None:
@@ -267,6 +267,6 @@ def _beside(X, y, basis):
     names = signal_names(y, "y")
     check_output_names(names, tuple(s for s, _ in basis.outputs), "the analyzer")
     y = pd.DataFrame(y).set_axis(list(dict(basis.outputs)), axis=1)
-    if basis.reading.azimuth is None:
+    if basis.timing.azimuth is None:
         return y
-    return y.assign(**{basis.reading.azimuth: X[basis.reading.azimuth].to_numpy()})
+    return y.assign(**{basis.timing.azimuth: X[basis.timing.azimuth].to_numpy()})

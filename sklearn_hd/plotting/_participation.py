@@ -180,7 +180,7 @@ def periodic_system(estimator, display):
         raise ValueError(
             f"{display} needs a linear time-periodic model, and this match was made with "
             f"structure={matcher.structure!r}; fit with a HarmonicStructure, or with "
-            f"HarmonicAnalyzer(hop='period')"
+            f"HarmonicAnalyzer(reading='period')"
         )
     return matcher.ltp_
 

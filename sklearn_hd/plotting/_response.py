@@ -161,8 +161,7 @@ class ResponseDisplay:
         estimators = by_label(estimator, "simulated")
         runs = {label: _simulate(model, X, y, cls.__name__) for label, model in estimators.items()}
         step = next(iter(runs.values()))[0]
-        reading = None if step.basis_ is None else step.basis_.reading
-        whole = Record(X, record, reading)
+        whole = Record(X, record, step.basis_.timing)
         rows = _rows_of_all([run[-1] for run in runs.values()], whole)
         harmonics = step.predicts_harmonics_  # the signals that they make up are compared
         names = list(dict(step.basis_.outputs)) if harmonics else list(step.target_names_)
@@ -176,7 +175,7 @@ class ResponseDisplay:
         ]
         inputs = None
         if show_inputs:
-            azimuth = None if reading is None else reading.azimuth
+            azimuth = step.basis_.timing.azimuth
             inputs = _table(X, "X", "x", whole).drop(columns=[azimuth], errors="ignore")
         display = cls(
             tables[0],

@@ -24,7 +24,7 @@ from sklearn_hd._checks import (
     signal_names,
 )
 from sklearn_hd._containers import as_container, to_float
-from sklearn_hd._records.time import read_time
+from sklearn_hd._time import read_time
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (

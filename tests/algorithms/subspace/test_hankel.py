@@ -9,8 +9,8 @@ from conftest import random_stable
 from scipy import linalg, optimize, signal
 
 from sklearn_hd import HarmonicAnalyzer
+from sklearn_hd._identify.modulation import modulated_inputs
 from sklearn_hd._records.data import read_experiment, rows_read
-from sklearn_hd._records.sliding_inputs import modulated_inputs
 from sklearn_hd.algorithms.linalg import triangular
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace import hankel

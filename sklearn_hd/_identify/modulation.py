@@ -15,7 +15,6 @@ phase of the period. Its coefficients at the rows read are time-invariant
 
 import numpy as np
 
-from sklearn_hd._records.data import hop_means
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
@@ -91,13 +90,13 @@ def modulated(basis, drive, time, rows, highest):
     psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
     waves = harmonic_functions(psi, range(highest + 1))
     products = (drive[:, :, None] * waves[:, None, :]).reshape(len(drive), -1)
-    return hop_means(products, basis, rows)
+    return basis.held_drive(products, rows)
 
 
 def modulated_inputs(experiment, lengths):
     """Inputs times the harmonic functions of ψ, as seen in the rows; None where u suffices."""
     basis = experiment.basis
-    if basis is None or basis.synchronous or changes_at_one_phase(experiment):
+    if changes_at_one_phase(experiment):
         return None
     highest = n_modulating_harmonics(basis, lengths, experiment.drive[0].shape[1])
     if highest == 0:
@@ -124,7 +123,7 @@ def inputs_by_phase(experiment):
     for drive, time in zip(experiment.drive, experiment.times(), strict=True):
         rows = basis.rows_read(time)
         hops.append(_hops(drive, basis, rows))
-        phases.append(basis.phase_index(time)[rows] // basis.hop_samples)
+        phases.append(basis.phase_index(time)[rows] // basis.hop)
     directions, n_all, _ = input_directions(hops)
     choices = []
     for count in range(n_all, min(n_all, experiment.drive[0].shape[1]) - 1, -1):
@@ -138,7 +137,7 @@ def inputs_by_phase(experiment):
 
 def _hops(drive, basis, rows):
     """Samples within the hop after each row's window, (n_rows, hop, m); held at the end."""
-    hop, ends = basis.hop_samples, rows + basis.lead
+    hop, ends = basis.hop, rows + basis.lead
     if len(rows) == 0:
         return np.zeros((0, hop, drive.shape[1]))
     places = np.minimum(ends[:, None] + np.arange(hop), len(drive) - 1)

@@ -1,0 +1,324 @@
+"""What every harmonic reading shares: how coefficients are made of signals, and back."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd.algorithms.signals.fourier import (
+    harmonic_functions,
+    harmonic_labels,
+    window_weights,
+    windowed_coefficients,
+)
+
+__all__ = ["HarmonicBasis", "Timing", "coefficient_names", "first_difference", "highest_harmonic"]
+
+DUST = 1e-12  # share of a signal, or of the trim that was subtracted, that is rounding
+HALF = 1e-6  # of a sample, so that rows halfway between two phases all go to the same side
+WARMUP_PERIODS = 5
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How rows are read: when each was sampled, and what becomes of missing samples.
+
+    Attributes
+    ----------
+    sample_time : float or None
+        Seconds from row to row; None reads it from the index.
+    time_origin : str or None
+        The instant from which dates are counted, as ISO text, or FIRST for the
+        first of them; None refuses dates.
+    azimuth : str or None
+        Name of the column that holds ψ.
+    missing : "raise", "gap" or float
+        What becomes of NaN; a number is the longest run to bridge, in seconds.
+    resampled : bool
+        Whether rows are resampled even if evenly spaced, as no whole number of
+        them makes a period.
+    """
+
+    sample_time: float | None = None
+    time_origin: str | None = FIRST
+    azimuth: str | None = None
+    missing: float | str = RAISE
+    resampled: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicBasis:
+    """How harmonic coefficients were, and are to be, made from signals in time.
+
+    A reading adds ``weights`` (its window), ``window_rows``, ``lead``, ``window_ends``,
+    ``rows_read`` and ``between_rows``.
+
+    Attributes
+    ----------
+    omega : float
+        Fundamental frequency, rad/s; the mean speed where an azimuth is given.
+    sample_time : float
+        Seconds from row to row of the grid that is analysed.
+    samples_per_period : int
+    window : str
+        Such as ``"boxcar"`` (causal) or ``"centred-boxcar"``.
+    hop : int
+        Samples from one row read by the model steps to the next.
+    inputs, outputs : tuple of (signal, (k, …))
+        Harmonics kept of each signal.
+    input_trim, output_trim : ndarray, shapes (samples_per_period, n_signals), or None
+        Periodic waveforms subtracted from the signals.
+    timing : Timing
+        When the user's rows were sampled.
+    small_signal : "odd", "extrapolate" or None
+        How records at several amplitudes are combined where a model is fitted.
+    """
+
+    omega: float
+    sample_time: float
+    samples_per_period: int
+    window: str
+    hop: int
+    inputs: tuple
+    outputs: tuple
+    input_trim: np.ndarray | None = None
+    output_trim: np.ndarray | None = None
+    timing: Timing = field(default_factory=Timing)
+    small_signal: str | None = None
+
+    harmonic = True
+
+    @property
+    def rows_per_period(self):
+        """Rows read in a period."""
+        return self.samples_per_period // self.hop
+
+    @property
+    def output_labels(self):
+        """Names of the harmonic coefficients of the outputs."""
+        return coefficient_names(self.outputs)
+
+    @property
+    def measured(self):
+        """Columns that the basis reads: the inputs, and the azimuth where there is one."""
+        azimuth = self.timing.azimuth
+        return [*self.input_signals, *([] if azimuth is None else [azimuth])]
+
+    @property
+    def input_signals(self):
+        """Names of the measured inputs."""
+        return tuple(signal for signal, _ in self.inputs)
+
+    @property
+    def drive_signals(self):
+        """The measured signal that each entry of ``drive_labels`` comes from."""
+        return tuple(signal for signal, orders in self.inputs for _ in harmonic_labels(orders))
+
+    @property
+    def held(self):
+        """Which inputs drive the models as they were measured, held from row to row."""
+        return np.array([harmonics == (0,) for _, harmonics in self.inputs], dtype=bool)
+
+    @property
+    def drive_labels(self):
+        """Names of the inputs of the identified models.
+
+        A signal of which only harmonic 0 is kept drives the model as it was
+        measured; others by the coefficients of each whole period.
+        """
+        return coefficient_names(self.inputs)
+
+    def select(self, frame):
+        """The columns of X that are read; ValueError if a step has changed them."""
+        found, made = [str(c) for c in frame.columns], [*self.measured, *self.drive_labels]
+        missing = [name for name in made if name not in found]
+        extra = [name for name in found if name not in made]
+        if missing or extra:
+            what = f"dropped {missing[0]!r}" if missing else f"added {extra[0]!r}"
+            raise ValueError(
+                f"a step between HarmonicAnalyzer and this one has {what}; the analyzer made "
+                f"{made}: put steps that change columns before it"
+            )
+        return frame[self.measured]
+
+    def grid(self, signals):
+        """Step of the grid, fewest rows of a piece, and places of some signals on it."""
+        return self.sample_time, len(self.weights), signals.places(self.omega)
+
+    def azimuth(self, time):
+        """ψ = ωt in radians."""
+        return self.omega * np.asarray(time)
+
+    def phase_index(self, time):
+        """Sample within the period of the rows of one segment, 0 … samples_per_period − 1.
+
+        Counted from the first row, so that a sample time that is off by a part
+        in a million moves no row into the neighbouring phase.
+        """
+        time = np.asarray(time)
+        if len(time) == 0:
+            return np.zeros(0, dtype=int)
+        first = time[0] * self.omega / (2.0 * np.pi) * self.samples_per_period
+        steps = np.rint((time - time[0]) / self.sample_time).astype(int)
+        return (int(np.floor(first + 0.5 + HALF)) + steps) % self.samples_per_period
+
+    def coefficients(self, values, time, signals, rows):
+        """Windowed coefficients of some signals at some rows of one segment.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n_samples, n_signals)
+            One column for each entry of ``signals``.
+        time : ndarray, shape (n_samples,)
+            Seconds.
+        signals : tuple of (signal, (k, …))
+        rows : ndarray of int, shape (n_rows,)
+            Rows nearer to an end than the window reaches take the nearest
+            whole window; read by periods, the period that the row is in.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (n_rows, n_coefficients)
+        """
+        ends = self.window_ends(time, rows)
+        unique, where = np.unique(ends, return_inverse=True)
+        psi = self.azimuth(time)
+        columns = [
+            windowed_coefficients(values[:, i], psi, harmonics, self.weights, unique)[where]
+            for i, (_, harmonics) in enumerate(signals)
+        ]
+        return np.hstack(columns)
+
+    def output_coefficients(self, outputs, time, rows):
+        """Coefficients of the outputs that models are fitted to, without those that are dust.
+
+        Each coefficient counts alike in a fit, whatever its size: rounding would, too.
+
+        Parameters
+        ----------
+        outputs : ndarray, shape (n_samples, n_outputs)
+            Trim subtracted.
+        time : ndarray, shape (n_samples,)
+        rows : ndarray of int, shape (n_rows,)
+
+        Returns
+        -------
+        coefficients : ndarray, shape (n_rows, n_coefficients)
+        """
+        columns = self.coefficients(outputs, time, self.outputs, rows)
+        start = 0
+        for i, (_, harmonics) in enumerate(self.outputs):
+            own = slice(start, start + len(harmonic_labels(harmonics)))
+            trim = 0.0 if self.output_trim is None else np.max(np.abs(self.output_trim[:, i]))
+            columns[:, own] = _without_dust(columns[:, own], DUST * trim)
+            start = own.stop
+        return columns
+
+    def drive(self, values, time):
+        """Inputs of the identified model at every sample of one segment.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n_samples, n_inputs)
+            Raw inputs, trim subtracted, one column for each entry of ``inputs``.
+
+        Returns
+        -------
+        drive : ndarray, shape (n_samples, n_drive)
+            The raw signal where only harmonic 0 is kept; else the coefficients
+            of the whole period that each sample lies in.
+        """
+        psi, spp = self.azimuth(time), self.samples_per_period
+        box = window_weights("boxcar", spp)
+        ends = np.arange(len(time)) - self.phase_index(time) + spp - 1
+        ends, where = np.unique(np.clip(ends, spp - 1, len(time) - 1), return_inverse=True)
+        columns = [
+            values[:, [i]]
+            if harmonics == (0,)
+            else _without_dust(windowed_coefficients(values[:, i], psi, harmonics, box, ends))[
+                where
+            ]
+            for i, (_, harmonics) in enumerate(self.inputs)
+        ]
+        return np.hstack(columns)
+
+    def held_drive(self, drive, rows):
+        """Mean of the drive over the hop that follows the end of each row's window.
+
+        What lies beyond the segment is held at its last value.
+        """
+        if len(rows) == 0:
+            return drive[rows]
+        hop, ends = self.hop, rows + self.lead
+        beyond = max(0, int(ends[-1]) + hop - len(drive))
+        held = np.concatenate([drive, np.repeat(drive[-1:], beyond, axis=0)])
+        return np.lib.stride_tricks.sliding_window_view(held, hop, axis=0)[ends].mean(axis=-1)
+
+    def read(self, drive, outputs, time):
+        """Inputs and coefficients of one segment at the rows that models are made of."""
+        rows = self.rows_read(time)
+        return self.held_drive(drive, rows), self.output_coefficients(outputs, time, rows)
+
+    def simulated_rows(self, time):
+        """Rows of one segment that a discrete model steps through."""
+        return self.rows_read(time, whole_windows=False)
+
+    def recomposition(self, psi):
+        """Matrices R(ψ) that take the outputs' coefficients to the kept signals (Eq. 7).
+
+        Returns
+        -------
+        R : ndarray, shape (n_samples, n_signals, n_coefficients)
+        """
+        blocks = [harmonic_functions(psi, harmonics) for _, harmonics in self.outputs]
+        width = sum(block.shape[-1] for block in blocks)
+        R = np.zeros((len(psi), len(blocks), width))
+        start = 0
+        for i, block in enumerate(blocks):
+            R[:, i, start : start + block.shape[-1]] = block
+            start += block.shape[-1]
+        return R
+
+    def recomposed(self, Y, time):
+        """Signals of coefficients that are known at every sample (Eq. 7)."""
+        R = self.recomposition(self.azimuth(time))
+        return np.einsum("tsk,...tk->...ts", R, Y)
+
+    def scored_rows(self, time):
+        """First and last of the rows of one segment that count: whole windows and periods."""
+        n, phase = self.samples_per_period, self.phase_index(time)
+        first = len(self.weights) - 1 - self.lead
+        first += -phase[min(first, len(time) - 1)] % n
+        return first, len(time) - (phase[-1] + 1) % n
+
+    @property
+    def warmup_samples(self):
+        """Samples on which a score fits the initial state, by default."""
+        return WARMUP_PERIODS * self.samples_per_period
+
+
+def first_difference(basis, other):
+    """Name and both values of the first setting in which two analyses differ, or None."""
+    for name in ("omega", "sample_time", "reading", "hop", "window", "inputs", "outputs"):
+        here, there = getattr(basis, name, None), getattr(other, name, None)
+        if here != there:
+            return name, here, there
+    return None
+
+
+def highest_harmonic(signals):
+    """Highest harmonic kept of some signals."""
+    return max(k for _, orders in signals for k in orders)
+
+
+def _without_dust(coefficients, least=0.0):
+    """Coefficients of one signal, those that are but rounding beside the others set to zero."""
+    size = np.abs(coefficients).max(axis=0, initial=0.0)
+    return np.where(size > max(DUST * size.max(initial=0.0), least), coefficients, 0.0)
+
+
+def coefficient_names(signals):
+    """Names such as u_0, u_1c, u_1s of the coefficients kept of some signals."""
+    return tuple(
+        f"{signal}_{label}" for signal, harmonics in signals for label in harmonic_labels(harmonics)
+    )
