@@ -13,6 +13,7 @@ from sklearn_hd._continuous import input_scale, observations, output_scale, scal
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
 from sklearn_hd.algorithms.modes.families import (
+    COPY_TOLERANCES,
     FAINT,
     agreeing_copies,
     conjugate_units,
@@ -37,7 +38,6 @@ __all__ = [
 
 # docs/benchmarks/reducer_thresholds.py halves and doubles them: none of them decides
 FAMILY_TOLERANCE = 0.05  # of ln z^r: neighbours of one family
-COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of a family's decay, by which its members may differ
 WINDOW_DECAY = 1e-3  # of a response, that is left at the window's end of its memory
 MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
 ROUNDING = 64 * EPS  # of the variance: poles known to half of their digits leave as much

@@ -19,6 +19,8 @@ import itertools
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import HALF
+
 __all__ = [
     "agreeing_copies",
     "complete_families",
@@ -32,8 +34,7 @@ __all__ = [
 ]
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
-COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a strong one may differ
-REAL_TOLERANCE = 1e-8
+COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of its decay, by which a family's members differ
 
 
 def is_window_pole(z, window_rows, decay):
@@ -148,7 +149,7 @@ def complete_families(z, families, rows_per_period, n_members, tolerance):
     return members
 
 
-def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCE):
+def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCES[0]):
     """Poles that belong to a complete family.
 
     Parameters
@@ -226,7 +227,7 @@ def conjugate_units(z):
         Index of a real pole, or of the upper and lower member of a pair.
     """
     z = np.asarray(z)
-    real = np.abs(z.imag) <= REAL_TOLERANCE * np.abs(z)
+    real = np.abs(z.imag) <= HALF * np.abs(z)
     units = [(int(i),) for i in np.flatnonzero(real & (z.real > 0))]
     lower = list(np.flatnonzero(~real & (z.imag < 0)))
     for i in np.flatnonzero(~real & (z.imag > 0)):

@@ -11,11 +11,13 @@ from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
 __all__ = [
     "LARGEST_RESPONSE",
+    "SEPARATION",
     "characteristic",
     "compact",
     "invariant_blocks",
@@ -26,13 +28,10 @@ __all__ = [
     "with_characteristic",
 ]
 
-SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
-LARGEST_MULTIPLIER = 1e3
+SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
-ROUNDING = 1e-15
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
-RANK = 1e-11  # of columns of length one; dependent ones leave 1e-15
 
 
 def refine_multipliers(Phi, directions, lifted):
@@ -66,8 +65,7 @@ def refine_multipliers(Phi, directions, lifted):
         gaps > SEPARATION * np.max(np.abs(multipliers))
     ):
         return Phi
-    largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
-    largest = min(largest, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
+    largest = min(1e3 ** (1.0 / n_periods) + 0.5, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
     if np.max(np.abs(multipliers)) >= largest:
         return Phi
     basis, blocks = invariant_blocks(Phi)
@@ -167,7 +165,7 @@ class _Elimination:
         M = np.hstack(columns)
         size = column_sizes(M)
         Q, R, order = linalg.qr(M / size, mode="economic", pivoting=True, check_finite=False)
-        kept = np.abs(np.diag(R)) > RANK
+        kept = np.abs(np.diag(R)) > DEPENDENT
         Q, R, order = Q[:, kept], R[np.ix_(kept, kept)], order[kept]
         explained = Q.T @ self.target
         return states, Q, R * size[order], order, explained, self.target - Q @ explained
@@ -306,7 +304,7 @@ def compact(stacked):
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
 
 
-def orthonormal_range(columns, beyond=None, rank=RANK):
+def orthonormal_range(columns, beyond=None, rank=DEPENDENT):
     """Orthonormal columns that span what some columns do, dependent ones left out.
 
     What a mode answers to a step is the step less its answers to the step's edges: nothing
@@ -318,7 +316,7 @@ def orthonormal_range(columns, beyond=None, rank=RANK):
     columns : ndarray, shape (n_rows, n_columns)
     beyond : ndarray, shape (n_rows, n_known), optional
         Orthonormal; what they span is left out.
-    rank : float, default=1e-11
+    rank : float, default=1.5e-11
         Of columns of length one, what is new in one that counts as independent.
 
     Returns

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -43,15 +44,10 @@ __all__ = [
 
 BIC_PATIENCE = 2
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
-SQUARE_DROP = 10.0**0.5
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
 TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
 NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
-ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
-UNSEEN = 1e-9
-DISTINCT = 1e-6  # of the strongest direction of some decays, the weakest that still counts
 SWEEPS = 20
-SWEEP_TOLERANCE = 1e-13
 
 
 # ---- the Poincaré map ------------------------------------------------------------------------
@@ -89,7 +85,7 @@ def order_by_residual(candidates, directions, lifted, told=None):
             bic.append(np.inf)
         else:
             left.append(_left_by(refined, directions, target))
-            rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
+            rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
             bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if told is not None:
             told(len(left) - 1, f"best so far {np.argmin(bic)}")
@@ -105,7 +101,7 @@ def order_by_residual(candidates, directions, lifted, told=None):
         best = white[0]
     elif not _is_white(left[best], n_columns):
         sizes = np.array([np.linalg.norm(rest) for rest in left])
-        drops = np.flatnonzero(sizes[:-1] >= SQUARE_DROP**0.5 * sizes[1:])
+        drops = np.flatnonzero(sizes[:-1] >= 10.0**0.25 * sizes[1:])
         best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
     return candidates[max(best, 1) - 1]
 
@@ -171,7 +167,7 @@ def told_apart(Phi, lifted):
     none = [np.zeros((len(block), 0)) for block in lifted]
     regressors = np.vstack(mode_responses(mode_steps(Phi), none))
     seen = linalg.svdvals(regressors / column_sizes(regressors))
-    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > DISTINCT * seen[0]
+    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > UNKNOWN * seen[0]
 
 
 def _is_white(rest, n_columns, margin=WHITE_MARGIN):
@@ -234,11 +230,11 @@ def state_response(Phi, C, directions, lifted, seen):
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
         size = column_sizes(regressors)
-        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=1e-13)[0] / size
+        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=EXACT)[0] / size
         states = np.einsum("kun,u->kn", units, unknown)
         sees = linalg.lstsq(states, few)[0].T
         left = float(np.sum((few - states @ sees.T) ** 2))
-        if left >= (1.0 - 1e-6) * before or left <= SWEEP_TOLERANCE**2 * np.sum(few**2):
+        if left >= (1.0 - 1e-6) * before or left <= EXACT**2 * np.sum(few**2):
             break
         target, before = few, left
     return _seen_of(states, outputs)
@@ -439,7 +435,7 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     weighted = decays @ root
     target = (sights @ root).transpose(0, 2, 1).reshape(n_phases * n, n_outputs)
     variance = residual.sum(axis=0) / (n_phases * max(1, n_rows))
-    rounding = (1e-15 * np.linalg.norm(target, axis=0)) ** 2
+    rounding = (4.0 * EPS * np.linalg.norm(target, axis=0)) ** 2
     variance = np.where(variance > rounding, variance, np.where(rounding > 0, rounding, 1.0))
     functions = [
         [shape_functions(psi, count, flip)[0] for flip in flips]
@@ -449,7 +445,7 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
     design = _shape_design(functions[chosen], weighted)
     size = np.linalg.norm(design, axis=0)
-    size[size < UNSEEN * size.max()] = np.inf  # the sine that is zero at every sample
+    size[size < DEPENDENT * size.max()] = np.inf  # the sine that is zero at every sample
     solution = linalg.lstsq(design / size, target)[0] / size[:, None]
     edges = np.cumsum([f.shape[1] for f in functions[chosen]])[:-1]
     noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
@@ -493,9 +489,9 @@ def _left_by_count(functions, weighted, target):
         n_columns.append(sum(before))
     design = np.hstack(blocks)
     size = np.linalg.norm(design, axis=0)
-    size[size < UNSEEN * size.max()] = np.inf
+    size[size < DEPENDENT * size.max()] = np.inf
     Q, R = linalg.qr(design / size, mode="economic")
-    Q = Q * (np.abs(np.diag(R)) > UNSEEN)
+    Q = Q * (np.abs(np.diag(R)) > DEPENDENT)
     taken = Q.T @ target
     beyond = np.sum((target - Q @ taken) ** 2, axis=0)
     later = np.cumsum(np.vstack([beyond, taken[::-1] ** 2]), axis=0)[::-1]  # no cancellation
