@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from sklearn_hd._continuous import input_scale, output_scale
+from sklearn_hd._reduce.choice import MAX_GROWTH
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.likelihood.output_error import output_error
 from sklearn_hd.algorithms.likelihood.sensitivity import as_records, residuals
@@ -209,13 +210,17 @@ def harmonic_form(experiment, choices):
     if decay is None or len(decay) < 2 * n:
         return None, None
     refined = [_refined_exponents(decay, choice) for choice in choices]
-    refined = [exponents * omega / (2.0 * np.pi) for exponents in refined if exponents is not None]
-    found = [(*_decaying_shapes(decay, exponents, omega, spp), exponents) for exponents in refined]
+    longest = max(map(len, experiment.outputs)) / spp  # periods
+    found = [
+        (*_decaying_shapes(decay, turns * omega / (2.0 * np.pi), omega, spp), turns)
+        for turns in refined
+        if turns is not None and np.max(turns.real) * longest <= MAX_GROWTH
+    ]
     if not found:
         return None, None
-    shapes, left, exponents = min(found, key=lambda each: np.sum(each[1] ** 2))
+    shapes, left, turns = min(found, key=lambda each: np.sum(each[1] ** 2))
     if np.sum(left**2) > EPS * np.sum(decay**2) and is_white(left.reshape(-1, n), spp - 1):
-        shapes = _likely_shapes(experiment, exponents, shapes)
+        shapes = _likely_shapes(experiment, turns * omega / (2.0 * np.pi), shapes)
     psi = 2.0 * np.pi * np.arange(spp) / spp
     if not shapes_determine_state(shapes(psi)[0]):
         return None, None
