@@ -18,7 +18,7 @@ from sklearn_hd._identify.stages import decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import rows_read
-from sklearn_hd.algorithms.modes.modes import FAINT, agreeing_copies, is_window_pole
+from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
 __all__ = ["asked_block_rows", "identify", "read"]

@@ -9,7 +9,7 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import check_count, check_flag, check_numbers, check_positive
 from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
-from sklearn_hd.algorithms.periodic.floquet_exponents import floquet_exponents
+from sklearn_hd.algorithms.periodic.floquet import floquet_exponents
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.systems.arguments import (
     NamedSignals,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.modes import mode_selection as kernel
-from sklearn_hd.algorithms.modes.mode_selection import best_modes, mode_regressors, residual
+from sklearn_hd.algorithms.modes import selection as kernel
+from sklearn_hd.algorithms.modes.selection import best_modes, mode_regressors, residual
 
 
 @pytest.mark.parametrize("exponent", [-0.7 + 0j, -0.4 + 3.0j])

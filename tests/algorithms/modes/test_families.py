@@ -6,13 +6,14 @@ from conftest import same_poles
 
 from sklearn_hd.algorithms.lti.residualization import block_diagonal, residualize
 from sklearn_hd.algorithms.lti.simulation import frequency_response, propagate
-from sklearn_hd.algorithms.modes.modes import (
+from sklearn_hd.algorithms.modes.families import (
     complete_families,
     conjugate_units,
     expected_members,
     floquet_families,
     invariant_pair,
     is_window_pole,
+    real_block,
 )
 
 
@@ -120,3 +121,9 @@ def test_families_are_complete_with_all_copies(exponent):
     assert not complete_families(fewer, families[1:], rows, rows, 1e-3).any()
     spread = every * np.exp(0.01 * np.arange(len(every)) / rows)
     assert not complete_families(spread, families, rows, rows, 1e-3).any()
+
+
+def test_real_block_has_the_exponents_as_eigenvalues():
+    exponents = [-1.0, -0.5 + 2.0j]
+    assert same_poles(np.linalg.eigvals(real_block(exponents)), [-1, -0.5 + 2j, -0.5 - 2j], 1e-12)
+    assert real_block([]).shape == (0, 0)

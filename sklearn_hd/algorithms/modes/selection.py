@@ -13,13 +13,14 @@ import numpy as np
 from scipy import linalg
 from scipy.signal import lfilter
 
+from sklearn_hd.algorithms.linalg.rounding import EXACT
+
 __all__ = ["best_modes", "mode_regressors", "residual", "unit_regressors"]
 
 MAX_SUBSETS = 2_000
 FEW_SUBSETS, MANY = 100, 16  # of more states, more sets than these are not searched through
 WIDE = 8_000  # columns of all units times states of those searched through
 WIDE_SUBSETS = 400_000  # columns of all units times sets, each of which is a fit of its own
-RANK_TOLERANCE = 1e-13  # of regressors of length one
 
 
 def mode_regressors(exponent, shape, drive, dt, observe=None):
@@ -158,7 +159,7 @@ def residual(R, columns, units):
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
     regressors = regressors / scale
-    solution = linalg.lstsq(regressors, R[:, -1], cond=RANK_TOLERANCE)[0]
+    solution = linalg.lstsq(regressors, R[:, -1], cond=EXACT)[0]
     rest = R[:, -1] - regressors @ solution
     return float(rest @ rest)
 
@@ -226,4 +227,4 @@ def _residuals_with(R, columns, kept, candidates):
 def _range(columns, least=None):
     """Orthonormal columns that span what some columns do, but for rounding."""
     Q, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return Q[:, values > RANK_TOLERANCE * (values[0] if least is None else least)]
+    return Q[:, values > EXACT * (values[0] if least is None else least)]

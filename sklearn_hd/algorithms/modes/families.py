@@ -11,13 +11,15 @@ finite memory: a nilpotent block that rounding and noise spread to small |z|.
 
 Sampled r times a period, z^r = e^{λT} is the same for a mode and its copies:
 that groups the families. Which members stand for a family is decided by how
-well they explain the raw signals (:mod:`sklearn_hd.algorithms.modes.mode_selection`).
+well they explain the raw signals (:mod:`sklearn_hd.algorithms.modes.selection`).
 """
 
 import itertools
 
 import numpy as np
 from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import HALF
 
 __all__ = [
     "agreeing_copies",
@@ -28,11 +30,11 @@ __all__ = [
     "floquet_families",
     "invariant_pair",
     "is_window_pole",
+    "real_block",
 ]
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
-COPY_TOLERANCE = 1e-3  # of a family's decay, by which the members of a strong one may differ
-REAL_TOLERANCE = 1e-8
+COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of its decay, by which a family's members differ
 
 
 def is_window_pole(z, window_rows, decay):
@@ -147,7 +149,7 @@ def complete_families(z, families, rows_per_period, n_members, tolerance):
     return members
 
 
-def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCE):
+def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCES[0]):
     """Poles that belong to a complete family.
 
     Parameters
@@ -225,7 +227,7 @@ def conjugate_units(z):
         Index of a real pole, or of the upper and lower member of a pair.
     """
     z = np.asarray(z)
-    real = np.abs(z.imag) <= REAL_TOLERANCE * np.abs(z)
+    real = np.abs(z.imag) <= HALF * np.abs(z)
     units = [(int(i),) for i in np.flatnonzero(real & (z.real > 0))]
     lower = list(np.flatnonzero(~real & (z.imag < 0)))
     for i in np.flatnonzero(~real & (z.imag > 0)):
@@ -271,3 +273,23 @@ def invariant_pair(A, C, kept, dropped):
             f"to working precision; change n_states or the order"
         )
     return T[:n_kept, :n_kept], C @ Q[:, :n_kept]
+
+
+def real_block(exponents):
+    """Real block-diagonal R of some real exponents and complex pairs.
+
+    Parameters
+    ----------
+    exponents : sequence of complex
+        Real ones, and one member of each pair.
+
+    Examples
+    --------
+    >>> real_block([-1.0, -0.5 + 2j]).tolist()
+    [[-1.0, 0.0, 0.0], [0.0, -0.5, 2.0], [0.0, -2.0, -0.5]]
+    """
+    blocks = [
+        np.array([[e.real, e.imag], [-e.imag, e.real]]) if e.imag else np.array([[e.real]])
+        for e in np.asarray(exponents, dtype=complex)
+    ]
+    return linalg.block_diag(*blocks) if blocks else np.zeros((0, 0))

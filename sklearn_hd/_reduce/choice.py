@@ -1,25 +1,26 @@
-"""Which of the modes identified are the machine's own, decided by the raw signals."""
+"""Which of the modes identified are the machine's own, decided by the raw signals.
+
+1. Split off the window's memory.   2. Group the rest into families of one Floquet multiplier.
+3. Choose the smallest set that explains the raw signals.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._continuous import (
-    input_scale,
-    observations,
-    output_scale,
-    scaled_outputs,
-)
+from sklearn_hd._continuous import input_scale, observations, output_scale, scaled_outputs
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.modes.mode_selection import best_modes, residual, unit_regressors
-from sklearn_hd.algorithms.modes.modes import (
+from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
+from sklearn_hd.algorithms.modes.families import (
+    COPY_TOLERANCES,
     FAINT,
     agreeing_copies,
     conjugate_units,
     floquet_families,
     is_window_pole,
 )
+from sklearn_hd.algorithms.modes.selection import best_modes, residual, unit_regressors
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = [
@@ -28,7 +29,6 @@ __all__ = [
     "IdentifiedModes",
     "ModeChoice",
     "choose_modes",
-    "continuous_exponents",
     "identified_modes",
     "mode_table",
     "verdicts",
@@ -36,16 +36,15 @@ __all__ = [
     "without_trifles",
 ]
 
-FAMILY_TOLERANCE = 0.05
-COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of a family's decay, by which its members may differ
-WINDOW_DECAY = 1e-3
+# docs/benchmarks/reducer_thresholds.py halves and doubles them: none of them decides
+FAMILY_TOLERANCE = 0.05  # of ln z^r: neighbours of one family
+WINDOW_DECAY = 1e-3  # of a response, that is left at the window's end of its memory
 MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
-WHOLE_SHARE = 0.1  # of the variance, at most unexplained by families taken for all
-ROUNDING = 1e-14  # of the variance
+ROUNDING = 64 * EPS  # of the variance: poles known to half of their digits leave as much
 NEARLY_ALL = 1e-4  # of the variance: what a set whose poles are a little off may leave
 OWN_SHARE = 1e-3  # of next to nothing, that is left once a mode of the system's own is added
 DECISIVE_SHARE = 0.5  # of the unexplained variance: for more modes than output coefficients
-MATERIAL_SHARE = 0.1  # of the unexplained variance that more modes must remove to be kept
+MATERIAL_SHARE = 0.1  # of what is left unexplained: what matters
 RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
 
 
@@ -65,6 +64,10 @@ class IdentifiedModes:
         Number of the Floquet family, -1 of the window's memory.
     window, wild : ndarray of bool, shape (n,)
         The window's memory; modes that turn or grow too fast to be the system's own.
+    whole : ndarray of int, shape (n,)
+        Number of the family of a pole whose copies are all there, -1 of others.
+    omega : float
+        Fundamental frequency, rad/s; zero where there is none.
     """
 
     z: np.ndarray
@@ -73,12 +76,19 @@ class IdentifiedModes:
     families: np.ndarray
     window: np.ndarray
     wild: np.ndarray
+    whole: np.ndarray
+    omega: float
 
     @property
     def units(self):
         """Real poles and pairs that may be kept."""
         out = self.window | self.wild
         return [unit for unit in conjugate_units(self.z) if not out[list(unit)].any()]
+
+    @property
+    def convertible(self):
+        """Modes that have a counterpart in continuous time."""
+        return self.mask(conjugate_units(self.z))
 
     def mask(self, units):
         """Which modes some units are made of."""
@@ -103,6 +113,8 @@ class ModeChoice:
         Share of what ``units`` leave unexplained that all modes would explain.
     by_family : bool
         Whether complete families were found.
+    total : float
+        Sum of squares of the outputs, each divided by its scale.
     """
 
     units: list
@@ -110,6 +122,7 @@ class ModeChoice:
     tried: list
     left_out: float
     by_family: bool
+    total: float
 
     @property
     def doubtful(self):
@@ -117,13 +130,8 @@ class ModeChoice:
         return set(self.units) - set.intersection(set(self.units), *map(set, self.rivals))
 
 
-def continuous_exponents(z, dt):
-    """The exponents ln(z)/dt of discrete eigenvalues; of zero, that of the smallest number."""
-    return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / dt
-
-
 def identified_modes(model, experiment):
-    """The modes of a discrete model.
+    """The modes of a discrete model, in Floquet families where they were seen through a window.
 
     Parameters
     ----------
@@ -134,18 +142,24 @@ def identified_modes(model, experiment):
     -------
     modes : IdentifiedModes
     """
-    basis = experiment.basis
     z, V = np.linalg.eig(model.A)
     z = z.astype(complex)
-    exponents = continuous_exponents(z, model.dt)
-    window = np.zeros(len(z), dtype=bool)
-    families = np.arange(len(z))
-    if basis.harmonic:
-        window = _window_memory(z, basis)
-        families = np.full(len(z), -1)
-        families[~window] = floquet_families(z[~window], basis.rows_per_period, FAMILY_TOLERANCE)
-    wild = _beyond_bounds(exponents, experiment)
-    return IdentifiedModes(z, exponents, (model.C @ V).T, families, window, wild)
+    exponents = np.log(np.where(z == 0.0, TINY, z)) / model.dt
+    longest = max(segment.stop - segment.start for segment in experiment.base.segments)
+    wild = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
+    shapes, basis, n = (model.C @ V).T, experiment.basis, len(z)
+    if not basis.harmonic:
+        whole, window = np.full(n, -1), np.zeros(n, dtype=bool)
+        return IdentifiedModes(z, exponents, shapes, np.arange(n), window, wild, whole, 0.0)
+    window = _window_memory(z, basis)
+    families = np.full(n, -1)
+    families[~window] = floquet_families(z[~window], basis.rows_per_period, FAMILY_TOLERANCE)
+    # a coefficient of harmonic k turns by less than half the way to the next: members further
+    # out are copies
+    highest = max(k for _, orders in basis.outputs for k in orders)
+    wild |= np.abs(exponents.imag) > (highest + 0.5) * basis.omega
+    whole = _whole_families(z, np.flatnonzero(~window), basis)
+    return IdentifiedModes(z, exponents, shapes, families, window, wild, whole, basis.omega)
 
 
 def choose_modes(modes, experiment, n_states=None):
@@ -168,7 +182,8 @@ def choose_modes(modes, experiment, n_states=None):
         If no set of modes has ``n_states``, or none is left to choose from.
     """
     units = modes.units
-    whole = dict(_whole_families(modes, experiment.basis)) if n_states is None else {}
+    family = {unit: modes.whole[unit[0]] for unit in units if (modes.whole[list(unit)] >= 0).all()}
+    whole = family if n_states is None else {}
     R, columns = _regressors(modes, experiment)
     total = float(R[:, -1] @ R[:, -1])
     rounding, nothing = ROUNDING * total, NEARLY_ALL**2 * total
@@ -178,7 +193,7 @@ def choose_modes(modes, experiment, n_states=None):
     # complete families that explain most are the system's own; what explains more beside
     # them makes up for harmonics not kept, or for inputs that change between rows; unless
     # all modes leave next to nothing, as those of a harmonic decomposition do
-    if floor_whole <= WHOLE_SHARE * total + rounding and not floor <= nothing < floor_whole:
+    if floor_whole <= MATERIAL_SHARE * total + rounding and not floor <= nothing < floor_whole:
         units, columns = [units[i] for i in of_families], [columns[i] for i in of_families]
         floor = floor_whole
     sizes = [len(unit) for unit in units]
@@ -203,6 +218,7 @@ def choose_modes(modes, experiment, n_states=None):
         tried=[(r[0][0], [units[i] for i in r[0][1]]) for r in rankings if r],
         left_out=1.0 - min(1.0, (floor + slack) / max(best, slack)),
         by_family=bool(whole),
+        total=total,
     )
 
 
@@ -302,47 +318,29 @@ def _window_memory(z, basis):
     return window
 
 
-def _beyond_bounds(exponents, experiment):
-    """Modes that cannot be the system's own as the harmonics kept show it.
-
-    A coefficient of harmonic k turns by less than half the way to the next: members
-    further out are copies. And a mode that grows by e^20 within a segment would show.
-    """
-    longest = max(segment.stop - segment.start for segment in experiment.base.segments)
-    grows = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
-    if not experiment.basis.harmonic:
-        return grows
-    highest = max(k for _, orders in experiment.basis.outputs for k in orders)
-    turns = np.abs(exponents.imag) > (highest + 0.5) * experiment.basis.omega
-    return grows | turns
-
-
-def _whole_families(modes, basis):
-    """Units of complete families and their families; none where no family is complete.
+def _whole_families(z, rest, basis):
+    """Of each pole the family whose copies are all there, -1 of others.
 
     A weak family's copies agree less well than a strong one's: of the poles that belong to
     no family by the strictest tolerance the next are made.
     """
-    if not basis.harmonic:
-        return []
-    z = modes.z
     rows, orders = basis.rows_per_period, [orders for _, orders in basis.outputs]
-    whole, rest, count = np.full(len(z), -1), np.flatnonzero(~modes.window), 0
+    whole = np.full(len(z), -1)
     for tolerance in COPY_TOLERANCES:
         members = rest[agreeing_copies(z[rest], orders, rows, tolerance)]
+        count = int(np.max(whole, initial=-1)) + 1
         if not count and not len(members):
-            return []
+            break
         if len(members):
             whole[members] = floquet_families(z[members], rows, tolerance) + count
-        count = int(whole.max()) + 1
         rest = np.setdiff1d(rest, members)
-    return [(unit, int(whole[unit[0]])) for unit in modes.units if (whole[list(unit)] >= 0).all()]
+    return whole
 
 
 def _regressors(modes, experiment):
     """Triangular factor of the responses of all units beside the raw outputs, and columns."""
     scale = output_scale(experiment)
-    observe = observations(experiment, modes.shapes.shape[1])
+    observe = observations(experiment)
     return unit_regressors(
         modes.units,
         modes.exponents,
