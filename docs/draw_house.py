@@ -16,7 +16,7 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sklearn_hd"
-TOOLS = {"exceptions", "_arithmetic", "_checks", "_containers", "_threads", "_time", "_warn"}
+TOOLS = {"exceptions", "_checks", "_guards", "_tables", "_warn"}
 STEPS = {"harmonics", "subspace", "reduction", "matching"}
 
 
