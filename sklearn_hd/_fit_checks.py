@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from sklearn_hd._arithmetic import extremes, square_sums
 from sklearn_hd._checks import SMALLEST
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
@@ -14,21 +13,19 @@ from sklearn_hd.exceptions import (
 )
 
 __all__ = [
-    "check_outputs_move",
+    "DUST",
+    "check_motion",
     "growth_rate",
     "longest_span",
-    "moving_inputs",
-    "warn_idle",
     "warn_of_growing_data",
     "warn_of_growth",
     "warn_of_mismatch",
 ]
 
-DUST = 1e-13  # share of an output's size that is rounding
+DUST = 1e-13  # share of a signal's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
-FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 
 
 def warn_of_mismatch(experiment):
@@ -131,69 +128,40 @@ def longest_span(experiment):
     return max(len(u) for u in experiment.drive) * experiment.base.sample_time
 
 
-def warn_idle(moving, experiment):
-    """Warn of inputs at rest."""
-    idle = [name for name, moves in zip(experiment.drive_names, moving, strict=True) if not moves]
+def check_motion(facts):
+    """Raise ValueError unless inputs and outputs move; warn of those that do not altogether.
+
+    Parameters
+    ----------
+    facts : Facts
+        Of the data of a fit (:mod:`~sklearn_hd._identify.statistics`).
+    """
+    if facts.still:
+        raise ValueError(
+            f"input {facts.still[0]!r} is constant in the {facts.span()} (less than {SMALLEST:g} "
+            f"being zero): nothing excites the system; choose a span in which it moves, or "
+            f"drop that input"
+        )
+    moves, off = facts.outputs_move, facts.outputs_off
+    if not moves.any():
+        raise ValueError(
+            f"all outputs are {'constant' if off.any() else 'zero'} in the {facts.span()} "
+            f"(trim subtracted, less than {SMALLEST:g} being zero): there is no response to "
+            f"identify; check the columns of y, their units and trim_span"
+        )
+    resting = [n for n, m, o in zip(facts.output_names, moves, off, strict=True) if o and not m]
+    if resting:
+        warn(
+            f"the outputs {resting} are constant, but not zero, in the {facts.span()}: no "
+            f"input explains them; subtract what they rest at (trim_span), or drop them",
+            IdentifiabilityWarning,
+        )
+    idle = [name for name, moves in zip(facts.drive_names, facts.moving, strict=True) if not moves]
     if idle:
         effect = "their effect is not identified, and their columns of B are zero"
-        if experiment.basis.reading == "period":
+        if facts.basis.reading == "period":
             effect = (
                 "their columns of B are zero; StructuredMatcher fits what inputs do within the "
                 "period"
             )
-        warn(
-            f"the inputs {idle} are at rest in the {experiment.span()}: {effect}",
-            ExcitationWarning,
-        )
-
-
-def check_outputs_move(experiment):
-    """Raise ValueError if no output moves within any segment; warn of one that rests off zero."""
-    bound = DUST * np.sqrt(square_sums(experiment.measured))
-    if all(_spread_of_first(experiment.outputs) > bound):  # no value is larger than their length
-        return
-    size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
-    moves, off = np.zeros(len(size), dtype=bool), np.zeros(len(size), dtype=bool)
-    for smallest, largest in map(extremes, experiment.outputs):
-        moves |= largest - smallest > DUST * size
-        off |= np.maximum(largest, -smallest) > DUST * size
-    if not moves.any():
-        raise ValueError(
-            f"all outputs are {'constant' if off.any() else 'zero'} in the {experiment.span()} "
-            f"(trim subtracted, less than {SMALLEST:g} being zero): there is no response to "
-            f"identify; check the columns of y, their units and trim_span"
-        )
-    names = experiment.output_names
-    resting = [n for n, m, o in zip(names, moves, off, strict=True) if o and not m]
-    if resting:
-        warn(
-            f"the outputs {resting} are constant, but not zero, in the {experiment.span()}: no "
-            f"input explains them; subtract what they rest at (trim_span), or drop them",
-            IdentifiabilityWarning,
-        )
-
-
-def _spread_of_first(blocks):
-    """From the smallest to the largest value of each column, over the first rows of all."""
-    smallest, largest = extremes(blocks[0][:FIRST_ROWS])
-    return largest - smallest
-
-
-def moving_inputs(inputs, experiment):
-    """Which inputs move within some segment; ValueError where a measured signal never does."""
-    moving = _spread_of_first(inputs) > 0.0
-    for smallest, largest in map(extremes, inputs if not moving.all() else ()):
-        moving |= largest > smallest
-    signals, seen = experiment.basis.drive_signals, moving
-    if experiment.basis.reading == "period":
-        # what has no mean over any period may move within it all the same
-        signals = experiment.basis.input_signals
-        seen = np.any([np.greater(*extremes(u)[::-1]) for u in experiment.inputs], axis=0)
-    for name in dict.fromkeys(signals):
-        if not any(m for m, signal in zip(seen, signals, strict=True) if signal == name):
-            raise ValueError(
-                f"input {name!r} is constant in the {experiment.span()} (less than {SMALLEST:g} "
-                f"being zero): nothing excites the system; choose a span in which it moves, or "
-                f"drop that input"
-            )
-    return moving
+        warn(f"the inputs {idle} are at rest in the {facts.span()}: {effect}", ExcitationWarning)

@@ -216,7 +216,7 @@ class StructuredMatcher(ModelStep):
         if self.criterion == "output_error":
             match = match_likelihood(match, structure, experiment, self.max_iter, noise)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
-        return self._remember(match.model, experiment, X, y)
+        return self._remember(match.model, experiment.basis, X, y)
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)

@@ -14,7 +14,6 @@ LAYERS = [
         "_arithmetic",
         "_checks",
         "_containers",
-        "_progress",
         "_threads",
         "_time",
         "_warn",
@@ -31,7 +30,6 @@ LAYERS = [
     {"__init__"},
 ]
 TOPICS = [  # of algorithms; two of one row know nothing of each other
-    {"reporting"},
     {"linalg"},
     {"signals"},
     {"lti"},
@@ -111,9 +109,3 @@ def test_matplotlib_stays_in_plotting_and_nothing_else_imports_it(path):
     if room(path) != "plotting":
         for module in imports(path):
             assert not module.startswith(("matplotlib", "sklearn_hd.plotting"))
-
-
-@pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(ROOT)) for p in FILES])
-def test_one_module_alone_draws_progress_bars(path):
-    if room(path) != "_progress":
-        assert not any(module.startswith("tqdm") for module in imports(path))

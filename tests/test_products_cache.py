@@ -13,12 +13,11 @@ from sklearn_hd import MOESPRegressor
 from sklearn_hd._identify import products_cache
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.double_double import Pair
-from sklearn_hd.algorithms.subspace.end_products import EndRows, EndSum
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, lag_products
-from sklearn_hd.algorithms.subspace.running_products import RecordEnds, RunningSums
+from sklearn_hd.algorithms.subspace.sums import RecordEnds, Sums
 
-STORED = (LagProducts, EndRows, EndSum, Pair, RunningSums, RecordEnds)
+STORED = (LagProducts, Pair, Sums, RecordEnds)
 
 
 @pytest.fixture
@@ -97,40 +96,12 @@ def test_other_data_have_other_products(tmp_path, rng, change):
         np.testing.assert_allclose(kept.factor(inputs, outputs, 3, None), expected, atol=1e-12)
 
 
-@pytest.fixture
-def hashed(monkeypatch):
-    """Calls that really hash, in a process that knows no data yet."""
-    digest, calls = products_cache._digest, []
-    monkeypatch.setattr(products_cache, "_digest", lambda z: calls.append(1) or digest(z))
-    monkeypatch.setattr(products_cache, "_DATA", products_cache._Recent(2**20))
-    return calls
-
-
-def test_data_are_hashed_once(tmp_path, data, hashed):
-    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
-    for _ in range(2):
-        model.fit(*map(np.copy, data))
-    assert len(hashed) == 1
-
-
-def test_data_too_large_to_be_at_hand_are_hashed_once_a_fit(tmp_path, data, hashed, monkeypatch):
-    monkeypatch.setattr(products_cache._DATA, "most", 1000)
-    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
-    for _ in range(2):
-        model.fit(*data)
-    assert len(hashed) == 2
-    assert products_cache._DATA.size == 0
-
-
-@pytest.mark.parametrize("value", [0.5, -0.0])
-def test_data_that_were_changed_in_place_are_others(tmp_path, data, hashed, value):
+def test_data_that_were_changed_in_place_are_others(tmp_path, data):
     u, y = data
-    u[701, 1] = 0.0  # in none of the rows that are looked up
     model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
-    for change in (0.0, value, value):
+    for change in (0.0, 0.5, -0.0):
         u[701, 1] = change
         same_model(model.fit(u, y), MOESPRegressor(3, block_rows=6).fit(u, y))
-    assert len(hashed) == 2
 
 
 @pytest.fixture
@@ -138,8 +109,7 @@ def forgetful(monkeypatch):
     """A process with nothing at hand, as one that has just begun."""
 
     def begin():
-        for name in ("_RECENT", "_DATA"):
-            monkeypatch.setattr(products_cache, name, products_cache._Recent(2**20))
+        monkeypatch.setattr(products_cache, "_RECENT", products_cache._Recent(2**20))
 
     begin()
     return begin
@@ -158,13 +128,11 @@ def test_the_layout_is_the_one_that_is_numbered():
     """Whoever changes a field raises LAYOUT."""
     kept = {each.__name__: [f.name for f in fields(each)] for each in STORED}
     assert (products_cache.LAYOUT, kept) == (
-        2,
+        3,
         {
-            "LagProducts": ["lags", "head", "tail", "exponents", "n_rows", "n_records", "short"],
-            "EndRows": ["rows", "exact", "n_slices"],
-            "EndSum": ["sum"],
+            "LagProducts": ["lags", "head", "tail", "exponents", "n_rows", "short"],
             "Pair": ["high", "low"],
-            "RunningSums": ["products", "lags", "squares", "ends"],
+            "Sums": ["products", "lags", "squares", "ends"],
             "RecordEnds": ["head", "tail", "n_rows"],
         },
     )
@@ -192,23 +160,6 @@ def test_files_that_cannot_be_read_are_made_anew(tmp_path, data, forgetful, capl
         again = model.fit(*data).model_
         assert caplog.text.count("Exception while loading results") == told
         assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in "ABCD")
-
-
-def test_another_thread_may_put_its_data_in_between(forgetful):
-    """Data that differ only where they are not looked up, under one key."""
-    one = np.arange(400.0).reshape(-1, 1)
-    other = np.where(one == 201.0, 0.0, one)
-    known, digest = products_cache._known_digest, products_cache._digest
-    known([(one, one)], (one, one))
-    recent, forget = products_cache._DATA, products_cache._DATA.forget
-
-    def forget_and_be_interrupted(key):
-        forget(key)
-        recent.forget = forget
-        known([(one, one)], (one, one))
-
-    recent.forget = forget_and_be_interrupted
-    assert known([(other, other)], (other, other)) == digest([(other, other)])
 
 
 def test_what_is_at_hand_is_not_read_again(tmp_path, data, counted):

@@ -13,18 +13,20 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd._identify import plain
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.subspace import kalman_gain, running_products
+from sklearn_hd.algorithms.subspace import innovations, sums
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
-from sklearn_hd.algorithms.subspace.moesp import observability_subspace, state_matrices
-from sklearn_hd.algorithms.subspace.running_equations import (
+from sklearn_hd.algorithms.subspace.projections import observability_subspace, state_matrices
+from sklearn_hd.algorithms.subspace.sums import (
+    RecordEnds,
     initial_states_of_heads,
     input_matrices_of_factor,
     input_matrices_of_sums,
+    row_sums,
 )
-from sklearn_hd.algorithms.subspace.running_products import RunningRecord
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, TimeBaseWarning
 
@@ -75,9 +77,8 @@ def test_chunks_of_any_size_give_the_model_of_all_rows(rng, size, feedthrough):
 
 def test_rows_added_up_in_rounds_give_the_same(rng, monkeypatch):
     """Rounds shorter than the record, and responses followed over fewer rows than it has."""
-    monkeypatch.setattr(running_products, "ROUND", 512)
-    monkeypatch.setattr(running_products, "MANY", 512)
-    monkeypatch.setattr(running_products, "REACH", 300)
+    monkeypatch.setattr(sums, "ROUND", 512)
+    monkeypatch.setattr(sums, "REACH", 300)
     X, y = simulated(rng, [2500, 700, 100])
     settings = {"order": 4, "block_rows": 6, "feedthrough": True}
     parts = in_chunks(MOESPRegressor(**settings), X, y, 400)
@@ -166,7 +167,7 @@ def test_arrays_go_on_in_the_phase_of_their_trim(rng):
 
 def test_modes_that_outlast_the_sums_leave_b_and_d_to_the_factor(rng, monkeypatch):
     """An integrator: without noise B and D are those of the system all the same."""
-    monkeypatch.setattr(running_products, "REACH", 700)
+    monkeypatch.setattr(sums, "REACH", 700)
     A = linalg.block_diag(1.0, [[0.6, 0.5], [-0.5, 0.6]], -0.4)
     X, y = simulated(rng, [1500, 900], noise=0.0, A=A)
     settings = {"order": 4, "block_rows": 6, "feedthrough": True}
@@ -227,7 +228,7 @@ def test_rows_that_have_no_model_are_kept(rng, monkeypatch):
     model = MOESPRegressor(**settings).partial_fit(X[:300], y[:300])
     before = model.model_
     with monkeypatch.context() as patch:
-        patch.setattr(kalman_gain, "PRECISION", -1.0)  # no predictor is that stable
+        patch.setattr(innovations, "PRECISION", -1.0)  # no predictor is that stable
         with pytest.warns(IdentifiabilityWarning, match="to 59.9 s: no Kalman gain"):
             model.partial_fit(X[300:600], y[300:600])
     assert model.model_ is before
@@ -322,7 +323,7 @@ def test_an_interrupted_chunk_changes_nothing(rng, monkeypatch):
     model = MOESPRegressor(order=4, block_rows=6).partial_fit(X.iloc[:400], y.iloc[:400])
     before = pickle.dumps(model)
     with monkeypatch.context() as patch:
-        patch.setattr(MOESPRegressor, "_model", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(plain, "subspace_fit", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             model.partial_fit(X.iloc[400:], y.iloc[400:])
     assert pickle.dumps(model) == before
@@ -371,19 +372,19 @@ def test_rows_that_would_be_resampled_are_refused(rng):
 @pytest.mark.parametrize("reach", [5, 40, 1000])
 @pytest.mark.parametrize("rounds", [[300], [7, 3, 90, 1, 199]])
 def test_lagged_sums_are_those_of_all_rows(rng, monkeypatch, reach, rounds):
-    monkeypatch.setattr(running_products, "REACH", reach)
+    monkeypatch.setattr(sums, "REACH", reach)
     z = rng.standard_normal((300, 3))
-    record = RunningRecord.begin(4, [0], [1, 2], 3)
-    for rows in np.split(z, np.cumsum(rounds)[:-1]):
-        record = record._added_up(0) if len(rows) == 0 else record.extended(rows)
-        record = record._added_up(len(record.waiting))
-    sums = record.closed()
+    parts = [row_sums(rows, 4, [0], [1, 2]) for rows in np.split(z, np.cumsum(rounds)[:-1])]
+    while len(parts) > 1:  # in any grouping
+        at = rng.integers(len(parts) - 1)
+        parts[at : at + 2] = [parts[at].join(parts[at + 1])]
+    found = parts[0].closed()
     for d in range(min(reach, 299) + 1):
-        np.testing.assert_allclose(sums.lags[d], z[: 300 - d, :1].T @ z[d:], atol=1e-11)
-    np.testing.assert_allclose(sums.lags[300:], 0.0, atol=1e-11)
-    np.testing.assert_allclose(sums.squares, np.sum(z[:, 1:] ** 2, axis=0))
-    np.testing.assert_array_equal(sums.ends[0].head, z[:reach])
-    np.testing.assert_array_equal(sums.ends[0].tail, z[-reach:, :1])
+        np.testing.assert_allclose(found.lags[d], z[: 300 - d, :1].T @ z[d:], atol=1e-11)
+    np.testing.assert_allclose(found.lags[300:], 0.0, atol=1e-11)
+    np.testing.assert_allclose(found.squares, np.sum(z[:, 1:] ** 2, axis=0))
+    np.testing.assert_array_equal(found.ends[0].head, z[:reach])
+    np.testing.assert_array_equal(found.ends[0].tail, z[-reach:, :1])
 
 
 def test_channels_of_sums_are_the_sums_of_channels(rng):
@@ -405,20 +406,20 @@ def test_the_factor_alone_gives_b_and_d_without_noise(rng, feedthrough):
     R = hankel_factor([u], [y], 5)
     U, values = observability_subspace(R, 5, 2)
     A, C = state_matrices(U, values, 4, 3)
-    B, found = input_matrices_of_factor(A, C, R, U, 5, 2, feedthrough)
+    B, found = input_matrices_of_factor(A, C, R, 5, 2, feedthrough)
     expected = input_matrices(A, C, [u], [y], feedthrough)
     np.testing.assert_allclose(B, expected[0], atol=1e-9)
     np.testing.assert_allclose(found, D, atol=1e-9)
-    ends = [running_products.RecordEnds(np.hstack([u, y]), u, 400)]
+    ends = [RecordEnds(np.hstack([u, y]), u, 400)]
     scales = np.ones(2), np.ones(3)
     starts = initial_states_of_heads(A, B, C, found, ends, scales)
     np.testing.assert_allclose(starts, expected[2], atol=1e-9)
 
 
 def test_sums_do_not_reach_where_the_model_does(rng, monkeypatch):
-    monkeypatch.setattr(running_products, "REACH", 50)
+    monkeypatch.setattr(sums, "REACH", 50)
     A, C = np.diag([0.9, 0.2]), np.ones((1, 2))
-    record = RunningRecord.begin(4, [0], [1], 2).extended(rng.standard_normal((400, 2)))
+    record = row_sums(rng.standard_normal((400, 2)), 4, [0], [1])
     scales = np.ones(1), np.ones(1)
     assert input_matrices_of_sums(A, C, record.closed(), False, scales) is None
     assert input_matrices_of_sums(A / 2.0, C, record.closed(), False, scales) is not None

@@ -93,7 +93,7 @@ def pole_error(A, poles):
 def kernel(u, y, n, block_rows):
     """The pure functions below MOESPRegressor."""
     from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
-    from sklearn_hd.algorithms.subspace.moesp import state_matrices
+    from sklearn_hd.algorithms.subspace.projections import state_matrices
 
     subspace = kernel_subspace(u, y, block_rows)
 
@@ -107,7 +107,7 @@ def kernel(u, y, n, block_rows):
 
 def kernel_state_matrices(u, y, n, block_rows):
     """The same, for A and C alone."""
-    from sklearn_hd.algorithms.subspace.moesp import state_matrices
+    from sklearn_hd.algorithms.subspace.projections import state_matrices
 
     subspace = kernel_subspace(u, y, block_rows)
     return lambda: state_matrices(*subspace(), n, y.shape[1])[0]
@@ -116,7 +116,7 @@ def kernel_state_matrices(u, y, n, block_rows):
 def kernel_subspace(u, y, block_rows):
     """Singular vectors and values from the triangular factor, which nothing keeps."""
     from sklearn_hd.algorithms.subspace.hankel import hankel_factor
-    from sklearn_hd.algorithms.subspace.moesp import observability_subspace
+    from sklearn_hd.algorithms.subspace.projections import observability_subspace
 
     m = u.shape[1]
     return lambda: observability_subspace(hankel_factor([u], [y], block_rows), block_rows, m)

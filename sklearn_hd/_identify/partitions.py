@@ -1,34 +1,32 @@
-"""Identification from dask DataFrames: a small statistic of each partition, merged as a tree.
+"""Identification from dask DataFrames: statistics of each partition, merged as a tree.
 
-The data are read where they are, twice: for the lagged products that R comes from
-(:mod:`~sklearn_hd.algorithms.subspace.lag_products`); once more, in exact sums, where needed
-and with A and C known for the equations of B, D and the initial states
-(:mod:`~sklearn_hd.algorithms.subspace.record_parts`). Records may end within a partition or run
-through several; those that are read through a window lie within one. Neighbours are merged
-where they are, and what arrives here is one statistic.
+The data are read where they are, once (through an analysis window once more before that, for the
+phases at which inputs change). Records may end within a partition or run through several; those
+that are read through a window lie within one. Neighbours are merged where they are, and what
+arrives here is one statistic.
 """
 
-import copy
-import itertools
+import pickle
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._identify.modulation import n_modulating_harmonics, steps_at_one_phase
-from sklearn_hd._identify.partition_statistics import (
-    Statistic,
-    partition_changes,
-    partition_equations,
-    partition_sums,
-    worded,
+from sklearn_hd._checks import FIRST
+from sklearn_hd._identify.modulation import (
+    largest_changes,
+    modulated,
+    n_modulating_harmonics,
+    steps_at_one_phase,
 )
-from sklearn_hd._readings import HarmonicBasis, PlainReading
-from sklearn_hd.algorithms.subspace.hankel import factor_of_products, n_hankel_columns
-from sklearn_hd.algorithms.subspace.record_parts import cuts
+from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
+from sklearn_hd._readings import PlainReading, first_difference
+from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
+from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._time import STEP_TOLERANCE, read_time
 
-__all__ = ["Partitions", "basis_of", "is_partitioned"]
+__all__ = ["Partitions", "is_partitioned"]
 
 FAN_IN = 8  # neighbours merged at a time
 
@@ -38,190 +36,91 @@ def is_partitioned(data):
     return hasattr(data, "__dask_graph__")
 
 
-@dataclass(frozen=True)
-class RowCount:
-    """Stands for a time base of which only the number of rows is known."""
-
-    time: range
-    sample_time: float
-    segments: tuple = ()
-    records: tuple = ()
-
-
-@dataclass(frozen=True)
-class Condensed:
-    """Stands for an experiment: of each segment the smallest and the largest values.
-
-    Attributes
-    ----------
-    inputs, outputs : list of ndarray, shapes (2, m), (2, l)
-    drive_names, output_names : tuple of str
-    base : RowCount
-    words : str
-    measured : ndarray, shape (n_segments, l)
-        Largest magnitudes of the outputs.
-    basis : HarmonicBasis or PlainReading
-    """
-
-    inputs: list
-    outputs: list
-    drive_names: tuple
-    output_names: tuple
-    base: RowCount
-    words: str
-    measured: np.ndarray
-    basis: HarmonicBasis | PlainReading
-
-    def span(self):
-        """First and last time, worded for messages."""
-        return self.words
-
-
 class Partitions:
-    """Inputs and outputs in the partitions of two dask DataFrames.
+    """Data of a fit in the partitions of two dask DataFrames.
+
+    What :mod:`~sklearn_hd._identify.statistics` promises, of sums that are made once asked for,
+    and anew for more block rows.
 
     Parameters
     ----------
     X, y : dask DataFrame (or Series)
-    n_lags : int
-        Block rows 2i, past and future, that lag products are made for.
+    block_rows : callable
+        ``block_rows(basis)`` are those that are probably asked for.
+
+    Raises
+    ------
+    ValueError
+        If the analysis, the partitions or their rows do not allow it, or there are none.
     """
 
-    def __init__(self, X, y, n_lags):
-        self.delayed = _delayed()
-        self.parts = _matched(X, y)
-        self.n_lags = n_lags
-        self.basis = basis_of(X)
+    most_block_rows = np.inf
 
-    def _tree(self, function, *each):
-        """The merged statistic of all partitions."""
-        nodes = [
-            self.delayed(partial(function, k, *(values[k] for values in each)))(X, y)
-            for k, (X, y) in enumerate(self.parts)
-        ]
+    def __init__(self, X, y, block_rows):
+        self.delayed = _delayed()
+        self.basis = _basis_of(X)
+        self.parts = _matched(X, y)
+        self.block_rows = block_rows(self.basis)
+
+    def _tree(self, function):
+        """The merged values of all partitions."""
+        nodes = [self.delayed(partial(function, k))(X, y) for k, (X, y) in enumerate(self.parts)]
         while len(nodes) > 1:
             nodes = [
-                self.delayed(Statistic.merged)(*nodes[a : a + FAN_IN])
-                for a in range(0, len(nodes), FAN_IN)
+                self.delayed(_merged)(*nodes[a : a + FAN_IN]) for a in range(0, len(nodes), FAN_IN)
             ]
-        return nodes[0].compute().value
+        return nodes[0].compute()
 
     @cached_property
     def highest(self):
         """Harmonics that inputs are multiplied by, as ``modulated_inputs`` has it."""
         if not self.basis.harmonic:
             return 0
-        found = self._tree(partial(partition_changes, basis=self.basis))
+        found = self._tree(partial(_changes, basis=self.basis))
         if found is None or steps_at_one_phase(found.changes):
             return 0
         return n_modulating_harmonics(self.basis, found.lengths, found.changes.shape[1])
 
-    def _sums(self, exact):
-        how = {"basis": self.basis, "highest": self.highest}
-        return self._tree(partial(partition_sums, **how, n_lags=self.n_lags, exact=exact))
+    @cached_property
+    def found(self):
+        """Statistics of all partitions."""
+        how = {"basis": self.basis, "highest": self.highest, "n_lags": 2 * self.block_rows}
+        found = self._tree(partial(_partition, **how))
+        if found is None:
+            raise ValueError("X has no rows in any partition, while at least 1 is required")
+        return found
 
     @cached_property
-    def sums(self):
-        """Plain sums of all partitions.
-
-        Raises
-        ------
-        ValueError
-            If there are no rows.
-        """
-        sums = self._sums(exact=False)
-        if sums is None:
-            raise ValueError("X has no rows in any partition, while at least 1 is required")
-        return sums
-
-    @property
-    def lengths(self):
-        """Rows of each segment."""
-        return [run.n_rows for run in self.sums.runs]
+    def summed(self):
+        """Data of a fit."""
+        found = self.found
+        drive, names = (tuple(map(str, pd.DataFrame(each).columns)) for each in found.head)
+        basis = self.basis if self.basis.harmonic else PlainReading(drive, names)
+        words = f"rows from t = {_worded(found.first.time)} to {_worded(found.last.time)}"
+        step = _median_step(found.steps) or 1.0
+        facts = found.statistics.facts(basis, names, step, words)
+        return found.statistics.data(facts, self.highest)
 
     @property
     def head(self):
         """A row of X and one of y."""
-        return self.sums.head
+        return self.found.head
 
-    @cached_property
-    def experiment(self):
-        """What checks of the data read."""
-        sums = self.sums
-        drive, names = (tuple(map(str, pd.DataFrame(each).columns)) for each in self.head)
-        basis = self.basis
-        if not basis.harmonic:
-            basis = PlainReading(drive, names)
-        ends = [run.extremes for run in sums.runs]
-        n_samples = sum(run.n_samples for run in sums.runs)
-        return Condensed(
-            inputs=[each[:, : len(basis.drive_labels)] for each in ends],
-            outputs=[each[:, len(basis.drive_labels) :] for each in ends],
-            drive_names=basis.drive_labels,
-            output_names=names,
-            base=RowCount(range(n_samples), sums.sample_time or 1.0),
-            words=f"rows from t = {worded(sums.runs[0].first)} to {worded(sums.runs[-1].last)}",
-            measured=np.array([run.size for run in sums.runs]),
-            basis=basis,
-        )
-
-    @property
-    def n_inputs(self):
-        """Channels that are projected out of the future."""
-        return len(self.experiment.drive_names) * (2 * self.highest + 1)
-
-    def with_lags(self, n_lags):
-        """The same for other lags; what is known already is kept."""
-        other = copy.copy(self)
-        other.__dict__.pop("sums", None)
-        other.n_lags = n_lags
-        return other
-
-    def root_mean_squares(self):
-        """Of each channel, inputs first; one where it is zero."""
-        return self.sums.products.root_mean_squares()
+    def __getattr__(self, name):
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.summed, name)
 
     def factor(self, block_rows, scale):
         """R factor of the block Hankel matrices, as ``hankel_factor`` gives."""
-        n_lags, n_inputs = 2 * block_rows, self.n_inputs
-        R = None
-        if n_hankel_columns(self.lengths, block_rows) >= n_lags * len(scale):
-            R = factor_of_products(self.sums.products.fewer(n_lags), n_inputs, scale)
-        if R is None:
-            products = self._sums(exact=True).products.fewer(n_lags)
-            R = factor_of_products(products, n_inputs, scale)
-        return R
-
-    def input_matrices(self, A, C, feedthrough, scales):
-        """B, D and the initial states of all segments, as ``input_matrices`` gives."""
-        model = A, C, feedthrough, tuple(scales)
-        pieces = _pieces(self.sums.runs, cuts(A, self.lengths), len(self.parts))
-        equations = self._tree(partial(partition_equations, basis=self.basis, model=model), pieces)
-        shape = len(A), len(scales[0]), len(C)
-        return equations.solve(shape, [(r, 0) for r in range(len(self.sums.runs))])
+        if block_rows > self.block_rows:
+            self.block_rows = block_rows
+            del self.found, self.summed
+        return self.summed.factor(block_rows, scale)
 
 
-def _pieces(runs, edges, n_partitions):
-    """For each partition its pieces: segment, rows of it, key, and rows of the whole piece."""
-    pieces, n_segments = [[] for _ in range(n_partitions)], [0] * n_partitions
-    for r, run in enumerate(runs):
-        start = 0
-        for partition, size in run.parts:
-            if size == 0:  # too short for a window
-                pieces[partition].append((n_segments[partition], slice(0, 0), (r, 0), 0))
-            within = np.unique(np.clip(edges[r], start, start + size))
-            for a, b in itertools.pairwise(within):
-                p = int(np.searchsorted(edges[r], a, side="right")) - 1
-                whole = int(edges[r][p + 1] - edges[r][p])
-                rows = slice(int(a) - start, int(b) - start)
-                pieces[partition].append((n_segments[partition], rows, (r, p), whole))
-            n_segments[partition] += 1
-            start += size
-    return pieces
-
-
-def basis_of(X):
-    """The harmonic basis that rides on a dask DataFrame, as its meta shows; None without.
+def _basis_of(X):
+    """The basis that rides on a dask DataFrame, as its meta shows; that of plain rows without.
 
     Raises
     ------
@@ -230,11 +129,9 @@ def basis_of(X):
     """
     basis = getattr(getattr(X, "_meta", None), "basis", None) or PlainReading()
     if basis.reading == "period" or basis.small_signal is not None:
-        what = (
-            "reading='period'"
-            if basis.reading == "period"
-            else f"small_signal={basis.small_signal!r}"
-        )
+        what = f"small_signal={basis.small_signal!r}"
+        if basis.reading == "period":
+            what = "reading='period'"
         raise ValueError(
             f"X was analysed with {what}, which looks at all records at once; give frames in "
             f"memory, X.compute() and y.compute()"
@@ -280,3 +177,233 @@ def _matched(X, y):
             f"one; take both from one dask DataFrame (X = data[[...]], y = data[[...]])"
         )
     return list(zip(X.to_delayed(), y.to_delayed(), strict=True))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a segment begins or ends: label of its record, time as the index has it, partition."""
+
+    record: object
+    time: object
+    partition: int
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """What some consecutive partitions leave behind.
+
+    It tells how large it is, by which dask decides what to move where.
+
+    Attributes
+    ----------
+    statistics : Statistics
+    first, last : Place
+        Where the first segment begins, and where the last one ends.
+    steps : tuple of (float, int)
+        Sample times found, seconds, and from how many steps.
+    head : tuple
+        A row of X and one of y.
+    windowed : bool
+    """
+
+    statistics: Statistics
+    first: Place
+    last: Place
+    steps: tuple
+    head: tuple
+    windowed: bool
+
+    def __sizeof__(self):
+        return len(pickle.dumps(self))
+
+    def __add__(self, later):
+        """With the partitions right after these."""
+        steps, partition = self.steps + later.steps, later.first.partition
+        _check_columns(self.head, later.head, partition)
+        _check_steps(steps, partition)
+        joined = _follows(self.last, later.first, steps, self.windowed)
+        merged = self.statistics.merge(later.statistics, joined)
+        return Neighbours(merged, self.first, later.last, steps, self.head, self.windowed)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """How records move through a window: rows read of each, largest changes of inputs by phase."""
+
+    lengths: tuple
+    changes: np.ndarray
+
+    def __add__(self, later):
+        return Changes(self.lengths + later.lengths, np.maximum(self.changes, later.changes))
+
+
+def _merged(*neighbours):
+    """The sum of neighbours, in their order; None if all are empty."""
+    found = [each for each in neighbours if each is not None]
+    return reduce(lambda a, b: a + b, found) if found else None
+
+
+def _worded(time):
+    """A time of an index as messages have it."""
+    return f"{time:.6g} s" if isinstance(time, float) else str(time)
+
+
+def _median_step(steps):
+    """Median of the sample times found, each counted as often as it was; None if none was."""
+    if not steps:
+        return None
+    found = np.array(steps)
+    found = found[np.argsort(found[:, 0])]
+    half = np.searchsorted(np.cumsum(found[:, 1]), 0.5 * found[:, 1].sum())
+    return float(found[half, 0])
+
+
+def _check_steps(steps, partition):
+    """Raise ValueError if neighbouring partitions have other sample times."""
+    found = [step for step, _ in steps]
+    if found and max(found) - min(found) > STEP_TOLERANCE * min(found):
+        raise ValueError(
+            f"the partitions up to {partition} have sample times from {min(found):.6g} s to "
+            f"{max(found):.6g} s; resample them to one, as with X.map_partitions(...), before "
+            f"they are identified from together"
+        )
+
+
+def _check_columns(head, other, partition):
+    """Raise ValueError if a partition has other columns than those before it."""
+    for what, here, there in zip(("X", "y"), head, other, strict=True):
+        names = [list(map(str, pd.DataFrame(each).columns)) for each in (here, there)]
+        if names[0] != names[1]:
+            raise ValueError(
+                f"partition {partition} of {what} has the columns {names[1]}, those before it have "
+                f"{names[0]}; give all partitions the same columns in the same order"
+            )
+
+
+def _follows(here, later, steps, windowed):
+    """Whether a segment goes on in the next partition, one sample later."""
+    if here.record != later.record:
+        return False
+    place = f"partition {later.partition} starts at t = {_worded(later.time)}"
+    apart = later.time - here.time
+    apart = apart.total_seconds() if hasattr(apart, "total_seconds") else float(apart)
+    if apart <= 0.0:
+        raise ValueError(
+            f"time must increase within a record: {place}, and the one before it ends at t = "
+            f"{_worded(here.time)}; order the partitions by time, or give each record its own "
+            f"label in a (record, time) MultiIndex: "
+            f"X.map_partitions(pd.DataFrame.set_index, ['record', 'time'])"
+        )
+    step = _median_step(steps)
+    if step is None:
+        raise ValueError(
+            f"{place}, after one of a single row, which tells no sample time; give fewer, larger "
+            f"partitions: X.repartition(npartitions=...)"
+        )
+    samples = apart / step
+    if abs(samples - 1.0) <= STEP_TOLERANCE and not windowed:
+        return True
+    if windowed and samples < 1.5:
+        raise ValueError(
+            f"{place}, where record {here.record!r} goes on: rows read through a window depend on "
+            f"those before; give whole records to each partition"
+        )
+    if round(samples) < 2 or abs(samples - round(samples)) > STEP_TOLERANCE * samples:
+        raise ValueError(
+            f"{place}, {samples:.5g} samples of {step:.6g} s after the end of the one before it: "
+            f"neither the next sample nor a gap of a whole number of them; resample the data "
+            f"before they are partitioned"
+        )
+    return False
+
+
+# ---- what is done where the data are -------------------------------------------------------
+
+
+@one_blas_thread
+def _changes(partition, X, y, basis):
+    """How the records of one partition move through a window."""
+    if len(X) == len(y) == 0:
+        return None
+    experiment = _read(partition, X, y, basis)
+    times = experiment.times()
+    changes = [
+        largest_changes(basis, drive, time)
+        for drive, time in zip(experiment.drive, times, strict=True)
+    ]
+    return Changes(tuple(len(basis.rows_read(time)) for time in times), np.max(changes, axis=0))
+
+
+@one_blas_thread
+def _partition(partition, X, y, basis, highest=0, *, n_lags):
+    """What one partition leaves behind, inputs times the harmonics of ψ up to the highest."""
+    if len(X) == len(y) == 0:
+        return None
+    with np.errstate(over="raise", divide="raise", invalid="raise"):
+        experiment = _read(partition, X, y, basis)
+        inputs, outputs = rows_read(experiment)
+        channels = Channels(inputs[0].shape[1], outputs[0].shape[1], highest)
+        ends = [
+            np.hstack([ends_of(u), ends_of(z)])
+            for u, z in zip(inputs, experiment.outputs, strict=True)
+        ]
+        if highest:
+            inputs = [
+                modulated(basis, drive, time, basis.rows_read(time), highest)
+                for drive, time in zip(experiment.drive, experiment.times(), strict=True)
+            ]
+        rows = [np.hstack(pair) for pair in zip(inputs, outputs, strict=True)]
+        size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
+        base, times = experiment.base, X.index.get_level_values(-1)
+        pieces = experiment.sampling.pieces
+        n_steps = len(base.time) - len(set(base.records))
+        return Neighbours(
+            Statistics.of(channels, n_lags, rows, ends, size, len(experiment.measured)),
+            Place(base.records[0], times[pieces[0].rows.start], partition),
+            Place(base.records[-1], times[pieces[-1].rows.stop - 1], partition),
+            ((base.sample_time, n_steps),) if n_steps else (),
+            (X.iloc[:1], y.iloc[:1]),
+            basis.harmonic,
+        )
+
+
+def _read(partition, X, y, basis):
+    """The experiment of one partition; errors name it."""
+    try:
+        found = as_frame(X).basis
+        if (found is not None) != basis.harmonic:
+            has = "no harmonic basis, which X had" if found is None else "a harmonic basis, X none"
+            raise ValueError(
+                f"its frame carries {has} when the graph was built; give the analyzer's frame as "
+                f"meta: X.map_partitions(analyzer.transform, meta=analyzer.transform(u).iloc[:0])"
+            )
+        return _windowed(X, y, found, basis) if basis.harmonic else _plain(X, y)
+    except (TypeError, ValueError) as error:
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(f"partition {partition}: {error}") from error
+
+
+def _plain(X, y):
+    base = read_time(X, time_origin=FIRST)
+    if base.jitter[1] > 0.0:
+        raise ValueError(
+            f"the rows are off an even grid of {base.sample_time:.4g} s by up to "
+            f"{base.jitter[1]:.2g} s; partitions are not resampled: resample the "
+            f"records, or give frames in memory, X.compute() and y.compute()"
+        )
+    return read_experiment(X, y)
+
+
+def _windowed(X, y, found, basis):
+    difference = first_difference(found, basis)
+    if difference is not None:
+        name, here, there = difference
+        raise ValueError(
+            f"it was analysed with {name}={here!r}, others with {there!r}; fit one "
+            f"HarmonicAnalyzer, and transform all partitions with it"
+        )
+    if is_decomposed(y):
+        raise ValueError(
+            "y is a frame of harmonics; give it in time: it is decomposed with the basis of X"
+        )
+    return read_experiment(X, y)

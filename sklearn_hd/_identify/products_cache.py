@@ -2,7 +2,7 @@
 
 Products and factors lie in a folder, which processes share. What a process has made or loaded
 last it also has at hand, up to some megabytes: reading a file takes longer than a small model.
-So it has copies of the data: to compare them takes a tenth of the time that hashing them does.
+Records in memory (:mod:`~sklearn_hd._identify.statistics`) ask for them.
 """
 
 import hashlib
@@ -16,16 +16,14 @@ from sklearn.utils.validation import check_memory
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
-from sklearn_hd.algorithms.subspace.running_equations import input_matrices_of_sums
-from sklearn_hd.algorithms.subspace.running_products import correlations
+from sklearn_hd.algorithms.subspace.sums import correlations, input_matrices_of_sums
 
 __all__ = ["KeptSums"]
 
-LAYOUT = 2  # of what is stored, raised with it: files of another one are not found
+LAYOUT = 3  # of what is stored, raised with it: files of another one are not found
 LEAST_LAGS = 64  # that are kept: 32 block rows of the past, and of the future
 MOST_LAGS = 256  # more are not kept
-AT_HAND = 2**26  # bytes that a process has at hand, and as many of data
-SAMPLED = 8  # rows, by which data are looked up
+AT_HAND = 2**26  # bytes that a process has at hand
 
 
 class KeptSums:
@@ -92,7 +90,7 @@ class KeptSums:
         for others, digest in self._digests:
             if len(others) == len(signals) and all(map(_same, others, signals)):
                 return digest
-        self._digests.append((signals, _known_digest(records, signals)))
+        self._digests.append((signals, _digest(records)))
         return self._digests[-1][1]
 
 
@@ -120,13 +118,8 @@ class _Recent:
                 self.size -= self.values.popitem(last=False)[1][1]
         return value
 
-    def forget(self, key):
-        with self.lock:
-            if key in self.values:
-                self.size -= self.values.pop(key)[1]
 
-
-_RECENT, _DATA = _Recent(AT_HAND), _Recent(AT_HAND)
+_RECENT = _Recent(AT_HAND)
 
 
 def _n_bytes(value):
@@ -190,31 +183,6 @@ def _products(digest, n_lags, exact, records):
 def _correlations(digest, records):
     """Products of records with their inputs, stored under what they are."""
     return correlations(records)
-
-
-def _known_digest(records, signals):
-    """Digest of records, which those that are the same to the last bit need not be hashed for."""
-    if sum(z.nbytes for z in signals) > _DATA.most:
-        return _digest(records)
-    rows = [z[:: max(1, len(z) // SAMPLED)] for z in signals]
-    key = tuple(
-        (z.shape, z.dtype.str, _by_columns(z), s.tobytes())
-        for z, s in zip(signals, rows, strict=True)
-    )
-
-    def make():
-        return _digest(records), tuple(map(np.array, signals))
-
-    while True:  # other threads may put others of this key in between
-        digest, copies = _DATA.get(key, make)
-        if all(map(_same_bits, copies, signals)):
-            return digest
-        _DATA.forget(key)
-
-
-def _same_bits(one, other):
-    bits = f"u{one.dtype.itemsize}"
-    return np.array_equal(one.view(bits), other.view(bits))
 
 
 def _by_columns(z):

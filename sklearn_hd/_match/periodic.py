@@ -23,18 +23,17 @@ from sklearn_hd._match.match import periodic_match
 from sklearn_hd._match.warned import warn_growing, warn_realized
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.modes.mode_shapes import shape_condition
 from sklearn_hd.algorithms.periodic.equation_error import equation_error
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
+    shapes_determine_state,
     without_noise,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
@@ -269,6 +268,6 @@ def _state_outputs(shapes, structure, names, n_phases):
 
 def _invertible(P, flips):
     """Whether P(ψ) is, also between the samples: its determinant does not pass through zero."""
-    if np.sum(flips) % 2 or not shape_condition(P) < SHAPE_CONDITION:
+    if np.sum(flips) % 2 or not shapes_determine_state(P):
         return False
     return len(np.unique(np.sign(np.linalg.det(P)))) == 1

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-__all__ = ["Pair", "add", "cholesky", "product", "slices", "sum_of_slices", "two_sum"]
+__all__ = ["Pair", "add", "all_slices", "cholesky", "product", "slices", "sum_of_slices", "two_sum"]
 
 SLICE_BITS = 18
 N_SLICES = 3  # of a double: 54 bits
@@ -153,7 +153,14 @@ def sum_of_slices(products):
     return Pair(*total)
 
 
-def product(left, right, exact, count=N_SLICES):
+def all_slices(values):
+    """Values up to one in size, cut into as many slices as hold all that 108 bits do."""
+    parts = slices(values, PAIR_SLICES)
+    used = np.flatnonzero(parts.reshape(PAIR_SLICES, -1).any(axis=1))
+    return parts[: used[-1] + 1 if len(used) else 1]
+
+
+def product(left, right, exact):
     """leftᵀ right over common rows, of entries up to one in size.
 
     Parameters
@@ -161,22 +168,16 @@ def product(left, right, exact, count=N_SLICES):
     left, right : ndarray, shapes (n, r), (n, s)
         n up to 2¹⁷.
     exact : bool
-        In double-double, sums without rounding.
-    count : int, default=3
-        Slices of the entries that count, from one on: 54 bits.
+        In double-double, without rounding.
 
     Returns
     -------
     product : Pair, shape (r, s)
     """
     if not exact:
-        return Pair(_over_rows(left, right))
-    left, right = slices(left, count), slices(right, count)
-    return sum_of_slices([[_over_rows(a, b) for b in right] for a in left])
-
-
-def _over_rows(left, right):
-    return left.T * right if len(left) == 1 else left.T @ right  # the same, in a third of the time
+        return Pair(left.T @ right)
+    left, right = slices(left, PAIR_SLICES), slices(right, PAIR_SLICES)
+    return sum_of_slices([[a.T @ b for b in right] for a in left])
 
 
 def _times(a_high, a_low, scalar_high, scalar_low):

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy import linalg
 
-__all__ = ["all_above", "safe_cholesky", "solve_within_rank", "triangle"]
+__all__ = ["EPS", "ROUNDING", "all_above", "safe_cholesky", "solve_within_rank", "triangle"]
 
 EPS = np.finfo(float).eps
-ROUNDING = 1e-11  # of the longest direction
+ROUNDING = 2.0**16 * EPS  # 1.5e-11 of the longest direction: what sums of so many rows leave
 STRIP = 192  # columns of an inverse, found together
 TOLERATED_LOSS = 1e-7  # far below what noise does, 1/√n, to as many rows as fit anywhere
 

@@ -23,12 +23,11 @@ import functools
 import numpy as np
 
 from sklearn_hd.algorithms.linalg.double_double import cholesky
-from sklearn_hd.algorithms.linalg.triangular import all_above, safe_cholesky, triangle
+from sklearn_hd.algorithms.linalg.triangular import ROUNDING, all_above, safe_cholesky, triangle
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 
 __all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
 
-RANK_TOLERANCE = 1e-10  # of directions of the inputs
 FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
 
@@ -120,10 +119,10 @@ def n_excited(R, block_rows, n_inputs):
     n_directions : int
     """
     size = 2 * block_rows * n_inputs
-    if all_above(R[:size, :size], RANK_TOLERANCE):
+    if all_above(R[:size, :size], ROUNDING):
         return size
     values = np.linalg.svd(R[:size, :size], compute_uv=False)
-    return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
+    return int(np.sum(values > ROUNDING * np.max(values, initial=0.0)))
 
 
 @functools.lru_cache(maxsize=8)

@@ -10,63 +10,50 @@ by themselves, x_0 first:
 
 and only these small factors are kept: those of B and D are stacked and factored again,
 in any order and grouping, and each x_0 follows from its own rows once B and D are known.
-
 Unstable models are simulated over pieces that are short enough, each with a start of its own.
-Many of one length are gone through together, by products
-(:mod:`~sklearn_hd.algorithms.subspace.two_sided`) or else by orthogonal transformations
-(:mod:`~sklearn_hd.algorithms.subspace.short_pieces`).
 
 The equations never stand in memory as a whole. Three ways lead to the factor, each taken
 where the one before it would not do:
 
-1. Cholesky factor of the normal equations
-   (:mod:`~sklearn_hd.algorithms.subspace.response_products`), of stable models where noise makes it
-   safe.
-2. Orthogonal transformations of long records, compressed in blocks
-   (:mod:`~sklearn_hd.algorithms.subspace.block_responses`).
+1. Cholesky factor of the normal equations (:mod:`~sklearn_hd.algorithms.subspace.responses`), of
+   stable models where noise makes it safe.
+2. Orthogonal transformations of long records, compressed in blocks of L samples. Within a block
+   everything is linear in z = [w, u_0 … u_{L-1}, y_0 … y_{L-1}], with w the numbers at its start
+   that responses are made of; the initial state is one more input, and stands first. The
+   equations of the L samples are applied to the triangular factor of all z, which is small.
 3. The same of equations made some thousand rows at a time, for short records, or outputs seen
    through a matrix that varies (Eq. 7). What goes from chunk to chunk is the response of the
    states so far, A^k and Σ_t A^{k-1-t} u_t.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 from scipy.signal import fftconvolve
 
-from sklearn_hd.algorithms.linalg.triangular import triangle
+from sklearn_hd.algorithms.linalg.triangular import EPS, safe_cholesky, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.subspace.block_responses import best_block, compressed_equations
-from sklearn_hd.algorithms.subspace.response_basis import response_basis, split
-from sklearn_hd.algorithms.subspace.response_products import output_normal, products_factor
-from sklearn_hd.algorithms.subspace.short_pieces import equations_of_pieces, is_short
-from sklearn_hd.algorithms.subspace.two_sided import products_of_pieces, whole_block
+from sklearn_hd.algorithms.subspace.responses import (
+    BLOCKS,
+    PULSE_OVER,
+    STEP_WORK,
+    normal_equations,
+    output_normal,
+    response_basis,
+    response_products,
+    run,
+    split,
+)
 
-__all__ = [
-    "InitialState",
-    "RecordFactors",
-    "alike_states",
-    "carry",
-    "input_matrices",
-    "pieces_of",
-    "response_regressors",
-    "solve_shared",
-    "without_start",
-]
+__all__ = ["alike_states", "input_matrices", "response_regressors"]
 
-EPS = np.finfo(float).eps
 MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
-OVERFLOW_GROWTH = 300.0  # e-folds whose squares are numbers still
-CONVOLVED_ORDER = 40
+CONVOLVED_ORDER = 40  # from which on responses are convolved, in less time than by recursion
 CHUNK_BYTES = 2**25  # of equations at a time
-LEAST_CHUNK = 256
-CARRIED_STEPS = 64
-ROUND_BYTES = 2**24  # of responses of pieces, at a time
-LONG, LEAST_BLOCK = 64, 9  # pieces that are made of whole blocks, of so many rows
-FEWEST = 4  # pieces of one length that are worth going through together
-STEPS = 64  # of one after the other that take as long as a piece by itself
+CARRIED_STEPS = 64  # of states, multiplied together
+BLOCKS_TOGETHER = 1024  # whose states are found together
 
 
 def response_regressors(A, C, u, feedthrough):
@@ -152,36 +139,24 @@ def input_matrices(
     """
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
-    factor = RecordFactors(A, C, feedthrough, scales)
-    pieces, firsts = pieces_of(A, [len(u) for u in inputs], factor.radius)
-    starts, shared = {}, np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
-    alike, together, two_sided = [], None, None
-    if observe is None and m > 0 and len(pieces) > len(firsts):
-        alike, together, two_sided = _together(factor, pieces, firsts, inputs, outputs)
-    if alike:
-        shared = together
-    for k in sorted(set(range(len(pieces))) - set(alike)):
-        s, rows = pieces[k]
+    factors = _RecordFactors(A, C, feedthrough, scales)
+    pieces, firsts = _pieces(A, [len(u) for u in inputs], factors.radius)
+    starts, shared = [], np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
+    for s, rows in pieces:
         u, y = inputs[s][rows], outputs[s][rows]
-        R = factor.of_products(u, y) if observe is None else None
+        R = factors.of_products(u, y) if observe is None else None
         if R is not None and len(pieces) == 1:  # of good condition
             theta = linalg.lapack.dtrtrs(R[:-1, :-1], R[:-1, -1])[0]
             found = *split(theta[n:], n, m, n_outputs), theta[None, :n]
             return (*found, float(R[-1, -1] ** 2)) if return_residual else found
         if R is None:
-            R = factor.of_rows(u, y, None if observe is None else observe[s][rows])
-        starts[k], left = without_start(R, n)
+            R = factors.of_rows(u, y, None if observe is None else observe[s][rows])
+        start, left = _without_start(R, n)
+        starts.append(start)
         shared = triangle(shared, left)
-    theta = solve_shared(shared)
-    B, D = split(theta, n, m, n_outputs)
-
-    def start(k):
-        if k in starts:
-            return starts[k].solve(theta)
-        signals = (z[pieces[k][0]][pieces[k][1]] for z in (inputs, outputs))
-        return factor.start(two_sided, *signals, B, D)
-
-    found = B, D, np.array([start(k) for k in firsts])
+    theta = _solve(shared)
+    x0 = np.array([starts[k].solve(theta) for k in firsts])
+    found = *split(theta, n, m, n_outputs), x0
     if not return_residual:
         return found
     return *found, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
@@ -215,33 +190,7 @@ def alike_states(A, C):
     return A * (size[:, None] / size), C / size, size
 
 
-def _together(factor, pieces, firsts, inputs, outputs):
-    """Pieces that are found together, their equations, and what gives their initial states."""
-    lengths = np.array([rows.stop - rows.start for _, rows in pieces])
-    alike = np.flatnonzero(lengths == np.max(lengths)).tolist()
-    later = sorted(set(alike) - set(firsts))
-    if later:
-        found = factor.two_sided([pieces[k] for k in alike], inputs, outputs)
-        if found is not None:
-            return alike, *found
-        R = factor.of_short([pieces[k] for k in later], inputs, outputs)
-        if R is not None:
-            return later, R, None
-    return [], None, None
-
-
-def _stacked(pieces, inputs, outputs, scales, n_states):
-    """Pieces of one length side by side, some at a time, shape (n_pieces, length, m + l)."""
-    rows, n_inputs = pieces[0][1], inputs[0].shape[1]
-    at_a_time = max(1, ROUND_BYTES // (8 * n_states * n_inputs * (rows.stop - rows.start)))
-    for start in range(0, len(pieces), at_a_time):
-        some = pieces[start : start + at_a_time]
-        blocks = [[z[s][rows] for s, rows in some] for z in (inputs, outputs)]
-        scaled = [np.stack(block) / scale for block, scale in zip(blocks, scales, strict=True)]
-        yield np.concatenate(scaled, axis=-1)
-
-
-def solve_shared(shared):
+def _solve(shared):
     """Entries of B and D, row by row, from the equations left for them.
 
     With columns of equal length, so that units do not decide the rank.
@@ -254,8 +203,8 @@ def solve_shared(shared):
     return linalg.lstsq(regressors / scale, target, lapack_driver="gelsy")[0] / scale
 
 
-class RecordFactors:
-    """Triangular factors of the equations [x_0, B, D, y] of records, by the first way that does.
+class _RecordFactors:
+    """Triangular factors of the equations [x_0, B, D, y] of records.
 
     Parameters
     ----------
@@ -265,85 +214,51 @@ class RecordFactors:
 
     def __init__(self, A, C, feedthrough, scales):
         self.A, self.C, self.feedthrough, self.scales = A, C, feedthrough, scales
-
-    @cached_property
-    def _own(self):
-        """A, C and sizes of states that outputs see about alike."""
-        return alike_states(self.A, self.C)
-
-    @cached_property
-    def radius(self):
-        """Size of the largest eigenvalue."""
-        return _radius(self.A)
+        self.radius = np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
 
     @cached_property
     def _normal(self):
         return output_normal(self.A, self.C, self.radius)
 
     @cached_property
-    def _basis(self):
-        return response_basis(self._own[0])
-
-    def _of_own_states(self, R):
-        """A factor in the coordinates given; its columns end with B, D and the outputs."""
-        m = len(self.scales[0])
-        units = np.repeat(self._own[2], m)
-        last = R.shape[1] - 1 - self.feedthrough * len(self.C) * m
-        R[:, last - len(units) : last] *= units
-        R[:, : last - len(units)] *= self._own[2][: last - len(units)]
-        return R
-
-    def of(self, u, y):
-        """Of one record."""
-        R = self.of_products(u, y)
-        return self.of_rows(u, y) if R is None else R
-
-    def two_sided(self, pieces, inputs, outputs):
-        """Of many pieces of one length, from normal equations; None where these would not do."""
-        if self._basis is None:
-            return None
-        some = partial(_stacked, pieces, inputs, outputs, self.scales, len(self.A))
-        m = inputs[0].shape[1]
-        found = products_of_pieces(self._basis, self._own[1], some, m, self.feedthrough)
-        return None if found is None else (self._of_own_states(found.R), found)
-
-    def start(self, found, u, y, B, D):
-        """The initial state of one of these pieces beside some B and D."""
-        u, y, size = u / self.scales[0], y / self.scales[1], self._own[2]
-        return found.initial_state(u, y, B * size[:, None], D) / size
-
-    def of_short(self, pieces, inputs, outputs):
-        """Of [B, D, y] alone, of many pieces of one length; None where one by one is faster."""
-        length = pieces[0][1].stop - pieces[0][1].start
-        short = is_short(length, len(self.A), len(self.C))
-        if not short or len(pieces) < max(FEWEST, length / STEPS):
-            return None
-        some = _stacked(pieces, inputs, outputs, self.scales, len(self.A))
-        m = inputs[0].shape[1]
-        R = equations_of_pieces(*self._own[:2], some, m, self.feedthrough)
-        return self._of_own_states(R)
+    def _own(self):
+        """C, sizes and basis of states that outputs see about alike."""
+        A, C, size = alike_states(self.A, self.C)
+        return C, size, response_basis(A)
 
     def of_products(self, u, y):
         """Of one record, from its normal equations; None where these would not do."""
         if self._normal is None or 0 in u.shape:
             return None
-        return products_factor(self._normal, u, y, self.feedthrough, self.scales)
+        products = response_products(self._normal.basis, u, y, self.scales)
+        G, loss = normal_equations(self._normal, products, self.feedthrough)
+        R = safe_cholesky(G, loss) if np.isfinite(loss) else None
+        if R is None:
+            return None
+        n, m, T = len(self.A), u.shape[1], self._normal.T
+        R[:, :n] = R[:, :n] @ T
+        forced = R[:, n : n + n * m].reshape(len(R), n, m)
+        R[:, n : n + n * m] = (T.T @ forced).reshape(len(R), n * m)
+        return R
 
     def of_rows(self, u, y, observe=None):
         """Of one record without them, its outputs perhaps seen through a matrix that varies."""
         n, m, n_outputs = len(self.A), u.shape[1], len(self.C)
-        compressed = observe is None and m > 0 and self._basis is not None
-        if compressed and best_block(len(u), n, m, n_outputs):
-            own = self._basis, self._own[1], u, y, self.feedthrough, self.scales
-            return self._of_own_states(compressed_equations(*own))
-        return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
+        if observe is not None or m == 0 or not best_block(len(u), n, m, n_outputs):
+            return _record_factor(self.A, self.C, u, y, self.feedthrough, observe, self.scales)
+        C, size, basis = self._own
+        if basis is None:
+            return _record_factor(self.A, self.C, u, y, self.feedthrough, None, self.scales)
+        R = _compressed_equations(basis, C, u, y, self.feedthrough, self.scales)
+        R[:, :n] *= size
+        R[:, n : n + n * m] *= np.repeat(size, m)
+        return R
 
 
-def pieces_of(A, lengths, radius=None):
+def _pieces(A, lengths, radius):
     """Rows of each segment in pieces over which an unstable A does not overflow.
 
-    Each piece gets an initial state of its own; a stable A leaves segments whole. ``radius`` is the
-    size of the largest eigenvalue, where it is known.
+    Each piece gets an initial state of its own; a stable A leaves segments whole.
 
     Returns
     -------
@@ -352,13 +267,11 @@ def pieces_of(A, lengths, radius=None):
     firsts : list of int
         The first piece of each segment.
     """
-    radius = _radius(A) if radius is None else radius
     longest = max(lengths, default=0)
-    if radius > 1.0:
-        longest = max(2 * len(A), int(MAX_GROWTH / np.log(radius)))
-        longest = max(2, min(longest, int(OVERFLOW_GROWTH / np.log(radius))))
-        while longest > LONG and whole_block(longest) < LEAST_BLOCK:
-            longest -= 1
+    if radius > 1.0:  # no fewer rows than tell states apart, while squares are numbers
+        growth = np.log(radius)
+        longest = max(2 * len(A), int(MAX_GROWTH / growth))
+        longest = max(2, min(longest, int(15.0 * MAX_GROWTH / growth)))
     pieces, firsts = [], []
     for s, length in enumerate(lengths):
         firsts.append(len(pieces))
@@ -367,12 +280,8 @@ def pieces_of(A, lengths, radius=None):
     return pieces, firsts
 
 
-def _radius(A):
-    return np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
-
-
 @dataclass(frozen=True)
-class InitialState:
+class _InitialState:
     """Equations of a record's initial state once B and D are known.
 
     Attributes
@@ -391,7 +300,7 @@ class InitialState:
         return self.inverse @ (self.right - self.coupling @ theta)
 
 
-def without_start(R, n):
+def _without_start(R, n):
     """The equations that an initial state takes, and those left for B and D.
 
     Directions in which it is not seen take none.
@@ -404,7 +313,7 @@ def without_start(R, n):
     r = int(np.sum(s > EPS * max(n, 1) * np.max(s, initial=0.0)))
     inverse = Vt[:r].T / s[:r] / scale[:, None]
     turned = U.T @ rest
-    start = InitialState(inverse, turned[:r, :-1], turned[:r, -1])
+    start = _InitialState(inverse, turned[:r, :-1], turned[:r, -1])
     return start, np.vstack([turned[r:], R[n:, n:]])
 
 
@@ -412,7 +321,7 @@ def _record_factor(A, C, u, y, feedthrough, observe, scales):
     """Triangular factor of the equations [x_0, B, D, y] of one record, chunk by chunk."""
     n, m = len(A), u.shape[1]
     n_columns = n + m * (n + feedthrough * len(C)) + 1
-    chunk = max(LEAST_CHUNK, CHUNK_BYTES // (8 * (y.shape[1] * n_columns + n * n * m)))
+    chunk = max(256, CHUNK_BYTES // (8 * (y.shape[1] * n_columns + n * n * m)))
     R, carried = np.zeros((0, n_columns)), None
     for start in range(0, max(len(u), 1), chunk):
         rows = slice(start, start + chunk)
@@ -427,11 +336,11 @@ def _record_factor(A, C, u, y, feedthrough, observe, scales):
         equations = np.concatenate([free, forced, y_now[:, :, None]], axis=-1)
         R = triangle(R, equations.reshape(-1, n_columns))
         if rows.stop < len(u):
-            carried = carry(A, u_now, carried)
+            carried = _carry(A, u_now, carried)
     return R
 
 
-def carry(A, u, carried=None):
+def _carry(A, u, carried=None):
     """A^k and the responses of the states to entries of B, k rows later.
 
     Parameters
@@ -458,3 +367,154 @@ def carry(A, u, carried=None):
         own = np.tensordot(powers[len(block) - 1 :: -1], block, (0, 0)).reshape(n, n * m)
         forced, power = powers[len(block)] @ forced + own, powers[len(block)] @ power
     return power, forced
+
+
+def best_block(n_rows, n_states, n_inputs, n_outputs):
+    """Samples in a block, for the least work; 0 where a record is too short to gain."""
+
+    def work(block):
+        width, n_equations = _width(n_states, n_inputs, n_outputs, block), block * n_outputs
+        unknown = n_states * (n_inputs + 1) + n_inputs * n_outputs
+        small = width * n_equations * unknown * (2 * width + unknown)
+        recursion = STEP_WORK * n_states**2 * (n_inputs + 1)
+        return n_rows // block * (width**2 + recursion) + small
+
+    blocks = [
+        block
+        for block in BLOCKS[1:]
+        if n_rows // block >= _width(n_states, n_inputs, n_outputs, block)
+    ]
+    return min(blocks, key=work, default=0)
+
+
+def _width(n_states, n_inputs, n_outputs, block):
+    """Number of entries of z."""
+    return n_states * (n_inputs + 1) + block * (n_inputs + n_outputs)
+
+
+def _compressed_equations(basis, C, u, y, feedthrough, scales):
+    """Triangular factor of the equations of one record.
+
+    Parameters
+    ----------
+    basis : ResponseBasis
+    C : ndarray, shape (l, n)
+    u, y : ndarray, shapes (n_samples, m), (n_samples, l)
+    feedthrough : bool
+        Whether D is free.
+    scales : tuple of ndarray, shapes (m,), (l,)
+        What inputs and outputs are divided by.
+
+    Returns
+    -------
+    R : ndarray, shape (c, n + n m [+ l m] + 1)
+        Columns: the initial state, B (row by row), D, and the outputs.
+    """
+    record = _Record(basis, u, y, np.concatenate(scales))
+    maps = _equation_maps(basis, C, u.shape[1], feedthrough, record.block)
+    R = np.zeros((0, record.width))
+    for Z in record.rounds():
+        R = triangle(R, Z)
+    left, steps = record.left_over()
+    return triangle(_apply(R, maps), _apply(left, maps[:, :steps]))
+
+
+def _apply(Z, maps):
+    """Equations that rows of z give, one below the other."""
+    width, steps, n_outputs, n_columns = maps.shape
+    equations = Z @ maps.reshape(width, -1)
+    return equations.reshape(len(Z) * steps * n_outputs, n_columns)
+
+
+class _Record:
+    """The rows z of a record's whole blocks, made some at a time.
+
+    Parameters
+    ----------
+    basis : ResponseBasis
+    u, y : ndarray, shapes (n_samples, m), (n_samples, l)
+    scale : ndarray, shape (m + l,)
+        What the channels, inputs and outputs, are divided by.
+    """
+
+    def __init__(self, basis, u, y, scale):
+        self.basis, self.channels, self.scale = basis, [*u.T, *y.T], scale
+        self.n_inputs, self.n_rows = u.shape[1], len(u)
+        shape = len(basis.g), u.shape[1], y.shape[1]
+        self.block = block = best_block(len(u), *shape)
+        self.width = _width(*shape, block)
+        powers = basis.powers(block)
+        forced = powers[block - 1 :: -1] @ basis.g
+        self.forced = linalg.block_diag(*[forced] * self.n_inputs)
+        self.step = powers[block]
+        self.state = None
+
+    def rounds(self):
+        """Rows z, a group of blocks at a time, in memory used again; then ``state`` is the last."""
+        q, n_blocks = len(self.basis.g), self.n_rows // self.block
+        n_states = (self.n_inputs + 1) * q
+        self.state = np.zeros((self.n_inputs + 1, q))
+        self.state[0] = self.basis.g
+        whole = np.empty((min(BLOCKS_TOGETHER, n_blocks), self.width))
+        for start in range(0, n_blocks, BLOCKS_TOGETHER):
+            Z = whole[: n_blocks - start]
+            self._fill(Z[:, n_states:], start)
+            inputs = Z[:, n_states : n_states + self.n_inputs * self.block]
+            Z[:, :q] = 0.0
+            np.matmul(inputs, self.forced, out=Z[:, q:n_states])
+            if np.max(np.abs(self.state[0]), initial=0.0) <= PULSE_OVER:
+                self.state[0] = 0.0
+            begin = 0 if self.state[0].any() else 1
+            states = Z[:, begin * q : n_states].reshape(len(Z), -1, q)
+            self.state[begin:] = run(self.step, states, self.state[begin:])
+            yield Z
+
+    def _fill(self, samples, start):
+        for c, channel in enumerate(self.channels):
+            part = channel[start * self.block : (start + len(samples)) * self.block]
+            out = samples[:, c * self.block : (c + 1) * self.block]
+            np.divide(part.reshape(-1, self.block), self.scale[c], out=out)
+
+    def left_over(self):
+        """The row z of the samples after the last whole block, and how many there are."""
+        whole = self.n_rows // self.block * self.block
+        z = np.zeros((1, self.width))
+        z[0, : self.state.size] = self.state.ravel()
+        samples = z[0, self.state.size :].reshape(-1, self.block)
+        rest = np.stack([channel[whole:] for channel in self.channels])
+        samples[:, : self.n_rows - whole] = rest / self.scale[:, None]
+        return z, self.n_rows - whole
+
+
+def _equation_maps(basis, C, n_inputs, feedthrough, block):
+    """What each entry of z gives to the equations of the L samples.
+
+    Returns
+    -------
+    maps : ndarray, shape (width, L, l, n + n m [+ l m] + 1)
+    """
+    seen = basis.seen(C)
+    n_outputs, n, q = seen.shape
+    m, powers = n_inputs, basis.powers(block - 1)
+    maps = np.zeros(
+        (
+            _width(q, m, n_outputs, block),
+            block,
+            n_outputs,
+            n + m * (n + feedthrough * n_outputs) + 1,
+        )
+    )
+    from_state = np.einsum("ois,tsr->rtoi", seen, powers)
+    from_input = np.einsum("roti,r->toi", from_state.transpose(0, 2, 1, 3), basis.g)
+    inputs = maps[(m + 1) * q :].reshape(m + n_outputs, block, *maps.shape[1:])
+    maps[:q, :, :, :n] = from_state
+    for j in range(m):
+        columns = slice(n + j, n + n * m, m)
+        maps[(j + 1) * q : (j + 2) * q, :, :, columns] = from_state
+        for t in range(1, block):
+            inputs[j, :t, t, :, columns] = from_input[t - 1 :: -1]
+    sample, output = np.arange(block)[:, None], np.arange(n_outputs)
+    for j in range(m if feedthrough else 0):
+        inputs[j, sample, sample, output, n + n * m + output * m + j] = 1.0
+    inputs[m + output, sample, sample, output, -1] = 1.0
+    return maps

@@ -11,10 +11,10 @@ which is constant along block diagonals but for the ends of the record:
     G[a+1, b+1] = G[a, b] − z_a z_bᵀ + z_{j+a} z_{j+b}ᵀ
 
 So it takes the lag products T, n · 2i · p² products instead of n · (2i p)² / 2, and the
-products of the first and of the last 2i − 1 rows of each record among themselves
-(:mod:`~.end_products`). All three are sums over records: they add up in
-any order, and for fewer block rows they are parts of the same arrays. Records too short for
-all lags are kept as they are.
+products of the first and of the last 2i − 1 rows of each record among themselves. All three
+are sums over records (of the last two, the rows are kept): they add up in any order, and for
+fewer block rows they are parts of the same arrays. Records too short for all lags are kept as
+they are.
 
 Chunks of one record
     Each row belongs to one chunk (a ``Stretch``), which is rounded once and on its own.
@@ -48,15 +48,14 @@ import numpy as np
 from sklearn_hd._arithmetic import extremes
 from sklearn_hd.algorithms.linalg.double_double import (
     N_SLICES,
-    PAIR_SLICES,
     Pair,
+    all_slices,
     product,
     slices,
     sum_of_slices,
 )
-from sklearn_hd.algorithms.subspace.end_products import EndRows, EndSum, end_products, times_powers
 
-__all__ = ["LagProducts", "Stretch", "lag_products", "power_exponents", "stretch"]
+__all__ = ["LagProducts", "Stretch", "lag_products", "stretch"]
 
 CHUNK = 6144  # pairs of rows, which fit into a cache; sums of their slices' products: 51 bits
 LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
@@ -75,21 +74,21 @@ class LagProducts:
     ----------
     lags : Pair, shape (n_lags, p, p)
         T[b], of channels divided by 2 to the power of ``exponents``.
-    head, tail : EndRows or EndSum, w = (n_lags - 1) p
-        Products of the first, and of the last, n_lags − 1 rows of each record.
+    head, tail : ndarray, shape (n_records, (n_lags - 1) p)
+        The first, and the last, n_lags − 1 rows of each record side by side, as they were
+        multiplied.
     exponents : ndarray of int, shape (p,)
-    n_rows, n_records : int
+    n_rows : int
         Of the records summed.
     short : tuple of ndarray, shapes (n_rows_s, p)
         Records of fewer rows than lags, as they are.
     """
 
     lags: Pair
-    head: EndRows | EndSum
-    tail: EndRows | EndSum
+    head: np.ndarray
+    tail: np.ndarray
     exponents: np.ndarray
     n_rows: int
-    n_records: int
     short: tuple = ()
 
     @property
@@ -100,33 +99,22 @@ class LagProducts:
     def __add__(self, other):
         """Sum over the records of both, in any order."""
         e = np.maximum(self.exponents, other.exponents)
-        a, b = self._with_exponents(e), other._with_exponents(e)
         return LagProducts(
-            lags=a.lags + b.lags,
-            head=a.head + b.head,
-            tail=a.tail + b.tail,
+            lags=self._lags_in(e) + other._lags_in(e),
+            head=np.vstack([self.head, other.head]),
+            tail=np.vstack([self.tail, other.tail]),
             exponents=e,
-            n_rows=a.n_rows + b.n_rows,
-            n_records=a.n_records + b.n_records,
-            short=a.short + b.short,
+            n_rows=self.n_rows + other.n_rows,
+            short=self.short + other.short,
         )
 
-    def _with_exponents(self, exponents):
-        change = self.exponents - exponents
-        if not change.any():
-            return self
-        return replace(
-            self,
-            lags=times_powers(self.lags, change),
-            head=self.head.times_powers(np.tile(change, len(self.lags) - 1)),
-            tail=self.tail.times_powers(np.tile(change, len(self.lags) - 1)),
-            exponents=exponents,
-        )
+    def _lags_in(self, exponents):
+        return _times_powers(self.lags, self.exponents - exponents)
 
     def n_columns(self, n_block_rows):
         """Number of Hankel columns that 2i block rows leave."""
         short = sum(max(0, len(z) - n_block_rows + 1) for z in self.short)
-        return self.n_rows - self.n_records * (n_block_rows - 1) + short
+        return self.n_rows - len(self.head) * (n_block_rows - 1) + short
 
     def fewer(self, n_lags):
         """The same for fewer lags, for which short records may be long enough.
@@ -147,8 +135,8 @@ class LagProducts:
         kept = replace(
             self,
             lags=self.lags[:n_lags],
-            head=self.head.part(slice(0, w)),
-            tail=self.tail.part(slice(-w, None)),
+            head=self.head[:, :w],
+            tail=self.tail[:, self.tail.shape[1] - w :],
             short=tuple(z for z in self.short if len(z) < n_lags),
         )
         longer = [(z,) for z in self.short if len(z) >= n_lags]
@@ -161,13 +149,12 @@ class LagProducts:
         ----------
         which : ndarray of int
         """
-        rows = np.arange(len(self.exponents) * (len(self.lags) - 1))
-        rows = rows.reshape(-1, len(self.exponents))[:, which].ravel()
+        rows = np.arange(self.head.shape[1]).reshape(-1, len(self.exponents))[:, which].ravel()
         return replace(
             self,
             lags=self.lags.map(lambda half: half[:, which][:, :, which]),
-            head=self.head.part(rows),
-            tail=self.tail.part(rows),
+            head=self.head[:, rows],
+            tail=self.tail[:, rows],
             exponents=self.exponents[which],
             short=tuple(z[:, which] for z in self.short),
         )
@@ -206,17 +193,57 @@ class LagProducts:
     def _by_lag(self):
         """Blocks of the same, [a, c, (b − a) p + d], shape (n_lags, p, n_lags p)."""
         n_lags, p = self.lags.high.shape[:2]
+        head, tail = (self._slices(rows) for rows in (self.head, self.tail))
         blocks = self.lags.map(lambda half: np.empty((n_lags, p, n_lags * p)))
         some = max(1, BLOCK_BYTES // blocks.high[0].nbytes)
         spans = [(a, min(a + some, n_lags - 1)) for a in range(0, n_lags - 1, some)]
         for start, stop in spans:
-            blocks[start + 1 : stop + 1] = self.tail.by_lag(p, start, stop)
+            blocks[start + 1 : stop + 1] = _end_products(tail, p, start, stop, self.exact)
         first = self.lags.map(lambda half: half.transpose(1, 0, 2).reshape(p, -1))
         blocks[0] = first - blocks[1:].total()
         for start, stop in spans:
-            blocks.subtract(np.s_[start + 1 : stop + 1], self.head.by_lag(p, start, stop))
+            ends = _end_products(head, p, start, stop, self.exact)
+            blocks.subtract(np.s_[start + 1 : stop + 1], ends)
         blocks.accumulate()
         return blocks
+
+    def _slices(self, rows):
+        """Rows at one end of the records, as they were multiplied; in slices if exact."""
+        powers = np.tile(self.exponents, len(self.lags) - 1)
+        rows = np.ldexp(rows, -powers) if powers.any() else rows
+        return all_slices(rows) if self.exact else rows[None]
+
+
+def _end_products(parts, p, start, stop, exact):
+    """Σ over records of r rᵀ, by lags, for rows r at one end side by side.
+
+    Of channel c of row a and channel d of row b ≥ a, at [a, c, (b − a) p + d], for the a from one
+    to another, zeros after the last b.
+    """
+    products = [[_of_windows(a, b, p, start, stop) for b in parts] for a in parts]
+    return sum_of_slices(products) if exact else Pair(products[0][0])
+
+
+def _of_windows(left, right, p, start, stop):
+    """Products of p entries of each row with all entries from there on."""
+    n_records, width = right.shape
+    if n_records == 0:
+        return np.zeros((stop - start, p, width + p))
+    padded = np.zeros((n_records, width + stop * p))
+    padded[:, :width] = right
+    item, shape = padded.itemsize, (stop - start, n_records, width + p)
+    strides = p * item, padded.strides[0], item
+    windows = np.ndarray(shape, buffer=padded, offset=start * p * item, strides=strides)
+    left = left.reshape(n_records, -1, p)[:, start:stop].transpose(1, 2, 0)
+    return left * windows if n_records == 1 else left @ windows  # the same, in less time
+
+
+def _times_powers(products, exponents):
+    """A pair [.., i, j] times 2 to the powers of both."""
+    if not exponents.any():
+        return products
+    shift = exponents[:, None] + exponents
+    return products.map(lambda half: np.ldexp(half, shift))
 
 
 @functools.lru_cache(maxsize=1)
@@ -278,7 +305,7 @@ class Stretch:
         """This stretch and the rows right after it, as one."""
         e = np.maximum(self.exponents, later.exponents)
         kept, changes = len(self.lags) - 1, (self.exponents - e, later.exponents - e)
-        lags = times_powers(self.lags, changes[0]) + times_powers(later.lags, changes[1])
+        lags = _times_powers(self.lags, changes[0]) + _times_powers(later.lags, changes[1])
         shift = changes[0][:, None] + changes[1]
         seam = _seam(self, later).map(lambda half: np.ldexp(half, shift))
         return Stretch(
@@ -294,9 +321,8 @@ class Stretch:
         n_lags, exact = len(self.lags), self.lags.low is not None
         if self.n_rows < n_lags:
             return _nothing(n_lags, self.exponents, exact, (self.first,))
-        ends = [np.ldexp(rows, -self.exponents).reshape(1, -1) for rows in (self.first, self.last)]
-        ends = [EndRows(rows, exact, PAIR_SLICES) for rows in ends]
-        return LagProducts(self.lags, *ends, self.exponents, self.n_rows, 1)
+        ends = (rows.reshape(1, -1) for rows in (self.first, self.last))
+        return LagProducts(self.lags, *ends, self.exponents, self.n_rows)
 
 
 def _seam(earlier, later):
@@ -309,7 +335,7 @@ def _seam(earlier, later):
         start = max(0, n_before - lag)
         stop = max(start, min(n_before, n_before + n_after - lag))
         to = slice(start + lag - n_before, stop + lag - n_before)
-        lags.append(product(before[start:stop], after[to], exact, PAIR_SLICES))
+        lags.append(product(before[start:stop], after[to], exact))
     return lags[0].map(lambda *halves: np.stack(halves), *lags[1:])
 
 
@@ -329,11 +355,8 @@ def stretch(signals, n_lags, exact):
     -------
     stretch : Stretch
     """
-    exponents = power_exponents([signals])
-    ends = [np.hstack([z[part] for z in signals]) for part in _ends(n_lags)]
-    if exact:
-        ends = [slices(np.ldexp(rows, -exponents), N_SLICES).sum(axis=0) for rows in ends]
-        ends = [np.ldexp(rows, exponents) for rows in ends]
+    exponents = _power_exponents([signals])
+    ends = [_rounded([signals], part, exponents, exact)[0] for part in _ends(n_lags)]
     lags = _lag_sums([signals], n_lags, exponents, exact)
     return Stretch(lags, *ends, exponents, len(signals[0]))
 
@@ -364,23 +387,28 @@ def lag_products(records, n_lags, exact):
     short = tuple(np.hstack(signals) for signals in records if len(signals[0]) < n_lags)
     long = [signals for signals in records if len(signals[0]) >= n_lags]
     units = long or records  # short ones are kept, not multiplied
-    exponents = power_exponents(units) if exact else np.zeros(_n_channels(records[0]), int)
+    exponents = _power_exponents(units) if exact else np.zeros(_n_channels(records[0]), int)
     if not long:
         return _nothing(n_lags, exponents, exact, short)
     lags = _lag_sums(long, n_lags, exponents, exact)
     if not exact and not _within_range(lags.high[0]):
-        exponents = power_exponents(units)
+        exponents = _power_exponents(units)
         if np.max(np.abs(exponents)) > MOST_EXPONENT:  # else a channel is at rest
             lags = _lag_sums(long, n_lags, exponents, exact)
         else:
             exponents = np.zeros_like(exponents)
-    ends = []
-    for part in _ends(n_lags):
-        rows = np.array([np.hstack([z[part] for z in signals]) for signals in long])
-        rows = np.ldexp(rows, -exponents) if exponents.any() else rows
-        ends.append(end_products(rows.reshape(len(long), -1), exact))
+    ends = [_rounded(long, part, exponents, exact) for part in _ends(n_lags)]
+    ends = (rows.reshape(len(long), -1) for rows in ends)
     n_rows = sum(len(signals[0]) for signals in long)
-    return LagProducts(lags, *ends, exponents, n_rows, len(long), short)
+    return LagProducts(lags, *ends, exponents, n_rows, short)
+
+
+def _rounded(records, part, exponents, exact):
+    """Rows at one end of records, as they are multiplied."""
+    rows = np.array([np.hstack([z[part] for z in signals]) for signals in records])
+    if not exact:
+        return rows
+    return np.ldexp(slices(np.ldexp(rows, -exponents), N_SLICES).sum(axis=0), exponents)
 
 
 def _within_range(products):
@@ -393,7 +421,7 @@ def _n_channels(signals):
     return sum(z.shape[1] for z in signals)
 
 
-def power_exponents(records):
+def _power_exponents(records):
     """Whole powers of two just above the largest value of each channel."""
     ends = [np.hstack([extremes(z) for z in signals]) for signals in records]
     largest = np.max(np.abs(ends), axis=(0, 1))
@@ -411,8 +439,8 @@ def _nothing(n_lags, exponents, exact, short):
         return Pair(np.zeros(shape), np.zeros(shape) if exact else None)
 
     p = len(exponents)
-    ends = EndRows(np.zeros((0, (n_lags - 1) * p)), exact)
-    return LagProducts(zeros(n_lags, p, p), ends, ends, exponents, 0, 0, short)
+    ends = np.zeros((0, (n_lags - 1) * p))
+    return LagProducts(zeros(n_lags, p, p), ends, ends, exponents, 0, short)
 
 
 def _lag_sums(records, n_lags, exponents, exact):

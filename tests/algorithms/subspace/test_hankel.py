@@ -16,7 +16,7 @@ from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace import hankel
 from sklearn_hd.algorithms.subspace.hankel import factor_of_products, hankel_factor
 from sklearn_hd.algorithms.subspace.lag_products import lag_products, stretch
-from sklearn_hd.algorithms.subspace.moesp import observability_subspace, state_matrices
+from sklearn_hd.algorithms.subspace.projections import observability_subspace, state_matrices
 from sklearn_hd.datasets import make_flapping_wing
 
 BLOCK_ROWS = 15

@@ -8,12 +8,10 @@ from conftest import random_stable
 from scipy import linalg
 
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.subspace import block_responses, response_products
 from sklearn_hd.algorithms.subspace import input_matrices as module
-from sklearn_hd.algorithms.subspace.block_responses import best_block
+from sklearn_hd.algorithms.subspace import responses
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, response_regressors
-from sklearn_hd.algorithms.subspace.response_basis import response_basis, run
-from sklearn_hd.algorithms.subspace.response_products import output_normal, products_factor
+from sklearn_hd.algorithms.subspace.responses import output_normal, response_basis, run
 
 JORDAN = linalg.block_diag([[0.98, 1.0], [0.0, 0.98]], [[0.6, 0.4], [-0.4, 0.6]], -0.3)
 SPLIT = JORDAN + np.diag([0.0, 1e-7, 0.0, 0.0, 0.0])
@@ -52,7 +50,7 @@ def dense(A, C, inputs, outputs, feedthrough):
 
 
 def orthogonal_only(monkeypatch):
-    monkeypatch.setattr(module, "products_factor", lambda *_: None)
+    monkeypatch.setattr(module._RecordFactors, "of_products", lambda *_: None)
 
 
 @pytest.mark.parametrize("ways", ["products", "orthogonal"])
@@ -64,8 +62,8 @@ def test_records_give_the_least_squares_solution(rng, monkeypatch, A, feedthroug
         orthogonal_only(monkeypatch)
     A, B, C, D = model(rng, A, feedthrough)
     inputs = [rng.standard_normal((n, 2)) for n in (3003, 40, 2000)]
-    assert best_block(2000, 5, 2, 3) > 1
-    assert best_block(40, 5, 2, 3) == 0
+    assert module.best_block(2000, 5, 2, 3) > 1
+    assert module.best_block(40, 5, 2, 3) == 0
     starts = rng.standard_normal((3, 5))
     outputs = [simulate(A, B, C, D, u, x) for u, x in zip(inputs, starts, strict=True)]
     outputs = [y + 0.1 * rng.standard_normal(y.shape) for y in outputs]
@@ -82,7 +80,7 @@ def test_one_record_is_solved_by_its_own_factor(rng, monkeypatch, A, feedthrough
     u = rng.standard_normal((1500, 2))
     y = simulate(A, B, C, D, u, rng.standard_normal(5)) + 0.1 * rng.standard_normal((1500, 3))
     expected = dense(A, C, [u], [y], feedthrough)
-    monkeypatch.setattr(module, "without_start", None)
+    monkeypatch.setattr(module, "_without_start", None)
     found = input_matrices(A, C, [u], [y], feedthrough, return_residual=True)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-8)
@@ -102,12 +100,12 @@ def test_compressed_records_without_noise_give_the_model_back(rng, A):
     assert found[3] < (1e-10 * linalg.norm(y)) ** 2
 
 
-@pytest.mark.parametrize("block", block_responses.BLOCKS)
+@pytest.mark.parametrize("block", responses.BLOCKS[1:])
 def test_blocks_of_any_length_give_the_same(rng, monkeypatch, block):
     A, B, C, D = model(rng, JORDAN, True)
     u = rng.standard_normal((3001, 2))
     y = simulate(A, B, C, D, u, rng.standard_normal(5)) + 0.1 * rng.standard_normal((3001, 3))
-    monkeypatch.setattr(block_responses, "BLOCKS", (block,))
+    monkeypatch.setattr(module, "BLOCKS", (1, block))
     orthogonal_only(monkeypatch)
     found = input_matrices(A, C, [u], [y], True, return_residual=True)
     for one, other in zip(found, dense(A, C, [u], [y], True), strict=True):
@@ -127,8 +125,9 @@ def test_powers_are_those_of_the_basis(rng):
         )
 
 
-@pytest.mark.parametrize("steps", [1, 3, 16, 100])
-def test_the_recursion_is_the_same_in_any_steps(rng, steps):
+@pytest.mark.parametrize("steps", [2, 3, 16, 100])
+def test_the_recursion_is_the_same_in_any_steps(rng, monkeypatch, steps):
+    monkeypatch.setattr(responses, "STEPS", steps)
     F = random_stable(rng, 4, 1, 1)[0]
     forcing, start = rng.standard_normal((83, 2, 4)), rng.standard_normal((2, 4))
     expected = [start]
@@ -136,7 +135,7 @@ def test_the_recursion_is_the_same_in_any_steps(rng, steps):
         expected.append(expected[-1] @ F.T + v)
     x = np.zeros((83, 2, 9))[..., 2:6]  # in place in what is wider
     x[:] = forcing
-    last = run(F, x, start, steps)
+    last = run(F, x, start)
     np.testing.assert_allclose(x, expected[:-1], atol=1e-12)
     np.testing.assert_allclose(last, expected[-1], atol=1e-12)
 
@@ -208,18 +207,18 @@ def test_no_equation_as_long_as_the_record_is_kept(rng):
     assert peak < 8 * y.size * (6 * 2 + 2 * 2 + 6) / 5
 
 
-@pytest.mark.parametrize("rows_in_a_round", [response_products.ROUND, 256])
+@pytest.mark.parametrize("rows_in_a_round", [responses.ROUND, 256])
 @pytest.mark.parametrize("n_samples", [2, 7, 300, 3001])
 @pytest.mark.parametrize("A", [JORDAN, TWINS, SLOW], ids=str)
 def test_normal_equations_are_those_of_all_rows(rng, monkeypatch, A, n_samples, rows_in_a_round):
     """To the last digits beside the lengths of columns, for any length of record."""
-    monkeypatch.setattr(response_products, "ROUND", rows_in_a_round)
+    monkeypatch.setattr(responses, "ROUND", rows_in_a_round)
     A, _, C, _ = model(rng, A, True)
     u, y = rng.standard_normal((n_samples, 2)), rng.standard_normal((n_samples, 3))
     scales = np.array([2.0, 0.1]), np.array([1.0, 3.0, 0.5])
     normal = output_normal(A, C)
-    products = response_products.response_products(normal.basis, u, y, scales)
-    G, rounding = response_products.normal_equations(normal, products, True)
+    products = responses.response_products(normal.basis, u, y, scales)
+    G, rounding = responses.normal_equations(normal, products, True)
     free, forced = response_regressors(normal.A, normal.C, u / scales[0], True)
     rows = np.concatenate([free, forced, (y / scales[1])[..., None]], axis=-1)
     rows = rows.reshape(-1, rows.shape[-1])
@@ -244,9 +243,9 @@ def test_records_without_noise_are_not_squared(rng):
     u = rng.standard_normal((3000, 2))
     y = simulate(A, B, C, D, u, np.zeros(5))
     scales = np.ones(2), np.ones(3)
-    normal = output_normal(A, C)
-    assert products_factor(normal, u, y, True, scales) is None
-    assert products_factor(normal, u, y + rng.standard_normal(y.shape), True, scales) is not None
+    factors = module._RecordFactors(A, C, True, scales)
+    assert factors.of_products(u, y) is None
+    assert factors.of_products(u, y + rng.standard_normal(y.shape)) is not None
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
@@ -269,3 +268,44 @@ def test_records_without_rows_say_nothing(rng, radius, n_inputs):
     for found, each in zip((B, D, x0[::2]), expected, strict=True):
         np.testing.assert_allclose(found, each, rtol=1e-6, atol=1e-9)
     np.testing.assert_array_equal(x0[1], 0.0)
+
+
+# ---- unstable models, whose records fall into short pieces -----------------------------------
+
+
+def grown(rng, n, radius):
+    A = random_stable(rng, n, 2, 3)[0]
+    return A * (radius / np.max(np.abs(np.linalg.eigvals(A))))
+
+
+@pytest.mark.parametrize("radius", [1.1, 1.5])
+def test_an_unstable_model_without_noise_is_given_back(rng, radius):
+    A, B, C, D = model(rng, grown(rng, 5, radius), True)
+    u, y = rng.standard_normal((4000, 2)), np.empty((4000, 3))
+    pieces, _ = module._pieces(A, [len(u)], radius)
+    starts = rng.standard_normal((len(pieces), 5))  # anew, or it would overflow
+    for x0, (_, rows) in zip(starts, pieces, strict=True):
+        y[rows] = simulate(A, B, C, D, u[rows], x0)
+    found = input_matrices(A, C, [u], [y], True)
+    for one, other in zip(found, (B, D, starts[:1]), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_states_that_outputs_hardly_see_change_nothing(rng):
+    """As those of an order too high, without noise."""
+    A, _, C, _ = model(rng, grown(rng, 4, 1.3), True)
+    size = np.array([1.0, 1.0, 1e-7, 1e-9])
+    u, y = rng.standard_normal((3000, 2)), rng.standard_normal((3000, 3))
+    found = input_matrices(A, C, [u], [y], True)
+    weak = input_matrices(A * (size / size[:, None]), C * size, [u], [y], True)
+    for one, other, unit in zip(found, weak, (size[:, None], 1.0, size), strict=True):
+        np.testing.assert_allclose(one, other * unit, rtol=1e-7, atol=1e-7)
+
+
+def test_states_that_are_not_seen_take_no_equations(rng):
+    A, C = np.diag([1.3, 0.5, 1.2]), np.array([[1.0, 2.0, 0.0]])
+    u, y = rng.standard_normal((1500, 1)), rng.standard_normal((1500, 1))
+    B, D, _ = input_matrices(A, C, [u], [y], True)
+    expected = input_matrices(A[:2, :2], C[:, :2], [u], [y], True)
+    np.testing.assert_allclose(B[:2], expected[0], atol=1e-8)
+    np.testing.assert_allclose(D, expected[1], atol=1e-8)

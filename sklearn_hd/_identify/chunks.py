@@ -1,0 +1,393 @@
+"""Data that arrive in chunks: what ``MOESPRegressor.partial_fit`` keeps of them.
+
+Rows are read as a fit would read them all at once: plain rows as they are; through a sliding
+window those at ψ = 0 mod hop, once their windows, hops and whole periods are complete. The raw
+rows that this takes are carried over to the next chunk; the rest are statistics that merge.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd._identify import asked_block_rows, identify
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, check_rank_bound, fewer_block_rows
+from sklearn_hd._identify.modulation import (
+    largest_changes,
+    modulated,
+    n_modulating_harmonics,
+    steps_at_one_phase,
+)
+from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
+from sklearn_hd._readings import PlainReading, Timing, first_difference
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._time import STEP_TOLERANCE
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+
+__all__ = ["Stream", "model_so_far", "read_chunk", "with_chunk"]
+
+MOST_BYTES = 2**33  # of one matrix of the sums
+
+
+@dataclass(frozen=True)
+class OpenRecord:
+    """Rows of a record that the next chunk may go on with, less their trim.
+
+    Attributes
+    ----------
+    label : object
+    time, inputs, outputs : ndarray, shapes (n_carried,), (n_carried, m), (n_carried, l)
+    read_until : float
+        Time of the last row added to the statistics.
+    """
+
+    label: object
+    time: np.ndarray
+    inputs: np.ndarray
+    outputs: np.ndarray
+    read_until: float = -np.inf
+
+    def extended(self, *rows):
+        """With more rows of time, inputs and outputs."""
+        old = self.time, self.inputs, self.outputs
+        return OpenRecord(self.label, *map(np.concatenate, zip(old, rows, strict=True)))
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Statistics of all chunks so far; a chunk makes a new one.
+
+    Attributes
+    ----------
+    block_rows : int
+        The most that a model can be made with.
+    basis : HarmonicBasis or PlainReading
+    sample_time : float
+    input_names, output_names : tuple of str
+    channels : Channels
+        Of the statistics.
+    origin : str or None
+        The instant from which dates are counted.
+    statistics : Statistics or None
+    record : OpenRecord or None
+    first, last : float
+        Times of the first and the last row.
+    changes : ndarray, shape (samples_per_period, n_drive), or None
+        Largest changes of the drive, by phase.
+    """
+
+    block_rows: int
+    basis: object
+    sample_time: float
+    input_names: tuple
+    output_names: tuple
+    channels: Channels
+    origin: str | None
+    first: float
+    last: float = 0.0
+    statistics: Statistics | None = None
+    record: OpenRecord | None = None
+    changes: np.ndarray | float = 0.0
+
+    # ---- chunks ------------------------------------------------------------------------------
+
+    @classmethod
+    def begin(cls, experiment, block_rows, origin=None):
+        """A stream of no rows, of data such as those of an experiment."""
+        basis, n_drive = experiment.basis, len(experiment.drive_names)
+        channels = Channels(n_drive, len(experiment.output_names))
+        if basis.harmonic:
+            highest = basis.rows_per_period // 2
+            channels = Channels(n_drive, len(basis.output_labels), highest)
+        _check_first(experiment, block_rows, n_drive + len(experiment.output_names))
+        return cls(
+            block_rows,
+            basis,
+            experiment.base.sample_time,
+            tuple(basis.input_signals),
+            tuple(experiment.output_names),
+            channels,
+            origin,
+            float(experiment.sampling.clock[0]),
+        )
+
+    def with_chunk(self, experiment):
+        """The stream and one more chunk.
+
+        Raises
+        ------
+        ValueError
+            If the chunk has other columns, another sample time or basis, or does not
+            follow on what was read before.
+        """
+        self._check_alike(experiment)
+        base, stream = experiment.base, self
+        for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
+            rows = time, experiment.inputs[s], experiment.outputs[s]
+            if s == 0 and base.counted and stream._counts_on(time, label):
+                rows = stream._continued(*rows)
+            goes_on = stream._goes_on(rows[0], label)
+            if not goes_on:
+                empty = OpenRecord(label, *(z[:0] for z in rows))
+                stream = replace(stream, record=empty)
+            stream = stream._with_rows(rows, goes_on)
+        return replace(stream, last=float(stream.record.time[-1]))
+
+    def _check_alike(self, experiment):
+        """Raise ValueError unless a chunk is sampled and analysed as those before it."""
+        for what, here, there in (
+            ("inputs", tuple(experiment.basis.input_signals), self.input_names),
+            ("outputs", tuple(experiment.output_names), self.output_names),
+        ):
+            if here != there:
+                raise ValueError(
+                    f"this chunk has the {what} {list(here)}, the first one had {list(there)}; "
+                    f"give all chunks the same columns in the same order, or begin anew with "
+                    f"a clone of the estimator"
+                )
+        if experiment.basis.harmonic != self.basis.harmonic:
+            has, had = ("a ", "no ") if experiment.basis.harmonic else ("no ", "a ")
+            raise ValueError(
+                f"this chunk carries {has}harmonic basis, the first one {had.strip()} one; pass "
+                f"all chunks through the same HarmonicAnalyzer, or none"
+            )
+        difference = first_difference(experiment.basis, self.basis)
+        if difference is not None:
+            name, here, there = difference
+            raise ValueError(
+                f"this chunk was analysed with {name}={here!r}, the first one with "
+                f"{there!r}; fit one HarmonicAnalyzer, and transform all chunks with it"
+            )
+        dt, base = experiment.base.sample_time, experiment.base
+        single = all(s.stop - s.start == 1 for s in base.segments)  # one row tells no step
+        tolerance = STEP_TOLERANCE * self.sample_time + 4.0 * base.uncertainty
+        if not single and abs(dt - self.sample_time) > tolerance:
+            raise ValueError(
+                f"the rows of this chunk are {dt:.6g} s apart, those of the first one "
+                f"{self.sample_time:.6g} s; resample the chunk"
+            )
+
+    def _counts_on(self, time, label):
+        """Whether rows are counted from 0 where a record goes on."""
+        return self.record is not None and self.record.label == label and time[0] <= 0.0
+
+    def _continued(self, time, *signals):
+        """Rows counted from 0 as they go on where the last chunk ended, trim and all."""
+        later = time + self.record.time[-1] + self.sample_time
+        if self.basis.harmonic:
+            was, phase = self.basis.phase_index(time), self.basis.phase_index(later)
+            trims = self.basis.input_trim, self.basis.output_trim
+            signals = (
+                values if trim is None else values + (trim[was] - trim[phase])
+                for values, trim in zip(signals, trims, strict=True)
+            )
+        return later, *signals
+
+    def _goes_on(self, time, label):
+        """Whether rows follow on the last one read; ValueError if they lie before it."""
+        if self.record is None or self.record.label != label:
+            return False
+        step = (time[0] - self.record.time[-1]) / self.sample_time
+        if step < 0.5:
+            raise ValueError(
+                f"this chunk begins at t = {time[0]:.6g} s, before the end of the last one "
+                f"(t = {self.record.time[-1]:.6g} s) in the same record; give chunks in order, or "
+                f"rows of other records a label of their own in a (record, time) MultiIndex"
+            )
+        return step < 1.5
+
+    def _with_rows(self, rows, joined):
+        """The stream with more rows of its open record."""
+        if self.basis.harmonic:
+            return self._with_complete_rows(rows, joined)
+        time, inputs, outputs = rows
+        last = OpenRecord(self.record.label, time[-1:], inputs[-1:], outputs[-1:])
+        rows = np.hstack([inputs, outputs])
+        return replace(self._with_read(rows, ends_of(rows), outputs, joined), record=last)
+
+    def _with_read(self, rows, ends, measured, joined):
+        """The stream with rows read added to its statistics."""
+        size = np.max(np.abs(measured), axis=0, initial=0.0)
+        of = self.channels, 2 * self.block_rows, [rows], [ends], size, len(measured)
+        more = Statistics.of(*of)
+        if self.statistics is not None:
+            more = self.statistics.merge(more, joined)
+        return replace(self, statistics=more)
+
+    # ---- through a sliding window ------------------------------------------------------------
+
+    def _with_complete_rows(self, rows, joined):
+        """The stream with what the rows carried over and those that came have complete."""
+        basis, read_until = self.basis, self.record.read_until
+        record = replace(self.record.extended(*rows), read_until=read_until)
+        complete = len(record.time)
+        if any(orders != (0,) for _, orders in basis.inputs):  # coefficients of whole periods
+            complete -= (basis.phase_index(record.time)[-1] + 1) % basis.samples_per_period
+        drive = basis.drive(record.inputs, record.time)[:complete]
+        changes = np.maximum(self.changes, largest_changes(basis, drive, record.time[:complete]))
+        places = self._unread(record)
+        places = places[places + basis.lead + basis.hop <= complete]
+        ends = ends_of(np.hstack([drive, record.outputs[:complete]]))
+        stream = self._with_read(self._rows(record, places), ends, rows[2], joined)
+        if len(places):
+            record = replace(record, read_until=float(record.time[places[-1]]))
+        return replace(stream, changes=changes, record=self._carried(record))
+
+    def _unread(self, record):
+        """Rows with whole windows not yet added to the statistics."""
+        if len(record.time) < len(self.basis.weights):
+            return np.zeros(0, dtype=int)
+        rows = self.basis.rows_read(record.time)
+        return rows[record.time[rows] > record.read_until + 0.5 * self.sample_time]
+
+    def _rows(self, record, places):
+        """Channels of some rows of a record."""
+        basis, time = self.basis, record.time
+        if len(places) == 0:
+            return np.zeros((0, self.channels.outputs[-1] + 1))
+        drive = basis.drive(record.inputs, time)
+        inputs = modulated(basis, drive, time, places, self.channels.highest)
+        return np.hstack([inputs, basis.output_coefficients(record.outputs, time, places)])
+
+    def _carried(self, record):
+        """What the next row's window takes, and the whole periods that it reaches into."""
+        basis, unread = self.basis, self._unread(record)
+        needed = unread[0] if len(unread) else len(record.time) - 1
+        needed = needed + basis.lead - len(basis.weights) - 2 * basis.samples_per_period
+        starts = np.flatnonzero(basis.phase_index(record.time) == 0)
+        starts = starts[starts <= needed]
+        keep = slice(int(starts[-1]) if len(starts) else 0, None)
+        kept = (z[keep] for z in (record.time, record.inputs, record.outputs))
+        return OpenRecord(record.label, *kept, record.read_until)
+
+    # ---- what a model is made of -------------------------------------------------------------
+
+    def data(self):
+        """Data of a fit of everything so far, as if the open record were over."""
+        stream, basis, highest = self, self.basis, 0
+        if basis.harmonic:
+            rows = self._rows(self.record, self._unread(self.record))
+            nothing = ends_of(np.zeros((0, self.channels.n_drive + len(self.output_names))))
+            stream = self._with_read(rows, nothing, self.record.outputs[:0], joined=True)
+            if not steps_at_one_phase(self.changes):
+                lengths = stream.statistics.lengths
+                highest = n_modulating_harmonics(basis, lengths, self.channels.n_drive)
+        facts = stream.statistics.facts(
+            basis,
+            self.output_names,
+            self.sample_time,
+            f"rows from t = {self.first:.6g} s to {self.last:.6g} s",
+        )
+        return stream.statistics.data(facts, highest)
+
+
+def _first_date(data):
+    """The first of the dates that rows are indexed by, as ISO text; None where there are none."""
+    index = getattr(data, "index", None)
+    times = index.get_level_values(-1) if isinstance(index, pd.Index) else None
+    return times.min().isoformat() if isinstance(times, pd.DatetimeIndex) else None
+
+
+def with_chunk(stream, experiment, X, settings):
+    """The stream and one more chunk; a new stream where there is none yet.
+
+    Raises
+    ------
+    ValueError
+        If the chunk does not follow on the others, or more block rows are asked for.
+    """
+    asked = asked_block_rows(experiment.basis, settings)
+    if settings.predictor and settings.block_rows is None:
+        asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
+    check_rank_bound(settings.order, asked, len(experiment.basis.output_labels))
+    if stream is None:
+        stream = Stream.begin(experiment, asked, _first_date(X))
+    elif asked > stream.block_rows:
+        raise ValueError(
+            f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
+            f"chunk was read with; begin anew with a clone of the estimator"
+        )
+    return stream.with_chunk(experiment)
+
+
+def model_so_far(stream, settings):
+    """The fit of all chunks so far; None, which is said, where they do not suffice."""
+    data = stream.data()
+    if not _suffices(data, settings):
+        return None
+    try:
+        return identify(data, settings)
+    except ValueError as error:  # which rows to come may mend
+        warn(f"no model of the {data.facts.span()}: {error}", IdentifiabilityWarning)
+        return None
+
+
+def _suffices(data, settings):
+    """Whether chunks so far allow for a model; what rests is said."""
+    facts, n_channels = data.facts, data.n_inputs + data.n_outputs
+    if facts.still or not facts.outputs_move.any():
+        what = f"the inputs {list(facts.still)} are" if facts.still else "all outputs are"
+        warn(
+            f"{what} at rest in the {facts.span()}: there is no model until a chunk comes in "
+            f"which they move",
+            ExcitationWarning,
+        )
+        return False
+    i = asked_block_rows(facts.basis, settings)
+    if settings.block_rows is None:
+        i = fewer_block_rows(i, facts.basis.window_rows + 2, data.lengths, n_channels)
+    order = 1 if settings.order == "auto" else int(settings.order)
+    enough = n_hankel_columns(data.lengths, i) >= i * n_channels + order
+    return enough and order <= (i - 1) * data.n_outputs
+
+
+def read_chunk(X, y, stream=None):
+    """The experiment of one chunk, whose rows are those of the grid; dates from the first on."""
+    origin = _first_date(X) if stream is None else stream.origin
+    experiment = read_experiment(
+        X, y, plain=PlainReading(timing=Timing(time_origin=origin or FIRST))
+    )
+    basis = experiment.basis
+    if basis.reading == "period":
+        raise ValueError(
+            "partial_fit reads rows one by one or through a sliding window, not period by period "
+            "(reading='period'), where a model depends on which directions inputs take over the "
+            "whole record; use fit, or an analyzer with reading='sliding'"
+        )
+    if basis.small_signal is not None:
+        raise ValueError(
+            f"small_signal={basis.small_signal!r} combines whole records at several amplitudes; "
+            f"use fit, or an analyzer with small_signal=None"
+        )
+    if basis.timing.missing != RAISE:
+        raise ValueError(
+            f"partial_fit takes no missing samples (missing={basis.timing.missing!r}): what is "
+            f"bridged at the end of a chunk depends on the next; fill them before, or use fit"
+        )
+    if not all(piece.is_grid for piece in experiment.sampling.pieces):
+        raise ValueError(
+            "the rows of this chunk would have to be resampled (an azimuth, jitter, or no whole "
+            "number of samples in a period), which depends on rows of the next; resample the "
+            "record before it is cut into chunks, or use fit"
+        )
+    return experiment
+
+
+def _check_first(experiment, block_rows, n_channels):
+    """Raise ValueError if a first chunk tells no sample time, or its sums fill no memory."""
+    base = experiment.base
+    single = all(s.stop - s.start == 1 for s in base.segments)
+    if not experiment.basis.harmonic and single and not base.counted:
+        raise ValueError(
+            f"no record of the first chunk has two rows (n_samples = {len(base.time)}), from which "
+            f"the sample time could be told; begin with a longer chunk"
+        )
+    size = 8.0 * (2.0 * block_rows * n_channels) ** 2
+    if size > MOST_BYTES:
+        raise ValueError(
+            f"block_rows={block_rows} with {n_channels} signals asks for sums of {size:.2g} bytes; "
+            f"use fewer block rows"
+        )

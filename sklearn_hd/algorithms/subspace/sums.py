@@ -1,0 +1,406 @@
+"""Sums over records that merge in any grouping, from which models are made at any time.
+
+What identification needs of a record of inputs u and outputs y are sums over its rows:
+
+- the lagged products that block Hankel matrices leave behind
+  (:mod:`~sklearn_hd.algorithms.subspace.lag_products`), in exact sums, for no later row may show
+  that plain ones would not have done;
+- for B, D and the initial state, the products of y and u with the responses to u. These
+  depend on A, which no row but the last settles. But a stable A forgets: with
+
+      T[d] = Σ_k u_{k-d} z_k',    d = 0 … K,
+
+  the responses' products are Σ_d A^{d-1} T[d] once A^K is nothing beside rounding. T comes by
+  Fourier transforms of some thousand rows at a time. At both ends of a record, K rows tell
+  what the initial state and the last response were.
+
+Rows that follow others (a chunk in time, a partition elsewhere) are joined to them: what is
+added is T across the seam, from the last K rows before it and the first K after it. So the
+memory taken does not grow with a record: some thousand rows, and the sums.
+
+Chunks in time and partitions of dask's are identified from these sums; ``memory=`` keeps T.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft, linalg
+
+from sklearn_hd.algorithms.linalg.triangular import ROUNDING, safe_cholesky
+from sklearn_hd.algorithms.subspace.innovations import REACH, InnovationForm
+from sklearn_hd.algorithms.subspace.input_matrices import alike_states, input_matrices
+from sklearn_hd.algorithms.subspace.lag_products import LagProducts, Stretch, stretch
+from sklearn_hd.algorithms.subspace.responses import (
+    ResponseProducts,
+    normal_equations,
+    output_normal,
+    pulses,
+    split,
+)
+
+__all__ = [
+    "RecordEnds",
+    "RowSums",
+    "Sums",
+    "correlations",
+    "initial_states_of_heads",
+    "input_matrices_of_factor",
+    "input_matrices_of_heads",
+    "input_matrices_of_sums",
+    "row_sums",
+]
+
+ROUND = 16384  # rows added up at a time: with K before them, a Fourier transform of 5 · 2¹²
+FIRST_ROWS = 256  # that a slow model's initial state is found from
+
+
+@dataclass(frozen=True)
+class RecordEnds:
+    """The first and last rows of a record.
+
+    Attributes
+    ----------
+    head : ndarray, shape (min(n_rows, K), p)
+        Of inputs and outputs.
+    tail : ndarray, shape (min(n_rows, K), m)
+        Of inputs.
+    n_rows : int
+    """
+
+    head: np.ndarray
+    tail: np.ndarray
+    n_rows: int
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums over whole records.
+
+    Attributes
+    ----------
+    products : LagProducts or None
+        Of all channels.
+    lags : ndarray, shape (K + 1, m, p)
+        T[d], of inputs with inputs and outputs.
+    squares : ndarray, shape (l,)
+        Of the outputs.
+    ends : tuple of RecordEnds
+        Of each record.
+    """
+
+    products: LagProducts | None
+    lags: np.ndarray
+    squares: np.ndarray
+    ends: tuple
+
+    def of_inputs(self, which):
+        """T and ends for some of the inputs, and all outputs.
+
+        Parameters
+        ----------
+        which : ndarray of int
+        """
+        n_inputs, n_signals = self.lags.shape[1:]
+        signals = np.concatenate([which, np.arange(n_inputs, n_signals)])
+        ends = (replace(e, head=e.head[:, signals], tail=e.tail[:, which]) for e in self.ends)
+        return replace(self, lags=self.lags[:, which][:, :, signals], ends=tuple(ends))
+
+    def __add__(self, other):
+        return Sums(
+            self.products + other.products,
+            self.lags + other.lags,
+            self.squares + other.squares,
+            self.ends + other.ends,
+        )
+
+
+@dataclass(frozen=True)
+class RowSums:
+    """Sums over consecutive rows of a record, that others may follow.
+
+    Attributes
+    ----------
+    products : Stretch
+        Of all channels.
+    lags, squares
+        As of ``Sums``.
+    ends : RecordEnds
+        Of these rows.
+    """
+
+    products: Stretch
+    lags: np.ndarray
+    squares: np.ndarray
+    ends: RecordEnds
+
+    def join(self, later):
+        """These rows and those right after them, as one."""
+        here, there = self.ends, later.ends
+        before = np.concatenate([here.tail, np.zeros((len(there.head), here.tail.shape[1]))])
+        ends = RecordEnds(
+            np.concatenate([here.head, there.head])[:REACH],
+            np.concatenate([here.tail, there.tail])[-REACH:],
+            here.n_rows + there.n_rows,
+        )
+        return RowSums(
+            self.products.join(later.products),
+            self.lags + later.lags + _lagged(before, there.head),
+            self.squares + later.squares,
+            ends,
+        )
+
+    def closed(self):
+        """The whole record as a summand."""
+        return Sums(self.products.closed(), self.lags, self.squares, (self.ends,))
+
+
+def row_sums(rows, n_lags, inputs, outputs):
+    """Sums over consecutive rows of a record.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n_rows, n_channels)
+    n_lags : int
+        Block rows 2i of the Hankel matrix to come.
+    inputs, outputs : ndarray of int, shapes (m,), (l,)
+        Channels that B, D and the initial state are found from.
+
+    Returns
+    -------
+    sums : RowSums
+    """
+    return RowSums(
+        stretch((rows,), n_lags, exact=True), *_correlated(rows[:, inputs], rows[:, outputs])
+    )
+
+
+def correlations(records):
+    """Sums over whole records without their lag products.
+
+    Parameters
+    ----------
+    records : list of tuple of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
+
+    Returns
+    -------
+    sums : Sums
+        ``products`` is None.
+    """
+    lags, squares, ends = zip(*(_correlated(u, y) for u, y in records), strict=True)
+    return Sums(None, sum(lags), sum(squares), ends)
+
+
+def _correlated(u, y):
+    """T, squares of the outputs and ends of consecutive rows."""
+    z, lags = np.hstack([u, y]), np.zeros((REACH + 1, u.shape[1], u.shape[1] + y.shape[1]))
+    for start in range(0, len(z), ROUND):
+        stop = start + ROUND
+        lags += _lagged(u[max(0, start - REACH) : stop], z[start:stop])
+    ends = RecordEnds(z[:REACH].copy(), u[-REACH:].copy(), len(z))
+    return lags, np.sum(y**2, axis=0), ends
+
+
+def _lagged(before, z):
+    """Σ_k u_{k-d} z_k' for d = 0 … K, over rows z whose inputs are the last of ``before``.
+
+    Parameters
+    ----------
+    before : ndarray, shape (n_before + n_rows, m)
+        At most K rows before those of z.
+    z : ndarray, shape (n_rows, p)
+
+    Returns
+    -------
+    lags : ndarray, shape (K + 1, m, p)
+    """
+    if len(z) == 0:
+        return np.zeros((REACH + 1, before.shape[1], z.shape[1]))
+    n_before = len(before) - len(z)
+    n_within = max(0, min(len(z) - 1, REACH - n_before))  # lags beyond the first of all rows
+    size = fft.next_fast_len(len(before) + n_within, real=True)
+    left, right = fft.rfft(before, size, axis=0), fft.rfft(z, size, axis=0).conj()
+    sums = np.zeros((REACH + 1, before.shape[1], z.shape[1]))
+    for c in range(before.shape[1]):
+        shifts = fft.irfft(left[:, [c]] * right, size, axis=0)
+        sums[: n_before + 1, c] = shifts[n_before::-1]
+        sums[n_before + 1 : n_before + 1 + n_within, c] = shifts[: size - n_within - 1 : -1]
+    return sums
+
+
+def input_matrices_of_sums(A, C, sums, feedthrough, scales):
+    """B, D and the initial states by least squares over all rows of all records.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+    sums : Sums
+    feedthrough : bool
+        Whether D is free (else zero).
+    scales : tuple of ndarray, shapes (m,), (l,)
+        What inputs and outputs are divided by.
+
+    Returns
+    -------
+    B : ndarray, shape (n, m)
+    D : ndarray, shape (l, m)
+    x0 : ndarray, shape (n_records, n)
+        None instead of all three where the model remembers more rows than the sums reach,
+        or rounding would show.
+    """
+    A, C, size = alike_states(A, C)
+    model = output_normal(A, C)
+    if model is None or len(scales[0]) == 0:
+        return None
+    records = _record_products(model.basis, sums, scales)
+    if records is None:
+        return None
+    n, m, n_outputs = len(A), len(scales[0]), len(C)
+    shared, starts, loss = 0.0, [], 0.0
+    for products in records:
+        G, _ = normal_equations(model, products, feedthrough)
+        G = np.triu(G) + np.triu(G, 1).T
+        seen, directions = linalg.eigh(G[:n, :n])
+        inverse = np.where(seen > ROUNDING, 1.0 / np.maximum(seen, ROUNDING), 0.0)
+        inverse = (directions * inverse) @ directions.T
+        starts.append((inverse @ G[:n, n:-1], inverse @ G[:n, -1]))
+        loss = loss + np.diagonal(G)[n : n + n * m]
+        shared = shared + G[n:, n:] - G[n:, :n] @ inverse @ G[:n, n:]
+    whole = np.tile(np.diagonal(records[0].inputs), n)
+    if not np.all(loss > 0.0):
+        return None
+    R = safe_cholesky(shared[:-1, :-1], model.error * np.max(whole / loss))
+    if R is None:
+        return None
+    theta = linalg.cho_solve((R, False), shared[:-1, -1])
+    x0 = np.array([right - coupling @ theta for coupling, right in starts])
+    B, D = split(theta, n, m, n_outputs)
+    B, x0 = linalg.solve_triangular(model.T, B), linalg.solve_triangular(model.T, x0.T).T
+    return B / size[:, None], D, x0 / size
+
+
+def _record_products(basis, sums, scales):
+    """Products of each record with responses; those that only their sum is known of in the first.
+
+    Normal equations are linear in these.
+    """
+    m, scale, reach = len(scales[0]), np.concatenate(scales), len(sums.lags) - 1
+    answers = pulses(basis.F, basis.g, reach)
+    if np.max(np.abs(answers[-1])) > ROUNDING and any(e.n_rows > reach for e in sums.ends):
+        return None
+    forced = np.tensordot(answers, sums.lags[1:], ((0,), (0,))).transpose(1, 0, 2)
+    lags = sums.lags[0] / scales[0][:, None] / scale
+    first = ResponseProducts(
+        forced=forced / scales[0][:, None, None] / scale,
+        free=np.zeros((len(basis.g), len(scale))),
+        last=np.zeros((m, len(basis.g))),
+        inputs=lags,
+        outputs=float(np.sum(sums.squares / scales[1] ** 2)),
+        n_samples=0,
+    )
+    nothing = replace(first, forced=0.0 * first.forced, inputs=0.0 * lags, outputs=0.0)
+    records = []
+    for k, ends in enumerate(sums.ends):
+        free = answers[: len(ends.head)].T @ ends.head / scale
+        last = ends.tail[::-1].T @ answers[: len(ends.tail)] / scales[0][:, None]
+        common = nothing if k else first
+        records.append(replace(common, free=free, last=last, n_samples=ends.n_rows))
+    return records
+
+
+def input_matrices_of_heads(A, C, ends, feedthrough, scales):
+    """B, D and the initial states of records that are no longer than their first rows kept.
+
+    Parameters
+    ----------
+    A, C, feedthrough, scales
+        As for :func:`input_matrices_of_sums`.
+    ends : tuple of RecordEnds
+
+    Returns
+    -------
+    B : ndarray, shape (n, m)
+    D : ndarray, shape (l, m)
+    x0 : ndarray, shape (n_records, n)
+        None instead of all three where a record is longer.
+    """
+    if any(record.n_rows > len(record.head) for record in ends):
+        return None
+    pairs = (np.split(record.head, [len(scales[0])], axis=1) for record in ends)
+    inputs, outputs = zip(*pairs, strict=True)
+    return input_matrices(A, C, inputs, outputs, feedthrough, scales=scales)
+
+
+def input_matrices_of_factor(A, C, R, block_rows, n_inputs, feedthrough):
+    """B and D from the triangular factor alone (Verhaegen, 1994).
+
+    What is orthogonal to the extended observability matrix Γ sees the future inputs only,
+    through the block Toeplitz matrix H of D, C B, C A B, …
+
+        Γ⊥' Y_f = Γ⊥' H(B, D) U_f + noise
+
+    Each column of the Hankel matrix has an initial state of its own: less is asked of the
+    model than of one that is simulated, and less said of B and D where it is slow.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+    R : ndarray
+        From :func:`~sklearn_hd.algorithms.subspace.hankel.factor_of_products`.
+    block_rows, n_inputs : int
+    feedthrough : bool
+
+    Returns
+    -------
+    B : ndarray, shape (n, m)
+    D : ndarray, shape (l, m)
+    """
+    n, n_outputs, i, m = len(A), len(C), block_rows, n_inputs
+    if m == 0:
+        return np.zeros((n, 0)), np.zeros((n_outputs, 0))
+    gamma = [C]
+    for _ in range(i - 1):
+        gamma.append(gamma[-1] @ A)
+    across = linalg.qr(np.vstack(gamma))[0][:, n:]
+    beside = across.reshape(i, n_outputs, -1)  # block row, output, direction
+    maps = np.zeros((i, beside.shape[-1], n_outputs + n))  # of [D; B], for each block of inputs
+    for k in range(i):
+        maps[k, :, :n_outputs] = beside[k].T
+        if k < i - 1:
+            later = np.stack(gamma[: i - 1 - k])
+            maps[k, :, n_outputs:] = np.einsum("jod,jon->dn", beside[k + 1 :], later)
+    if not feedthrough:
+        maps = maps[..., n_outputs:]
+    inputs = R[: i * m, : i * m].reshape(i * m, i, m)
+    regressors = np.einsum("rkc,kdz->rdzc", inputs, maps, optimize=True)
+    target = R[: i * m, -i * n_outputs :] @ across
+    width = maps.shape[-1]
+    theta = linalg.lstsq(regressors.reshape(-1, width * m), target.ravel(), lapack_driver="gelsy")
+    theta = theta[0].reshape(width, m)
+    D = theta[:n_outputs] if feedthrough else np.zeros((n_outputs, m))
+    return theta[width - n :], D
+
+
+def initial_states_of_heads(A, B, C, D, ends, scales, noise=(None, None)):
+    """Initial states by least squares over the first rows of each record.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray
+        In the units that ``scales`` make.
+    ends : tuple of RecordEnds
+    scales : tuple of ndarray, shapes (m,), (l,)
+    noise : tuple of ndarray, shapes (n, l), (l, l), optional
+        Kalman gain and covariance of the innovations, where the rows before are to be known by
+        their outputs.
+
+    Returns
+    -------
+    x0 : ndarray, shape (n_records, n)
+    """
+    K, covariance = noise
+    m, rows = B.shape[1], slice(None) if K is not None else slice(FIRST_ROWS)
+    form = InnovationForm(A, B, C, D, np.zeros((len(A), len(C))) if K is None else K)
+    heads = (record.head[rows] / np.concatenate(scales) for record in ends)
+    return np.array([form.initial_state(head[:, :m], head[:, m:], covariance) for head in heads])
