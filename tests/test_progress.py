@@ -249,20 +249,6 @@ def test_starts_at_once_are_counted_as_they_end(identified, record, screen):
     np.testing.assert_array_equal(told.theta_, quiet.theta_)
 
 
-def test_chunks_show_how_many_rows_there_are_so_far(record, screen):
-    u, y = record
-    quiet, told = (MOESPRegressor(3, block_rows=6, verbose=v) for v in (0, 1))
-    for rows in (slice(0, 250), slice(250, 400)):
-        quiet.partial_fit(u.iloc[rows], y.iloc[rows])
-        with redirect_stderr(screen):
-            told.partial_fit(u.iloc[rows], y.iloc[rows])
-    first, second = screen.left()
-    assert first.startswith("rows added up")
-    assert "250/250" in first
-    assert "400 rows so far" in second
-    np.testing.assert_array_equal(told.model_.A, quiet.model_.A)
-
-
 def test_orders_tried_period_by_period_are_counted(screen):
     data = make_flapping_wing("nltp", n_periods=40, start=12)
     analyzer = HarmonicAnalyzer(
