@@ -49,7 +49,7 @@ def refit_inputs(A, C, experiment, feedthrough):
     dt = experiment.base.sample_time
     A_raw, hold = continuous_to_discrete(A, np.eye(len(A)), dt)
     scale = output_scale(experiment)
-    observe = [R / scale[:, None] for R in observations(experiment, len(C))]
+    observe = [R / scale[:, None] for R in observations(experiment)]
     outputs = scaled_outputs(experiment)
     u_scale = input_scale(experiment)
     inputs = [u / u_scale for u in experiment.drive]
@@ -82,7 +82,7 @@ def scaled_outputs(experiment):
     return [y / scale for y in experiment.outputs]
 
 
-def observations(experiment, n_coefficients):
+def observations(experiment):
     """What is measured of the coefficients at each sample, a list of arrays."""
     basis = experiment.basis
     return [basis.recomposition(basis.azimuth(time)) for time in experiment.times()]

@@ -150,13 +150,13 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         tags.regressor_tags.poor_score = True  # rows in random order have no dynamics
         return tags
 
-    def _remember(self, model, experiment, X, y):
+    def _remember(self, model, basis, X, y):
         """Store the model and what predictions have to look like."""
         check_features(self, X, reset=True)
-        self.model_, self.basis_ = model, experiment.basis
+        self.model_, self.basis_ = model, basis
         y = as_container(y, "y")
         self.predicts_harmonics_ = is_decomposed(y)
-        labels = experiment.basis.output_labels if self.predicts_harmonics_ else None
+        labels = basis.output_labels if self.predicts_harmonics_ else None
         self.target_names_ = labels or signal_names(y, "y")
         self.target_columns_ = list(labels or getattr(y, "columns", self.target_names_))
         self.target_levels_ = list(y.columns.names) if isinstance(y, pd.DataFrame) else [None]
@@ -256,16 +256,24 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         experiment = self._experiment(X)
         simulators = self._simulators(experiment)
-        model = simulators[0].model
-        starts = initial_states(x0, experiment.base, model.n_states, model.state_names)
+        starts = self._starts(x0, experiment, simulators[0].model)
         outputs = [
             simulator.outputs(start, recompose=not self.predicts_harmonics_)
             for simulator, start in zip(simulators, starts, strict=True)
         ]
+        return self._mirror(self._with_trim(outputs, experiment), X)
+
+    def _starts(self, x0, experiment, model=None):
+        """One initial state a segment."""
+        model = self.model_ if model is None else model
+        return initial_states(x0, experiment.base, model.n_states, model.state_names)
+
+    def _with_trim(self, outputs, experiment):
+        """Outputs on the grid, trim added, at the user's rows."""
         trim = experiment.output_trim()
         if trim is not None and not self.predicts_harmonics_:
             outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
-        return self._mirror(experiment.sampling.back(outputs), X)
+        return experiment.sampling.back(outputs)
 
     @one_blas_thread
     @within_range

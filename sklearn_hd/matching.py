@@ -1,44 +1,34 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
+import pandas as pd
+from scipy.stats import norm
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._arithmetic import within_range
-from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
+from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
 from sklearn_hd._continuous import to_continuous
-from sklearn_hd._match.match import Match, NormReport, ParameterReport, periodic_match
-from sklearn_hd._match.norm_matching import NORMS, NormSettings
-from sklearn_hd._match.periodic import PeriodicModel, PeriodicSimulator
-from sklearn_hd._match.realization import realize
-from sklearn_hd._match.refinement import refine
-from sklearn_hd._match.warned import (
-    warn_closed_loop,
-    warn_growing,
-    warn_matched,
-    warn_realized,
-    warn_refined,
-)
+from sklearn_hd._match.affine import NormSettings, match_affine
+from sklearn_hd._match.likelihood import match_likelihood
+from sklearn_hd._match.periodic import match_periodic
+from sklearn_hd._match.periodic_model import PeriodicSimulator
+from sklearn_hd._match.warned import warn_closed_loop
 from sklearn_hd._model_step import ModelStep, upstream
-from sklearn_hd._progress import check_verbose, progress
-from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._threads import one_blas_thread
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.reporting import stage
+from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
-CRITERIA = (*NORMS, "output_error")
-SEARCH = ("n_starts", "n_jobs", "max_iter", "tol", "random_state")  # told to every search
+CRITERIA = ("hinf", "least_squares", "output_error")
 
 
-class StructuredMatcher(NormReport, ParameterReport, ModelStep):
+class StructuredMatcher(ModelStep):
     """Bring the identified model to the structure of the physics.
 
-        θ* = arg min_θ ‖W_o(s) (G_c(s) − G_s(s; θ)) W_i(s)‖_∞             (Eq. 22)
+        θ* = arg min_θ ‖W_o (G_c(s) − G_s(s; θ)) W_i‖_∞                   (Eq. 22)
         θ* = arg max_θ  likelihood of the measured y(t)        (criterion="output_error")
 
     With a :class:`MatrixStructure` the model is time-invariant. With a
@@ -54,13 +44,11 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     structure : MatrixStructure, HarmonicStructure or None, default=None
         The structure. None leaves every entry free: the model as it is, or the periodic
         system if the model was identified period by period.
-    criterion : {"hinf", "h2", "least_squares", "output_error"}, default="hinf"
+    criterion : {"hinf", "least_squares", "output_error"}, default="hinf"
         In what the model identified is matched: ``"hinf"``, the largest error over
-        frequency; ``"h2"``, the size of the error's impulse response, for which D_s must
-        be able to equal D_c; ``"least_squares"``, the mean square over a grid of
-        frequencies in which all channels count alike, usually the better estimate of
-        parameters where no exact match exists. Where a closed form is exact there is
-        nothing left to minimise. ``"output_error"`` goes on from the latter to the
+        frequency; ``"least_squares"``, the mean square over a grid of frequencies, usually
+        the better estimate of parameters where no exact match exists. Where a closed form is
+        exact there is nothing left to minimise. ``"output_error"`` goes on from the latter to the
         parameters of largest likelihood for the raw record, if the noise on the outputs
         is white: no bias by windows, and standard deviations beside the parameters. It
         chooses the numbers of harmonics that a HarmonicStructure leaves open (Akaike's
@@ -69,33 +57,19 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         Standard deviation of white noise on the measured inputs (a dict: by input, in
         their units), which the system does not feel. Maximum likelihood then is a total
         least squares, without the bias that noisy inputs give. None: they are exact.
-    output_weights, input_weights : float, sequence, dict or linear system, default=None
-        W_o and W_i, by channel of the model (a dict: by name; what is not named weighs 1).
-        A weight is a positive number, or a stable continuous transfer function of one
-        channel or of all: from control or scipy.signal, or a tuple A, B, C, D.
-    scale : bool, default=True
-        Whether to scale the channels beside these weights, each output by the size of its
-        row of G_c, each input by that of its column; without, the units of the model
-        decide which channel is matched. In the mean square channels always count alike,
-        but for the numbers given as weights.
+    output_weights, input_weights : float, sequence or dict, default=None
+        Positive numbers by channel of the model (a dict: by name; what is not named weighs 1),
+        the diagonals of W_o and W_i. They stand beside scales that make all channels of G_c
+        count alike, whatever their units.
     n_starts : int, default=6
-        Largest number of starts tried where no exact match is found.
-    n_jobs : int or None, default=None
-        Starts tried at once, in processes of their own; the match is the same.
+        Number of random starts where no exact match is found before.
     random_state : int, default=0
         Seed of the starts.
     max_iter : int, default=100
-        Largest number of iterations of each stage. Searches over more than 1000 parameters
-        times states also end where 20 steps earn less than 1e-4 of the norm.
-    tol : float, default=1e-8
-        Relative decrease of the norm at which to stop.
+        Largest number of iterations of each stage.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data.
-    verbose : int, default=0
-        1 shows a progress bar, in terminals and notebooks only: starts tried, steps of the
-        search, and where it stands. With ``n_jobs`` above one it counts the starts that
-        have ended.
 
     Attributes
     ----------
@@ -123,8 +97,6 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         nothing was matched in a norm.
     hinf_error_relative_ : float
         The same divided by ‖W_o G_c W_i‖_∞.
-    h2_error_ : float
-        ‖W_o (G_c − G_s(θ)) W_i‖_2; infinite where the feedthroughs differ.
     peak_frequency_ : float
         rad/s, where the error is largest.
     peaks_ : DataFrame, columns frequency (rad/s), error and weight
@@ -132,11 +104,11 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         ‖W_o G_c W_i‖_∞, and the weights of their gradients in the convex combination that
         vanishes at the optimum. Empty where the match is exact or in another norm.
     optimality_ : float
-        By how much, relative to itself, the criterion could still fall at first order,
-        within a step that moves the response by as much as the error. 0: stationary.
+        Upper bound of how much, relative to itself, the criterion could still fall at first
+        order, within a step that moves the response by as much as the error. 0: stationary.
     history_ : DataFrame, columns stage and error
         The search, step by step: ``"least squares"`` (relative length of the error over
-        the grid), then ``"minimax"`` (relative H∞ norm) or ``"h2"``.
+        the grid), then ``"minimax"`` (relative H∞ norm).
     sensitivity_ : Series
         Singular values of the sensitivity of the response to the parameters.
     rank_ : int
@@ -161,7 +133,8 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
     InstabilityWarning
         If the closed form for models identified period by period makes a stable one unstable.
     ConvergenceWarning
-        If the search stopped before the tolerance was met.
+        If the search stopped before its tolerance was met: 1e-8 of the sum of squares, 2e-5
+        between the H∞ norm and the smooth bound that is minimised.
 
     References
     ----------
@@ -191,14 +164,10 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         input_noise=None,
         output_weights=None,
         input_weights=None,
-        scale=True,
         n_starts=6,
-        n_jobs=None,
         random_state=0,
         max_iter=100,
-        tol=1e-8,
         warmup=None,
-        verbose=0,
     ):
         self.estimator = estimator
         self.structure = structure
@@ -206,14 +175,10 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         self.input_noise = input_noise
         self.output_weights = output_weights
         self.input_weights = input_weights
-        self.scale = scale
         self.n_starts = n_starts
-        self.n_jobs = n_jobs
         self.random_state = random_state
         self.max_iter = max_iter
-        self.tol = tol
         self.warmup = warmup
-        self.verbose = verbose
 
     @one_blas_thread
     @within_range
@@ -236,256 +201,267 @@ class StructuredMatcher(NormReport, ParameterReport, ModelStep):
         experiment, model = upstream(self, X, y)
         if model.closed_loop and self.criterion == "output_error":
             warn_closed_loop()
+        lifted = experiment.basis.reading == "period" and model.dt > 0.0
+        structure = HarmonicStructure() if lifted and self.structure is None else self.structure
+        periodic = isinstance(structure, HarmonicStructure)
+        noise = self._checked_together(experiment.basis, lifted, periodic)
+        if lifted:
+            simulated = not (periodic and self.criterion == "output_error")
+            route = structure if periodic else HarmonicStructure()
+            match = match_periodic(model, experiment, route, simulated)
+            model = match.model
+        if not (lifted and periodic):
+            model = to_continuous(model, experiment)
+            match = match_affine(model, experiment, structure, self._norm_settings())
+        if self.criterion == "output_error":
+            match = match_likelihood(match, structure, experiment, self.max_iter, noise)
+        self.match_, self.n_iter_ = match.stored(), match.n_iter
+        return self._remember(match.model, experiment.basis, X, y)
+
+    def _check_settings(self):
+        check_choice("criterion", self.criterion, CRITERIA)
+        check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
+        check_count("max_iter", self.max_iter, 1, "100 is usual")
+        if self.random_state is not None:
+            check_count("random_state", self.random_state, 0, "it is the seed of the starts")
         structure = self.structure
         if structure is not None and not isinstance(structure, MatrixStructure | HarmonicStructure):
             raise ValueError(
                 f"structure={structure!r} is not understood; give a MatrixStructure, a "
                 f"HarmonicStructure, or None to leave every entry free"
             )
-        lifted = experiment.basis.reading == "period" and model.dt > 0.0
-        periodic = isinstance(structure, HarmonicStructure) or (lifted and structure is None)
-        noise = self._input_noise(experiment, periodic)
-        self._check_weights(closed_form=periodic and lifted)
-        with progress(self.verbose) as report:
-            if periodic:
-                match = self._match_periodic(model, experiment, lifted, report)
-            else:
-                if lifted:
-                    model = self._realize(model, experiment, HarmonicStructure(), report).model
-                match = self._match(to_continuous(model, experiment), report)
-            if self.criterion == "output_error":
-                match = self._refine(match, experiment, noise, report)
-        return self._store(match)._remember(match.model, experiment, X, y)
-
-    def _check_settings(self):
-        check_choice("criterion", self.criterion, CRITERIA)
-        check_count("n_starts", self.n_starts, 0, "0 tries none beyond the first")
-        if self.n_jobs is not None and self.n_jobs != -1:
-            check_count("n_jobs", self.n_jobs, 1, "None is one process, -1 all processors")
-        check_count("max_iter", self.max_iter, 1, "100 is usual")
-        check_positive("tol", self.tol, "units of the norm", "1e-8 is usual")
-        check_flag("scale", self.scale)
-        check_verbose(self.verbose)
         if self.input_noise is not None:
             noise = self.input_noise
             hint = "None is none, and a dict gives each input its own, {'u': 0.1}"
             for value in noise.values() if isinstance(noise, Mapping) else [noise]:
                 check_positive("input_noise", value, "units of the input", hint)
-        if self.random_state is not None:
-            check_count("random_state", self.random_state, 0, "it is the seed of the starts")
 
-    def _check_weights(self, closed_form):
-        """Refuse weights where no norm is minimised."""
-        if self.output_weights is None and self.input_weights is None:
-            return
-        if self.criterion == "output_error":
-            raise ValueError(
-                "criterion='output_error' weighs each output by its noise; output_weights and "
-                "input_weights are those of a norm, so leave them None, or use criterion='hinf', "
-                "'h2' or 'least_squares'"
-            )
-        if closed_form:
-            raise ValueError(
-                "a model identified period by period is brought to periodic form in closed form, "
-                "where nothing is weighed; leave output_weights and input_weights None, or use "
-                "criterion='output_error', which weighs each output by its noise"
-            )
-
-    def _store(self, match):
-        self._periodic = match.periodic
-        self._parameter_names, self._theta = match.names, match.theta
-        least_squares = match.theta_least_squares
-        self._theta_least_squares = match.theta if least_squares is None else least_squares
-        self._store_found(match.found)
-        self.n_iter_, self._uncertainty = match.n_iter, match.uncertainty
-        return self
-
-    # ---- time-invariant structures -----------------------------------------------------------
-
-    def _match(self, model, report):
-        """The structure matched to a continuous model in the norm of the criterion."""
-        if self.structure is None:
-            return _unchanged(model)
-        structure = self._checked_structure(model)
-        bounds = structure.lower, structure.upper
-        result = self._match_affine(model, structure.affine, report, structure.initial, bounds)
-        matrices = (result.A, result.B, result.C, result.D)
-        return Match(
-            model.in_continuous_time(*matrices, state_names=_state_names(structure, model)),
-            structure.parameter_names,
-            result.theta,
-            PeriodicStructure.time_invariant(structure.affine),
-        ).by(result)
-
-    def _match_affine(self, model, affine, report, initial=None, bounds=None):
-        if affine.n_parameters == 0:
-            raise ValueError(
-                f"the structure has no free parameter, so there is nothing to match: let entries "
-                f"be NaN or names, or free some of those fixed, {list(self.structure.fixed)}"
-            )
-        settings = NormSettings(
-            criterion="least_squares" if self.criterion == "output_error" else self.criterion,
-            scale=self.scale,
-            output_weights=self.output_weights,
-            input_weights=self.input_weights,
-            search={name: getattr(self, name) for name in SEARCH},
-        )
-        result = settings.match(model, affine, initial, bounds, report)
-        warn_matched(result, settings, np.linalg.eigvals(model.A), affine)
-        return result
-
-    # ---- periodic structures -----------------------------------------------------------------
-
-    def _match_periodic(self, model, experiment, lifted, report):
-        """The linear time-periodic system behind the model."""
-        if not experiment.basis.harmonic:
-            raise ValueError(
-                "a HarmonicStructure needs the fundamental frequency, and no harmonic basis rides "
-                "on X; put a HarmonicAnalyzer before the model"
-            )
-        structure = HarmonicStructure() if self.structure is None else self.structure
-        if lifted:
-            return self._realize(model, experiment, structure, report)
-        model = to_continuous(model, experiment)
-        return self._match_decomposition(model, experiment, structure, report)
-
-    def _realize(self, model, experiment, structure, report):
-        """In closed form, from a model identified period by period."""
-        stage(report, "periodic model in closed form")
-        found = realize(model, experiment, structure)
-        warn_realized(found)
-        if self.criterion != "output_error":  # which simulates the record
-            warn_growing(found.model, model, experiment)
-        return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
-
-    def _match_decomposition(self, model, experiment, structure, report):
-        """In the norm of the criterion, from a model in harmonic-decomposition form."""
-        basis = experiment.basis
-        inputs, outputs = (tuple(s for s, _ in kept) for kept in (basis.inputs, basis.outputs))
-        if structure.states is not None and set(structure.states) != set(outputs):
-            raise ValueError(
-                f"states={list(structure.states)} are not the outputs {list(outputs)}, whose "
-                f"coefficients are the states of a harmonic decomposition; name these, or use "
-                f"HarmonicAnalyzer(reading='period')"
-            )
-        driven, measured = map(highest_harmonic, (basis.inputs, basis.outputs))
-        n_harmonics = {"F": 2 * measured, "G": driven + measured, "P": None}
-        full = structure.resolve(outputs, inputs, outputs, n_harmonics)
-        zero = np.zeros(full.n_parameters)
-        periodic = PeriodicModel(full.coefficients(zero), basis.omega, outputs, inputs, outputs)
-        affine, seen = periodic.decomposed_structure(full, basis)
-        result = self._match_affine(model, affine, report)
-        if self.criterion == "output_error":  # the raw record sees them all
-            resolved, theta = full, zero
-            theta[seen] = result.theta
-        else:
-            resolved, theta = full.restricted(seen), result.theta
-        periodic = replace(periodic, coefficients=resolved.coefficients(theta))
-        return periodic_match(resolved, theta, periodic, model, basis, result)
-
-    @property
-    def ltp_(self):
-        """The linear time-periodic system, as an LTPSystem."""
-        check_is_fitted(self)
-        if self._periodic is None:
-            raise AttributeError(
-                "ltp_ is there for a HarmonicStructure only; this match was made with "
-                f"structure={self.structure!r}"
-            )
-        return self._periodic.to_system()
-
-    def _simulators(self, experiment):
-        if self._periodic is None or self.predicts_harmonics_:
-            return super()._simulators(experiment)
-        basis = experiment.basis
-        response = self._periodic.sampled(basis.samples_per_period)
-        return [
-            PeriodicSimulator(self._periodic, response, basis.phase_index(time), u, time)
-            for u, time in zip(experiment.inputs, experiment.times(), strict=True)
-        ]
-
-    # ---- maximum likelihood ------------------------------------------------------------------
-
-    def _refine(self, match, experiment, input_noise, report):
-        """The same structure, its parameters those of the largest likelihood of the record."""
-        if match.structure is None:
-            raise ValueError(
-                "criterion='output_error' needs a structure whose parameters the record "
-                "determines; give a MatrixStructure or a HarmonicStructure"
-            )
-        structure = HarmonicStructure() if self.structure is None else self.structure
-        refined, result = refine(match, structure, experiment, self.max_iter, input_noise, report)
-        warn_refined(result)
-        return refined
-
-    def _input_noise(self, experiment, periodic):
-        """Standard deviation of the noise of each input, or None."""
-        given, basis = self.input_noise, experiment.basis
+    def _checked_together(self, basis, lifted, periodic):
+        """Refuse parameters that exclude each other; the noise of each input, or None."""
+        likelihood = self.criterion == "output_error"
+        if self.output_weights is not None or self.input_weights is not None:
+            if likelihood:
+                raise ValueError(
+                    "criterion='output_error' weighs each output by its noise; output_weights "
+                    "and input_weights are those of a norm, so leave them None, or use "
+                    "criterion='hinf' or 'least_squares'"
+                )
+            if lifted and periodic:
+                raise ValueError(
+                    "a model identified period by period is brought to periodic form in closed "
+                    "form, where nothing is weighed; leave output_weights and input_weights None, "
+                    "or use criterion='output_error', which weighs each output by its noise"
+                )
+        given = self.input_noise
         if given is None:
             return None
-        if self.criterion != "output_error":
+        if not likelihood:
             raise ValueError(
                 f"input_noise={given!r} is allowed for by maximum likelihood only; fit with "
                 f"criterion='output_error', or leave input_noise=None"
             )
-        names = basis.input_signals
         if not periodic and not np.all(basis.held):
             raise ValueError(
                 "input_noise is that of the measured inputs, but this model is driven by their "
                 "harmonics; keep harmonic 0 of the inputs alone, or use a HarmonicStructure"
             )
+        names = basis.input_signals
         values = given if isinstance(given, Mapping) else dict.fromkeys(names, given)
-        unknown = [name for name in values if name not in names]
-        if unknown or len(values) != len(names):
+        if set(values) != set(names):
             raise ValueError(
                 f"input_noise={given!r} must give a standard deviation for each of the inputs "
                 f"{list(names)}"
             )
         return np.array([float(values[name]) for name in names])
 
-    # ---- details -----------------------------------------------------------------------------
+    def _norm_settings(self):
+        names = ("criterion", "output_weights", "input_weights")
+        names += ("n_starts", "random_state", "max_iter")
+        return NormSettings(**{name: getattr(self, name) for name in names})
 
-    def _checked_structure(self, model):
-        """The structure, after checking that it fits the model."""
-        structure = self.structure
-        for what, given, there in (
-            ("inputs", structure.n_inputs, model.input_names),
-            ("outputs", structure.n_outputs, model.output_names),
-        ):
-            if given != len(there):
-                raise ValueError(
-                    f"the structure has {given} {what}, the identified model {len(there)}: "
-                    f"{list(there)}; give B, C and D of that size, or change the harmonics kept"
-                )
-        for what, given, there in (
-            ("inputs", structure.input_names, model.input_names),
-            ("outputs", structure.output_names, model.output_names),
-        ):
-            if given is not None and tuple(given) != tuple(there):
-                raise ValueError(
-                    f"the structure names its {what} {list(given)}, the identified model "
-                    f"{list(there)}; give the same names in the same order"
-                )
-        return structure
+    def _simulators(self, experiment):
+        periodic = self.match_.periodic
+        if periodic is None or self.predicts_harmonics_:
+            return super()._simulators(experiment)
+        basis = experiment.basis
+        response = periodic.sampled(basis.samples_per_period)
+        return [
+            PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
+            for u, time in zip(experiment.inputs, experiment.times(), strict=True)
+        ]
 
+    # ---- what the match found ----------------------------------------------------------------
 
-def _state_names(structure, model):
-    """Names of the states: the structure's, or those of the outputs where C is the identity."""
-    if structure.state_names is not None:
-        return tuple(structure.state_names)
-    n = structure.n_states
-    C = structure.affine.constant[n:, :n]
-    fixed = not structure.affine.basis[:, n:, :n].any()
-    return model.output_names if fixed and np.array_equal(C, np.eye(n)) else None
+    @property
+    def ltp_(self):
+        """The linear time-periodic system, as an LTPSystem."""
+        check_is_fitted(self)
+        if self.match_.periodic is None:
+            raise AttributeError(
+                "ltp_ is there for a HarmonicStructure only; this match was made with "
+                f"structure={self.structure!r}"
+            )
+        return self.match_.periodic.to_system()
 
+    @property
+    def theta_(self):
+        """Parameters by name, as a Series."""
+        return self._by_name("theta", lambda match: match.theta)
 
-def _unchanged(model):
-    """No structure: every entry is a parameter, and the model stays as it is."""
-    matrices = (model.A, model.B, model.C, model.D)
-    names = tuple(
-        f"{name}[{i},{j}]"
-        for name, M in zip("ABCD", matrices, strict=True)
-        for i, j in np.ndindex(M.shape)
-    )
-    theta = np.concatenate([M.ravel() for M in matrices])
-    return Match(model, names, theta, None)
+    @property
+    def theta_least_squares_(self):
+        """Parameters of the match in the mean square, as a Series."""
+        return self._by_name("theta_least_squares", lambda match: match.in_mean_square)
+
+    @property
+    def theta_std_(self):
+        """Standard deviation of each parameter, as a Series; NaN without maximum likelihood."""
+        return self._by_name("theta_std", lambda match: match.theta_std)
+
+    def _by_name(self, name, values):
+        check_is_fitted(self)
+        return pd.Series(values(self.match_), index=list(self.match_.names), name=name)
+
+    @property
+    def covariance_(self):
+        """Covariance of the parameters, as a DataFrame."""
+        covariance, names = self._likelihood("covariance_").covariance, list(self.match_.names)
+        return pd.DataFrame(covariance, index=names, columns=names)
+
+    @property
+    def noise_std_(self):
+        """Standard deviation of each output's noise, as a Series, in the units of y."""
+        found, names = self._likelihood("noise_std_"), list(self.target_names_)
+        if self.predicts_harmonics_:
+            names = [signal for signal, _ in self.basis_.outputs]
+        return pd.Series(found.noise_std, index=names, name="noise_std")
+
+    @property
+    def eigenvalues_(self):
+        """Eigenvalues (Floquet exponents of a periodic model), 1/s, and their deviations."""
+        found = self._likelihood("eigenvalues_")
+        std = found.exponents_std
+        return pd.DataFrame(
+            {"eigenvalue": found.exponents, "std_real": std.real, "std_imag": std.imag}
+        )
+
+    def confidence_interval(self, level=0.95):
+        """Bounds θ ± z σ between which each parameter lies with some probability.
+
+        Parameters
+        ----------
+        level : float, default=0.95
+            That probability, between 0 and 1.
+
+        Returns
+        -------
+        interval : DataFrame, shape (n_parameters, 2)
+            Columns ``lower`` and ``upper``.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If ``level`` is no probability.
+        AttributeError
+            Without ``criterion="output_error"``.
+        """
+        level = check_fraction("level", level, "it is a probability, such as 0.95")
+        self._likelihood("confidence_interval")
+        reach = norm.ppf(0.5 + 0.5 * level) * self.theta_std_
+        return pd.DataFrame({"lower": self.theta_ - reach, "upper": self.theta_ + reach})
+
+    def frequency_response(self, frequencies):
+        """Frequency response of ``system_`` with its standard deviation.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n_frequencies,)
+            In rad/s.
+
+        Returns
+        -------
+        response : complex ndarray, shape (n_frequencies, n_outputs, n_inputs)
+            G(jΩ) between the signals of ``system_``.
+        std : complex ndarray, of the same shape
+            Standard deviation of the real part + j times that of the imaginary part.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        AttributeError
+            Without ``criterion="output_error"``.
+        """
+        found = self._likelihood("frequency_response")
+        return found.frequency_response(self.match_.theta, frequencies)
+
+    def _likelihood(self, what):
+        check_is_fitted(self)
+        if self.match_.uncertainty is None:
+            raise AttributeError(
+                f"{what} is there after maximum likelihood only; fit with criterion='output_error'"
+            )
+        return self.match_.uncertainty
+
+    @property
+    def hinf_error_(self):
+        """‖W_o (G_c − G_s(θ)) W_i‖_∞; NaN where nothing was matched in a norm."""
+        return self._in_norm("hinf_error")
+
+    @property
+    def hinf_error_relative_(self):
+        """The same divided by ‖W_o G_c W_i‖_∞."""
+        return self._in_norm("relative_error")
+
+    @property
+    def peak_frequency_(self):
+        """Where the error is largest, rad/s."""
+        return self._in_norm("peak_frequency")
+
+    @property
+    def optimality_(self):
+        """By how much, relative to itself, the criterion could still fall at first order."""
+        return self._in_norm("predicted_decrease")
+
+    def _in_norm(self, name):
+        check_is_fitted(self)
+        found = self.match_.found
+        return np.nan if found is None else getattr(found, name)
+
+    @property
+    def peaks_(self):
+        """Peaks of the error that hold the H∞ norm where it is, as a DataFrame."""
+        check_is_fitted(self)
+        proof = None if self.match_.found is None else self.match_.found.certificate
+        parts = ([], [], []) if proof is None else (proof.frequencies, proof.errors, proof.weights)
+        columns = ["frequency", "error", "weight"]
+        return pd.DataFrame(dict(zip(columns, parts, strict=True)), dtype=float)
+
+    @property
+    def history_(self):
+        """Stage and error after each step of the search, as a DataFrame."""
+        check_is_fitted(self)
+        steps = () if self.match_.found is None else self.match_.found.history
+        history = pd.DataFrame(list(steps), columns=["stage", "error"])
+        return history.rename_axis("iteration")
+
+    @property
+    def sensitivity_(self):
+        """Singular values of the response's sensitivity to the parameters, as a Series."""
+        return pd.Series(self._singular_values("sensitivity_"), name="singular_value")
+
+    @property
+    def rank_(self):
+        """Number of independent combinations of parameters that the outputs determine."""
+        return numerical_rank(self._singular_values("rank_"))
+
+    def _singular_values(self, what):
+        check_is_fitted(self)
+        if self.match_.found is None:
+            raise AttributeError(
+                f"{what} is there after a match in a norm only; fit with a structure and "
+                f"criterion='hinf' or 'least_squares'"
+            )
+        return self.match_.found.singular_values

@@ -16,7 +16,7 @@ def problem_of(n_inputs=2, n_outputs=2, bounds=None):
     B, C = random.standard_normal((3, n_inputs)), random.standard_normal((n_outputs, 3))
     cells = [["a", "w"], ["-w", "a"]], np.full((2, n_inputs), NAN), np.eye(n_outputs, 2)
     structure = MatrixStructure(*cells).affine
-    return MatchingProblem.build(A, B, C, np.zeros((n_outputs, n_inputs)), structure, None, bounds)
+    return MatchingProblem.build(A, B, C, np.zeros((n_outputs, n_inputs)), structure, bounds=bounds)
 
 
 def start_of(problem):

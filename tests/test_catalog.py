@@ -21,7 +21,6 @@ from sklearn_hd.systems import (
     LTPSystem,
     PeriodicSystem,
     bittanti_colaneri,
-    catalog,
     coupled_oscillators,
     duffing,
     flapping_blade,
@@ -32,7 +31,17 @@ from sklearn_hd.systems import (
     vinograd,
 )
 
-CATALOG = [getattr(catalog, name) for name in catalog.__all__]
+CATALOG = [
+    bittanti_colaneri,
+    coupled_oscillators,
+    duffing,
+    flapping_blade,
+    flapping_wing,
+    hawkmoth,
+    mathieu,
+    meissner,
+    vinograd,
+]
 LINEAR = [entry for entry in CATALOG if entry not in (duffing, flapping_wing, hawkmoth)]
 
 

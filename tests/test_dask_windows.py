@@ -6,6 +6,7 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd._identify import sliding
 from sklearn_hd.algorithms.subspace import hankel
 from sklearn_hd.datasets import make_flapping_wing
 
@@ -93,11 +94,11 @@ def test_more_block_rows_where_the_order_fills_them(steady, monkeypatch):
     """Asked for once; the data are read again for them."""
     asked = []
 
-    def once(self, *_):
-        asked.append(self)
-        return asked.count(self) == 1
+    def once(decomposition, data, settings):
+        asked.append(data)
+        return sum(each is data for each in asked) == 1
 
-    monkeypatch.setattr(MOESPRegressor, "_wants_more_rows", once)
+    monkeypatch.setattr(sliding, "_fills_its_rank", once)
     analyzer, frame = analyzed(steady)
     found = MOESPRegressor().fit(through_window(steady, analyzer, frame), by_record(steady.outputs))
     expected = MOESPRegressor().fit(frame, steady.outputs)

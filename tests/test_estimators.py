@@ -24,8 +24,8 @@ ESTIMATORS = [
     SpuriousModeReducer(MOESPRegressor()),
     SpuriousModeReducer(MOESPRegressor(), method="both"),
     SpuriousModeReducer(MOESPRegressor(), method="residualize"),
-    StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), verbose=1),
-    StructuredMatcher(SpuriousModeReducer(MOESPRegressor(feedthrough=True)), scale=False),
+    StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=1),
+    StructuredMatcher(SpuriousModeReducer(MOESPRegressor(feedthrough=True)), max_iter=50),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=0, random_state=None),
 ]
 

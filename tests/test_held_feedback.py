@@ -10,9 +10,9 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.periodic.integration import integrate, runge_kutta
-from sklearn_hd.algorithms.periodic.period_map import PeriodMap, quadratic_gain
 from sklearn_hd.datasets import make_hawkmoth
 from sklearn_hd.systems import HeldFeedback, PeriodicSystem, hawkmoth
+from sklearn_hd.systems.held_feedback import PeriodMap, quadratic_gain
 
 SIZES = {"state_sizes": [0.3, 0.1, 5.0, 0.2], "input_sizes": [0.06, 0.02]}
 

@@ -14,7 +14,6 @@ LAYERS = [
         "_arithmetic",
         "_checks",
         "_containers",
-        "_progress",
         "_threads",
         "_time",
         "_warn",
@@ -31,7 +30,6 @@ LAYERS = [
     {"__init__"},
 ]
 TOPICS = [  # of algorithms; two of one row know nothing of each other
-    {"reporting"},
     {"linalg"},
     {"signals"},
     {"lti"},
@@ -42,7 +40,7 @@ LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 TOPIC = {name: level for level, names in enumerate(TOPICS) for name in names}
 STEPS = {"harmonics", "subspace", "reduction", "matching"}  # they never import each other
 PARTS = {"_identify": "subspace", "_reduce": "reduction", "_match": "matching"}  # nor do these
-ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "clarabel", "joblib", "sklearn_hd"}
+ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "joblib", "sklearn_hd"}
 STANDARD = {
     "collections", "contextlib", "dataclasses", "functools", "itertools", "math", "numbers",
     "threading", "typing", "warnings",
@@ -111,9 +109,3 @@ def test_matplotlib_stays_in_plotting_and_nothing_else_imports_it(path):
     if room(path) != "plotting":
         for module in imports(path):
             assert not module.startswith(("matplotlib", "sklearn_hd.plotting"))
-
-
-@pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(ROOT)) for p in FILES])
-def test_one_module_alone_draws_progress_bars(path):
-    if room(path) != "_progress":
-        assert not any(module.startswith("tqdm") for module in imports(path))

@@ -79,7 +79,8 @@ def free_heave(names):
 
 
 def test_harmonics_of_a_sliding_analyzer():
-    """Refined on the signals themselves: no analyzer bias, a small part of the error before."""
+    """Refined on the signals themselves: no analyzer bias. The reducer, whose modes are of largest
+    likelihood, has left nothing for the matcher to gain."""
     data = make_flapping_wing("lti-signal", n_periods=120, start=10, snr=100, random_state=0)
     names, errors = list(data.A_exact.columns), []
     exact = data.A_exact.to_numpy()
@@ -91,7 +92,7 @@ def test_harmonics_of_a_sliding_analyzer():
         match = pipe.fit(data.inputs, data.outputs)["match"]
         errors.append(np.linalg.norm(match.system_.A - exact) / np.linalg.norm(exact))
     assert errors[1] < 0.01
-    assert errors[1] < errors[0]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
     A = match.theta_.to_numpy()[:9] - exact.ravel()
     assert np.abs(A / match.theta_std_.to_numpy()[:9]).max() < 4.5
     assert match.system_.state_labels == names

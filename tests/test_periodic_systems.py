@@ -87,7 +87,7 @@ def test_a_pair_finds_back_from_the_other_kind(start, true, rng):
     for w_k in w:
         rows.append(sight @ z + w_k)
         z = true @ z + [w_k[0], 0.5 * w_k[0]]
-    found = refine_multipliers(start, [w], [np.array(rows)]).Phi
+    found = refine_multipliers(start, [w], [np.array(rows)])
     a, b = (np.sort_complex(linalg.eigvals(M)) for M in (found, true))
     np.testing.assert_allclose(a, b, atol=1e-8)
 
@@ -124,7 +124,7 @@ def test_multipliers_are_found_from_a_step(seed):
     """Answers to the step depend on those to its edges: a column too many hides the slope."""
     true, rng = np.diag([0.6, -0.3]), np.random.default_rng(seed)
     directions, lifted = answers_to_a_step(true, rng, noise=1e-2)
-    found = refine_multipliers(np.diag([0.3, 0.1]), directions, lifted).Phi
+    found = refine_multipliers(np.diag([0.3, 0.1]), directions, lifted)
     np.testing.assert_allclose(np.sort(linalg.eigvals(found).real), [-0.3, 0.6], atol=0.02)
 
 
@@ -151,7 +151,7 @@ def test_no_start_outgrows_numbers(rng):
     z = signal.lfilter([0.0, 1.0], [1.0, -0.5], w[:, 0])
     start = np.array([[1.49]])
     with np.errstate(all="raise", under="ignore"):
-        assert refine_multipliers(start, [w], [z[:, None]]).Phi is start
+        assert refine_multipliers(start, [w], [z[:, None]]) is start
 
 
 # ---- equation error ------------------------------------------------------------------------------
@@ -315,7 +315,7 @@ def many_modes(sizes, seed, noise=0.05, n_columns=48):
     kept = _unless_it_explains_less(refined, identified, sight[:6], [w], [y], [y[:, :6]])
     errors = [
         np.abs(linalg.eigvals(Phi)[:, None] - linalg.eigvals(true)).min(axis=0).max()
-        for Phi in (identified, refined.Phi, kept.Phi)
+        for Phi in (identified, refined, kept)
     ]
     return errors, kept is refined
 

@@ -13,6 +13,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd._identify import plain
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace import innovations, sums
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
@@ -322,7 +323,7 @@ def test_an_interrupted_chunk_changes_nothing(rng, monkeypatch):
     model = MOESPRegressor(order=4, block_rows=6).partial_fit(X.iloc[:400], y.iloc[:400])
     before = pickle.dumps(model)
     with monkeypatch.context() as patch:
-        patch.setattr(MOESPRegressor, "_model", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(plain, "subspace_fit", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             model.partial_fit(X.iloc[400:], y.iloc[400:])
     assert pickle.dumps(model) == before

@@ -1,8 +1,8 @@
 """StructuredMatcher in a norm: criteria, weights, bounds, and what it reports."""
 
-import dataclasses
 import pickle
 import warnings
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -16,8 +16,9 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.frozen import FrozenEstimator
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd._match.warned import warn_matched
 from sklearn_hd.algorithms.lti.simulation import frequency_response
-from sklearn_hd.algorithms.matching.norm_descent import least_norm
+from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 NAN = np.nan
@@ -69,16 +70,19 @@ def gap(matcher, frequencies):
     return frequency_response(A, B, C, np.zeros((2, 2)), s) - found
 
 
-@pytest.mark.parametrize("criterion", ["hinf", "h2", "least_squares"])
+@pytest.mark.parametrize("criterion", ["hinf", "least_squares"])
 def test_what_a_match_reports(identified, record, criterion):
-    matcher = match(identified, record, criterion=criterion, scale=False)
+    matcher = match(identified, record, criterion=criterion)
     frequencies = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 20_000)])
-    largest = np.linalg.norm(gap(matcher, frequencies), 2, axis=(1, 2)).max()
+    grid = matching_grid(linalg.eigvals(A))
+    s = 1j * grid[np.isfinite(grid)]
+    outputs, inputs = channel_scales(frequency_response(A, B, C, np.zeros((2, 2)), s))
+    scales = outputs[:, None] * inputs
+    largest = np.linalg.norm(scales * gap(matcher, frequencies), 2, axis=(1, 2)).max()
     assert matcher.hinf_error_ == pytest.approx(largest, rel=1e-6)
-    top = linalg.norm(gap(matcher, matcher.peak_frequency_)[0], 2)
+    top = linalg.norm(scales * gap(matcher, matcher.peak_frequency_)[0], 2)
     assert top == pytest.approx(largest, rel=1e-6)
-    assert np.isfinite(matcher.h2_error_)
-    assert matcher.optimality_ < 1e-4
+    assert matcher.optimality_ < 1e-3
     assert matcher.rank_ == len(matcher.sensitivity_) == 5
     history = matcher.history_
     assert list(history.columns) == ["stage", "error"]
@@ -95,39 +99,14 @@ def test_what_a_match_reports(identified, record, criterion):
 
 
 def test_each_criterion_is_best_in_its_own_norm(identified, record):
-    found = {c: match(identified, record, criterion=c) for c in ("hinf", "h2", "least_squares")}
+    found = {c: match(identified, record, criterion=c) for c in ("hinf", "least_squares")}
     assert min(found, key=lambda c: found[c].hinf_error_) == "hinf"
-    assert min(found, key=lambda c: found[c].h2_error_) == "h2"
     pd.testing.assert_series_equal(
         found["least_squares"].theta_, found["hinf"].theta_least_squares_, check_names=False
     )
 
 
-@pytest.mark.parametrize(
-    "weight",
-    [
-        control.tf([0.2], [1.0, 0.2]),
-        control.ss(-0.2, 1.0, 0.2, 0.0),
-        signal.lti([0.2], [1.0, 0.2]),
-        (np.array([[-0.2]]), np.array([[1.0]]), np.array([[0.2]]), np.array([[0.0]])),
-        {"x": signal.lti([0.2], [1.0, 0.2]), "v": control.tf([0.2], [1.0, 0.2])},
-        [signal.lti([], [-0.2], 0.2), signal.lti([0.2], [1.0, 0.2])],
-    ],
-    ids=["tf", "ss", "scipy", "matrices", "by name", "by place"],
-)
-def test_weights_in_every_form_are_the_same_weight(identified, record, weight):
-    matcher = match(identified, record, output_weights=weight, scale=False)
-    frequencies = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 20_000)])
-    low_pass = 0.2 / (1j * frequencies + 0.2)
-    weighted = low_pass[:, None, None] * gap(matcher, frequencies)
-    largest = np.linalg.norm(weighted, 2, axis=(1, 2)).max()
-    assert matcher.hinf_error_ == pytest.approx(largest, rel=1e-5)
-    plain = match(identified, record, scale=False)
-    at_rest = [linalg.norm(gap(each, 0.0)[0], 2) for each in (matcher, plain)]
-    assert at_rest[0] < at_rest[1]
-
-
-@pytest.mark.parametrize("criterion", ["hinf", "h2", "least_squares"])
+@pytest.mark.parametrize("criterion", ["hinf", "least_squares"])
 @pytest.mark.parametrize(
     "weight", [{"v": 50.0}, [1.0, 50.0], pd.Series({"v": 50.0, "x": 1.0})], ids=type
 )
@@ -156,19 +135,11 @@ def test_one_number_for_all_channels_changes_no_parameter(identified, record):
         ({"output_weights": "x"}, "output_weights='x' is not understood"),
         ({"input_weights": -1.0}, "weights must be positive and finite; give a positive number"),
         ({"input_weights": {"left": "a"}}, r"input_weights\['left'\]='a' is not understood"),
-        ({"output_weights": control.tf([1], [1, 0])}, "output_weights has a pole at 0; a weight"),
-        ({"output_weights": control.tf([1], [1, 0.5], 0.1)}, "is in discrete time"),
-        ({"output_weights": control.tf([1, 0, 0], [1, 1])}, "has no state-space form"),
-        ({"output_weights": control.ss(-1, [[1, 1, 1]], np.ones((3, 1)), 0)}, "has 3 inputs and 3"),
-        ({"output_weights": {"x": control.ss(-1, [[1, 1]], np.ones((2, 1)), 0)}}, "one of each"),
-        (
-            {"output_weights": (np.eye(2), np.ones((3, 1)), [[1]], [[1]])},
-            "must be finite and those",
-        ),
+        ({"output_weights": control.tf([1], [1, 1])}, "is not understood"),
         ({"output_weights": (1.0, 2.0, 3.0, 4.0)}, r"is not understood for \['x', 'v'\]"),
         ({"output_weights": 2.0, "criterion": "output_error"}, "weighs each output by its noise"),
         ({"criterion": "H_2"}, "criterion='H_2'"),
-        ({"n_jobs": "many"}, "n_jobs"),
+        ({"criterion": "h2"}, "criterion='h2'"),
     ],
 )
 def test_settings_that_cannot_be_read_are_refused(identified, record, options, message):
@@ -180,7 +151,7 @@ def test_bounds_of_the_structure_are_kept(identified, record):
     free = match(identified, record)
     limit = round(float(free.theta_["w"]) - 0.1, 3)
     start = {**INITIAL, "w": limit}
-    for criterion in ("hinf", "h2", "least_squares", "output_error"):
+    for criterion in ("hinf", "least_squares", "output_error"):
         bounded = MatrixStructure(*CELLS, initial=start, bounds={"w": (None, limit)})
         held = match(identified, record, bounded, criterion=criterion)
         assert held.theta_["w"] == pytest.approx(limit, abs=1e-9)
@@ -194,12 +165,6 @@ def test_a_structure_without_parameters_is_refused(identified, record):
         match(identified, record, structure)
 
 
-def test_rounding_in_the_feedthrough_is_no_feedthrough(record):
-    model = FrozenEstimator(MOESPRegressor(order=3, block_rows=8, feedthrough=True).fit(*record))
-    assert 0.0 < np.abs(model.estimator.system_.D).max() < 1e-12
-    assert np.isfinite(match(model, record, criterion="h2").h2_error_)
-
-
 def test_feedthrough_that_decides_the_error_is_named(fed_through):
     model, (u, y) = fed_through
     with warnings.catch_warnings():
@@ -207,20 +172,15 @@ def test_feedthrough_that_decides_the_error_is_named(fed_through):
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.filterwarnings("ignore", message="the match has a pole of")
         with pytest.warns(IdentifiabilityWarning, match="entries of D that are fixed leave"):
-            match(model, (u, y), tol=1e-6)
-    with pytest.raises(ValueError, match="the H2 norm is infinite: the model's D = "):
-        match(model, (u, y), criterion="h2")
+            match(model, (u, y))
 
 
-def test_a_pole_on_its_way_to_infinity_is_named_and_has_a_limit(fed_through):
-    model, (u, y) = fed_through
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        warnings.filterwarnings("ignore", message="the feedthrough of the model")
-        with pytest.warns(IdentifiabilityWarning, match="times the fastest of the model: the best"):
-            matcher = match(model, (u, y), tol=1e-6)
-    fastest, speed = (np.abs(linalg.eigvals(each)).max() for each in (A, matcher.system_.A))
-    assert 1e4 * fastest < speed < 1.001e8 * fastest
+def test_a_pole_on_its_way_to_infinity_is_named():
+    affine = MatrixStructure([["-a"]], [["b"]]).affine
+    found = {"theta": np.array([1e6, 1.0]), "relative_error": 0.3, "hinf_error": 0.3}
+    found |= {"exact": False, "converged": True, "unidentified": (), "feedthrough_floor": 0.0}
+    with pytest.warns(IdentifiabilityWarning, match="times the fastest of the model: the best"):
+        warn_matched(SimpleNamespace(**found), "hinf", np.array([-1.0]), affine)
 
 
 def test_a_fast_pole_that_is_known_is_no_runaway(identified, record):
@@ -231,31 +191,19 @@ def test_a_fast_pole_that_is_known_is_no_runaway(identified, record):
     assert np.abs(linalg.eigvals(matcher.system_.A)).max() == pytest.approx(1e6)
 
 
-def test_a_search_cut_short_says_by_how_much(identified, record, monkeypatch):
-    def cut_short(*args):
-        start, run = least_norm(*args)
-        return start, dataclasses.replace(run, converged=False)
-
-    monkeypatch.setattr("sklearn_hd.algorithms.matching.matching.least_norm", cut_short)
-    said = r"the H-infinity match stopped after \d+ steps at a relative error of .* it could still "
-    with pytest.warns(
-        ConvergenceWarning, match=said + r"fall by .* where tol=1e-0\d was asked for"
-    ):
-        match(identified, record, n_starts=0)
+def test_a_search_cut_short_says_by_how_much(identified, record):
+    said = r"the H-infinity match stopped after \d+ steps at a relative error of .*, with .* of it "
+    with pytest.warns(ConvergenceWarning, match=said + "left where 2e-05 counts as converged"):
+        match(identified, record, n_starts=0, max_iter=3)
 
 
 def test_a_fitted_match_can_be_pickled_and_cloned(identified, record):
-    weights = {"x": signal.lti([0.2], [1.0, 0.2])}
+    weights = {"x": 2.0}
     matcher = match(identified, record, output_weights=weights)
     again = pickle.loads(pickle.dumps(matcher))
     pd.testing.assert_frame_equal(again.peaks_, matcher.peaks_)
     pd.testing.assert_frame_equal(again.history_, matcher.history_)
     assert clone(matcher).output_weights.keys() == weights.keys()
-
-
-def test_starts_in_parallel_give_the_same_match(identified, record):
-    alone, together = match(identified, record), match(identified, record, n_jobs=2)
-    pd.testing.assert_series_equal(alone.theta_, together.theta_, check_exact=True)
 
 
 def test_structure_none_reports_nothing_in_a_norm(identified, record):

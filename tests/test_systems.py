@@ -9,7 +9,7 @@ from scipy import linalg
 from scipy.integrate import solve_ivp
 
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
-from sklearn_hd.algorithms.periodic.harmonic_balance import galerkin_coefficients
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import TrimError
 from sklearn_hd.systems import FourierMatrix, LTPSystem, PeriodicSystem, flapping_wing
 
@@ -103,7 +103,7 @@ def test_integrals_of_the_kinks_must_be_converged(wing):
     """|φ̇| averaged over 256 equal steps a period loses printed digits; 4096 keep them."""
     ltp = wing.linearize(wing.trim(2))
     for n_points, enough in [(256, False), (4096, True)]:
-        F = galerkin_coefficients(ltp.F(2 * np.pi * np.arange(n_points) / n_points), 2)
+        F = sampled_harmonics(ltp.F(2 * np.pi * np.arange(n_points) / n_points), 2)
         A = LTPSystem(F, np.zeros((2, 1)), omega=ltp.omega).harmonic_decomposition(1).A
         assert (truncated(A, EQ_25_A) == EQ_25_A) is enough
 

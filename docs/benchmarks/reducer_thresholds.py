@@ -12,10 +12,10 @@ import warnings
 import numpy as np
 from sklearn.pipeline import Pipeline
 
-import sklearn_hd._reduce.mode_choice as choice
-import sklearn_hd._reduce.raw_modes as raw_modes
+import sklearn_hd._reduce.choice as choice
+import sklearn_hd._reduce.reduction as reduction
+import sklearn_hd.algorithms.periodic.periodic_realization as periodic_realization
 import sklearn_hd.algorithms.subspace.projections as moesp
-import sklearn_hd.reduction as reduction
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing
 
@@ -24,7 +24,7 @@ THRESHOLDS = [
     (reduction, "MULTIPLIER_ANGLE"),
     (choice, "WINDOW_DECAY"),
     (choice, "MATERIAL_SHARE"),
-    (raw_modes, "SHAPE_CONDITION"),
+    (periodic_realization, "SHAPE_CONDITION"),
     (moesp, "GAP_REACH"),
     (moesp, "CLEAR_GAP"),
     (moesp, "WIDE_GAP"),

@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd._identify import asked_block_rows, identify
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
@@ -21,8 +23,11 @@ from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._time import STEP_TOLERANCE
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
-__all__ = ["Stream", "first_date", "read_chunk"]
+__all__ = ["Stream", "model_so_far", "read_chunk", "with_chunk"]
 
 MOST_BYTES = 2**33  # of one matrix of the sums
 
@@ -279,15 +284,69 @@ class Stream:
         return stream.statistics.data(facts, highest)
 
 
-def first_date(data):
+def _first_date(data):
     """The first of the dates that rows are indexed by, as ISO text; None where there are none."""
     index = getattr(data, "index", None)
     times = index.get_level_values(-1) if isinstance(index, pd.Index) else None
     return times.min().isoformat() if isinstance(times, pd.DatetimeIndex) else None
 
 
-def read_chunk(X, y, origin=None):
-    """The experiment of one chunk, whose rows are those of the grid; dates from an origin on."""
+def with_chunk(stream, experiment, X, settings):
+    """The stream and one more chunk; a new stream where there is none yet.
+
+    Raises
+    ------
+    ValueError
+        If the chunk does not follow on the others, or more block rows are asked for.
+    """
+    asked = asked_block_rows(experiment.basis, settings)
+    if settings.predictor and settings.block_rows is None:
+        asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
+    check_rank_bound(settings.order, asked, len(experiment.basis.output_labels))
+    if stream is None:
+        stream = Stream.begin(experiment, asked, _first_date(X))
+    elif asked > stream.block_rows:
+        raise ValueError(
+            f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
+            f"chunk was read with; begin anew with a clone of the estimator"
+        )
+    return stream.with_chunk(experiment)
+
+
+def model_so_far(stream, settings):
+    """The fit of all chunks so far; None, which is said, where they do not suffice."""
+    data = stream.data()
+    if not _suffices(data, settings):
+        return None
+    try:
+        return identify(data, settings)
+    except ValueError as error:  # which rows to come may mend
+        warn(f"no model of the {data.facts.span()}: {error}", IdentifiabilityWarning)
+        return None
+
+
+def _suffices(data, settings):
+    """Whether chunks so far allow for a model; what rests is said."""
+    facts, n_channels = data.facts, data.n_inputs + data.n_outputs
+    if facts.still or not facts.outputs_move.any():
+        what = f"the inputs {list(facts.still)} are" if facts.still else "all outputs are"
+        warn(
+            f"{what} at rest in the {facts.span()}: there is no model until a chunk comes in "
+            f"which they move",
+            ExcitationWarning,
+        )
+        return False
+    i = asked_block_rows(facts.basis, settings)
+    if settings.block_rows is None:
+        i = fewer_block_rows(i, facts.basis.window_rows + 2, data.lengths, n_channels)
+    order = 1 if settings.order == "auto" else int(settings.order)
+    enough = n_hankel_columns(data.lengths, i) >= i * n_channels + order
+    return enough and order <= (i - 1) * data.n_outputs
+
+
+def read_chunk(X, y, stream=None):
+    """The experiment of one chunk, whose rows are those of the grid; dates from the first on."""
+    origin = _first_date(X) if stream is None else stream.origin
     experiment = read_experiment(
         X, y, plain=PlainReading(timing=Timing(time_origin=origin or FIRST))
     )

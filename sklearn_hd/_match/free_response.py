@@ -9,8 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
-from sklearn_hd.algorithms.modes.shape_exponents import refine_within_period
-from sklearn_hd.algorithms.periodic.multipliers import RefinedMap, refine_multipliers
+from sklearn_hd.algorithms.periodic.multipliers import refine_multipliers
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     fit_shapes,
     floquet_logarithm,
@@ -66,7 +65,7 @@ def output_shapes(model, experiment, scale, states=None):
     if states is None:
         unit = _sizes(np.vstack(seen))
         C, seen = model.C / unit[:, None], [Y / unit for Y in seen]
-        Phi, response, n_rows = _simulated(model.A, C, inputs, directions, lifted, seen, spp)
+        Phi, response, n_rows = _simulated(model.A, C, inputs, directions, lifted, seen)
     else:
         directions = beside_trim(directions, basis)
         Phi, response = model.A, response_to_states(states, directions, lifted)
@@ -106,29 +105,26 @@ def predictor_states(model, experiment):
     return predicted_states(model.A, C, K, beside_trim(directions, experiment.basis), seen)
 
 
-def _simulated(A, C, inputs, directions, lifted, seen, samples_per_period):
+def _simulated(A, C, inputs, directions, lifted, seen):
     """Φ refined on the raw record, what it sees of the states, and the rows left for noise."""
     n, n_periods = len(A), sum(map(len, lifted))
-    refined = refine_multipliers(A, directions, lifted)
-    refined = _unless_it_explains_less(refined, A, C, directions, lifted, seen)
-    largest = np.max(np.abs(linalg.eigvals(refined.Phi)))
-    growth = max(map(len, lifted)) * np.log(max(largest, 1e-300))
+    Phi = refine_multipliers(A, directions, lifted)
+    Phi = _unless_it_explains_less(Phi, A, C, directions, lifted, seen)
+    radius = max(np.max(np.abs(linalg.eigvals(Phi))), np.finfo(float).tiny)
+    growth = max(map(len, lifted)) * np.log(radius)
     if growth > MAX_GROWTH:
         raise GrowthError(
             f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
             f"a record can show: lower the order, check omega, or cut the record shorter"
         )
-    Phi = refined.Phi
-    if leaves_white_noise(Phi, directions, lifted):
-        Phi = refine_within_period(refined, C, directions, lifted, seen, samples_per_period)
-    else:
+    if not leaves_white_noise(Phi, directions, lifted):
         # systematic errors, a nonlinear system's: smallest where the motion dies away
         free = free_decays(inputs)
         decays = [lifted[s][rows] for s, rows in free]
         if sum(map(len, decays)) > LEAST_DECAY * n and told_apart(Phi, decays):
             lifted, seen = ([blocks[s][rows] for s, rows in free] for blocks in (lifted, seen))
             directions = [np.zeros((len(block), 0)) for block in lifted]
-            Phi = refine_multipliers(Phi, directions, lifted).Phi
+            Phi = refine_multipliers(Phi, directions, lifted)
             n_periods = sum(map(len, lifted))
     response = state_response(Phi, C, directions, lifted, seen)
     return Phi, response, n_periods - directions[0].shape[1] - n
@@ -141,13 +137,10 @@ def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
     the inputs. Many modes that last but a period or two can then stand for each other, and noise
     decides; with one B for all that is seen they cannot.
     """
-    if refined.basis is None:
-        return refined
     left, others = (
-        np.sum(state_response(Phi, C, directions, lifted, seen)[2])
-        for Phi in (refined.Phi, identified)
+        np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
     )
-    return RefinedMap(identified) if others < A_TENTH_LESS * left else refined
+    return identified if others < A_TENTH_LESS * left else refined
 
 
 def free_decays(inputs):

@@ -7,12 +7,15 @@ import numpy as np
 from scipy import linalg, sparse
 
 from sklearn_hd._match.free_response import MAX_GROWTH, GrowthError
-from sklearn_hd._match.periodic import PeriodicModel
+from sklearn_hd._match.periodic_model import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-from sklearn_hd.algorithms.periodic.combined_periods import CombinedPeriods, combined_periods
+from sklearn_hd.algorithms.periodic.combined_periods import (
+    CombinedPeriods,
+    NestedLeastSquares,
+    combined_periods,
+)
 from sklearn_hd.algorithms.periodic.floquet_coordinates import fixed_scale
-from sklearn_hd.algorithms.periodic.nested_least_squares import NestedLeastSquares
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     PeriodicStructure,
     SampledResponse,

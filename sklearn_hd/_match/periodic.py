@@ -1,203 +1,273 @@
-"""Linear time-periodic models: a value that travels, and its simulation sample by sample."""
+"""From a period-synchronous model to the linear time-periodic one behind it, in closed form.
 
-from dataclasses import dataclass
+1. The Poincaré map Φ, refined on the raw record; what every sample of the period sees of
+   the state; from both the mode shapes P(ψ) and R = log(Φ)/T.
+2. F(ψ) = (P′ + P R) P⁻¹ where the outputs determine the state; else Floquet coordinates,
+   in which F = R and the outputs are P(ψ) x.
+3. G(ψ) and Q(ψ) by linear least squares on the raw record.
+"""
+
+from itertools import combinations
 
 import numpy as np
 
-from sklearn_hd._readings import highest_harmonic
-from sklearn_hd.algorithms.lti.structured_model import AffineStructure
-from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
-from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.exceptions import UnstableModelError
-from sklearn_hd.systems import LTPSystem
+from sklearn_hd._continuous import output_scale
+from sklearn_hd._match.free_response import (
+    GrowthError,
+    most_directions,
+    output_shapes,
+    predictor_states,
+)
+from sklearn_hd._match.input_problem import InputProblem
+from sklearn_hd._match.match import periodic_match
+from sklearn_hd._match.warned import warn_growing, warn_realized
+from sklearn_hd._records.data import lifted_periods
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.periodic.equation_error import equation_error
+from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
+from sklearn_hd.algorithms.periodic.periodic_realization import (
+    FloquetError,
+    shapes_determine_state,
+    without_noise,
+)
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
-OVERFLOW = 1e150  # squares of anything larger overflow
-
-
-@dataclass(frozen=True, eq=False)
-class PeriodicModel:
-    """Linear time-periodic system by its Fourier coefficients, as a value that pickles.
-
-    Attributes
-    ----------
-    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
-        Of [F G; P Q](ψ), in the order 0, 1c, 1s, ….
-    omega : float
-        rad/s.
-    state_names, input_names, output_names : tuple of str
-    """
-
-    coefficients: np.ndarray
-    omega: float
-    state_names: tuple
-    input_names: tuple
-    output_names: tuple
-
-    @property
-    def n_states(self):
-        """Number of states."""
-        return len(self.state_names)
-
-    @property
-    def physical(self):
-        """Whether the states are outputs, rather than Floquet coordinates."""
-        return set(self.state_names) <= set(self.output_names)
-
-    def matrices(self):
-        """Fourier coefficients of F, G, P and Q."""
-        M, n = self.coefficients, self.n_states
-        return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
-
-    def highest(self, name):
-        """Highest harmonic of F, G, P or Q that is not zero."""
-        return len(_trimmed(self.matrices()["FGPQ".index(name)])) // 2
-
-    def to_system(self):
-        """The model as an LTPSystem."""
-        F, G, P, Q = (_trimmed(M) for M in self.matrices())
-        return LTPSystem(
-            F,
-            G,
-            P,
-            Q,
-            omega=self.omega,
-            state_names=self.state_names,
-            input_names=self.input_names,
-            output_names=self.output_names,
-        )
-
-    def sampled(self, n_phases):
-        """Transition and output matrices of the samples of one period."""
-        fixed = PeriodicStructure(
-            self.coefficients, np.zeros((0, self.coefficients.size)), self.n_states, ()
-        )
-        return sampled_response(fixed, [], self.omega, n_phases, sensitivities=False)
-
-    def time_invariant(self, basis):
-        """Harmonic decomposition between the coefficients that a basis keeps (Eq. 8).
-
-        Where the outputs are the states, the coefficients kept are the states, too.
-
-        Returns
-        -------
-        A, B, C, D : ndarray
-        state_names : tuple of str
-        """
-        N, states = self._states_kept(basis)
-        labels = [f"{x}_{k}" for k in harmonic_labels(range(N + 1)) for x in self.state_names]
-        stacked = _decompose(self.coefficients, self.omega, basis, N, states)
-        n = len(states)
-        parts = stacked[:n, :n], stacked[:n, n:], stacked[n:, :n], stacked[n:, n:]
-        return parts, tuple(labels[i] for i in states)
-
-    def decomposed_structure(self, structure, basis):
-        """The same with the parameters of a periodic structure, whose model this is.
-
-        Returns
-        -------
-        affine : AffineStructure
-        seen : ndarray of int
-            Parameters that stand in it.
-        """
-        N, states = self._states_kept(basis)
-        shape = structure.constant.shape
-        rates = [
-            _decompose(row.reshape(shape), 0.0, basis, N, states)
-            for row in structure.basis.toarray()
-        ]
-        seen = np.array([k for k, rate in enumerate(rates) if rate.any()], dtype=int)
-        constant = _decompose(structure.constant, self.omega, basis, N, states)
-        stacked = np.array([rates[k] for k in seen]).reshape(len(seen), *constant.shape)
-        names = tuple(structure.parameter_names[k] for k in seen)
-        return AffineStructure(constant, stacked, len(states), names), seen
-
-    def _states_kept(self, basis):
-        """Harmonics of the states, and the places of those kept."""
-        L = highest_harmonic(basis.outputs)
-        if self.state_names == self.output_names:
-            return L, kept_places(basis.outputs)
-        N = L + len(_trimmed(self.matrices()[2])) // 2
-        return N, list(range((2 * N + 1) * self.n_states))
+TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
+NOISY = 1e-6  # of the shapes: then a second way to F is tried
+CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
+MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
+EQUATION_HARMONICS = 2  # of F and G in the equation-error start
+LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 
 
-def _decompose(coefficients, omega, basis, n_harmonics, states):
-    """[A B; C D] of the harmonic decomposition between some states and what a basis keeps."""
-    n = coefficients.shape[1] - len(basis.outputs)
-    M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
-    parts = coefficients[:, :n, :n], coefficients[:, :n, n:]
-    parts += coefficients[:, n:, :n], coefficients[:, n:, n:]
-    A, B, C, D = harmonic_decomposition(*parts, omega, n_harmonics, M, L)
-    rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
-    left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
-    right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]
-    return np.hstack([np.vstack(left), np.vstack(right)])
-
-
-def _trimmed(coefficients):
-    """Fourier coefficients without harmonics that are zero."""
-    moving = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2)))
-    highest = (moving[-1] + 1) // 2 if len(moving) else 0
-    return coefficients[: 2 * highest + 1]
-
-
-def kept_places(signals):
-    """Places of the coefficients kept of some signals in the order s_0, s_1c, s_1s, …."""
-    places = []
-    for i, (_, orders) in enumerate(signals):
-        for k in orders:
-            blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
-            places += [block * len(signals) + i for block in blocks]
-    return places
-
-
-class PeriodicSimulator:
-    """Free simulation of a periodic model over one segment, linear in its initial state.
+def match_periodic(model, experiment, structure, simulated=True):
+    """The match of a period-synchronous model in closed form.
 
     Parameters
     ----------
-    model : PeriodicModel
-    response : SampledResponse
-        Of the model, over the samples of one period.
-    phase : ndarray of int, shape (n_samples,)
-        Sample within the period.
-    inputs : ndarray, shape (n_samples, m)
-    time : ndarray, shape (n_samples,)
+    model : LTIModel
+        Discrete, from one period to the next.
+    experiment : Experiment
+    structure : HarmonicStructure
+    simulated : bool
+        Whether the model is the one that will be simulated: False before it is refined.
+
+    Returns
+    -------
+    match : Match
     """
+    found = realize(model, experiment, structure)
+    warn_realized(found)
+    if simulated:
+        warn_growing(found.model, model, experiment)
+    return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
-    def __init__(self, model, response, phase, inputs, time):
-        self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
-        self.response = response
 
-    def outputs(self, x0, *, recompose=True, n_samples=None):
-        """Outputs, trim not added, of all samples or the first of them."""
-        inputs = self.inputs[:n_samples]
-        states = self._states(inputs, x0)
-        if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
-            raise UnstableModelError(
-                f"the simulation overflows: the model's largest Floquet multiplier is "
-                f"{self.response.spectral_radius:.4g} (1 is the bound of stability); change the "
-                f"order of the identified model, or simulate a shorter span"
+def realize(model, experiment, structure):
+    """Periodic model behind a period-synchronous one, in closed form.
+
+    Parameters
+    ----------
+    model : LTIModel
+        Discrete, from one period to the next.
+    experiment : Experiment
+    structure : HarmonicStructure
+
+    Returns
+    -------
+    realization : Realization
+
+    Raises
+    ------
+    FloquetError, GrowthError
+        If the multipliers or F(ψ) are those of no periodic system, or of one that outgrows
+        numbers, and measured states lead to no better ones.
+    """
+    if structure.n_states not in (None, model.n_states):
+        raise ValueError(
+            f"the structure has {structure.n_states} states, the identified model "
+            f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
+            f"change the structure"
+        )
+    _check_harmonics(structure, experiment.basis.samples_per_period)
+    scale = output_scale(experiment)
+    if model.closed_loop:  # the other way takes inputs for independent of noise
+        return _in_closed_form(model, experiment, structure, scale)[0]
+    try:
+        found, noise = _in_closed_form(model, experiment, structure, scale)
+    except (FloquetError, GrowthError) as error:
+        other = _from_equation_error(model, experiment, structure, scale)
+        if other is None or other.systematic > MOST_SYSTEMATIC:
+            raise  # not noise, but the order is at fault
+        return _told(other, model, f"is that of no periodic system ({error})")
+    if len(structure.states or experiment.basis.outputs) != model.n_states:
+        if structure.n_states is None and found.systematic > MOST_SYSTEMATIC:
+            other = _from_equation_error(model, experiment, structure, scale)
+            if other is not None and other.systematic <= MOST_SYSTEMATIC:
+                return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
+    elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
+        other = _from_equation_error(model, experiment, structure, scale)
+        enough = CLEARLY_LESS if found.physical else HARDLY_MORE
+        if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
+            return other
+    return found
+
+
+def _told(realization, model, why):
+    """A realization by measured states, after a warning if it has another number of states."""
+    n = realization.model.n_states
+    if n != model.n_states:
+        warn(
+            f"the model identified has {model.n_states} state(s), and {why}; with the {n} outputs "
+            f"{list(realization.model.state_names)} as states all but noise is explained, and they "
+            f"are taken; MOESPRegressor(order={n}) asks for them, HarmonicStructure(states=[...]) "
+            f"for others",
+            IdentifiabilityWarning,
+        )
+    return realization
+
+
+def _from_equation_error(model, experiment, structure, scale):
+    """The realization of measured states' F(ψ) by linear least squares; None if there is none."""
+    basis = experiment.basis
+    names = [name for name, _ in basis.outputs]
+    states = list(structure.states or names)
+    if structure.n_states not in (None, len(states)) or set(states) != set(names):
+        return None
+    rows = [names.index(name) for name in states]
+    spp = basis.samples_per_period
+    inputs = lifted_periods(experiment, experiment.inputs)
+    outputs = lifted_periods(experiment, experiment.outputs, scale)
+    directions, _, _ = input_directions(
+        inputs, most_directions(sum(map(len, outputs)), model.n_states)
+    )
+    clean = without_noise(model.A, directions, [y.reshape(len(y), -1) for y in outputs])
+    instruments = [each.reshape(-1, len(names))[:, rows] for each in clean]
+    segments = [
+        (y.reshape(-1, len(names))[:, rows], u.reshape(len(y) * spp, -1), 0)
+        for y, u in zip(outputs, inputs, strict=True)
+    ]
+    count = min(EQUATION_HARMONICS, (spp - 1) // 2)
+    F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
+    P = np.eye(len(names))[:, rows]
+    free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
+    n_harmonics = {"F": given(structure, "F", count), "P": given(structure, "P", None)}
+    problem = InputProblem(structure, tuple(states), experiment, free, None, scale)
+    try:
+        return problem.solve(n_harmonics, physical=True)
+    except GrowthError:
+        return None
+
+
+def _in_closed_form(model, experiment, structure, scale):
+    """The realization by P(ψ) and R, and the noise of what P was fitted to."""
+    basis = experiment.basis
+    spp = basis.samples_per_period
+    starts = predictor_states(model, experiment) if model.closed_loop else None
+    shapes = output_shapes(model, experiment, scale, starts)
+    names = [name for name, _ in basis.outputs]
+    rows = _state_outputs(shapes, structure, names, spp)
+    psi = 2.0 * np.pi * np.arange(spp) / spp
+    P, _ = shapes(psi)
+    highest = (spp - 1) // 2
+    count = min(shapes.n_harmonics, highest)
+    if rows is None:
+        F, P, form = floquet_coordinates(shapes, psi, basis.omega)
+        turned = bool(shapes.flips.any())
+        states = tuple(f"z{i + 1}" for i in range(len(F[0])))
+        n_harmonics = {"F": int(turned), "P": min(count + turned, highest)}
+    else:
+        F, form = shapes.state_matrix(psi, basis.omega, rows), None
+        P = P @ np.linalg.inv(P[:, rows])
+        states = tuple(names[i] for i in rows)
+        n_harmonics = {"F": tail_begins(F, shapes.noise), "P": tail_begins(P, shapes.noise)}
+        if set(names) == set(states):
+            n_harmonics["P"] = None
+        F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
+    P = P * scale[:, None]
+    for name in n_harmonics:
+        n_harmonics[name] = given(structure, name, n_harmonics[name])
+    free = {
+        name: sampled_harmonics(values, n_harmonics[name] or 0)
+        for name, values in (("F", F), ("P", P))
+    }
+    problem = InputProblem(structure, states, experiment, free, form, scale, starts)
+    return problem.solve(n_harmonics, physical=rows is not None), shapes.noise
+
+
+def tail_begins(values, noise):
+    """Highest harmonic of a sampled periodic matrix that counts.
+
+    The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
+    geometrically where P P₀⁻¹ stays near the identity.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, rows, columns)
+    noise : float
+        Of what the values were made from, in parts of its size.
+    """
+    highest = (len(values) - 1) // 2
+    coefficients = sampled_harmonics(values, highest)
+    sizes = np.sum(coefficients**2, axis=(1, 2))
+    beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
+    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
+    return int(counts[-1]) + 1 if len(counts) else 0
+
+
+def given(structure, name, default):
+    """Number of harmonics that the structure asks for, or a default."""
+    asked = structure.n_harmonics(name)
+    return default if asked is None else asked
+
+
+def _check_harmonics(structure, samples_per_period):
+    """Raise ValueError if the structure has harmonics that the samples cannot tell apart."""
+    most = (samples_per_period - 1) // 2
+    for name in "FGPQ":
+        asked = structure.n_harmonics(name)
+        if asked is not None and asked > most:
+            raise ValueError(
+                f"the structure has harmonic {asked} of {name}, and {samples_per_period} samples a "
+                f"period tell at most {most} apart; give {name} fewer harmonics, or sample faster"
             )
-        extended = np.concatenate([states, inputs], axis=-1)
-        return np.einsum("tla,ta->tl", self._at(self.response.Out, n_samples), extended)
 
-    def free(self, n_samples):
-        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
-        n = self.model.n_states
-        states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
-        return np.einsum("tla,kta->ktl", self._at(self.response.Out, n_samples)[..., :n], states)
 
-    def _at(self, matrices, n_samples):
-        return matrices[self.phase[:n_samples] % len(matrices)]
+def _state_outputs(shapes, structure, names, n_phases):
+    """Which outputs are the states; None if no choice of them determines the state."""
+    n = len(shapes.R)
+    P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
+    if structure.states is not None:
+        unknown = [name for name in structure.states if name not in names]
+        if unknown:
+            raise ValueError(
+                f"states={list(structure.states)} must be {n} of the outputs {names}, and "
+                f"{unknown} are not among them"
+            )
+        rows = [names.index(name) for name in structure.states]
+        if not _invertible(P[:, rows], shapes.flips):
+            raise ValueError(
+                f"the outputs {list(structure.states)} do not determine the {n} states; leave "
+                f"states=None, or name others of {names}"
+            )
+        return rows
+    for rows in combinations(range(len(names)), n):
+        if _invertible(P[:, list(rows)], shapes.flips):
+            return list(rows)
+    if entries := structure.given_entries():
+        raise ValueError(
+            f"the outputs {names} do not determine the {n} states that the structure gives entries "
+            f"of {', '.join(entries)} for; measure more outputs, or give numbers of harmonics (or "
+            f"nothing), which leads to Floquet coordinates"
+        )
+    return None
 
-    def _states(self, inputs, x0):
-        n = self.model.n_states
-        Psi = self.response.Psi
-        turned = np.roll(Psi, -(self.phase[0] % len(Psi)), axis=0)
-        which = np.arange(len(inputs)) % len(Psi)
-        forcing = np.einsum("tij,tj->ti", turned[which, :, n:], inputs)
-        forcing = np.broadcast_to(forcing, (*x0.shape[:-1], *forcing.shape))
-        with np.errstate(over="ignore", invalid="ignore"):
-            return propagate_periodic(turned[:, :, :n], forcing, x0)
+
+def _invertible(P, flips):
+    """Whether P(ψ) is, also between the samples: its determinant does not pass through zero."""
+    if np.sum(flips) % 2 or not shapes_determine_state(P):
+        return False
+    return len(np.unique(np.sign(np.linalg.det(P)))) == 1

@@ -59,7 +59,7 @@ def warn_growing(periodic, model, experiment):
         )
 
 
-def warn_matched(result, settings, poles, affine):
+def warn_matched(result, criterion, poles, affine):
     """Of a match in a norm of an affine structure to a model with some poles."""
     n_found, n_wanted = len(poles), affine.n_states
     if n_found != n_wanted and result.relative_error > POOR_MATCH:
@@ -92,12 +92,11 @@ def warn_matched(result, settings, poles, affine):
             f"combinations of them): fix some, share a name, or measure more outputs"
         )
     if not result.converged:
-        name = {"hinf": "H-infinity", "h2": "H2", "least_squares": "least-squares"}
+        name = "H-infinity" if criterion == "hinf" else "least-squares"
         _warn(
-            f"the {name[settings.criterion]} match stopped after {result.n_iter} steps at a "
-            f"relative error of {result.relative_error:.3g}; it could still fall by "
-            f"{result.predicted_decrease:.2g} of itself where tol={settings.search['tol']:g} was "
-            f"asked for; raise n_starts, or max_iter (up to 1000 parameters times states)",
+            f"the {name} match stopped after {result.n_iter} steps at a relative error of "
+            f"{result.relative_error:.3g}, with {result.left:.2g} of it left where "
+            f"{result.tolerance:g} counts as converged; raise max_iter or n_starts",
             ConvergenceWarning,
         )
 

@@ -256,8 +256,15 @@ class HarmonicBasis:
 
     def read(self, drive, outputs, time):
         """Inputs and coefficients of one segment at the rows that models are made of."""
-        rows = self.rows_read(time)
-        return self.held_drive(drive, rows), self.output_coefficients(outputs, time, rows)
+        return self.held_drive(drive, self.rows_read(time)), self.outputs_read(outputs, time)
+
+    def outputs_read(self, outputs, time):
+        """Coefficients of one segment at the rows that models are made of."""
+        return self.output_coefficients(outputs, time, self.rows_read(time))
+
+    def n_read_within(self, time, stop):
+        """Rows read whose windows end before some sample."""
+        return int(np.sum(self.rows_read(time) + len(self.weights) <= stop))
 
     def simulated_rows(self, time):
         """Rows of one segment that a discrete model steps through."""

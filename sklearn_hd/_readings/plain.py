@@ -33,6 +33,7 @@ class PlainReading:
     reading = "plain"
     harmonic = False
     hop = samples_per_period = 1
+    window_rows = 0
     held = True
     small_signal = input_trim = output_trim = None
 
@@ -61,6 +62,14 @@ class PlainReading:
     def read(self, drive, outputs, time):
         """Inputs and outputs of one segment at the rows that models are made of."""
         return drive, outputs
+
+    def outputs_read(self, outputs, time):
+        """Outputs of one segment at the rows that models are made of."""
+        return outputs
+
+    def n_read_within(self, time, stop):
+        """Rows read whose samples all lie before some sample."""
+        return stop
 
     def rows_read(self, time, whole_windows=True):
         """Rows of one segment that models are made of: all."""

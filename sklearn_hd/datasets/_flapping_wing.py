@@ -1,6 +1,5 @@
 """Records of the flapping wing: what an experiment on the paper's vehicle would give."""
 
-import numbers
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -8,20 +7,13 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 
-from sklearn_hd._checks import real_array
+from sklearn_hd._checks import check_choice, check_count, check_numbers, real_array
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
 from sklearn_hd.algorithms.signals.fourier import recompose
-from sklearn_hd.datasets._records import record_frame, record_index
 from sklearn_hd.systems import LTPSystem, PeriodicSystem, flapping_wing
-
-__all__ = ["make_flapping_wing"]
 
 KINDS = ("lti", "lti-signal", "ltp", "nltp")
 TRIM_HARMONICS = 512  # the orbit to 3e-10 of its size; w has a kink wherever the wing reverses
-QUIET_PERIODS = 4  # at rest before a 3211 or multisine begins
-TRIM_SHARE = 10  # a tenth of a raw record in trim, to average its waveforms over
-HIGHEST_FREQUENCY = 0.4  # of a multisine, in cycles a period
-STEPS_3211 = (3, 2, 1, 1)
 
 DESCRIPTION = """\
 Vertical flight of a flapping-wing micro air vehicle (Aerospace 2024, 11(11), 875, Eq. 23)
@@ -170,24 +162,20 @@ def make_flapping_wing(
     phi_dot_1c  -852.9       -55.3      -179.8
     phi_dot_1s -2817.9       150.7       -95.9
     """
-    _check_choice("kind", kind, KINDS)
-    _check_choice("subsystem", subsystem, tuple(SUBSYSTEMS))
-    _check_choice("noise_on", noise_on, ("outputs", "both"))
-    n_periods = _check_count("n_periods", n_periods)
-    samples_per_period = _check_count("samples_per_period", samples_per_period, least=3)
-    for name, value in (
-        ("start", start),
-        ("width", width),
-        ("offset", offset),
-    ):
-        if not isinstance(value, numbers.Real) or not np.isfinite(value):
-            raise ValueError(f"{name}={value!r} must be a finite number")
+    check_choice("kind", kind, KINDS)
+    check_choice("subsystem", subsystem, tuple(SUBSYSTEMS))
+    check_choice("noise_on", noise_on, ("outputs", "both"))
+    n_periods = check_count("n_periods", n_periods, 1, "the length of a record")
+    samples_per_period = check_count(
+        "samples_per_period", samples_per_period, 3, "64 resolve a flap"
+    )
+    check_numbers("finite", "it counts periods", start=start, width=width, offset=offset)
     amplitudes = _check_amplitudes(amplitude, n_records)
     ratio = _noise_ratio(snr, snr_db)
     rng = check_random_state(random_state)
     truth, part = _truth(), SUBSYSTEMS[subsystem]
     size = amplitudes[0] * truth.torque
-    quiet = max(QUIET_PERIODS, n_periods // TRIM_SHARE) if kind == "nltp" else QUIET_PERIODS
+    quiet = max(4, n_periods // 10) if kind == "nltp" else 4
     du = _excitation(
         input, n_periods, samples_per_period, start, width, size, offset, n_records, quiet, rng
     )
@@ -334,10 +322,10 @@ class _ModulatedRates:
 
 def _excitation(input, n_periods, spp, start, width, size, offset, n_records, quiet, rng):
     n_samples = n_periods * spp
-    n_records = _check_count("n_records", n_records)
+    n_records = check_count("n_records", n_records, 1, "one is the least")
     if not isinstance(input, str):
         return _given(input, n_samples, n_records)
-    _check_choice("input", input, ("doublet", "3211", "multisine"))
+    check_choice("input", input, ("doublet", "3211", "multisine"))
     if not width * spp >= 1:
         raise ValueError(
             f"width={width} is less than a sample; it counts periods, give {1 / spp:g} or more"
@@ -390,8 +378,7 @@ def _steps_3211(n_samples, spp, width, size, n_records, rng):
     records = np.empty((n_records, n_samples))
     for record, (scale, stretch) in zip(records, _variations(n_records, rng), strict=True):
         unit = _step_length(width, stretch, spp)
-        signs = np.resize([1.0, -1.0], len(STEPS_3211))
-        pattern = np.repeat(signs, np.multiply(STEPS_3211, unit))
+        pattern = np.repeat([1.0, -1.0, 1.0, -1.0], np.multiply([3, 2, 1, 1], unit))
         record[:] = scale * size * np.resize(pattern, n_samples)
     return records
 
@@ -399,7 +386,7 @@ def _steps_3211(n_samples, spp, width, size, n_records, rng):
 def _multisines(n_samples, spp, width, size, n_records, rng):
     """Sum of cosines of random phase, one value a period, of given peak."""
     n_values = -(-n_samples // spp)
-    cycles = np.arange(1, int(HIGHEST_FREQUENCY * n_values) + 1) / n_values
+    cycles = np.arange(1, int(0.4 * n_values) + 1) / n_values
     if not len(cycles):
         raise ValueError(
             f"a multisine needs three periods or more after the quiet ones; {n_values} are left: "
@@ -437,6 +424,18 @@ def _trim_span(du, t, spp):
 # ---- frames, noise, checks -----------------------------------------------------------------
 
 
+def record_index(t, n_records):
+    """Times t in seconds, repeated for each record where there are several."""
+    if n_records == 1:
+        return pd.Index(t, name="time")
+    return pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
+
+
+def record_frame(values, names, index):
+    """Signals of shape (n_records, n_samples, …) as a table with a column for each name."""
+    return pd.DataFrame(values.reshape(len(index), -1), index, list(names))
+
+
 def _with_noise(frame, perturbation, ratio, rng):
     """Frame with white noise of the perturbation's standard deviation / ratio."""
     if ratio is None:
@@ -470,14 +469,3 @@ def _check_amplitudes(amplitude, n_records):
             f"amplitudes other than zero and leave n_records at 1"
         )
     return amplitudes
-
-
-def _check_choice(name, value, allowed):
-    if value not in allowed:
-        raise ValueError(f"{name}={value!r} must be one of {', '.join(map(repr, allowed))}")
-
-
-def _check_count(name, value, least=1):
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ValueError(f"{name}={value!r} must be an integer of at least {least}")
-    return int(value)

@@ -7,13 +7,10 @@ import numpy as np
 from sklearn.utils import Bunch, check_random_state
 
 from sklearn_hd._checks import check_count, check_numbers, real_array
-from sklearn_hd.datasets._records import record_frame, record_index
+from sklearn_hd.datasets._flapping_wing import record_frame, record_index
 from sklearn_hd.systems import HeldFeedback, hawkmoth
 
-__all__ = ["make_hawkmoth"]
-
 TRIM_HARMONICS = 128  # the orbit to 5e-8; forces have kinks where a wing element stops
-STEPS_PER_PERIOD = 64  # of the integration, at least: 2e-6 of q in a wingbeat
 GUSTS = ("u_gust", "w_gust")
 STATE_SIZES = (0.3, 0.1, 5.0, 0.2)  # u, w, q, theta that count alike in the regulator
 INPUT_SIZES = (0.06, 0.02)  # rad; with them the loop forgets 26 % and more each wingbeat
@@ -197,7 +194,7 @@ def _truth():
 
 def _flights(loop, v, wind, noise, rng):
     """Inputs, outputs as measured and outputs as they were."""
-    substeps = -(-STEPS_PER_PERIOD // loop.samples_per_period)
+    substeps = -(-64 // loop.samples_per_period)  # 64 a wingbeat: 2e-6 of q
     u, y = loop.simulate(v, disturbances=wind, substeps=substeps)
     _check_upright(y, loop)
     if not noise:

@@ -10,14 +10,6 @@ from sklearn.utils import Bunch
 
 from sklearn_hd.systems import read_openfast_lin
 
-__all__ = [
-    "load_cd_player_arm",
-    "load_power_plant",
-    "load_robot_arm",
-    "load_slicot_example",
-    "load_wind_turbine",
-]
-
 DAISY = (
     "B. De Moor (ed.), DaISy: Database for the Identification of Systems, Department of "
     "Electrical Engineering, ESAT/SISTA, KU Leuven; as packaged by SLICOT-SystemIdentification"
@@ -28,7 +20,6 @@ TURBINES = {
     3: ("ws03.0.1.lin", "ws03.0.13.lin", "ws03.0.34.lin"),
     8: ("Main.1.lin", "Main.12.lin", "Main.24.lin"),
 }
-POWER_PLANT_SAMPLE_TIME = 1228.8  # s
 
 
 def load_robot_arm():
@@ -89,7 +80,7 @@ opening of the turbine valves, spray flow of the superheater, gas dampers, air f
 steam pressure, main steam temperature, reheat steam temperature. 200 samples, one in 1228.8 s;
 units are not on record. Contributed by P. Van Overschee (KU Leuven).
 """
-    return _record("power_plant", 5, about, DAISY, "LICENSE-BSD-3-Clause", POWER_PLANT_SAMPLE_TIME)
+    return _record("power_plant", 5, about, DAISY, "LICENSE-BSD-3-Clause", 1228.8)
 
 
 def load_cd_player_arm():

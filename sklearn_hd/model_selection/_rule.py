@@ -4,7 +4,6 @@ import numpy as np
 
 from sklearn_hd._checks import check_positive
 
-ROUNDING = 1e-10  # share of the best score below which a difference says nothing
 SIZE = ("order", "block_rows")
 
 
@@ -86,7 +85,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     means = scores.mean(axis=1)
     best = int(np.argmax(means))
     error = standard_error(scores[best], test_share)
-    within = means[best] - means <= error + ROUNDING * abs(means[best])
+    within = means[best] - means <= error + 1e-10 * abs(means[best])  # rounding
     return min(np.flatnonzero(within).tolist(), key=lambda i: (*sizes[i], -means[i], i))
 
 

@@ -8,16 +8,16 @@ Importing :mod:`sklearn_hd` does not import this package.
 """
 
 from sklearn_hd.plotting._bode import BodeDisplay
-from sklearn_hd.plotting._convergence import ConvergenceDisplay
-from sklearn_hd.plotting._eigenvalues import EigenvalueDisplay
+from sklearn_hd.plotting._eigenvalues import EigenvalueDisplay, StabilizationDisplay
 from sklearn_hd.plotting._harmonic_transfer import HarmonicTransferFunctionDisplay
 from sklearn_hd.plotting._harmonics import HarmonicsDisplay
-from sklearn_hd.plotting._order_selection import OrderSelectionDisplay
-from sklearn_hd.plotting._participation import ParticipationDisplay
-from sklearn_hd.plotting._periodic_matrix import PeriodicMatrixDisplay
+from sklearn_hd.plotting._identification import (
+    ConvergenceDisplay,
+    OrderSelectionDisplay,
+    SingularValueDisplay,
+)
+from sklearn_hd.plotting._periodic import ParticipationDisplay, PeriodicMatrixDisplay
 from sklearn_hd.plotting._response import ResponseDisplay
-from sklearn_hd.plotting._singular_values import SingularValueDisplay
-from sklearn_hd.plotting._stabilization import StabilizationDisplay
 
 __all__ = [
     "BodeDisplay",

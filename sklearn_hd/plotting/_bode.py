@@ -1,23 +1,28 @@
 """Frequency responses of models of harmonics, coefficient by coefficient."""
 
+from dataclasses import KW_ONLY, dataclass, field
+
 import control
 import numpy as np
+from scipy.stats import norm
 
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.matching import StructuredMatcher
-from sklearn_hd.plotting._fitted import by_label, fitted_step
-from sklearn_hd.plotting._panels import Panels
-from sklearn_hd.plotting._style import FREQUENCY, LINES, REFERENCE, dress, looks, unit_of
+from sklearn_hd.plotting._display import (
+    FREQUENCY,
+    Display,
+    by_label,
+    chosen,
+    dress,
+    fitted_step,
+    line_styles,
+    unit_of,
+)
 
-__all__ = ["BodeDisplay"]
 
-POINTS = 400
-DECADES = 1.0  # drawn beyond the slowest and the fastest pole
-NINETY_FIVE = 1.959963984540054  # standard deviations on either side
-
-
-class BodeDisplay:
+@dataclass(eq=False, repr=False)
+class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude and phase"):
     """Magnitude and phase from each input's harmonics to each output's.
 
         Y(jΩ) = G(jΩ) U(jΩ),   G = C (jΩI − A)⁻¹ B + D
@@ -62,15 +67,13 @@ class BodeDisplay:
     ['u_0 → y_0', 'u_0 → y_1c']
     """
 
-    def __init__(
-        self, frequencies, responses, *, input_names, output_names, std=None, reference=None
-    ):
-        self.frequencies = np.asarray(frequencies, dtype=float)
-        self.responses = responses
-        self.input_names = list(input_names)
-        self.output_names = list(output_names)
-        self.std = {} if std is None else std
-        self.reference = reference
+    frequencies: np.ndarray
+    responses: dict
+    _: KW_ONLY
+    input_names: list
+    output_names: list
+    std: dict = field(default_factory=dict)
+    reference: str | None = None
 
     @classmethod
     def from_estimator(cls, estimator, frequencies=None, *, true=None, ax=None, **plotted):
@@ -84,22 +87,11 @@ class BodeDisplay:
             In rad/s; a decade beyond the poles by default.
         true : control.StateSpace, optional
             The truth; of its signals, by name, those of the models.
-        ax : Axes or array of Axes, optional
-            One Axes a panel, or one that is divided; a new figure by default.
         **plotted
             ``inputs``, ``outputs``, ``units``: see :meth:`plot`.
 
-        Returns
-        -------
-        display : BodeDisplay
-            Drawn; what it draws stands in its attributes.
-
         Raises
         ------
-        TypeError
-            If there is no model step.
-        NotFittedError
-            If it has not been fitted.
         ValueError
             If models have different signals.
         """
@@ -124,19 +116,6 @@ class BodeDisplay:
         ----------
         systems : control.StateSpace, or a dict of them by label
             Between the same signals, continuous or discrete.
-        frequencies : array_like, shape (n_frequencies,), optional
-            In rad/s; a decade beyond the poles by default.
-        true : control.StateSpace, optional
-            The truth; of its signals, by name, those of the models.
-        ax : Axes or array of Axes, optional
-            Two Axes for each pair of signals, or one that is divided.
-        **plotted
-            ``inputs``, ``outputs``, ``units``: see :meth:`plot`.
-
-        Returns
-        -------
-        display : BodeDisplay
-            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -193,17 +172,10 @@ class BodeDisplay:
 
         Parameters
         ----------
-        ax : Axes or array of Axes, optional
-            Two Axes for each pair of signals, or one that is divided.
         inputs, outputs : sequence of str, optional
             Coefficients to draw; all by default.
         units : dict, optional
             Unit of each signal, or of its coefficients, for the labels.
-
-        Returns
-        -------
-        display : BodeDisplay
-            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -220,18 +192,12 @@ class BodeDisplay:
         cells = [
             (2 * (k // columns) + half, k % columns) for k in range(len(pairs)) for half in (0, 1)
         ]
-        panels = Panels(
-            ax,
-            cells,
-            size=(max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows),
-            heights=[1.3, 1.0] * rows,
-            share_x="all",
-            names="magnitude and phase of each pair of signals",
-        )
-        self.axes_, self.figure_ = panels.axes, panels.figure
+        size = max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows
+        panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
+        styles = line_styles(self.responses, self.reference)
         self.magnitude_lines_, self.phase_lines_, self.bands_ = {}, {}, {}
         for k, (o, i) in enumerate(pairs):
-            self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units)
+            self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units, styles)
             panels.axes[2 * k].tick_params(labelbottom=False)
             if k + columns >= len(pairs):
                 panels.axes[2 * k + 1].set_xlabel(FREQUENCY)
@@ -241,12 +207,9 @@ class BodeDisplay:
         self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
         return self
 
-    def _draw(self, o, i, axes, units):
+    def _draw(self, o, i, axes, units, styles):
         magnitude, phase = axes
         source, target = self.input_names[i], self.output_names[o]
-        own = [label for label in self.responses if label != self.reference]
-        styles = dict(zip(own, looks(LINES, len(own)), strict=True))
-        styles |= {} if self.reference is None else {self.reference: REFERENCE | {"lw": 4.0}}
         for label, response in self.responses.items():
             g, style = response[:, o, i], styles[label] | {"label": label}
             key, size = (label, target, source), np.abs(g)
@@ -268,7 +231,8 @@ class BodeDisplay:
         size = np.maximum(np.abs(g), np.finfo(float).tiny)
         along = np.hypot(g.real * std.real, g.imag * std.imag) / size
         across = np.hypot(g.imag * std.real, g.real * std.imag) / size**2
-        reach, turn = NINETY_FIVE * along, np.degrees(NINETY_FIVE * across)
+        deviations = norm.ppf(0.975)  # on either side of 95 %
+        reach, turn = deviations * along, np.degrees(deviations * across)
         look = {"color": style["color"], "alpha": 0.25, "lw": 0}
         return [
             axes[0].fill_between(
@@ -292,9 +256,8 @@ def default_frequencies(systems):
             poles = np.log(np.where(poles == 0.0, np.finfo(float).tiny, poles)) / dt
         sizes += [size for size in np.abs(poles) if size > 0.0]
     low, high = (min(sizes), max(sizes)) if sizes else (1.0, 1.0)
-    reach = 10.0**DECADES
-    high = min(high * reach, top)
-    return np.geomspace(min(low / reach, high / reach), high, POINTS)
+    high = min(10.0 * high, top)  # a decade beyond the slowest and the fastest pole
+    return np.geomspace(min(low, high) / 10.0, high, num=400)
 
 
 def _response(system, frequencies, inputs, outputs):
@@ -314,14 +277,3 @@ def _degrees(g):
     """Phase without jumps, that of the lowest frequency within half a turn of zero."""
     angle = np.degrees(np.unwrap(np.angle(g)))
     return angle - 360.0 * np.round(angle[0] / 360.0)
-
-
-def chosen(wanted, names, what):
-    """Places of the signals to draw."""
-    if wanted is None:
-        return range(len(names))
-    wanted = [wanted] if isinstance(wanted, str) else list(wanted)
-    unknown = [name for name in wanted if name not in names]
-    if unknown or not wanted:
-        raise ValueError(f"{what}={wanted} are not all among {names}; give some of these")
-    return [names.index(name) for name in wanted]

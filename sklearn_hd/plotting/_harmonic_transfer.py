@@ -7,23 +7,27 @@ from sklearn_hd._checks import FIRST
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._time import read_time
 from sklearn_hd.model_selection._scorers import last_model_step
-from sklearn_hd.plotting._bode import chosen
-from sklearn_hd.plotting._fitted import by_label
-from sklearn_hd.plotting._panels import Panels
-from sklearn_hd.plotting._participation import check_periodic, periodic_system
-from sklearn_hd.plotting._style import BLACK, FREQUENCY, GREY, LINES, dress, looks, unit_of
+from sklearn_hd.plotting._display import (
+    BLACK,
+    FREQUENCY,
+    GREY,
+    Display,
+    by_label,
+    check_periodic,
+    chosen,
+    dress,
+    line_styles,
+    periodic_system,
+    unit_of,
+)
 from sklearn_hd.systems import HarmonicTransferFunction, estimate_harmonic_transfer_function
 
-__all__ = ["HarmonicTransferFunctionDisplay"]
-
-LOWEST = 0.01  # share of a curve's points that may lie below the view
-DEEPEST = 1e-6  # of the largest magnitude, below which nothing is shown
-DEFAULT_SPAN = 2.0  # of omega, beyond the highest harmonic, where frequencies are left open
-POINTS = 400
 MEASURED = {"color": GREY, "marker": ".", "ms": 3.5, "ls": ""}
 
 
-class HarmonicTransferFunctionDisplay:
+class HarmonicTransferFunctionDisplay(
+    Display, axes="one Axes a harmonic and pair of signals, and the coherence of each output"
+):
     """Magnitude of H_n(jΩ), harmonic by harmonic, and the coherence of what was measured.
 
         u(t) = u e^{jΩt}   →   y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
@@ -100,22 +104,11 @@ class HarmonicTransferFunctionDisplay:
             Highest harmonic N of the response.
         frequencies : array_like, shape (n_frequencies,), optional
             In rad/s; without a record, up to N + 2 times ω by default. With one, its own.
-        ax : Axes or array of Axes, optional
-            One Axes a panel, or one that is divided; a new figure by default.
         **plotted
             ``inputs``, ``outputs``, ``units``, ``xscale``: see :meth:`plot`.
 
-        Returns
-        -------
-        display : HarmonicTransferFunctionDisplay
-            Drawn; what it draws stands in its attributes.
-
         Raises
         ------
-        TypeError
-            If there is no StructuredMatcher.
-        NotFittedError
-            If it has not been fitted.
         ValueError
             If its structure is time-invariant, or the record is too short.
         """
@@ -136,19 +129,8 @@ class HarmonicTransferFunctionDisplay:
         ----------
         systems : LTPSystem, or a dict of them by label
             Between the same signals.
-        n_harmonics : int, default=1
-            Highest harmonic N of the response.
         frequencies : array_like, shape (n_frequencies,), optional
             In rad/s; up to N + 2 times ω by default.
-        ax : Axes or array of Axes, optional
-            One Axes a panel, row by row, or one that is divided.
-        **plotted
-            ``inputs``, ``outputs``, ``units``, ``xscale``: see :meth:`plot`.
-
-        Returns
-        -------
-        display : HarmonicTransferFunctionDisplay
-            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -162,7 +144,7 @@ class HarmonicTransferFunctionDisplay:
             check_periodic(system, cls.__name__, label)
         if frequencies is None:
             omega = next(iter(systems.values())).omega
-            frequencies = np.linspace(0.0, (n_harmonics + DEFAULT_SPAN) * omega, POINTS)
+            frequencies = np.linspace(0.0, (n_harmonics + 2) * omega, num=400)
         responses = {
             label: system.harmonic_transfer_function(frequencies, n_harmonics)
             for label, system in systems.items()
@@ -179,21 +161,12 @@ class HarmonicTransferFunctionDisplay:
             Inputs and outputs, the periodic trim subtracted.
         omega : float
             Fundamental frequency, rad/s.
-        n_harmonics : int, default=1
-            Highest harmonic N of the response.
         systems : LTPSystem, or a dict of them by label, optional
             Models to compare with, for inputs held from sample to sample.
-        ax : Axes or array of Axes, optional
-            One Axes a panel, or one that is divided; a new figure by default.
         plotted : dict, optional
             Parameters of :meth:`plot`.
         **kw
             Of :func:`~sklearn_hd.systems.estimate_harmonic_transfer_function`.
-
-        Returns
-        -------
-        display : HarmonicTransferFunctionDisplay
-            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -217,19 +190,10 @@ class HarmonicTransferFunctionDisplay:
 
         Parameters
         ----------
-        ax : Axes or array of Axes, optional
-            One Axes a panel, row by row, or one that is divided.
         inputs, outputs : sequence of str, optional
             Signals to draw; all by default.
-        units : dict, optional
-            Unit of each signal, for the labels.
         xscale : {"linear", "log"}, default="linear"
             Of the frequencies.
-
-        Returns
-        -------
-        display : HarmonicTransferFunctionDisplay
-            Drawn; what it draws stands in its attributes.
         """
         first = next(iter(self.responses.values()))
         inputs = chosen(inputs, first.input_names, "inputs")
@@ -237,9 +201,12 @@ class HarmonicTransferFunctionDisplay:
         N = max(response.n_harmonics for response in self.responses.values())
         measured = {k: r for k, r in self.responses.items() if r.coherence is not None}
         rows = [(o, i) for o in outputs for i in [*inputs, *([None] if measured else [])]]
-        panels = self._panels(ax, rows, N)
+        heights = [0.5 if i is None else 1.0 for _, i in rows]
+        high = 2.3 if len(rows) <= 4 else 1.6
+        size = max(5.0, min(15.0, 3.0 * (2 * N + 1))), 0.9 + high * sum(heights)
+        cells = list(np.ndindex(len(rows), 2 * N + 1))
+        panels = self._panels(ax, size, cells, heights=heights, share_x="all", share_y="row")
         axes = panels.axes.reshape(len(rows), -1)
-        self.axes_, self.figure_ = panels.axes, panels.figure
         self.magnitude_lines_, self.std_lines_, self.coherence_lines_ = {}, {}, {}
         for (o, i), row in zip(rows, axes, strict=True):
             for n, axis in zip(range(-N, N + 1), row, strict=True):
@@ -259,22 +226,8 @@ class HarmonicTransferFunctionDisplay:
         self.legend_ = panels.legend() if len(self.responses) > 1 or measured else None
         return self
 
-    def _panels(self, ax, rows, N):
-        heights = [0.5 if i is None else 1.0 for _, i in rows]
-        high = 2.3 if len(rows) <= 4 else 1.6
-        return Panels(
-            ax,
-            list(np.ndindex(len(rows), 2 * N + 1)),
-            size=(max(5.0, min(15.0, 3.0 * (2 * N + 1))), 0.9 + high * sum(heights)),
-            heights=heights,
-            share_x="all",
-            share_y="row",
-            names="one a harmonic and pair of signals, and the coherence of each output",
-        )
-
     def _draw_magnitude(self, axis, o, i, n):
-        models = [label for label, r in self.responses.items() if r.std is None]
-        styles = dict(zip(models, looks(LINES, len(models)), strict=True))
+        styles = line_styles([label for label, r in self.responses.items() if r.std is None])
         for label, response in self.responses.items():
             if abs(n) > response.n_harmonics:
                 continue
@@ -317,13 +270,16 @@ class HarmonicTransferFunctionDisplay:
 
 
 def _limit(row):
-    """Whole decades that hold the curves of a row, but for what dips far below them."""
+    """Whole decades that hold the curves of a row, but for what dips far below them.
+
+    Left out are the lowest hundredth of each curve, and what is below 1e-6 of the largest.
+    """
     drawn = [line.get_ydata() for axis in row for line in axis.lines]
     drawn = [values[values > 0.0] for values in drawn if np.any(values > 0.0)]
     if drawn:
-        low = min(np.quantile(values, LOWEST) for values in drawn)
+        low = min(np.quantile(values, 0.01) for values in drawn)
         high = max(values.max() for values in drawn)
-        bottom = np.floor(np.log10(max(low, DEEPEST * high)))
+        bottom = np.floor(np.log10(max(low, 1e-6 * high)))
         for axis in row:
             axis.set_ylim(10.0**bottom, 10.0 ** max(np.ceil(np.log10(high)), bottom + 1.0))
 

@@ -1,7 +1,7 @@
 """Signals and their harmonic coefficients over time."""
 
 from copy import copy
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -10,23 +10,25 @@ from sklearn_hd._checks import check_output_names, signal_names
 from sklearn_hd._containers import as_container
 from sklearn_hd._readings import coefficient_names
 from sklearn_hd.harmonics import HarmonicAnalyzer
-from sklearn_hd.plotting._fitted import Record, fitted_step
-from sklearn_hd.plotting._panels import Panels, grid_of, places
-from sklearn_hd.plotting._style import (
+from sklearn_hd.plotting._display import (
     GREY,
     LINES,
     TIME,
+    Display,
+    Record,
     dress,
+    fitted_step,
+    grid_of,
     looks,
+    places,
     unbroken,
     unit_of,
     with_unit,
 )
 
-__all__ = ["HarmonicsDisplay"]
 
-
-class HarmonicsDisplay:
+@dataclass(eq=False, repr=False)
+class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients"):
     """What a harmonic analyzer makes of signals: each above its coefficients over time.
 
         s(t) = s_0 + Σ_k (s_kc cos kψ + s_ks sin kψ),   ψ = ωt             (Eq. 7)
@@ -72,37 +74,21 @@ class HarmonicsDisplay:
     ['u_0', 'u_1c', 'u_1s']
     """
 
-    def __init__(
-        self,
-        signals,
-        coefficients,
-        harmonics,
-        *,
-        segments=None,
-        axis=TIME,
-        title=None,
-        about_trim=False,
-    ):
-        self.signals = signals
-        self.coefficients = coefficients
-        self.harmonics = harmonics
-        self.segments = [slice(0, len(signals))] if segments is None else segments
-        self.axis = axis
-        self.title = title
-        self.about_trim = about_trim
+    signals: pd.DataFrame
+    coefficients: pd.DataFrame
+    harmonics: dict
+    _: KW_ONLY
+    segments: list | None = None
+    axis: str = TIME
+    title: str | None = None
+    about_trim: bool = False
+
+    def __post_init__(self):
+        self.segments = self.segments or [slice(0, len(self.signals))]
 
     @classmethod
     def from_data(
-        cls,
-        signals,
-        omega=None,
-        harmonics=1,
-        *,
-        record=None,
-        span=None,
-        ax=None,
-        units=None,
-        **kw,
+        cls, signals, omega=None, harmonics=1, *, record=None, span=None, ax=None, units=None, **kw
     ):
         """Analyse signals and draw them.
 
@@ -114,21 +100,8 @@ class HarmonicsDisplay:
             Fundamental frequency, rad/s.
         harmonics : int or dict, default=1
             Kept of the signals, as in :class:`~sklearn_hd.HarmonicAnalyzer`.
-        record : label, optional
-            Which record of a (record, time) index; the first by default.
-        span : (float, float), optional
-            Seconds to draw.
-        ax : Axes or array of Axes, optional
-            One Axes a panel, or one that is divided; a new figure by default.
-        units : dict, optional
-            Unit of each signal, for the labels.
         **kw
             Further parameters of the analyzer (``window``, ``trim_span``, …).
-
-        Returns
-        -------
-        display : HarmonicsDisplay
-            Drawn; what it draws stands in its attributes.
         """
         analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, **kw).fit(signals)
         return cls.from_estimator(analyzer, signals, record=record, span=span, ax=ax, units=units)
@@ -145,26 +118,6 @@ class HarmonicsDisplay:
             Inputs.
         y : DataFrame or Series, shape (n_samples, n_outputs), optional
             Outputs; the analyzer must have been fitted with outputs of these names.
-        record : label, optional
-            Which record of a (record, time) index; the first by default.
-        span : (float, float), optional
-            Seconds to draw.
-        ax : Axes or array of Axes, optional
-            Two Axes a signal, or one that is divided.
-        units : dict, optional
-            Unit of each signal, for the labels.
-
-        Returns
-        -------
-        display : HarmonicsDisplay
-            Drawn; what it draws stands in its attributes.
-
-        Raises
-        ------
-        TypeError
-            If there is no HarmonicAnalyzer.
-        NotFittedError
-            If it has not been fitted.
         """
         analyzer = fitted_step(estimator, HarmonicAnalyzer, cls.__name__)
         basis = analyzer.basis_
@@ -188,34 +141,12 @@ class HarmonicsDisplay:
         return display.plot(ax=ax, span=span, units=units)
 
     def plot(self, ax=None, *, span=None, units=None):
-        """Draw, on a new figure by default.
-
-        Parameters
-        ----------
-        ax : Axes or array of Axes, optional
-            Two Axes a signal, or one that is divided.
-        span : (float, float), optional
-            Seconds to draw.
-        units : dict, optional
-            Unit of each signal, for the labels.
-
-        Returns
-        -------
-        display : HarmonicsDisplay
-            Drawn; what it draws stands in its attributes.
-        """
+        """Draw, on a new figure by default."""
         count = len(self.harmonics)
         rows, columns = grid_of(count, most=2 if count == 4 else 3)
         cells = [(2 * r + half, c) for r, c in places(count, columns) for half in (0, 1)]
-        panels = Panels(
-            ax,
-            cells,
-            size=(max(6.4, 4.2 * columns), 0.6 + 3.2 * rows if rows < 3 else 2.6 * rows),
-            heights=[1.0, 1.2] * rows,
-            share_x="all",
-            names="a signal and its coefficients each",
-        )
-        self.axes_, self.figure_ = panels.axes, panels.figure
+        size = max(6.4, 4.2 * columns), 0.6 + 3.2 * rows if rows < 3 else 2.6 * rows
+        panels = self._panels(ax, size, cells, heights=[1.0, 1.2] * rows, share_x="all")
         self.signal_lines_, self.coefficient_lines_, self.legends_ = [], {}, []
         pairs = zip(self.harmonics.items(), panels.axes.reshape(-1, 2), strict=True)
         for k, ((signal, names), (above, below)) in enumerate(pairs):

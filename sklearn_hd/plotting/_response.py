@@ -1,5 +1,7 @@
 """Measured against simulated responses."""
 
+from dataclasses import KW_ONLY, dataclass
+
 import numpy as np
 import pandas as pd
 
@@ -8,26 +10,27 @@ from sklearn_hd._containers import to_float
 from sklearn_hd._model_step import ModelStep, scored_simulation
 from sklearn_hd.model_selection import fit_percent
 from sklearn_hd.model_selection._scorers import last_model_step
-from sklearn_hd.plotting._fitted import Record, by_label, fitted_step
-from sklearn_hd.plotting._panels import Panels, grid_of, places
-from sklearn_hd.plotting._style import (
+from sklearn_hd.plotting._display import (
     BLACK,
     LINES,
     ORANGE,
     REFERENCE,
     TIME,
+    Display,
+    Record,
+    by_label,
     dress,
+    fitted_step,
+    grid_of,
     looks,
+    places,
     unbroken,
     with_unit,
 )
 
-__all__ = ["ResponseDisplay"]
 
-MANY = 4  # panels in a column, from which on their letters are smaller
-
-
-class ResponseDisplay:
+@dataclass(eq=False, repr=False)
+class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
     """Measured outputs and those that models simulate, with the fit of each in percent.
 
         fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
@@ -83,26 +86,18 @@ class ResponseDisplay:
     'fit 90.0 %, validation 89.9 %'
     """
 
-    def __init__(
-        self,
-        measured,
-        simulated,
-        *,
-        inputs=None,
-        segments=None,
-        validation_span=None,
-        axis=TIME,
-        title=None,
-        measured_name="measured",
-    ):
-        self.measured = measured
-        self.simulated = simulated
-        self.inputs = inputs
-        self.segments = [slice(0, len(measured))] if segments is None else segments
-        self.validation_span = validation_span
-        self.axis = axis
-        self.title = title
-        self.measured_name = measured_name
+    measured: pd.DataFrame
+    simulated: dict
+    _: KW_ONLY
+    inputs: pd.DataFrame | None = None
+    segments: list | None = None
+    validation_span: tuple | None = None
+    axis: str = TIME
+    title: str | None = None
+    measured_name: str = "measured"
+
+    def __post_init__(self):
+        self.segments = self.segments or [slice(0, len(self.measured))]
 
     @classmethod
     def from_estimator(
@@ -131,30 +126,15 @@ class ResponseDisplay:
             Inputs.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs, on the same rows.
-        record : label, optional
-            Which record of a (record, time) index; the first by default.
         validation_span : (float, float), optional
             Seconds; rows not used for the fit.
         span : (float, float), optional
             Seconds to draw; the fit is that of all rows all the same.
         show_inputs : bool, default=True
             Whether to draw the inputs above the outputs.
-        units : dict, optional
-            Unit of each signal, for the labels.
-        ax : Axes or array of Axes, optional
-            One Axes a panel, or one that is divided; a new figure by default.
-
-        Returns
-        -------
-        display : ResponseDisplay
-            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
-        TypeError
-            If the estimator does not end in a model step.
-        NotFittedError
-            If it has not been fitted.
         ValueError
             If no rows of the record can be scored.
         """
@@ -212,23 +192,8 @@ class ResponseDisplay:
             On the same rows.
         inputs : DataFrame, Series or ndarray, shape (n_samples, n_inputs), optional
             On the same rows, drawn above the outputs.
-        record : label, optional
-            Which record of a (record, time) index; the first by default.
-        validation_span : (float, float), optional
-            Seconds; rows not used for the fit.
-        span : (float, float), optional
-            Seconds to draw; the fit is that of all rows all the same.
-        units : dict, optional
-            Unit of each signal, for the labels.
         measured_name : str, default="measured"
             What the legend calls the measured outputs.
-        ax : Axes or array of Axes, optional
-            One Axes for each input and output, or one that is divided.
-
-        Returns
-        -------
-        display : ResponseDisplay
-            Drawn; what it draws stands in its attributes.
 
         Raises
         ------
@@ -258,27 +223,11 @@ class ResponseDisplay:
         return display.plot(ax=ax, span=span, units=units)
 
     def plot(self, ax=None, *, span=None, units=None):
-        """Draw, on a new figure by default.
-
-        Parameters
-        ----------
-        ax : Axes or array of Axes, optional
-            One Axes for each input and output, or one that is divided.
-        span : (float, float), optional
-            Seconds to draw.
-        units : dict, optional
-            Unit of each signal, for the labels.
-
-        Returns
-        -------
-        display : ResponseDisplay
-            Drawn; what it draws stands in its attributes.
-        """
+        """Draw, on a new figure by default."""
         self._score()
         inputs = [] if self.inputs is None else list(self.inputs)
         outputs = list(self.measured)
-        panels, bottom = self._panels(ax, len(inputs), len(outputs))
-        self.axes_, self.figure_ = panels.axes, panels.figure
+        panels, bottom = self._stacked(ax, len(inputs), len(outputs))
         self.input_lines_, self.measured_lines_, self.simulated_lines_ = {}, {}, {}
         self.spans_ = []
         for name, axis in zip(inputs, self.axes_[: len(inputs)], strict=True):
@@ -302,20 +251,15 @@ class ResponseDisplay:
         self.legend_ = panels.legend(handles, fallback=len(inputs))
         return self
 
-    def _panels(self, ax, n_inputs, n_outputs):
+    def _stacked(self, ax, n_inputs, n_outputs):
         """Panels of inputs and outputs, and which of them stand at the bottom."""
         rows, columns = grid_of(n_outputs)
         above = -(-n_inputs // columns)
         cells = places(n_inputs, columns)
         cells += [(r + above, c) for r, c in places(n_outputs, columns)]
-        panels = Panels(
-            ax,
-            cells,
-            size=(max(7.0, 4.3 * columns), 0.9 + 0.9 * above + max(1.5, 2.4 - 0.3 * rows) * rows),
-            heights=[0.5] * above + [1.0] * rows,
-            share_x="all",
-            names="the inputs, then the outputs",
-        )
+        size = max(7.0, 4.3 * columns), 0.9 + 0.9 * above + max(1.5, 2.4 - 0.3 * rows) * rows
+        heights = [0.5] * above + [1.0] * rows
+        panels = self._panels(ax, size, cells, heights=heights, share_x="all")
         lowest = {c: max(r for r, other in cells if other == c) for _, c in cells}
         return panels, [k for k, (r, c) in enumerate(cells) if lowest[c] == r]
 
@@ -354,7 +298,7 @@ class ResponseDisplay:
         for (label, table), look in zip(self.simulated.items(), styles, strict=True):
             style = look | {"lw": 1.2, "label": label}
             self.simulated_lines_[label, name] = line(table, style)
-        small = len(self.measured.columns) > MANY
+        small = len(self.measured.columns) > 4
         dress(axis, y=with_unit(name, units), title=self._words(name), small=small)
 
     def _words(self, name):

@@ -1,38 +1,40 @@
 """Linear time-periodic systems of which some Fourier coefficients are parameters."""
 
 import copy
+import numbers
 import re
+import reprlib
+from collections.abc import Mapping
 
 import numpy as np
 from scipy import sparse
 
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.structures._cells import (
     FREE,
+    axis_names,
     check_places,
     fill_all,
+    matrix_shape,
     name_places,
     parameter_names,
+    read_cells,
     read_names,
 )
-from sklearn_hd.structures._coefficients import (
-    check_labels,
-    labels_up_to,
-    order_of,
-    place_of,
-    read_specification,
-    shape_of,
+from sklearn_hd.structures._structure import (
+    Structure,
+    Table,
+    check_known,
+    describe,
+    read_fixed,
 )
-from sklearn_hd.structures._display import Table, html_of, text_of
-from sklearn_hd.structures._parameters import check_known, describe, freed, join_fixed, read_fixed
 
-__all__ = ["HarmonicStructure"]
-
-_RANK = 1e-10  # relative to the largest singular value, which counts as zero
+MOST_HARMONICS = 10_000  # no record tells more apart
 _PLACE = re.compile(r"(?P<matrix>[FGPQ])\[.*\]_(?P<label>0|[1-9]\d*[cs])")
 
 
-class HarmonicStructure:
+class HarmonicStructure(Structure):
     """Linear time-periodic system whose Fourier coefficients are the parameters.
 
         ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt                  (Eq. 6)
@@ -129,11 +131,6 @@ class HarmonicStructure:
             return shape_of(next(iter(self._specs["F"].values()))[0])[0]
         return None if self.states is None else len(self.states)
 
-    @property
-    def fixed(self):
-        """Value of each parameter that is fixed, by name."""
-        return dict(self._fixed)
-
     def given_entries(self):
         """Those of F, G, P and Q of which entries are given, not a number of harmonics alone.
 
@@ -184,49 +181,6 @@ class HarmonicStructure:
         """
         outputs = states if outputs is None else outputs
         return self.resolve(states, inputs, outputs, n_harmonics).parameter_names
-
-    def fix(self, values):
-        """The structure with numbers in place of some parameters.
-
-        Parameters
-        ----------
-        values : mapping of str to float
-            Values by the name of the parameter.
-
-        Returns
-        -------
-        structure : HarmonicStructure
-            A new one; this one stays as it is.
-
-        Raises
-        ------
-        ValueError
-            If a name is no parameter, or a value is no finite number.
-        """
-        values = read_fixed(values)
-        self._check_fixed("fix", values)
-        return self._with_fixed(join_fixed(self._fixed, values))
-
-    def free(self, names=None):
-        """The structure with some fixed parameters free again.
-
-        Parameters
-        ----------
-        names : sequence of str, optional
-            All that are fixed by default.
-
-        Returns
-        -------
-        structure : HarmonicStructure
-            A new one; this one stays as it is.
-
-        Raises
-        ------
-        ValueError
-            If a name is not that of a fixed parameter.
-        """
-        names = freed(self._fixed, names)
-        return self._with_fixed({k: x for k, x in self._fixed.items() if k not in names})
 
     def _with_fixed(self, fixed):
         new = copy.copy(self)
@@ -350,14 +304,6 @@ class HarmonicStructure:
         )
         return specs, self.states, tuple(sorted(self._fixed.items()))
 
-    def __eq__(self, other):
-        if not isinstance(other, HarmonicStructure):
-            return NotImplemented
-        return self._key() == other._key()
-
-    def __hash__(self):
-        return hash(self._key())
-
     def __repr__(self):
         words = [_written(name, spec) for name, spec in self._specs.items() if spec is not None]
         if self.states is not None:
@@ -365,12 +311,6 @@ class HarmonicStructure:
         if self._fixed:
             words.append(f"fixed={self._fixed}")
         return f"HarmonicStructure({', '.join(words)})"
-
-    def __str__(self):
-        return text_of(self._shown(), self._notes())
-
-    def _repr_html_(self):
-        return html_of(self._shown(), self._notes())
 
     def _shown(self):
         """Tables of the coefficients given, and a line for each matrix without."""
@@ -439,10 +379,82 @@ def _check_independent(basis, names):
         return
     rows = basis[mixed].toarray()
     U, values, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=1)[:, None], full_matrices=True)
-    rank = int(np.sum(values > _RANK * values[0]))
+    rank = int(np.sum(values > 1e-10 * values[0]))
     if rank < len(mixed):
-        alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > _RANK]]
+        alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > 1e-10]]
         raise ValueError(
             f"the entries determine only combinations of {alike}; give each an entry of its own, "
             f"or fix some"
         )
+
+
+def read_specification(name, value):
+    """A number of harmonics, a dict of coefficients by label, or None.
+
+    Of a coefficient there are the cells, and the names of its rows and columns or None.
+    """
+    if value is None:
+        return None
+    if isinstance(value, Mapping) and value:
+        return {label: _coefficient(name, label, matrix) for label, matrix in value.items()}
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool) and value >= 0:
+        _check_order(name, value)
+        return int(value)
+    raise ValueError(
+        f"{name}={value!r} is not understood; give a number of harmonics, a dict of coefficients "
+        f"by label such as {{'0': …, '1c': …}}, or None"
+    )
+
+
+def _coefficient(name, label, matrix):
+    order_of(label, name)
+    matrix_shape(matrix, f"{name}_{label}")
+    rows, columns = axis_names(matrix, "index"), axis_names(matrix, "columns")
+    return read_cells(name, matrix, rows, columns, f"_{label}"), rows, columns
+
+
+def shape_of(cells):
+    return len(cells), len(cells[0]) if cells else 0
+
+
+def check_labels(what, labels, sides):
+    """Raise ValueError if a DataFrame is labelled otherwise than the signals are named."""
+    for found, names in zip(labels, sides, strict=True):
+        if found is not None and list(found) != list(names):
+            raise ValueError(
+                f"{what} is labelled {list(found)} where the signals are {list(names)}; "
+                f"give the same names in the same order, or an array"
+            )
+
+
+def order_of(label, name="a coefficient"):
+    """Harmonic k of a label 0, kc or ks."""
+    text = label if isinstance(label, str) else ""
+    if text == "0":
+        return 0
+    if text[:-1].isdecimal() and int(text[:-1]) > 0 and text[-1] in "cs":
+        _check_order(name, int(text[:-1][:20]))
+        return int(text[:-1])
+    raise ValueError(
+        f"{label!r} is no label of {name}; labels are '0', '1c', '1s', '2c', … (mean, cosine, sine)"
+    )
+
+
+def _check_order(name, harmonic):
+    """Raise ValueError for harmonics that no record shows."""
+    if harmonic > MOST_HARMONICS:
+        raise ValueError(
+            f"harmonic {reprlib.repr(harmonic)} of {name} is beyond {MOST_HARMONICS}, more than "
+            f"any record tells apart; give fewer harmonics"
+        )
+
+
+def labels_up_to(count):
+    """Labels of the coefficients up to some harmonic; none if it is None."""
+    return [] if count is None else harmonic_labels(range(count + 1))
+
+
+def place_of(label):
+    """Place of a coefficient in the order 0, 1c, 1s, 2c, …."""
+    k = order_of(label)
+    return 2 * k - (label[-1] == "c") if k else 0

@@ -16,24 +16,21 @@ from sklearn_hd.structures._cells import (
     read_cells,
     read_names,
 )
-from sklearn_hd.structures._display import Table, html_of, text_of
-from sklearn_hd.structures._parameters import (
+from sklearn_hd.structures._structure import (
+    Structure,
+    Table,
     bound_array,
     check_known,
     check_within,
     describe,
-    freed,
-    join_fixed,
     read_bounds,
     read_fixed,
     read_initial,
     read_numbers,
 )
 
-__all__ = ["MatrixStructure"]
 
-
-class MatrixStructure:
+class MatrixStructure(Structure):
     """State-space matrices of which some entries are known and some are parameters.
 
         ẋ = A(θ) x + B(θ) u,   y = C(θ) x + D(θ) u
@@ -210,11 +207,6 @@ class MatrixStructure:
         """Upper bounds of the parameters, shape (k,); inf where open."""
         return bound_array(self._bounds, self.parameter_names, 1, np.inf)
 
-    @property
-    def fixed(self):
-        """Value of each parameter that is fixed, by name."""
-        return dict(self._fixed)
-
     @cached_property
     def affine(self):
         """The matrices as an AffineStructure: the form that the algorithms work on."""
@@ -245,52 +237,15 @@ class MatrixStructure:
         theta = read_numbers("theta", theta, self.parameter_names)
         return tuple(matrix.copy() for matrix in self.affine.matrices(theta))
 
-    def fix(self, values):
-        """The structure with numbers in place of some parameters.
+    def _check_fixed(self, what, fixed):
+        check_known(what, fixed, parameter_names(self._cells))
 
-        Parameters
-        ----------
-        values : mapping of str to float
-            Values by the name of the parameter.
-
-        Returns
-        -------
-        structure : MatrixStructure
-            A new one; this one stays as it is.
-
-        Raises
-        ------
-        ValueError
-            If a name is no parameter, or a value is no finite number within its bounds.
-        """
-        values = read_fixed(values)
-        check_known("fix", values, parameter_names(self._cells))
-        initial = self._initial and {k: x for k, x in self._initial.items() if k not in values}
-        return copy.copy(self)._say(join_fixed(self._fixed, values), initial, self._bounds)
-
-    def free(self, names=None):
-        """The structure with some fixed parameters free again.
-
-        Parameters
-        ----------
-        names : sequence of str, optional
-            All that are fixed by default.
-
-        Returns
-        -------
-        structure : MatrixStructure
-            Where it has initial values, those freed start at the value they had.
-
-        Raises
-        ------
-        ValueError
-            If a name is not that of a fixed parameter.
-        """
-        names = freed(self._fixed, names)
+    def _with_fixed(self, fixed):
+        """The same with other fixed values; what is freed starts at the value it had."""
         initial = self._initial
         if initial is not None:
-            initial = {**initial, **{name: self._fixed[name] for name in names}}
-        fixed = {name: x for name, x in self._fixed.items() if name not in names}
+            known = {**initial, **self._fixed}
+            initial = {name: x for name, x in known.items() if name not in fixed}
         return copy.copy(self)._say(fixed, initial, self._bounds)
 
     def __getstate__(self):
@@ -304,12 +259,6 @@ class MatrixStructure:
         names = self.state_names, self.input_names, self.output_names
         return self._cells, self._shape, names, *known
 
-    def __eq__(self, other):
-        return self._key() == other._key() if isinstance(other, MatrixStructure) else NotImplemented
-
-    def __hash__(self):
-        return hash(self._key())
-
     def __repr__(self):
         known = [
             f", {name}={value}"
@@ -321,13 +270,7 @@ class MatrixStructure:
             f"outputs, parameters={list(self.parameter_names)}{''.join(known)})"
         )
 
-    def __str__(self):
-        return text_of(self._tables(), self._notes())
-
-    def _repr_html_(self):
-        return html_of(self._tables(), self._notes())
-
-    def _tables(self):
+    def _shown(self):
         return [
             Table(name, cells, *self._sides(name))
             for name, cells in zip("ABCD", self._filled(), strict=True)

@@ -1,26 +1,29 @@
-"""Step 1 and what a model is: periodic systems, nonlinear and linear, and a catalog."""
+"""Step 1 and what a model is: periodic systems, nonlinear and linear, and named ones."""
 
-from sklearn_hd.systems.catalog import (
-    bittanti_colaneri,
-    coupled_oscillators,
-    duffing,
-    flapping_blade,
-    flapping_wing,
-    hawkmoth,
-    mathieu,
-    meissner,
-    vinograd,
-)
+from sklearn_hd.systems.arguments import FourierMatrix
+from sklearn_hd.systems.flapping_flight import flapping_wing, hawkmoth
 from sklearn_hd.systems.harmonic_transfer import (
     HarmonicTransferFunction,
     estimate_harmonic_transfer_function,
 )
 from sklearn_hd.systems.held_feedback import HeldFeedback
-from sklearn_hd.systems.ltp import FourierMatrix, LTPSystem
-from sklearn_hd.systems.multiblade import multiblade_model, rotor_system
-from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
-from sklearn_hd.systems.periodic import PeriodicSystem
-from sklearn_hd.systems.trim import Trim
+from sklearn_hd.systems.ltp import LTPSystem
+from sklearn_hd.systems.periodic import PeriodicSystem, Trim
+from sklearn_hd.systems.textbook import (
+    bittanti_colaneri,
+    coupled_oscillators,
+    duffing,
+    flapping_blade,
+    mathieu,
+    meissner,
+    vinograd,
+)
+from sklearn_hd.systems.turbines import (
+    OpenFASTLinearization,
+    multiblade_model,
+    read_openfast_lin,
+    rotor_system,
+)
 
 __all__ = [
     "FourierMatrix",

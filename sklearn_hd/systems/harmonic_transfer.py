@@ -34,13 +34,7 @@ from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     held_harmonic_transfer,
     segment_plan,
 )
-from sklearn_hd.systems.periodic_matrix import matrix_coefficients, precision
-
-__all__ = ["HarmonicTransferFunction", "estimate_harmonic_transfer_function"]
-
-AVERAGES = 10  # independent segments for each unknown, where the length is left open
-FEWEST_PERIODS = 4  # in a segment, for a window to tell harmonics apart
-UNEVEN = 1e-3  # of the sample time, by which a row may be off
+from sklearn_hd.systems.arguments import matrix_coefficients, precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,6 +220,9 @@ def model_response(system, frequencies, N, sample_time, tolerance, max_internal_
 
 
 def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
+    hint = f"it must exceed n_harmonics={N} by enough to converge"
+    check_count("max_internal_harmonics", max_harmonics, N + 1, hint)
+
     def coefficients(k):
         matrices = (system.F, system.G, system.P, system.Q)
         return tuple(matrix_coefficients(M, k) for M in matrices)
@@ -236,7 +233,7 @@ def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
         frequencies,
         N,
         tolerance=tolerance,
-        max_harmonics=max_internal_harmonics(N, max_harmonics),
+        max_harmonics=max_harmonics,
     )
     if change > tolerance:
         warn(
@@ -247,12 +244,6 @@ def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
             ConvergenceWarning,
         )
     return blocks
-
-
-def max_internal_harmonics(N, bound):
-    """Bound on the internal harmonics, checked."""
-    hint = f"it must exceed n_harmonics={N} by enough to converge"
-    return check_count("max_internal_harmonics", bound, N + 1, hint)
 
 
 def _held_blocks(system, frequencies, N, sample_time):
@@ -365,7 +356,7 @@ def estimate_harmonic_transfer_function(
     check_same_rows(u, y)
     base = read_time(u, sample_time, check_time_origin(time_origin))
     dt = base.sample_time
-    if base.jitter[1] > UNEVEN * dt:
+    if base.jitter[1] > 1e-3 * dt:
         raise ValueError(
             f"rows are unevenly spaced, off a grid of {dt:.6g} s by up to {base.jitter[1]:.2g} s; "
             f"resample them first"
@@ -436,10 +427,9 @@ def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, ov
         return sum(effective_averages(weights, step, count) for count in counts)
 
     if periods is None:
-        longest = int(max(lengths) / samples_per_period)
-        candidates = range(max(longest, FEWEST_PERIODS), FEWEST_PERIODS, -1)
-        enough = (p for p in candidates if averages(p) >= AVERAGES * n_unknowns)
-        periods = next(enough, FEWEST_PERIODS)
+        longest, fewest = int(max(lengths) / samples_per_period), 4  # which tell harmonics apart
+        candidates = range(max(longest, fewest), fewest, -1)
+        periods = next((p for p in candidates if averages(p) >= 10 * n_unknowns), fewest)
     periods = check_count("periods_per_segment", periods, 1, "periods of omega in a segment")
     if averages(periods) <= n_unknowns:
         raise ValueError(

@@ -1,17 +1,15 @@
 """Feedback once a period: what stabilises a machine while it is measured."""
 
 import reprlib
+from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd._checks import check_count, real_array
 from sklearn_hd.algorithms.periodic.integration import runge_kutta
-from sklearn_hd.algorithms.periodic.period_map import PeriodMap, quadratic_gain
-from sklearn_hd.systems.periodic import PeriodicSystem
-from sklearn_hd.systems.signals import check_names
-from sklearn_hd.systems.trim import Trim
-
-__all__ = ["HeldFeedback"]
+from sklearn_hd.systems.arguments import check_names
+from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 
 
 class HeldFeedback:
@@ -264,3 +262,44 @@ def _sizes(name, sizes, count):
     if sizes.shape != (count,) or not np.all(sizes > 0):
         raise ValueError(f"{name}={reprlib.repr(sizes)} must hold {count} positive sizes")
     return sizes
+
+
+class PeriodMap(NamedTuple):
+    """Period to period, with the outputs' means on the way.
+
+    x_{k+1} = Φ x_k + Γ u_k,   ȳ_k = M x_k + N u_k
+    """
+
+    Phi: np.ndarray
+    Gamma: np.ndarray
+    M: np.ndarray
+    N: np.ndarray
+
+    def closed_loop(self, K):
+        """Map of (x_k, ȳ_{k−1}) under u_k = −K ȳ_{k−1}; its eigenvalues are the multipliers."""
+        return np.block([[self.Phi, -self.Gamma @ K], [self.M, -self.N @ K]])
+
+
+def quadratic_gain(plant, state_sizes, input_sizes):
+    """Gain K of u_k = −K x_k that is best for the sum of squares of x and u, over their sizes.
+
+    From the stabilising solution of the discrete algebraic Riccati equation; sizes are
+    departures that count alike (Bryson, Ho, *Applied Optimal Control*, 1975).
+
+    Examples
+    --------
+    >>> plant = PeriodMap(*np.array([[[1.2]], [[1.0]], [[1.0]], [[0.0]]]))
+    >>> K = quadratic_gain(plant, [1.0], [0.01])  # dear inputs: the pole goes to 1 / 1.2
+    >>> print(f"{1.2 - K[0, 0]:.2f}")
+    0.83
+    """
+    Q = np.diag(np.asarray(state_sizes, dtype=float) ** -2.0)
+    R = np.diag(np.asarray(input_sizes, dtype=float) ** -2.0)
+    try:
+        P = linalg.solve_discrete_are(plant.Phi, plant.Gamma, Q, R)
+    except ValueError as error:  # LinAlgError, or pencils too ill-conditioned to be ordered
+        raise ValueError(
+            f"no gain stabilises the period map ({error}); an unstable mode may be out of reach "
+            f"of the inputs"
+        ) from error
+    return linalg.solve(R + plant.Gamma.T @ P @ plant.Gamma, plant.Gamma.T @ P @ plant.Phi)

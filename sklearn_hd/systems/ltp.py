@@ -9,25 +9,20 @@ from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import check_count, check_flag, check_numbers, check_positive
 from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
-from sklearn_hd.algorithms.periodic.floquet_exponents import floquet_exponents
+from sklearn_hd.algorithms.periodic.floquet import floquet_exponents
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.systems.harmonic_transfer import model_response
-from sklearn_hd.systems.periodic_matrix import (
-    FourierMatrix,
-    matrix_coefficients,
-    measure,
-    periodic_matrix,
-    precision,
-)
-from sklearn_hd.systems.signals import (
+from sklearn_hd.systems.arguments import (
     NamedSignals,
     check_inputs,
     check_names,
     check_state,
     check_times,
+    matrix_coefficients,
+    measure,
+    periodic_matrix,
+    precision,
 )
-
-__all__ = ["FourierMatrix", "LTPSystem"]
+from sklearn_hd.systems.harmonic_transfer import model_response
 
 
 class LTPSystem(NamedSignals):

@@ -1,7 +1,8 @@
-"""Nonlinear time-periodic systems (Eq. 1): trim, linearisation, simulation."""
+"""Nonlinear time-periodic systems (Eq. 1): trim, linearisation along it, simulation."""
 
 import reprlib
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,27 +15,108 @@ from sklearn_hd._checks import (
     real_array,
 )
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
-    galerkin_coefficients,
+    evaluate_harmonics,
     resize_harmonics,
     solve_harmonic_balance,
 )
-from sklearn_hd.algorithms.periodic.integration import integrate
-from sklearn_hd.algorithms.periodic.shooting import solve_shooting
-from sklearn_hd.systems.linearization import CentralDifferences, OrbitMatrix
-from sklearn_hd.systems.ltp import LTPSystem
-from sklearn_hd.systems.signals import (
+from sklearn_hd.algorithms.periodic.integration import integrate, solve_shooting
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.systems.arguments import (
     NamedSignals,
     check_inputs,
     check_names,
     check_state,
     check_times,
 )
-from sklearn_hd.systems.trim import Trim
-
-__all__ = ["PeriodicSystem"]
+from sklearn_hd.systems.ltp import LTPSystem
 
 STEPS_PER_PERIOD = 64  # longest first step of the integrator
-SHOOTING_START_HARMONICS = 32  # harmonic balance that shooting starts from
+
+
+@dataclass(frozen=True, eq=False)
+class Trim:
+    """Periodic solution x*(t) = x*(t + T) of a system under constant inputs.
+
+    Made by :meth:`PeriodicSystem.trim`; each parameter is an attribute.
+
+    Parameters
+    ----------
+    omega : float
+        Fundamental frequency, rad/s.
+    coefficients : ndarray, shape (2 N + 1, n)
+        Fourier coefficients of the states in the order 0, 1c, 1s, ….
+    inputs : ndarray, shape (m,)
+        Constant values u*.
+    initial_state : ndarray, shape (n,)
+        State at ψ = 0: of the Fourier series (harmonic balance), or on the exact
+        orbit (shooting).
+    residual : float
+        Relative residual at which the solver stopped.
+    method : str
+        ``"harmonic_balance"`` or ``"shooting"``.
+    state_names, input_names : tuple of str
+        As the system has them.
+
+    References
+    ----------
+    Urabe (1965), Galerkin's procedure for nonlinear periodic systems, Archive for
+    Rational Mechanics and Analysis 20.
+
+    Examples
+    --------
+    >>> from sklearn_hd.systems import duffing
+    >>> trim = duffing().trim(5)
+    >>> trim.n_harmonics, trim.state_names
+    (5, ('x', 'x_dot'))
+    >>> trim.states([0.0, np.pi]).shape
+    (2, 2)
+    """
+
+    omega: float
+    coefficients: np.ndarray = field(repr=False)
+    inputs: np.ndarray
+    initial_state: np.ndarray
+    residual: float
+    method: str
+    state_names: tuple
+    input_names: tuple
+
+    def __post_init__(self):
+        for name in ("coefficients", "inputs", "initial_state"):
+            values = np.array(getattr(self, name), dtype=float)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    @property
+    def n_harmonics(self):
+        """Highest harmonic N of the states."""
+        return (len(self.coefficients) - 1) // 2
+
+    @property
+    def period(self):
+        """Period T = 2π / ω in seconds."""
+        return 2.0 * np.pi / self.omega
+
+    def states(self, psi):
+        """States x*(ψ) at some azimuths.
+
+        Parameters
+        ----------
+        psi : array_like, shape (...,)
+            Radians.
+
+        Returns
+        -------
+        states : ndarray, shape (..., n)
+            Sum of the Fourier series.
+
+        Raises
+        ------
+        ValueError
+            If an azimuth is no finite number.
+        """
+        psi = real_array("psi", psi, "azimuths in radians")
+        return evaluate_harmonics(self.coefficients, psi)
 
 
 class PeriodicSystem(NamedSignals):
@@ -181,7 +263,7 @@ class PeriodicSystem(NamedSignals):
         targets = self._targets(self.trim_targets if targets is None else targets)
         X, u = self._guess(self.trim_guess if guess is None else guess)
         free = self._hold(u, inputs, len(targets))
-        start = N if method == "harmonic_balance" else min(N, SHOOTING_START_HARMONICS)
+        start = N if method == "harmonic_balance" else min(N, 32)
         X, u, residual = solve_harmonic_balance(
             self.f,
             self.jacobian,
@@ -364,7 +446,7 @@ class PeriodicSystem(NamedSignals):
         t = self.period * np.arange(n_points) / n_points
         held = np.broadcast_to(u, (n_points, len(u)))
         orbit = integrate(self.f, x0, held, t, rtol=1e-13, atol=1e-14)
-        return galerkin_coefficients(orbit, n_harmonics)
+        return sampled_harmonics(orbit, n_harmonics)
 
 
 def _check_callable(name, function, *, optional):
@@ -391,3 +473,69 @@ def _by_name(parameter, values, names, what):
         hint = f"{parameter} holds numbers by name"
         check_numbers("finite", hint, **{f"{parameter}[{name!r}]": value})
     return {name: float(value) for name, value in values.items()}
+
+
+def states_measured(F, G):
+    """(F, G, P, Q) of a system whose outputs are its states."""
+    return F, G, np.broadcast_to(np.eye(F.shape[-1]), F.shape), np.zeros(G.shape)
+
+
+class OrbitMatrix:
+    """One of F, G, P, Q along a trim, as a function of azimuth."""
+
+    def __init__(self, jacobian, trim, which):
+        self.jacobian, self.trim, self.which = jacobian, trim, which
+        self.precision = getattr(jacobian, "precision", 0.0)
+
+    def __call__(self, psi):
+        x = self.trim.states(psi).T
+        u = np.broadcast_to(self.trim.inputs[:, None], (len(self.trim.inputs), len(psi)))
+        return self.jacobian(x, u, np.asarray(psi) / self.trim.omega)[self.which]
+
+
+class CentralDifferences:
+    """F, G, P, Q by central differences of f and g.
+
+    Steps of ε^{1/3} of the largest size of each variable balance truncation and
+    rounding; the result is good to about ``precision``. The sizes are those of the
+    points given, or of a whole orbit: a step fitted to a few points where a state
+    passes through zero would be lost in rounding.
+    """
+
+    precision = 1e-8
+
+    def __init__(self, f, g, sizes=None):
+        self.f, self.g, self.sizes = f, g, sizes
+
+    def along(self, trim):
+        """The same with steps that fit a whole orbit."""
+        psi = 2.0 * np.pi * np.arange(256) / 256
+        orbit = np.max(np.abs(trim.states(psi)), axis=0)
+        return CentralDifferences(self.f, self.g, (orbit, np.abs(trim.inputs)))
+
+    def __call__(self, x, u, t):
+        sizes = self.sizes or [np.max(np.abs(v), axis=1, initial=0.0) for v in (x, u)]
+        x_steps, u_steps = (
+            np.cbrt(np.finfo(float).eps) * np.where(size > 0, size, 1.0) for size in sizes
+        )
+        F = _slopes(lambda x: self.f(x, u, t), x, x_steps)
+        G = _slopes(lambda u: self.f(x, u, t), u, u_steps)
+        if self.g is None:
+            return states_measured(F, G)
+        P = _slopes(lambda x: self.g(x, u, t), x, x_steps)
+        Q = _slopes(lambda u: self.g(x, u, t), u, u_steps)
+        return F, G, P, Q
+
+
+def _slopes(function, variables, steps):
+    """Derivatives of function(variables), (l, k), by each of the variables, (m, k)."""
+    columns = []
+    for i, step in enumerate(steps):
+        above, below = np.array(variables), np.array(variables)
+        above[i] += step
+        below[i] -= step
+        columns.append((np.asarray(function(above)) - function(below)) / (2.0 * step))
+    if not columns:
+        n_rows = len(np.asarray(function(variables)))
+        return np.zeros((variables.shape[1], n_rows, 0))
+    return np.stack(columns, axis=-1).swapaxes(0, 1)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.sensitivity import as_records, jacobian_factors, residuals
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.matching.bounded_steps import BoundedSteps
 from sklearn_hd.algorithms.periodic.periodic_structure import (
@@ -22,12 +23,9 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 
-__all__ = ["LinearSystem", "Point", "Problem", "eliminate_states", "likelihood_problem"]
+__all__ = ["LinearSystem", "Point", "Problem", "eliminate_states", "is_white", "likelihood_problem"]
 
-SMALLEST_NOISE = 4.0 * np.finfo(float).eps  # of an output's rms; below it is rounding
-ROUNDING = 1e-10  # noise relative to the output that may be rounding
-RANK = 1e-11  # singular values relative to the largest; deficient Jacobians have 1e-15
-NULL_SHARE = 1e-6  # of a parameter's direction in the null space
+NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +74,7 @@ class LinearSystem:
     @property
     def kept(self):
         """Singular values that are not rounding; J's columns have length one or less."""
-        return self.singular > RANK
+        return self.singular > DEPENDENT
 
     @property
     def projected(self):
@@ -105,7 +103,7 @@ class LinearSystem:
         kept = self.kept
         root = self.adjoint[kept].T / self.singular[kept] / self.size[:, None]
         covariance = root @ root.T
-        unknown = np.linalg.norm(self.adjoint[~kept], axis=0) > NULL_SHARE
+        unknown = np.linalg.norm(self.adjoint[~kept], axis=0) > UNKNOWN
         covariance[unknown, :] = covariance[:, unknown] = np.nan
         covariance[unknown, unknown] = np.inf
         return covariance, unknown
@@ -160,7 +158,7 @@ class Problem:
         """Standard deviations given, or those of largest likelihood."""
         if self.sigma is not None:
             return self.sigma
-        return np.maximum(np.sqrt(rss / self.counts), SMALLEST_NOISE * self.size)
+        return np.maximum(np.sqrt(rss / self.counts), 4.0 * EPS * self.size)
 
     def cost(self, rss):
         """Negative logarithm of the likelihood."""
@@ -170,7 +168,7 @@ class Problem:
         )
 
     def at_rounding(self, point):
-        return bool(np.all(point.rss <= self.counts * (ROUNDING * self.size) ** 2))
+        return bool(np.all(point.rss <= self.counts * (NOISELESS * self.size) ** 2))
 
     def resolves(self, theta):
         """Whether the samples can follow the states at these parameters."""
@@ -249,7 +247,7 @@ def _range(matrix):
     """Orthonormal basis U of a matrix's range, and M⁺U."""
     size = column_sizes(matrix)
     left, singular, adjoint = linalg.svd(matrix / size, full_matrices=False)
-    kept = singular > RANK
+    kept = singular > DEPENDENT
     return left[:, kept], adjoint[kept].T / singular[kept] / size[:, None]
 
 
@@ -269,3 +267,30 @@ def likelihood_problem(structure, segments, omega, n_phases, observe, free_x0, s
     largest = np.max(size) if np.max(size) > 0 else 1.0
     size = np.where(size > 0, size, largest)
     return Problem(structure, records, omega, n_phases, observe, free_x0, sigma, counts, size)
+
+
+def is_white(left, lags):
+    """Whether residuals look like white noise over some lags, each output by itself.
+
+    With ρ_k the autocorrelation at lag k of n samples, n Σ ρ_k² has mean L and variance
+    2 L over L lags of white noise (Box and Pierce, 1970); four spreads above the mean it
+    is none.
+
+    Parameters
+    ----------
+    left : ndarray, shape (n_samples, l)
+    lags : int
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).standard_normal((2000, 1))
+    >>> is_white(noise, 20), is_white(np.cumsum(noise, axis=0), 20)
+    (True, False)
+    """
+    n = len(left)
+    spectrum = np.abs(np.fft.rfft(left, 2 * n, axis=0)) ** 2
+    covariance = np.fft.irfft(spectrum, axis=0)[: lags + 1]
+    if not covariance[0].all():
+        return False
+    statistic = n * np.sum((covariance[1:] / covariance[0]) ** 2, axis=0)
+    return bool(np.all(statistic <= lags + 4.0 * np.sqrt(2.0 * lags)))

@@ -19,7 +19,6 @@ import numpy as np
 
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import noisy_input_problem
-from sklearn_hd.algorithms.reporting import stage
 
 __all__ = ["OutputErrorResult", "output_error"]
 
@@ -107,7 +106,6 @@ def output_error(
     max_iter=50,
     tol=1e-8,
     keep_stable=True,
-    report=None,
 ):
     """Parameters of largest likelihood for measured outputs of a periodic system.
 
@@ -144,8 +142,6 @@ def output_error(
         It begins within √(tol N) standard deviations of the optimum.
     keep_stable : bool, default=True
         Whether steps from a stable to an unstable system are refused.
-    report : callable, optional
-        Told how far the search has come: ``report(stage, most, done, note)``.
 
     Returns
     -------
@@ -174,11 +170,10 @@ def output_error(
     )
     point = _start(problem, theta0, x0)
     options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable, "bounds": bounds}
-    told = stage(report, "maximum likelihood, steps", max_iter)
-    search = _search(problem, point, **options, report=told)
+    search = _search(problem, point, **options)
     if input_sigma is None:
         return _result(problem, search)
-    return _with_noisy_inputs(problem, search, input_sigma, options, report)
+    return _with_noisy_inputs(problem, search, input_sigma, options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +185,11 @@ class _Search:
     converged: bool
 
 
-def _search(problem, point, *, max_iter, tol, keep_stable, bounds, report=None):
+def _search(problem, point, *, max_iter, tol, keep_stable, bounds):
     """Damped Gauss-Newton steps until the next one is not worth taking."""
-    damping, converged = FIRST_DAMPING, False
-    for n_iter in range(1, max_iter + 1):
-        if report is not None:
-            report(n_iter - 1, f"log L {-point.cost:.6g}")
+    damping, converged, n_iter = FIRST_DAMPING, False, 0
+    while n_iter < max_iter and not converged:
+        n_iter += 1
         system = problem.linearise(point)
         if bounds is not None:
             system = system.within(bounds[0] - point.theta, bounds[1] - point.theta)
@@ -207,12 +201,10 @@ def _search(problem, point, *, max_iter, tol, keep_stable, bounds, report=None):
         fall, point = point.cost - trial.cost, trial
         stalled = fall <= STALLED * problem.n_residuals
         converged = converged or (stalled and problem.at_rounding(point))
-        if converged:
-            break
     return _Search(point, n_iter, converged)
 
 
-def _with_noisy_inputs(problem, search, input_sigma, options, report=None):
+def _with_noisy_inputs(problem, search, input_sigma, options):
     """Total least squares from where least squares ended, the outputs' noise in turn with it."""
     input_sigma = np.asarray(input_sigma, dtype=float)
     if input_sigma.shape != (problem.structure.n_inputs,) or not np.all(input_sigma >= 0):
@@ -222,11 +214,10 @@ def _with_noisy_inputs(problem, search, input_sigma, options, report=None):
         )
     sigma, n_iter, settled = problem.noise(search.point.rss), search.n_iter, False
     smallest = SMALLEST_SHARE * sigma
-    for k in range(options["max_iter"]):
+    for _ in range(options["max_iter"]):
         noisy = noisy_input_problem(problem, sigma, input_sigma)
-        told = stage(report, f"total least squares, steps of round {k + 1}", options["max_iter"])
         start = noisy.point(search.point.theta, search.point.x0)
-        search = _search(noisy, start, **options, report=told)
+        search = _search(noisy, start, **options)
         n_iter += search.n_iter
         if problem.sigma is not None:
             settled = True

@@ -12,7 +12,7 @@ from scipy import linalg
 from sklearn_hd._checks import real_array
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["check_stable", "h2_norm", "hinf_norm", "refine_peaks", "same_tops", "tops_between"]
+__all__ = ["check_stable", "h2_norm", "hinf_norm", "refine_peaks", "tops_between"]
 
 
 def hinf_norm(A, B, C, D, dt=None):
@@ -177,30 +177,6 @@ def tops_between(frequencies, gains):
     return tops[apart], (y[k] + 0.5 * slope * move)[apart], y[k][apart]
 
 
-def same_tops(frequencies):
-    """Groups of frequencies, in rising order, that are one top.
-
-    Parameters
-    ----------
-    frequencies : ndarray, shape (n,)
-        In rising order.
-
-    Returns
-    -------
-    groups : list of ndarray
-        Indices of each group's frequencies.
-
-    Examples
-    --------
-    >>> [each.tolist() for each in same_tops(np.array([0.0, 1.0, 1.0001, 2.0, np.inf]))]
-    [[0], [1, 2], [3], [4]]
-    """
-    lower, higher = frequencies[:-1], frequencies[1:]
-    apart = np.flatnonzero(higher > (1.0 + _SAME) * lower)
-    return np.split(np.arange(len(frequencies)), 1 + apart) if len(frequencies) else []
-
-
-_SAME = 1e-3  # distance of frequencies, relative, of one and the same top
 _APART = 1e-9  # distance of frequencies, relative, of two points
 
 

@@ -6,12 +6,11 @@ With the fast states at rest, ẋ_f = 0,
     Ĉ = C_s − C_f A_f⁻¹ A_fs,     D̂ = D − C_f A_f⁻¹ B_f,
 
 and in block-diagonal coordinates, A_sf = A_fs = 0, only D̂ differs from truncation.
+The reducer needs it.
 """
 
 import numpy as np
 from scipy import linalg
-
-__all__ = ["block_diagonal", "residualize"]
 
 
 def block_diagonal(A, B, C, slow, fast):

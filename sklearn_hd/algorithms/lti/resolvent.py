@@ -9,17 +9,13 @@ state after the other.
 Rounding of the form is that of its largest entries. Where states answer so strongly that it
 would be seen (a pole on its way to infinity, slow ones that hang on it), what is left of the
 equations in A itself corrects them, as in iterative refinement (Skeel, 1980).
+Matches of structured models need it.
 """
 
 from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
-
-__all__ = ["TriangularForm", "triangular_form"]
-
-_SEEN = 1e-10  # rounding of the form in a response, relative, that is corrected
-_MOST_CORRECTIONS = 3
 
 
 class TriangularForm:
@@ -58,8 +54,8 @@ class TriangularForm:
         answers = (out_of @ states.reshape(shape[0], shape[1] * shape[2])).reshape(shape)
         growth = self._rounding * _largest_ratio(states, drive)
         error, finite = growth, np.where(np.isfinite(s), s, 0.0)[:, None]  # elsewhere decay is 0
-        for _ in range(_MOST_CORRECTIONS):
-            if not _SEEN < error < 1.0:  # from where corrections may not shrink
+        for _ in range(3):
+            if not 1e-10 < error < 1.0:  # unseen, or corrections may not shrink
                 break
             left = forces[:, None] - finite * answers + np.tensordot(A, answers, 1)
             states = solve(np.tensordot(into, left, 1), decay, shape)

@@ -51,6 +51,12 @@ class AffineStructure:
     n_states: int
     parameter_names: tuple
 
+    @classmethod
+    def fixed(cls, A, B, C, D):
+        """A model without parameters."""
+        stacked = np.block([[A, B], [C, D]])
+        return cls(stacked, np.zeros((0, *stacked.shape)), len(A), ())
+
     @property
     def n_parameters(self):
         return len(self.basis)

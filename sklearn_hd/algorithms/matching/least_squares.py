@@ -9,10 +9,8 @@ stable one, and an exact match is the same on every line.
 """
 
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.triangular import triangle
@@ -28,6 +26,7 @@ _ROUNDING = 1e-31  # sum of squares, relative to that of G_c
 _PATIENCE = 25  # steps that must earn a tenth; a creep goes to parameters at infinity
 _RUNAWAY = 1e6  # times the fastest pole: one that has become a feedthrough
 _LINES = 40  # largest number of lines Re s = α on the way to the axis
+_SAME = 1e-6  # relative distance of residuals of one and the same match
 _HELD_UP = 5, 0.9  # over so many lines, α must fall below this share: a pole runs along before it
 
 
@@ -183,17 +182,10 @@ class Start:
     near: bool
 
 
-def _in_batches(problem, starts, max_iter, n_jobs):
-    """Fits in the order of the starts, as many at once as there are processes."""
-    size = effective_n_jobs(n_jobs)
-    while batch := list(islice(starts, size)):
-        yield from Parallel(n_jobs)(delayed(fit_from)(problem, start, max_iter) for start in batch)
-
-
-def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None, report=None):
+def local_fits(problem, starts, *, max_iter=100, near=1e-6):
     """Different least-squares matches reached from some starts, the best first.
 
-    Stops early at an exact match, or when the best residual has been reached twice.
+    Stops early at an exact match.
 
     Parameters
     ----------
@@ -203,10 +195,6 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None, report=
         Largest number of steps from each.
     near : float
         Relative residual that counts as an exact match but for rounding.
-    n_jobs : int, optional
-        Starts tried at once, in processes of their own (joblib); the result is the same.
-    report : callable, optional
-        Told the number of starts that have ended: ``report(done, note)``.
 
     Returns
     -------
@@ -218,17 +206,10 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None, report=
         If no start led to a stable model.
     """
     fits, n_starts = [], 0
-    for fit in _in_batches(problem, iter(starts), max_iter, n_jobs):
+    for start in starts:
         n_starts += 1
-        if report is not None:
-            ended = [each.residual for each in (*fits, fit) if each is not None]
-            report(n_starts, f"error {min(ended, default=np.inf):.3g}")
-        if fit is None:
-            continue
-        known = [abs(fit.residual - other.residual) <= 1e-6 * fit.residual for other in fits]
-        if any(known):
-            if known[0]:
-                break
+        fit = fit_from(problem, start, max_iter)
+        if fit is None or any(_same(fit, other) for other in fits):
             continue
         fits = sorted([*fits, fit], key=lambda each: each.residual)
         if fits[0].residual <= near:
@@ -240,3 +221,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6, n_jobs=None, report=
             f"poles where they are"
         )
     return fits
+
+
+def _same(fit, other):
+    """Whether two fits lie in one valley, by how long their residuals are."""
+    return abs(fit.residual - other.residual) <= _SAME * fit.residual

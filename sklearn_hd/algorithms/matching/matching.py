@@ -2,14 +2,13 @@
 
     θ* = arg min ‖W_o (G_c − G_s(θ)) W_i‖,   G_s(θ): A, B, C, D affine in θ,  l ≤ θ ≤ u
 
-in the H∞ norm, the H2 norm, or the mean square over a frequency grid. The stages, each a
-function: channels are scaled alike; where C_s is known and invertible a change of state
-gives θ in closed form; otherwise Levenberg-Marquardt brings starts to the least-squares
-match over the grid, which is where the mean square stops. The best ones go down through
-smooth bounds of the H∞ norm and end in the exact one by Newton's steps on its peaks, or by a
-prox-linear trust region where those do not converge; or they go down in the H2 norm by least
-squares on a quadrature. The singular values of the sensitivity at the end say which
-parameters the outputs determine, the certificate whether the norm can still fall.
+in the H∞ norm, or in the mean square over a frequency grid. Start, descend, certify: where
+C_s is known and invertible a change of state gives θ in closed form; from there, from the
+user's start and from several random ones Levenberg-Marquardt goes to least-squares matches
+over the grid, which is where the mean square stops. The best of them in different valleys go
+down to the H∞ norm. The singular values of the sensitivity at the end say which parameters
+the outputs determine, the certificate how much the norm could still fall. The matcher's
+affine route (time-invariant structures, harmonic decompositions) needs it.
 """
 
 from dataclasses import dataclass, replace
@@ -18,18 +17,20 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
-from sklearn_hd.algorithms.matching.h2_matching import h2_error, minimise_h2
-from sklearn_hd.algorithms.matching.least_squares import Start, levenberg_marquardt, local_fits
+from sklearn_hd.algorithms.matching.least_squares import (
+    GridFit,
+    Start,
+    levenberg_marquardt,
+    local_fits,
+)
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
-from sklearn_hd.algorithms.matching.minimax import Certificate, certify
-from sklearn_hd.algorithms.matching.norm_descent import least_norm
 from sklearn_hd.algorithms.matching.similarity import (
     draw_transformation,
     output_transformation,
     project_transformed,
     solve_similarity,
 )
-from sklearn_hd.algorithms.reporting import stage
+from sklearn_hd.algorithms.matching.smooth_peak import GAP, Certificate, smooth_descent
 
 __all__ = ["AffineStructure", "MatchResult", "match_structure"]
 
@@ -47,8 +48,6 @@ class MatchResult:
         ‖W_o (G_c − G_s) W_i‖_∞, in the outputs' unit per input's unit.
     relative_error : float
         The same divided by ‖W_o G_c W_i‖_∞.
-    h2_error : float
-        ‖W_o (G_c − G_s) W_i‖_2; infinite where it does not vanish at infinite frequency.
     peak_frequency : float
         rad/s; where the error is largest.
     theta_least_squares : ndarray, shape (k,)
@@ -62,19 +61,21 @@ class MatchResult:
     exact : bool
         True if the match holds to ``exact_tol``, judged by the residual.
     converged : bool
-        True if exact, or if no direction lowers the criterion at first order.
+        True if exact, or if ``left`` is within ``tolerance``.
     predicted_decrease : float
-        By how much, relative to itself, the criterion could still fall at first order.
+        By how much at most, relative to itself, the criterion could still fall at first order.
     certificate : Certificate or None
-        First-order conditions of the least H∞ norm; None for other criteria and for exact
+        First-order conditions of the least H∞ norm; None in the mean square and for exact
         matches.
     n_iter : int
-        Steps of the least-squares matches kept and of the search in the norm.
+        Steps of the least-squares matches kept and of the descents in the norm.
     history : tuple of (str, float)
         Stage and its measure after each step on the way here: ``"least squares"`` (length
         of the error over the grid, relative to that of G_c), ``"minimax"`` (relative H∞
-        norm, after each tightening of its smooth bound, then after each step), ``"h2"`` (H2
-        norm, relative to ‖W_o G_c W_i‖_∞).
+        norm, after each tightening of its smooth bound).
+    left, tolerance : float
+        What is left of the search, and where that counts as none: ``predicted_decrease`` in
+        the mean square; how far the smooth bound lies above the H∞ norm, relative to it.
     singular_values : ndarray, shape (k,)
         Of the sensitivity of the response, its columns scaled to length one.
     unidentified : tuple of str
@@ -89,7 +90,6 @@ class MatchResult:
     D: np.ndarray
     hinf_error: float
     relative_error: float
-    h2_error: float
     peak_frequency: float
     theta_least_squares: np.ndarray
     hinf_error_least_squares: float
@@ -100,6 +100,8 @@ class MatchResult:
     certificate: Certificate | None
     n_iter: int
     history: tuple
+    left: float
+    tolerance: float
     singular_values: np.ndarray
     unidentified: tuple
 
@@ -116,17 +118,12 @@ def match_structure(
     bounds=None,
     output_weights=None,
     input_weights=None,
-    output_filter=None,
-    input_filter=None,
     emphasis=None,
     closed_form=True,
     n_starts=6,
-    n_jobs=None,
     max_iter=100,
-    tol=1e-8,
     exact_tol=1e-9,
     random_state=0,
-    report=None,
 ):
     """Structured model nearest to a stable continuous one.
 
@@ -138,9 +135,9 @@ def match_structure(
         G_c, stable; its order may differ from the structure's.
     structure : AffineStructure
         G_s(θ), with m inputs and l outputs.
-    criterion : {"hinf", "h2", "least_squares"}
-        The H∞ norm, the H2 norm, or the mean square over a grid of frequencies, in which
-        all channels count alike.
+    criterion : {"hinf", "least_squares"}
+        The H∞ norm, or the mean square over a grid of frequencies, in which all channels
+        count alike.
     theta0 : array_like, shape (k,), optional
         Where to start; need not be stable. Without it, and where neither it nor the
         closed form leads to an exact match, changes of state that agree with C_s are
@@ -151,30 +148,20 @@ def match_structure(
         Positive constants of W_o and W_i, next to the error; ones by default, the norm as
         Eq. 22 has it. Outputs in different units call for :func:`channel_scales`:
         otherwise the largest decides.
-    output_filter, input_filter : tuple of four array_like, optional
-        A, B, C, D of the frequency-dependent parts of W_o (l × l) and W_i (m × m), stable.
     emphasis : pair of array_like, shapes (l,) and (m,), optional
         Factors of the outputs and inputs in the mean square, in which they otherwise count
         alike.
     closed_form : bool
         False leaves the closed form out where theta0 is given (for studies of the search).
     n_starts : int
-        Largest number of starts by a change of state.
-    n_jobs : int, optional
-        Starts tried at once, in processes of their own; the result is the same.
+        Number of random starts, where no exact match is found before.
     max_iter : int
-        Largest number of iterations of each stage. In the H∞ norm these are convex steps;
-        the smooth descents before them have 0.6 times as many Newton steps. For each convex
-        step to come, those that go on to the ground have twenty, and the peaks nine.
-    tol : float
-        Relative decrease of the criterion promised at first order, at which to stop.
+        Largest number of iterations of each stage: of a least-squares match, of a descent.
     exact_tol : float
         Relative residual below which the match is called exact and no norm minimised:
         AB13DD does not resolve the norm of such a difference.
     random_state : int
-        Seed of the changes of state tried.
-    report : callable, optional
-        Told how far the search has come: ``report(stage, most, done, note)``.
+        Seed of the random starts.
 
     Returns
     -------
@@ -187,13 +174,7 @@ def match_structure(
     UnstableModelError
         If G_c is unstable, or if no start led to a stable G_s.
     ValueError
-        If shapes do not fit, theta0 is out of bounds, or ``criterion="h2"`` and D_s
-        cannot equal D_c.
-
-    References
-    ----------
-    A. S. Lewis and S. J. Wright, "A proximal method for composite minimization",
-    Mathematical Programming 158 (2016), 501-546.
+        If shapes do not fit, or theta0 is out of bounds.
 
     Examples
     --------
@@ -210,63 +191,29 @@ def match_structure(
     >>> [round(value, 9) for value in result.theta.tolist()], result.exact
     ([-1.0, 2.0, -2.0, -3.0], True)
     """
-    weights = {"outputs": output_weights, "inputs": input_weights}
-    weights |= {"output_filter": output_filter, "input_filter": input_filter}
+    weights = output_weights, input_weights
     problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
     theta0 = _check_theta(theta0, problem)
-    starts = starting_points(problem, theta0, closed_form, n_starts, random_state)
-    told = stage(report, "least squares, starts", n_starts + (1 if theta0 is None else 3))
-    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR, n_jobs=n_jobs, report=told)
+    starts = list(starting_points(problem, theta0, closed_form, n_starts, random_state))
+    fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
     fit, exact = exact_match(problem, fits[0], exact_tol)
-    found = _Found.by_least_squares(fit, exact, tol)
     if exact or structure.n_parameters == 0 or criterion == "least_squares":
-        return _result(problem, fit, found, fits, exact)
-    if criterion == "h2":
-        points = [each.theta for each in fits]
-        best = minimise_h2(problem, points, max_iter=max_iter, tol=tol, report=report)
-        found = _Found.by_least_squares(fits[best.start], False, tol)
-        predicted = best.predicted_decrease
-        found = found.further("h2", best.theta, predicted, predicted <= tol, best.history)
-        return _result(problem, fit, found, fits, exact)
-    start, run = least_norm(problem, fits, max_iter, tol, n_jobs, report)
-    found = _Found.by_least_squares(start, False, tol)
-    end = run.theta, run.predicted_decrease, run.converged, run.history
-    found = found.further("minimax", *end)
-    near = problem.limited(found.theta, 1.0)
-    last = levenberg_marquardt(near, found.theta, max_iter=max_iter)
-    if last.residual < fit.residual:  # the minimax steps have left a poor valley
+        return _result(problem, fit, fits, exact)
+    start, descent = least_norm(problem, fits, starts, max_iter)
+    near = problem.limited(descent.theta, 1.0)
+    last = levenberg_marquardt(near, descent.theta, max_iter=max_iter)
+    if last.residual < fit.residual:  # the descent has left a poor valley
         fit, exact = exact_match(problem, last, exact_tol)
-        found = _Found.by_least_squares(fit, exact, tol) if exact else found
-    if exact or not run.value > 0:
-        return _result(problem, fit, found, fits, exact)
-    certificate = run.certificate or certify(problem, found.theta, run.value)
-    found = replace(found, predicted_decrease=certificate.predicted_decrease)
-    return _result(problem, fit, found, fits, exact, certificate)
+        if exact:
+            return _result(problem, fit, fits, exact)
+    return _result(problem, fit, fits, False, start, descent)
 
 
+TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
+_RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
+_DESCENTS = 3  # matches and starts that go down
+_FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Parameters, and what led to them."""
-
-    theta: np.ndarray
-    predicted_decrease: float
-    converged: bool
-    history: tuple
-    n_iter: int
-
-    @classmethod
-    def by_least_squares(cls, fit, exact, tol):
-        history = tuple(("least squares", residual) for residual in fit.history)
-        converged = exact or fit.promised <= tol
-        return cls(fit.theta, 0.0 if exact else fit.promised, converged, history, 0)
-
-    def further(self, stage, theta, predicted, converged, values):
-        """The same with another stage."""
-        history = self.history + tuple((stage, value) for value in values)
-        return _Found(theta, predicted, converged, history, self.n_iter + len(values))
 
 
 def exact_match(problem, fit, tol):
@@ -282,29 +229,61 @@ def exact_match(problem, fit, tol):
     return fit, bool(fit.residual <= tol)
 
 
-def _result(problem, fit, found, fits, exact, certificate=None):
+def _result(problem, fit, fits, exact, start=None, descent=None):
     """The result in the user's units."""
-    unit, (value, peak) = problem.unit, problem.peak(found.theta)
-    singular_values, unidentified = problem.identifiability(found.theta)
+    start = fit if start is None else start
+    history = tuple(("least squares", residual) for residual in start.history or fit.history)
+    theta, n_iter = start.theta, sum(each.n_iter for each in fits)
+    predicted, certificate = 0.0 if exact else fit.promised, None
+    left, tolerance = predicted, TOLERANCE
+    if descent is not None:
+        theta, certificate, n_iter = descent.theta, descent.certificate, n_iter + descent.n_iter
+        history += tuple(("minimax", value) for value in descent.history)
+        predicted, left, tolerance = descent.predicted_decrease, descent.ratio - 1.0, GAP
+    value, peak = problem.peak(theta)
+    singular_values, unidentified = problem.identifiability(theta)
     return MatchResult(
-        found.theta,
-        *problem.structure.matrices(found.theta),
-        hinf_error=value * unit,
+        theta,
+        *problem.structure.matrices(theta),
+        hinf_error=value * problem.unit,
         relative_error=value,
-        h2_error=h2_error(problem, found.theta) * unit,
         peak_frequency=peak,
         theta_least_squares=fit.theta,
-        hinf_error_least_squares=problem.peak(fit.theta)[0] * unit,
-        feedthrough_floor=problem.feedthrough_floor() * unit,
+        hinf_error_least_squares=problem.peak(fit.theta)[0] * problem.unit,
+        feedthrough_floor=problem.feedthrough_floor() * problem.unit,
         exact=exact,
-        converged=bool(found.converged),
-        predicted_decrease=float(found.predicted_decrease),
+        converged=bool(left <= tolerance),
+        predicted_decrease=float(predicted),
+        left=float(left),
         certificate=certificate,
-        n_iter=sum(each.n_iter for each in fits) + found.n_iter,
-        history=found.history,
+        n_iter=n_iter,
+        history=history,
+        tolerance=tolerance,
         singular_values=singular_values,
         unidentified=unidentified,
     )
+
+
+def least_norm(problem, fits, starts, max_iter):
+    """Least norm in reach of some matches: where the way began, and its descent.
+
+    The ranking by squares is not the ranking by peaks, so the match best in squares and
+    those best in peaks go down, first but a part of the way; the lowest goes on. Among them
+    are starts as they were: where squares lead to infinity, they do not.
+    """
+    problem = problem.limited(fits[0].theta, _RUNAWAY)
+    others = [(problem.peak(fit.theta)[0], fit) for fit in fits[1:]]
+    others += [
+        (problem.peak(start.theta)[0], GridFit(start.theta, np.inf, np.inf, ())) for start in starts
+    ]
+    others = [each for each in others if np.isfinite(each[0])]
+    others.sort(key=lambda each: each[0])
+    ways = [fits[0], *(fit for _, fit in others[: _DESCENTS - 1])]
+    descents = [
+        smooth_descent(problem, fit.theta, gap=_FIRST_GAP, max_iter=max_iter) for fit in ways
+    ]
+    best = min(range(len(ways)), key=lambda k: descents[k].value)
+    return ways[best], descents[best].further(problem, max_iter)
 
 
 def starting_points(problem, theta0, closed_form, n_starts, random_state):

@@ -1,11 +1,11 @@
 """A structured matching problem: weights, frequency grid, error response and its norm.
 
-    E(s; θ) = W_o(s) (G_c(s) − G_s(s; θ)) W_i(s),   lower ≤ θ ≤ upper
+    E(s; θ) = W_o (G_c(s) − G_s(s; θ)) W_i,   lower ≤ θ ≤ upper,   W_o, W_i diagonal
 
 Two weightings live side by side. The criterion's W_o, W_i are the user's, and the norm is
-counted in units of ‖W_o G_c W_i‖_∞. Least squares over the grid has the same filters over
-frequency, but constants of its own that make all channels of W_o G_c W_i alike, so that a
-search is not blind to small ones.
+counted in units of ‖W_o G_c W_i‖_∞. Least squares over the grid has constants of its own
+that make all channels alike, so that a search is not blind to small ones. Starts, the
+least-squares matches and the descent in the norm all ask this one value.
 """
 
 from dataclasses import dataclass, replace
@@ -15,10 +15,8 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.triangular import triangle
-from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks, same_tops
+from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
-from sklearn_hd.algorithms.matching.curved_steps import CurvedSteps
-from sklearn_hd.algorithms.matching.weighting import Weighting, fixed_model
 from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
@@ -28,9 +26,6 @@ _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
 _NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
-_NEXT = 0.01  # distance of frequencies, relative, next to each other
-_LOW = 1e-3  # of the lowest frequency of the grid, below which there is no difference to 0
-_ROUNDS = 5  # of closing in on a top whose frequency matters
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
 _ROUNDING = 1e-13  # of a pole, relative to the largest
@@ -98,68 +93,59 @@ class MatchingProblem:
         G_c, as a structure without parameters.
     structure : AffineStructure
         G_s(θ).
-    weighting : Weighting
-        The criterion's, with 1 / ``unit`` in the constants of the outputs.
+    outputs, inputs : ndarray, shapes (l,), (m,)
+        Diagonals of the criterion's W_o / ``unit`` and W_i.
     unit : float
         ‖W_o G_c W_i‖_∞ with the weights as they were given.
     grid : ndarray, shape (n_points,)
         rad/s.
-    scaling : Weighting
-        Of the least squares; G_c has length 1 in it on the imaginary axis.
+    output_scales, input_scales : ndarray, shapes (l,), (m,)
+        The same of the least squares; G_c has length 1 in them on the imaginary axis.
     lower, upper : ndarray, shape (k,)
         Bounds of θ; infinite where there are none.
-    grid_weights : ndarray, shape (n_points,), or float
-        Factors of the least-squares residual by frequency.
     speed_limit : float
         rad/s; G_s with faster poles counts as unstable.
     """
 
     model: AffineStructure
     structure: AffineStructure
-    weighting: Weighting
+    outputs: np.ndarray
+    inputs: np.ndarray
     unit: float
     grid: np.ndarray
-    scaling: Weighting
+    output_scales: np.ndarray
+    input_scales: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    grid_weights: np.ndarray | float = 1.0
     speed_limit: float = np.inf
 
     @classmethod
-    def build(cls, A, B, C, D, structure, weighting=None, bounds=None, emphasis=None):
+    def build(cls, A, B, C, D, structure, weights=(None, None), bounds=None, emphasis=None):
         """Problem for G_c = (A, B, C, D); raises where the parts do not fit."""
         A, B, C, D = (np.asarray(matrix, dtype=float) for matrix in (A, B, C, D))
         hinf_norm(A, B, C, D)  # checks shapes and stability, in its own words
         _check_fit(D.shape, structure)
-        weighting = Weighting.build(D.shape, **(weighting or {}))
-        unit = hinf_norm(*weighting.realize(A, B, C, D))[0] or 1.0
-        model = fixed_model(A, B, C, D)
-        poles = linalg.eigvals(A) if len(A) else np.empty(0)
-        grid = matching_grid(np.concatenate([poles, weighting.poles]))
-        ones = weighting.with_constants(np.ones(len(D)), np.ones(D.shape[1]))
-        response = ones.apply(model.response(np.empty(0), line(grid)), line(grid))
+        W_o = _constants("output_weights", weights[0], len(D))
+        W_i = _constants("input_weights", weights[1], D.shape[1])
+        unit = hinf_norm(A, B * W_i, W_o[:, None] * C, W_o[:, None] * D * W_i)[0] or 1.0
+        model = AffineStructure.fixed(A, B, C, D)
+        grid = matching_grid(linalg.eigvals(A) if len(A) else np.empty(0))
+        response = model.response(np.empty(0), line(grid))
         outputs, inputs = channel_scales(response)
         if emphasis is not None:
             outputs, inputs = outputs * emphasis[0], inputs * emphasis[1]
         length = np.linalg.norm(outputs[:, None] * response * inputs) or 1.0
-        return cls(
-            model,
-            structure,
-            weighting.with_constants(weighting.outputs / unit, weighting.inputs),
-            unit,
-            grid,
-            weighting.with_constants(outputs / length, inputs),
-            *_bounds(bounds, structure),
-        )
+        scales = outputs / length, inputs
+        bounds = _bounds(bounds, structure)
+        return cls(model, structure, W_o / unit, W_i, unit, grid, *scales, *bounds)
 
     @property
     def fastest(self):
-        """Largest magnitude among the poles of G_c and of the weights (rad/s)."""
-        poles = [linalg.eigvals(self.model.matrices(np.empty(0))[0]), self.weighting.poles]
-        return np.abs(np.concatenate(poles)).max(initial=0.0) or 1.0
+        """Largest magnitude among the poles of G_c (rad/s)."""
+        return np.abs(self.model.poles(np.empty(0))).max(initial=0.0) or 1.0
 
     def limited(self, theta, factor):
-        """The same with a limit to poles: so many times the fastest of G_c, W_o and W_i.
+        """The same with a limit to poles: so many times the fastest of G_c.
 
         Where the best match has a feedthrough that D_s excludes, a pole runs to infinity, and
         rounding in it would hide the stability of the others. Fast poles of G_s(θ) raise
@@ -180,12 +166,10 @@ class MatchingProblem:
         """State-space matrices of W_o (G_c − G_s(θ)) W_i, in units of the criterion."""
         A, B, C, D = self.structure.matrices(theta)
         A_c, B_c, C_c, D_c = self.model.matrices(np.empty(0))
-        return self.weighting.realize(
-            linalg.block_diag(A_c, A),
-            np.vstack([B_c, B]),
-            np.hstack([C_c, -C]),
-            D_c - D,
-        )
+        drive, seen = np.vstack([B_c, B]), np.hstack([C_c, -C])
+        outputs = self.outputs[:, None]
+        direct = outputs * (D_c - D) * self.inputs
+        return linalg.block_diag(A_c, A), drive * self.inputs, outputs * seen, direct
 
     def peak(self, theta):
         """Exact relative norm of the error and its frequency; (inf, nan) if G_s is unstable.
@@ -223,23 +207,21 @@ class MatchingProblem:
 
     def error_and_sensitivity(self, theta, frequencies):
         """E(jω; θ) and ∂E/∂θ in the criterion's weights and unit."""
-        return self._difference(theta, line(frequencies), self.weighting)
+        return self._difference(theta, line(frequencies), self.outputs[:, None] * self.inputs)
 
     def error_curvature(self, theta, frequencies, left_vectors, right_vectors):
         """Σ_i Re(p_iᴴ ∂²E(jω_i)/∂θ² v_i), shape (k, k), in the criterion's weights."""
-        s = line(frequencies)
-        vectors = self.weighting.pull_back(left_vectors, right_vectors, s)
-        return -self.structure.curvature(theta, s, *vectors)
+        vectors = self.outputs * left_vectors, self.inputs * right_vectors
+        return -self.structure.curvature(theta, line(frequencies), *vectors)
 
     def residual_and_jacobian(self, theta, shift=0.0):
         """Least-squares residual over the grid on the line Re s = shift, and ∂/∂θ, as reals."""
-        error, slope = self._difference(theta, line(self.grid, shift), self.scaling)
-        by_point = np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
-        return _as_reals(error * by_point, slope * by_point[..., None])
+        scales = self.output_scales[:, None] * self.input_scales
+        return _as_reals(*self._difference(theta, line(self.grid, shift), scales))
 
-    def _difference(self, theta, s, weighting):
+    def _difference(self, theta, s, weights):
         response, slope = self.structure.response_and_sensitivity(theta, s)
-        return weighting.apply(self._given(s) - response, s), -weighting.apply(slope, s)
+        return (self._given(s) - response) * weights, -slope * weights[..., None]
 
     def _given(self, s):
         """G_c(s), remembered for a few arrays of points."""
@@ -253,17 +235,12 @@ class MatchingProblem:
     def error(self, theta, frequencies):
         """E(jω; θ), shape (n_points, l, m)."""
         s = line(frequencies)
-        return self.weighting.apply(self._given(s) - self.structure.response(theta, s), s)
+        gap = self._given(s) - self.structure.response(theta, s)
+        return self.outputs[:, None] * gap * self.inputs
 
     def singular_values(self, theta, frequencies):
         """Those of E(jω; θ), shape (n_points, min(l, m)), largest first."""
         return np.linalg.svd(self.error(theta, frequencies), compute_uv=False)
-
-    def active_frequencies(self, theta, value, extra=()):
-        """Frequencies where the gain of E is within a factor 2 of F, local peaks resolved."""
-        gains = self.gains(theta, self.grid)
-        near = self.grid[gains >= 0.5 * value]
-        return np.unique(np.concatenate([near, self._resolved(theta, gains), extra]))
 
     def _resolved(self, theta, gains):
         """Tops between the points of the grid, where E has some gains, and their flanks."""
@@ -271,35 +248,6 @@ class MatchingProblem:
         peaks, _ = refine_peaks(lambda w: self.gains(theta, w), low, high)
         width = 0.02 * (high - low)
         return np.concatenate([peaks, np.maximum(peaks - width, 0.0), peaks + width])
-
-    def high_frequencies(self, theta, least, near=(), extra=()):
-        """Where the gain of E is above some level, local maxima resolved, and how high.
-
-        Points of the grid, tops between them and next to the frequencies ``near``, and the
-        frequencies ``extra``; but one of those that are as good as one.
-        """
-        gains = self.gains(theta, self.grid)
-        low, high = self._brackets(gains, least)
-        between, heights = refine_peaks(lambda w: self.gains(theta, w), low, high, _ROUNDS)
-        near, near_heights = self.tops_near(theta, np.asarray(near, dtype=float))
-        extra = np.asarray(extra, dtype=float)
-        frequencies = np.concatenate([self.grid, between, near, extra])
-        frequencies[frequencies < _LOW * self.grid[1]] = 0.0
-        heights = np.concatenate([gains, heights, near_heights, self.gains(theta, extra)])
-        kept = np.flatnonzero(heights >= least)
-        kept = kept[np.argsort(frequencies[kept])]
-        groups = same_tops(frequencies[kept])
-        kept = np.array([kept[each[np.argmax(heights[kept[each]])]] for each in groups], dtype=int)
-        return frequencies[kept], heights[kept]
-
-    def tops_near(self, theta, frequencies):
-        """The highest gains next to some frequencies: where, and how high; 0 and infinity stay."""
-        frequencies, heights = frequencies.copy(), self.gains(theta, frequencies)
-        moves = (frequencies > 0) & np.isfinite(frequencies)
-        low, high = (1.0 - _NEXT) * frequencies[moves], (1.0 + _NEXT) * frequencies[moves]
-        found = refine_peaks(lambda w: self.gains(theta, w), low, high, _ROUNDS)
-        frequencies[moves], heights[moves] = found
-        return frequencies, heights
 
     def sampling(self, theta, extra=()):
         """The grid, then the tops between its points at θ, their flanks and some more."""
@@ -321,9 +269,7 @@ class MatchingProblem:
         directions : ndarray, shape (k, n_directions)
         """
         error, slope = self.error_and_sensitivity(theta, frequencies)
-        outputs = self.scaling.outputs / self.weighting.outputs
-        scale = outputs[:, None] * (self.scaling.inputs / self.weighting.inputs)
-        scale = scale * np.broadcast_to(self.grid_weights, len(self.grid))[:, None, None]
+        scale = (self.output_scales / self.outputs)[:, None] * (self.input_scales / self.inputs)
         n = len(self.grid)
         scaled = _as_reals(error[:n] * scale, slope[:n] * scale[..., None])
         return error, slope, self._step_directions(theta, *scaled)
@@ -346,10 +292,10 @@ class MatchingProblem:
         """
         return self._step_directions(theta, *self.residual_and_jacobian(theta))
 
-    def curved_steps(self, theta):
-        """Along which curves to go from θ: straight below what alone moves E by its length."""
+    def moving_scales(self, theta):
+        """By how much each parameter alone moves the response as far as the residual is long."""
         residual, jacobian = self.residual_and_jacobian(theta)
-        return CurvedSteps(max(linalg.norm(residual), 1e-300) / column_sizes(jacobian))
+        return max(linalg.norm(residual), 1e-300) / column_sizes(jacobian)
 
     def _step_directions(self, theta, residual, jacobian):
         size, length = column_sizes(jacobian), linalg.norm(residual)
@@ -373,19 +319,15 @@ class MatchingProblem:
         return singular, tuple(self.structure.parameter_names[k] for k in undetermined)
 
     def feedthrough_floor(self):
-        """Lower bound of the relative norm that fixed entries of D_s leave at ω = ∞.
-
-        0 under weights that vanish there.
-        """
+        """Lower bound of the relative norm that fixed entries of D_s leave at ω = ∞."""
         n = self.structure.n_states
         gap = self.model.constant[self.model.n_states :, self.model.n_states :]
         gap = gap - self.structure.constant[n:, n:]
         free = np.any(self.structure.basis[:, n:, n:] != 0, axis=0)
-        weighted = self.weighting.apply(np.where(free, 0.0, gap)[None], line([np.inf]))[0]
+        weighted = self.outputs[:, None] * np.where(free, 0.0, gap) * self.inputs
         if not free.any():
             return float(linalg.norm(weighted, 2))
-        diagonal = self.weighting.output_filter is None and self.weighting.input_filter is None
-        return float(np.abs(weighted).max(initial=0.0)) if diagonal else 0.0
+        return float(np.abs(weighted).max(initial=0.0))
 
 
 def numerical_rank(singular_values):
@@ -420,6 +362,13 @@ def _check_fit(shape, structure):
             f"the model {shape[0]} and {shape[1]}; a match compares the same channels, so give "
             f"the structure the rows of C and D and the columns of B and D that the model has"
         )
+
+
+def _constants(name, weights, size):
+    weights = np.ones(size) if weights is None else np.asarray(weights, dtype=float)
+    if weights.shape != (size,) or not (np.all(np.isfinite(weights)) and np.all(weights > 0)):
+        raise ValueError(f"{name}={weights.tolist()} must be {size} positive numbers")
+    return weights
 
 
 def _bounds(bounds, structure):

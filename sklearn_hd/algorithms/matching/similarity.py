@@ -81,8 +81,8 @@ def project_transformed(problem, T):
     A, B, C, D = problem.model.matrices(_NOTHING)
     stacked = np.block([[T @ A @ inverse, T @ B], [C @ inverse, D]])
     states = _sizes(T @ _state_response(problem.model, problem))
-    rows = np.concatenate([1.0 / (_rate(A) * states), problem.scaling.outputs])
-    columns = np.concatenate([states, problem.scaling.inputs])
+    rows = np.concatenate([1.0 / (_rate(A) * states), problem.output_scales])
+    columns = np.concatenate([states, problem.input_scales])
     return problem.structure.project(stacked, rows[:, None] * columns)[0]
 
 
@@ -111,8 +111,8 @@ def solve_similarity(problem, theta, max_iter=10):
     states_c, states = (_state_response(model, problem), _state_response(structure, problem, theta))
     T = _regression(states, states_c)
     rate = _rate(model.matrices(_NOTHING)[0])
-    rows = np.concatenate([1.0 / (rate * _sizes(states)), problem.scaling.outputs])
-    columns = np.concatenate([_sizes(states_c), problem.scaling.inputs])
+    rows = np.concatenate([1.0 / (rate * _sizes(states)), problem.output_scales])
+    columns = np.concatenate([_sizes(states_c), problem.input_scales])
     weights = rows[:, None] * columns
     best = theta, _similarity_residual(problem, theta, T, weights)
     for _ in range(max_iter):
@@ -156,7 +156,7 @@ def _state_response(structure, problem, theta=_NOTHING):
     """(jωI − A)⁻¹ B W_i over the grid, real and imaginary parts side by side, n rows."""
     A, B, _, _ = structure.matrices(theta)
     s = 1j * problem.grid[:-1]
-    states = np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B * problem.scaling.inputs)
+    states = np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B * problem.input_scales)
     states = np.concatenate(list(states), axis=1)
     return np.hstack([states.real, states.imag])
 

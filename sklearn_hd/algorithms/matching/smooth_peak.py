@@ -1,16 +1,23 @@
-"""Descent in a smooth upper bound of the H∞ norm, tightened on the way.
+"""Descent to the least H∞ norm of a matching error, through smooth bounds of it.
 
-    f_μ(θ) = min_t  log t − μ Σ_i log det(I − E_iᴴ E_i / t²),   E_i = E(jω_i; θ)
+    f_μ(θ) = min_t  log t − μ Σ_i log det(I − E_iᴴ E_i / t²) − μ Σ_k log (u_k − θ_k) (θ_k − l_k)
 
-Peaks of nearly the same height are one smooth function there, along whose curved valleys
-Newton's steps are long where the linearisation of the single peaks holds for short ones
-only. Three things make them longer: each step has a second-order correction, from what E
-became beyond its linearisation; steps bend as sinh coordinates do; and from one μ to the
-next the descent follows the path of minima. The frequencies ω_i stay while μ does, so
-that f_μ is one function; only a peak that moves between them joins.
+with E_i = E(jω_i; θ). As μ falls t comes down on the norm, and θ, kept within its bounds by
+the last term, to a point where no direction lowers it. Peaks of nearly the same height are
+one smooth function there, along whose curved valleys Newton's steps are long where the
+linearisation of the single peaks holds for short ones only. Three things make them longer:
+each step has a second-order correction, from what E became beyond its linearisation; steps
+bend as sinh coordinates do, θ = w sinh z, so that parameters far beyond their scale w move
+by factors; and from one μ to the next the descent follows the path of minima. The
+frequencies ω_i stay while μ does, so that f_μ is one function; only a peak that moves
+between them joins.
+
+The derivatives of f_μ by the singular values are the weights of the peaks' gradients: where
+f_μ is stationary they certify, with no program to be solved, how much the norm could still
+fall. Matches in the H∞ norm end here.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize
@@ -18,15 +25,50 @@ from scipy import optimize
 from sklearn_hd.algorithms.lti.hinf import tops_between
 from sklearn_hd.algorithms.matching.log_det_bound import BoundSlopes, LogDetBound, log_det_value
 
-__all__ = ["SmoothDescent", "smooth_descent"]
+__all__ = ["Certificate", "SmoothDescent", "smooth_descent"]
 
+GAP = 2e-5  # of t from the norm: its minima then lie within 1e-4 or so of the least norm
 _FALL = 0.2  # of μ from one round to the next
-_SETTLED = 0.1  # decrease of f, in units of μ, that a Newton step must promise
+_SETTLED = 1e-2  # decrease of f, in units of μ, that a Newton step must promise; certificates
+# are 1e-4 to 1e-3 with it, 1e-2 with a tenth
 _LEAST_GAIN = 1e-3  # actual over promised decrease below which a step is refused
 _GOOD = 0.9  # from which it needs no correction
 _LEAST_RADIUS = 1e-10
 _SLIGHT = 1e-5  # share of a singular value in the curvature, of the largest, that is left out
 _MISSED = 0.2  # of the distance of a peak from t, by which the points may miss its top
+_FARTHEST = 3.0  # change of z in one step: a factor of 20
+_TO_WALL = 0.9  # of the way to a bound that one step may go
+_OFF_WALL = 1e-2  # distance from bounds to begin with, in scales of θ
+_TOUCHED = 1e-3  # from which a parameter ends on its bound, if the norm allows
+_POLISH = 8  # Newton steps at the end, which converge quadratically
+_LEAST_WEIGHT = 1e-3  # of a peak that counts: the bound weighs all points, most of them little
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """First-order conditions of a least H∞ norm.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n_active,)
+        rad/s, of the peaks that hold the norm where it is.
+    errors : ndarray, shape (n_active,)
+        σ_max(E) there.
+    weights : ndarray, shape (n_active,)
+        Of their gradients in the convex combination nearest to zero; they sum to 1.
+    distance : float
+        Length of that combination, in units of the norm, where θ is counted in moves of the
+        response as long as the residual; bounds that are touched take their share.
+    predicted_decrease : float
+        Upper bound of the decrease, relative to the norm, that the linearised response
+        allows within one such move. 0 at a stationary point.
+    """
+
+    frequencies: np.ndarray
+    errors: np.ndarray
+    weights: np.ndarray
+    distance: float
+    predicted_decrease: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,19 +83,36 @@ class SmoothDescent:
         Norms that were the least so far, the start first.
     ratio : float
         t over the norm in the last round.
+    certificate : Certificate or None
+        None where there was nothing to descend.
+    n_iter : int
+        Newton steps.
     """
 
     theta: np.ndarray
     history: tuple
     ratio: float
+    certificate: Certificate | None = None
+    n_iter: int = 0
 
     @property
     def value(self):
         """The least norm."""
         return self.history[-1]
 
+    @property
+    def predicted_decrease(self):
+        """By how much, relative to itself, the norm could still fall; infinite if not known."""
+        return np.inf if self.certificate is None else self.certificate.predicted_decrease
 
-def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
+    def further(self, problem, max_iter):
+        """The same down to the last bound."""
+        rest = smooth_descent(problem, self.theta, first=self.ratio, max_iter=max_iter)
+        history, n_iter = self.history + rest.history[1:], self.n_iter + rest.n_iter
+        return replace(rest, history=history, n_iter=n_iter)
+
+
+def smooth_descent(problem, theta, *, first=3.0, gap=GAP, max_iter=150):
     """Parameters of a low H∞ matching error, reached through smooth bounds of it.
 
     Parameters
@@ -80,7 +139,9 @@ def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
     best, history = theta, [value]
     if not 0 < value < np.inf:
         return SmoothDescent(best, tuple(history), first)
-    point = _Point(problem, problem.curved_steps(theta), theta, problem.sampling(theta, [peak]))
+    walls = _Walls(problem, theta)
+    theta = walls.off(theta)
+    point = _Point(problem, walls, theta, problem.sampling(theta, [peak]))
     if point.n_directions == 0:
         return SmoothDescent(best, tuple(history), first)
     mu, radius, n_left = point.bound.weight_for(first), 1.0, max_iter
@@ -93,10 +154,23 @@ def smooth_descent(problem, theta, *, first=3.0, gap=1e-3, max_iter=150):
             history.append(value)
         ratio = point.bound.level(mu) / point.bound.top
         if not np.isfinite(value) or ratio <= 1.0 + gap or n_left <= 0:
-            return SmoothDescent(best, tuple(history), float(ratio))
+            break
         point, length = _followed(point, mu, _FALL * mu)
         point = point.at(point.theta, problem.sampling(point.theta, [peak]))
         mu, radius = _FALL * mu, max(radius, length, 1e-3)
+    point = _polished(point, mu)
+    for theta in (point.theta, point.at_the_end_of_the_path(mu)):
+        value = problem.peak(theta)[0]
+        if value < history[-1]:
+            best = theta
+            history.append(value)
+    certificate = point.certificate(mu, history[-1])
+    held = walls.on(best)
+    value = problem.peak(held)[0]
+    if value <= (1.0 + gap) * history[-1]:
+        best = held
+        history += [value] if value < history[-1] else []
+    return SmoothDescent(best, tuple(history), float(ratio), certificate, max_iter - n_left)
 
 
 def _round(point, mu, radius, max_steps):
@@ -104,12 +178,11 @@ def _round(point, mu, radius, max_steps):
     n_steps = 0
     while n_steps < max_steps:
         n_steps += 1
-        slopes = BoundSlopes(point.bound, mu)
-        hessian = slopes.hessian + point.curvature(slopes)
-        step, promised, solve = _region_step(slopes.gradient, hessian, radius)
+        slopes = point.slopes(mu)
+        step, promised, solve = _region_step(slopes.gradient, slopes.hessian, radius)
         if promised <= _SETTLED * mu or radius < _LEAST_RADIUS:
             break
-        before = point.bound.value(mu)
+        before = point.value(mu)
         trial, value = _corrected(point, slopes, mu, step, solve, before - _GOOD * promised)
         gain, length = (before - value) / promised, np.linalg.norm(step)
         if gain < 0.25:
@@ -134,7 +207,7 @@ def _corrected(point, slopes, mu, step, solve, enough):
     value, error = point.value_at(trial, mu)
     if error is None or value <= enough:
         return trial, value
-    further = step + solve(slopes.pull(point.bound.missed(error, step)))
+    further = step + solve(slopes.bound.pull(point.bound.missed(error, step)))
     second = point.moved(further)
     second_value, _ = point.value_at(second, mu)
     return (second, second_value) if second_value < value else (trial, value)
@@ -142,8 +215,8 @@ def _corrected(point, slopes, mu, step, solve, enough):
 
 def _followed(point, mu, lower):
     """The point moved along the path of minima to a lower μ, and how far, if f falls there."""
-    slopes = BoundSlopes(point.bound, mu)
-    values, vectors = np.linalg.eigh(slopes.hessian + point.curvature(slopes))
+    slopes = point.slopes(mu)
+    values, vectors = np.linalg.eigh(slopes.hessian)
     if values[0] <= 0:
         return point, 0.0
 
@@ -152,10 +225,34 @@ def _followed(point, mu, lower):
 
     step = solve((lower - mu) * slopes.drift)
     theta, value = _corrected(point, slopes, lower, step, solve, -np.inf)
-    after = point.at(theta) if value < point.bound.value(lower) else point
+    after = point.at(theta) if value < point.value(lower) else point
     if after is point or after.n_directions == 0:
         return point, 0.0
     return after, float(np.linalg.norm(step))
+
+
+def _polished(point, mu):
+    """The point after Newton's steps, as long as the gradient falls: the certificate's last digits.
+
+    f_μ itself is too coarse there to tell one step from the next.
+    """
+    slopes = point.slopes(mu)
+    for _ in range(_POLISH):
+        values, vectors = np.linalg.eigh(slopes.hessian)
+        if values[0] <= 0:
+            return point
+        step = -vectors @ ((vectors.T @ slopes.gradient) / values)
+        theta = point.moved(step)
+        if not np.isfinite(point.value_at(theta, mu)[0]):
+            return point
+        after = point.at(theta)
+        if after.n_directions < point.n_directions:
+            return point
+        further = after.slopes(mu)
+        if not np.linalg.norm(further.gradient) < np.linalg.norm(slopes.gradient):
+            return point
+        point, slopes = after, further
+    return point
 
 
 def _region_step(gradient, hessian, radius):
@@ -178,11 +275,67 @@ def _region_step(gradient, hessian, radius):
     return vectors @ s, -(g @ s + 0.5 * s @ (values * s)), solve
 
 
+class _Walls:
+    """Bounds of θ as barriers, and the scales w of the curves along which steps go."""
+
+    def __init__(self, problem, theta):
+        self.lower, self.upper = problem.lower, problem.upper
+        self.scale = problem.moving_scales(theta)
+        self.width = np.minimum(self.upper - self.lower, self.scale)
+
+    @property
+    def n_walls(self):
+        return int(np.isfinite(self.lower).sum() + np.isfinite(self.upper).sum())
+
+    def off(self, theta):
+        """The parameters moved a hundredth of their scale off their bounds."""
+        return np.clip(
+            theta, self.lower + _OFF_WALL * self.width, self.upper - _OFF_WALL * self.width
+        )
+
+    def on(self, theta):
+        """Those that nearly touch a bound on it."""
+        near = _TOUCHED * self.width
+        theta = np.where(theta - self.lower <= near, self.lower, theta)
+        return np.where(self.upper - theta <= near, self.upper, theta)
+
+    def move(self, theta, step):
+        """Where a step ends that leaves θ with the velocity ``step``, after time one."""
+        z, speed = np.arcsinh(theta / self.scale), np.hypot(theta, self.scale)
+        end = self.scale * np.sinh(z + np.clip(step / speed, -_FARTHEST, _FARTHEST))
+        lower = theta - _TO_WALL * (theta - self.lower)
+        return np.clip(end, lower, theta + _TO_WALL * (self.upper - theta))
+
+    def bend(self, theta):
+        """d²θ/ds² along these curves for dθ/ds = 1."""
+        return theta / (theta**2 + self.scale**2)
+
+    def value(self, theta):
+        """−Σ log of the distances from bounds, in scales."""
+        apart = np.concatenate([theta - self.lower, self.upper - theta]) / np.tile(self.scale, 2)
+        return -np.sum(np.log(apart[np.isfinite(apart)]))
+
+    def slopes(self, theta):
+        """First and second derivatives of that by each parameter."""
+        below, above = 1.0 / (theta - self.lower), 1.0 / (self.upper - theta)
+        return above - below, above**2 + below**2
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Derivatives of f_μ with the barrier of the bounds."""
+
+    bound: BoundSlopes
+    gradient: np.ndarray
+    hessian: np.ndarray
+    drift: np.ndarray
+
+
 class _Point:
     """θ and the bound there, on some frequencies."""
 
-    def __init__(self, problem, steps, theta, frequencies):
-        self.problem, self.steps, self.theta = problem, steps, theta
+    def __init__(self, problem, walls, theta, frequencies):
+        self.problem, self.walls, self.theta = problem, walls, theta
         self.frequencies = frequencies
         error, slope, self.directions = problem.linearised(theta, frequencies)
         self.bound = LogDetBound(error, slope, self.directions)
@@ -195,7 +348,7 @@ class _Point:
     def at(self, theta, frequencies=None):
         """Another θ, on the same frequencies or others."""
         frequencies = self.frequencies if frequencies is None else frequencies
-        return _Point(self.problem, self.steps, theta, frequencies)
+        return _Point(self.problem, self.walls, theta, frequencies)
 
     def completed(self, mu):
         """The same with the tops that the frequencies miss by much of what is left to t."""
@@ -206,22 +359,59 @@ class _Point:
 
     def moved(self, step):
         """θ after a step ζ."""
-        return self.problem.inside(self.steps.move(self.theta, self.directions @ step))
+        return self.walls.move(self.theta, self.directions @ step)
+
+    def value(self, mu):
+        """f_μ."""
+        return self.bound.value(mu) + mu * self.walls.value(self.theta)
 
     def value_at(self, theta, mu):
         """f_μ and E at another θ; infinite and None where G_s is unstable."""
         if self.problem.abscissa(theta) >= 0:
             return np.inf, None
         error = self.problem.error(theta, self.frequencies)
-        return log_det_value(np.linalg.svd(error, compute_uv=False), mu), error
+        value = log_det_value(np.linalg.svd(error, compute_uv=False), mu)
+        return value + mu * self.walls.value(theta), error
 
-    def curvature(self, slopes):
-        """What the curvature of E and of the steps adds to the Hessian of f_μ."""
-        weights = slopes.weights
-        large = weights > _SLIGHT * weights.max()
+    def slopes(self, mu):
+        """Derivatives of f_μ by ζ, the curvature of E and of the steps among them."""
+        bound = BoundSlopes(self.bound, mu)
+        push, stiffness = self.walls.slopes(self.theta)
+        large = bound.weights > _SLIGHT * bound.weights.max()
         here = np.any(large, axis=1)
         left, right = self.bound.vectors(here)
-        left = left * (weights * large)[here, :, None]
+        left = left * (bound.weights * large)[here, :, None]
         bent = self.problem.error_curvature(self.theta, self.frequencies[here], left, right)
-        bent += np.diag(slopes.by_parameter * self.steps.bend(self.theta))
-        return self.directions.T @ bent @ self.directions
+        by_parameter = (bound.by_parameter + mu * push) * self.walls.bend(self.theta)
+        bent += np.diag(by_parameter + mu * stiffness)
+        M = self.directions
+        gradient = bound.gradient + mu * (M.T @ push)
+        return _Slopes(bound, gradient, bound.hessian + M.T @ bent @ M, bound.drift + M.T @ push)
+
+    def at_the_end_of_the_path(self, mu):
+        """Where the path of minima leads as μ goes to zero, by its tangent."""
+        slopes = self.slopes(mu)
+        step = mu * np.linalg.lstsq(slopes.hessian, slopes.drift, rcond=None)[0]
+        return self.moved(step)
+
+    def certificate(self, mu, value):
+        """What the weights of the singular values say of the linearised response.
+
+        Σ w_ij σ_ij = 1, so that max_i σ_max(E_i + S_i ζ) ≥ (1 − μ n_walls − |∂f_μ/∂ζ|) / Σ w_ij
+        for |ζ| ≤ 1.
+        """
+        slopes = self.slopes(mu)
+        total, distance = slopes.bound.weights.sum(), float(np.linalg.norm(slopes.gradient))
+        floor = (1.0 - mu * self.walls.n_walls - distance) / (total * value)
+        order = np.argsort(self.frequencies)
+        weights = slopes.bound.weights.sum(axis=1)[order] / total
+        frequencies, heights = self.frequencies[order], self.bound.sizes[order, 0]
+        left, middle, right = heights[:-2], heights[1:-1], heights[2:]
+        valleys = 1 + np.flatnonzero((middle < left) & (middle <= right))
+        hills = np.split(np.arange(len(order)), valleys)
+        hills = [hill for hill in hills if weights[hill].sum() > _LEAST_WEIGHT]
+        tops = [hill[np.argmax(heights[hill])] for hill in hills]
+        shares = np.array([weights[hill].sum() for hill in hills])
+        distance = distance / (total * value)
+        fall = float(max(0.0, 1.0 - floor))
+        return Certificate(frequencies[tops], heights[tops], shares / shares.sum(), distance, fall)

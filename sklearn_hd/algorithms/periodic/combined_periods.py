@@ -6,7 +6,8 @@ Period by period, whatever the parameters θ,
 
 w being the coordinates of an input's samples of a period in the directions that they move
 in. Over k, all that θ and z[0] can do lies in the span of w and of what Φ answers to w and
-z[0]. Linear combinations of periods that span it hold all that the record says of θ.
+z[0]. Linear combinations of periods that span it hold all that the record says of θ, and
+least squares on more and more of its coefficients tell how many of them it shows.
 """
 
 from dataclasses import dataclass
@@ -14,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
 
-__all__ = ["CombinedPeriods", "combined_periods"]
-
-RANK = 1e-14  # of columns of length one, what rounding leaves of dependent ones
+__all__ = ["CombinedPeriods", "NestedLeastSquares", "combined_periods"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def combined_periods(Phi, u, y, n_phases, first_phase):
     inputs, outputs = (_by_period(signal, n_phases) for signal in (u / size, y))
     n_periods = len(inputs)
     W, values, Vt = linalg.svd(inputs.reshape(n_periods, -1), full_matrices=False)
-    kept = values > np.finfo(float).eps * max(n_periods, Vt.shape[1]) * values[0]
+    kept = values > EPS * max(n_periods, Vt.shape[1]) * values[0]
     W, directions = (
         W[:, kept],
         (values[kept, None] * Vt[kept]).reshape(-1, *inputs.shape[1:]) * size,
@@ -164,7 +164,7 @@ def combined_periods(Phi, u, y, n_phases, first_phase):
     forced = propagate(Phi, forcing, np.zeros((len(W.T), n, n))).transpose(2, 0, 1, 3)
     free = propagate(Phi, np.zeros((n, n_periods, n)), np.eye(n)).transpose(1, 2, 0)
     moves = np.hstack([M.reshape(n_periods, -1) for M in (W, forced, free)])[:whole]
-    Q = orthonormal_range(moves, rank=RANK) if whole else np.zeros((0, 0))
+    Q = orthonormal_range(moves, rank=EXACT) if whole else np.zeros((0, 0))
     T = linalg.block_diag(Q, np.eye(n_periods - whole))  # a period cut short stands alone
     flat = outputs.reshape(n_periods, -1)
     combined = T.T @ flat
@@ -189,3 +189,87 @@ def _by_period(signal, n_phases):
     filled = np.zeros((n_periods * n_phases, signal.shape[1]))
     filled[: len(signal)] = signal
     return filled.reshape(n_periods, n_phases, -1)
+
+
+# ---- least squares ------------------------------------------------------------------------------
+
+
+class NestedLeastSquares:
+    """min |y − X b|², solved again after columns have been added to X.
+
+    X = Q R grows by blocks: what is new in a block is found off Q, twice (Daniel and others,
+    1976), so that no column is orthogonalised again.
+
+    Parameters
+    ----------
+    target : ndarray, shape (n_rows,)
+        y.
+
+    References
+    ----------
+    J. W. Daniel, W. B. Gragg, L. Kaufman, G. W. Stewart, "Reorthogonalization and stable
+    algorithms for updating the Gram-Schmidt QR factorization", Mathematics of Computation 30
+    (1976), 772-795.
+
+    Examples
+    --------
+    >>> line = NestedLeastSquares(np.array([1.0, 2.0, 4.0]))
+    >>> line.extend(np.ones((3, 1)))
+    >>> line.solve()[0].round(6).tolist()
+    [2.333333]
+    >>> line.extend(np.array([[0.0], [1.0], [2.0]]))
+    >>> line.solve()[0].round(6).tolist()
+    [0.833333, 1.5]
+    """
+
+    def __init__(self, target):
+        self.target = target
+        self.columns, self.bases = [], []  # X and Q, by blocks
+        self.size, self.factor, self.seen = np.zeros(0), np.zeros((0, 0)), np.zeros(0)
+
+    def extend(self, columns):
+        """Add columns to X.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n_rows, k)
+        """
+        size = column_sizes(columns)
+        rest, inside = columns / size, np.zeros((len(self.factor), columns.shape[1]))
+        for _ in range(2):
+            shares = [Q.T @ rest for Q in self.bases]
+            for Q, share in zip(self.bases, shares, strict=True):
+                rest -= Q @ share
+            if shares:
+                inside += np.vstack(shares)
+        Q, own, order = linalg.qr(
+            rest, mode="economic", pivoting=True, overwrite_a=True, check_finite=False
+        )
+        new = np.sum(np.abs(np.diagonal(own)) > EXACT)  # of what is none, Q would hold what it has
+        R, below = np.zeros((new, len(order))), np.zeros((new, self.factor.shape[1]))
+        Q, R[:, order] = Q[:, :new], own[:new]
+        self.factor = np.block([[self.factor, inside], [below, R]])
+        self.size, self.seen = np.append(self.size, size), np.append(self.seen, Q.T @ self.target)
+        self.columns.append(columns)
+        self.bases.append(Q)
+
+    def solve(self):
+        """The shortest solution, columns counted as of one length.
+
+        Returns
+        -------
+        solution : ndarray, shape (k,)
+            b.
+        left : ndarray, shape (n_rows,)
+            y − X b.
+        unknown : ndarray of bool, shape (k,)
+            What y does not determine.
+        """
+        U, values, Vt = np.linalg.svd(self.factor)
+        rank = np.sum(values > DEPENDENT * np.max(values, initial=0.0))
+        solution = Vt[:rank].T @ (U[:, :rank].T @ self.seen / values[:rank]) / self.size
+        left = self.target.copy()
+        edges = np.cumsum([columns.shape[1] for columns in self.columns])[:-1]
+        for columns, part in zip(self.columns, np.split(solution, edges), strict=True):
+            left -= columns @ part
+        return solution, left, np.linalg.norm(Vt[rank:], axis=0) > UNKNOWN

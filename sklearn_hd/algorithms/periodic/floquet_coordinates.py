@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.periodic.multipliers import SEPARATION
 from sklearn_hd.algorithms.periodic.periodic_realization import FloquetError
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 __all__ = ["FloquetForm", "fixed_scale", "floquet_coordinates"]
 
-MODE_SEPARATION = 1e-3  # exponents nearer than this, relative, are not told apart
 SINGLE, PAIR, TURNED = "single", "pair", "turned"
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # a turn by a quarter: J
 SWING = np.array([np.zeros((2, 2)), [[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]])
@@ -122,7 +122,7 @@ def _modes(R, n_flips):
         found, vectors = linalg.eig(part) if len(part) else (np.zeros(0), np.zeros((0, 0)))
         size = np.max(np.abs(found), initial=0.0)
         gaps = np.abs(found[:, None] - found) + np.eye(len(found)) * size
-        if np.any(gaps <= MODE_SEPARATION * size):
+        if np.any(gaps <= SEPARATION * size):
             return None
         order = np.lexsort((found.imag, -found.real, found.imag != 0.0))
         lead = [i for i in order if found[i].imag >= 0.0]

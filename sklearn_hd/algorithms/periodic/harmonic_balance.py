@@ -7,23 +7,14 @@ Galerkin equations ask that the residual ẋ − f has no harmonic up to N:
 
 Newton's matrix is ∂R/∂X = N_ω − T(F), minus the harmonic-decomposition matrix of
 the linearisation about the iterate. Free inputs are determined by as many targets,
-each the mean of a state.
+each the mean of a state. ``PeriodicSystem.trim`` needs it.
 """
 
 import numpy as np
 
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix, toeplitz_matrix
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import TrimError
-
-__all__ = [
-    "evaluate_harmonics",
-    "galerkin_coefficients",
-    "resize_harmonics",
-    "sample_harmonics",
-    "solve_harmonic_balance",
-]
-
-MAX_HALVINGS = 12
 
 
 def solve_harmonic_balance(
@@ -107,7 +98,7 @@ def solve_harmonic_balance(
             raise _failure(history, tolerance, f"after {max_iterations} iterations")
         matrix = _newton_matrix(jacobian, omega, X, u, free, targets, n_points)
         step = _newton_step(matrix, residual, scale)
-        for halving in range(MAX_HALVINGS + 1):
+        for halving in range(13):  # to 2e-4 of a step
             X_new, u_new = _moved(X, u, free, step * 0.5**halving)
             residual, scale = _residual(f, omega, X_new, u_new, targets, n_points)
             if _size(residual, scale) < history[-1]:
@@ -170,32 +161,6 @@ def sample_harmonics(coefficients, n_points):
     return n_points * np.fft.irfft(spectrum, n_points, axis=0).T
 
 
-def galerkin_coefficients(samples, n_harmonics):
-    """Real coefficients up to N of samples at equal steps of a period.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (n_points, ...)
-    n_harmonics : int
-        Fewer than n_points / 2.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (2 N + 1, ...)
-
-    Examples
-    --------
-    >>> psi = 2 * np.pi * np.arange(8) / 8
-    >>> galerkin_coefficients(3 + 2 * np.sin(psi), 1).round(12).tolist()
-    [3.0, -0.0, 2.0]
-    """
-    spectrum = np.fft.rfft(samples, axis=0)[: n_harmonics + 1] / len(samples)
-    result = np.empty((2 * n_harmonics + 1, *samples.shape[1:]))
-    result[0] = spectrum[0].real
-    result[1::2], result[2::2] = 2.0 * spectrum[1:].real, -2.0 * spectrum[1:].imag
-    return result
-
-
 def resize_harmonics(coefficients, n_harmonics):
     """Coefficients (2 K + 1, n) cut or padded with zeros to n_harmonics."""
     resized = np.zeros((2 * n_harmonics + 1, *np.shape(coefficients)[1:]))
@@ -233,7 +198,7 @@ def _residual(f, omega, X, u, targets, n_points):
         )
     N = (len(X) - 1) // 2
     derivative = derivative_matrix(N, 1, omega) @ X
-    balance = derivative - galerkin_coefficients(rates.T, N)
+    balance = derivative - sampled_harmonics(rates.T, N)
     amplitude = np.max(np.abs(x), axis=1, initial=0.0)
     row = np.max(np.abs(rates), axis=1, initial=0.0) + omega * amplitude
     misses = [X[0, state] - mean for state, mean in targets]
@@ -248,9 +213,9 @@ def _newton_matrix(jacobian, omega, X, u, free, targets, n_points):
     N, n = (len(X) - 1) // 2, X.shape[1]
     matrix = np.zeros((X.size + len(targets), X.size + len(free)))
     matrix[: X.size, : X.size] = derivative_matrix(N, n, omega) - toeplitz_matrix(
-        galerkin_coefficients(F, 2 * N), N, N
+        sampled_harmonics(F, 2 * N), N, N
     )
-    matrix[: X.size, X.size :] = -galerkin_coefficients(G[:, :, free], N).reshape(X.size, -1)
+    matrix[: X.size, X.size :] = -sampled_harmonics(G[:, :, free], N).reshape(X.size, -1)
     for row, (state, _) in enumerate(targets):
         matrix[X.size + row, state] = 1.0
     return matrix

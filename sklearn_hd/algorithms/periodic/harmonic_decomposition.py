@@ -6,28 +6,19 @@ Written for the harmonics of x, u and y, a periodic system is time-invariant:
 
 Its matrices are multiplications by Fourier series, of which this file has the coefficients
 (jumps of the matrices included) and the Toeplitz form.
+``LTPSystem``, trims and harmonic transfer functions need them.
 """
 
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.periodic.bisection import (
+from sklearn_hd.algorithms.periodic.gauss_rules import (
     N_STAGES,
     by_bisection,
     gauss_tableau,
     neighbours,
 )
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-
-__all__ = [
-    "derivative_matrix",
-    "fourier_coefficients",
-    "harmonic_decomposition",
-    "participation_factors",
-    "toeplitz_matrix",
-]
-
-SMALL = 1e-2  # entries below this part of the largest are resolved to the same absolute error
 
 
 def fourier_coefficients(matrix, n_harmonics, *, tolerance=1e-13):
@@ -228,9 +219,12 @@ def _panel_integrals(matrix, n_harmonics, left, right):
 
 
 def _integral_weights(integrals):
-    """Weights that make the largest integral of each entry one, or less if it is small."""
+    """Weights that make the largest integral of each entry one.
+
+    Entries below a hundredth of the largest are resolved to one absolute error.
+    """
     size = np.max(np.abs(integrals), axis=(0, 1))
-    size = np.maximum(size, SMALL * np.max(size, initial=0.0))
+    size = np.maximum(size, 0.01 * np.max(size, initial=0.0))
     return 1.0 / np.where(size > 0, size, 1.0)
 
 

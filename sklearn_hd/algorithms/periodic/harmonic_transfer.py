@@ -12,6 +12,8 @@ With T(·) multiplication by a periodic matrix in complex harmonics, T_pq = M_{p
 and N = diag(jkω),
 
     H(jΩ) = T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q)
+
+``sklearn_hd.systems`` makes :class:`HarmonicTransferFunction` of them.
 """
 
 import numpy as np
@@ -21,17 +23,7 @@ from scipy import signal
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.signals.fourier import complex_transformation
 
-__all__ = [
-    "effective_averages",
-    "estimate_harmonic_transfer",
-    "harmonic_transfer_blocks",
-    "held_harmonic_transfer",
-    "segment_plan",
-]
-
-START = 8  # internal harmonics beyond those asked for, at first
 UNEXCITED = 1e-10  # input power in some direction, beside the largest, that is none
-BATCH = 64  # segments transformed together; bounds the memory
 
 
 def harmonic_transfer_blocks(
@@ -86,7 +78,7 @@ def harmonic_transfer_blocks(
     True
     """
     N = int(n_harmonics)
-    K = min(N + START, max(N, max_harmonics // 2))
+    K = min(N + 8, max(N, max_harmonics // 2))
     blocks = _truncated_blocks(coefficients, omega, frequencies, N, K)
     change = np.inf
     while change > tolerance and max_harmonics > K:
@@ -198,7 +190,7 @@ def estimate_harmonic_transfer(
     spectra, n_averages, count = 0.0, 0.0, 0
     for u, y, t in zip(inputs, outputs, times, strict=True):
         starts = np.arange(0, len(t) - n_segment + 1, step)
-        for some in np.split(starts, range(BATCH, len(starts), BATCH)):
+        for some in np.split(starts, range(64, len(starts), 64)):  # bounds the memory
             rows = some[:, None] + np.arange(n_segment)
             Z = _shifted_transforms(
                 u[rows], y[rows], t[rows], omega, n_harmonics, weights, len(frequencies)

@@ -11,6 +11,7 @@ state is x = T(ψ) z, and a system ẋ = A x + B u, y = C x + D u becomes
 
 Where the blades are alike and the wind does not depend on the azimuth, what is left to vary
 in it repeats itself three times a turn (and 6, 9, … times), and mostly is small.
+Turbines of ``sklearn_hd.systems`` need it.
 """
 
 from typing import NamedTuple
@@ -19,17 +20,7 @@ import numpy as np
 
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
-__all__ = [
-    "N_BLADES",
-    "Frame",
-    "blade_harmonics",
-    "coleman_matrix",
-    "from_multiblade",
-    "to_multiblade",
-]
-
 N_BLADES = 3
-HARMONICS_OF_TURNING = 2  # of T X T⁻¹ with X constant: products of two entries of t
 
 
 class Frame(NamedTuple):
@@ -118,7 +109,7 @@ def from_multiblade(coefficients, omega, frame):
         In the order 0, 1c, 1s, ….
     """
     K = len(coefficients[0]) // 2
-    highest = N_BLADES * K + HARMONICS_OF_TURNING
+    highest = N_BLADES * K + 2  # products of two entries of t
     n_points = 2 * highest + 2
     psi = 2.0 * np.pi * np.arange(n_points) / n_points
     functions = harmonic_functions(psi, blade_harmonics(K))

@@ -6,20 +6,18 @@ The outputs of many periods tell multipliers near one; what a period forgets is 
 samples within it: P(ψ) has few harmonics for the right R only.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
 __all__ = [
     "LARGEST_RESPONSE",
-    "RefinedMap",
-    "block_and_slopes",
+    "SEPARATION",
     "characteristic",
     "compact",
     "invariant_blocks",
@@ -30,36 +28,10 @@ __all__ = [
     "with_characteristic",
 ]
 
-SEPARATION = 1e-3  # multipliers nearer than this, relative, are not told apart
-LARGEST_MULTIPLIER = 1e3
+SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
-ROUNDING = 1e-15
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
-RANK = 1e-11  # of columns of length one; dependent ones leave 1e-15
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedMap:
-    """A Poincaré map, and how well what is seen once a period determines it.
-
-    Attributes
-    ----------
-    Phi : ndarray, shape (n, n)
-    basis : ndarray, shape (n, n), or None
-        Φ basis = basis diag(blocks); None where Φ was not refined.
-    blocks : tuple of ndarray, shapes (2, 2) and (1, 1)
-    coefficients : ndarray, shape (n,)
-        Of the characteristic polynomials: eigenvalue, or trace and determinant.
-    information : ndarray, shape (n, n)
-        Their inverse covariance.
-    """
-
-    Phi: np.ndarray
-    basis: np.ndarray | None = None
-    blocks: tuple = ()
-    coefficients: np.ndarray | None = None
-    information: np.ndarray | None = None
 
 
 def refine_multipliers(Phi, directions, lifted):
@@ -82,8 +54,8 @@ def refine_multipliers(Phi, directions, lifted):
 
     Returns
     -------
-    refined : RefinedMap
-        Φ as given where multipliers are too close to be told apart, or the periods too few.
+    Phi : ndarray, shape (n, n)
+        As given where multipliers are too close to be told apart, or the periods too few.
     """
     multipliers = linalg.eigvals(Phi)
     n, r = len(Phi), directions[0].shape[1]
@@ -92,23 +64,18 @@ def refine_multipliers(Phi, directions, lifted):
     if 2 * (r + n * (r + len(lifted))) > n_periods or not np.all(
         gaps > SEPARATION * np.max(np.abs(multipliers))
     ):
-        return RefinedMap(Phi)
-    largest = LARGEST_MULTIPLIER ** (1.0 / n_periods) + 0.5
-    largest = min(largest, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
+        return Phi
+    largest = min(1e3 ** (1.0 / n_periods) + 0.5, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
     if np.max(np.abs(multipliers)) >= largest:
-        return RefinedMap(Phi)
+        return Phi
     basis, blocks = invariant_blocks(Phi)
-    target = compact(np.vstack(lifted))
-    found = _best_of(_Elimination(blocks, directions, target, largest), blocks)
+    elimination = _Elimination(blocks, directions, compact(np.vstack(lifted)), largest)
+    found = _best_of(elimination, blocks)
     moved = [
         with_characteristic(block, values)
-        for block, values in zip(blocks, _by_block(found.x, blocks), strict=True)
+        for block, values in zip(blocks, elimination.by_block(found.x), strict=True)
     ]
-    Phi = basis @ linalg.block_diag(*moved) @ linalg.inv(basis)
-    spread = max(2.0 * found.cost, ROUNDING**2 * float(np.sum(target**2)))
-    n_free = max(1, n_periods - r) * lifted[0].shape[1]
-    information = found.jac.T @ found.jac * (n_free / spread)
-    return RefinedMap(Phi, basis, tuple(moved), found.x, information)
+    return basis @ linalg.block_diag(*moved) @ linalg.inv(basis)
 
 
 class _Elimination:
@@ -145,6 +112,10 @@ class _Elimination:
         self.sources = np.hstack([self._later(self.inputs), starts])
         self._last = None, None
 
+    def by_block(self, coefficients):
+        """The coefficients of each block's polynomial."""
+        return np.split(coefficients, self.edges)
+
     def left(self, coefficients):
         """r, shape (n_periods q,), and ∂r/∂c, shape (n_periods q, n)."""
         n, q = len(coefficients), self.target.shape[1]
@@ -157,7 +128,7 @@ class _Elimination:
         weights[kept] = inverse @ explained
         moved, reached = np.zeros((n, *self.target.shape)), np.zeros((n, *weights.shape))
         i, at = 0, self.inputs.shape[1]
-        for values, x in zip(np.split(coefficients, self.edges), states, strict=True):
+        for values, x in zip(self.by_block(coefficients), states, strict=True):
             rate = self._answer(values, self._later(x))
             for _ in values:  # x[k], then x[k−1]
                 place = slice(at, at + rate.shape[1])
@@ -184,7 +155,7 @@ class _Elimination:
     def _project(self, coefficients):
         """Answers of each block, Q R of independent columns of M and which they are, what they
         explain and what they leave; None beyond what is simulated."""
-        steps = np.split(coefficients, self.edges)
+        steps = self.by_block(coefficients)
         if not max(map(_largest_root, steps)) < self.largest:
             return None
         states = [self._answer(values, self.sources) for values in steps]
@@ -194,7 +165,7 @@ class _Elimination:
         M = np.hstack(columns)
         size = column_sizes(M)
         Q, R, order = linalg.qr(M / size, mode="economic", pivoting=True, check_finite=False)
-        kept = np.abs(np.diag(R)) > RANK
+        kept = np.abs(np.diag(R)) > DEPENDENT
         Q, R, order = Q[:, kept], R[np.ix_(kept, kept)], order[kept]
         explained = Q.T @ self.target
         return states, Q, R * size[order], order, explained, self.target - Q @ explained
@@ -247,10 +218,6 @@ def _best_of(elimination, blocks):
             )
         )
     return min(searches, key=lambda search: search.cost)
-
-
-def _by_block(values, blocks):
-    return np.split(values, np.cumsum([len(block) for block in blocks])[:-1])
 
 
 def invariant_blocks(M):
@@ -308,39 +275,26 @@ def with_characteristic(block, coefficients):
     -------
     block : ndarray, of the same shape
     """
-    return block_and_slopes(block, coefficients)[0]
-
-
-def block_and_slopes(block, coefficients):
-    """:func:`with_characteristic`, and its derivatives by the coefficients, (d, d, d)."""
     if len(block) == 1:
-        return np.reshape(coefficients, (1, 1)), np.ones((1, 1, 1))
+        return np.reshape(coefficients, (1, 1))
     trace, determinant = coefficients
-    N, slope = _traceless(block - 0.5 * np.trace(block) * np.eye(2), 0.25 * trace**2 - determinant)
-    by_trace = 0.5 * np.eye(2) + 0.5 * trace * slope
-    return 0.5 * trace * np.eye(2) + N, np.stack([by_trace, -slope])
+    N = _traceless(block - 0.5 * np.trace(block) * np.eye(2), 0.25 * trace**2 - determinant)
+    return 0.5 * trace * np.eye(2) + N
 
 
 def _traceless(N, wanted):
-    """The matrix nearest in kind to N whose square is a wanted number, and its derivative by it."""
+    """The matrix nearest in kind to N whose square is a wanted number."""
     square = N[0, 0] ** 2 + N[0, 1] * N[1, 0]
     if square * wanted > 0.0:
-        N = N * np.sqrt(wanted / square)
-        return N, N / (2.0 * wanted)
+        return N * np.sqrt(wanted / square)
     angle = 0.5 * np.arctan2(-2.0 * N[0, 0], N[0, 1] + N[1, 0])
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s], [s, c]])
     b, c = (turn.T @ N @ turn)[[0, 1], [1, 0]]
-    upper = abs(b) >= abs(c)
-    kept = b if upper else c
-    grown = abs(kept) < np.sqrt(abs(wanted))
+    kept = b if abs(b) >= abs(c) else c
     kept = np.copysign(max(abs(kept), np.sqrt(abs(wanted))), kept)
-    other = wanted / kept if kept else 0.0
-    N = np.array([[0.0, kept], [other, 0.0]])
-    slope = np.array([[0.0, 0.0], [1.0 / kept if kept else 0.0, 0.0]])
-    slope = N / (2.0 * wanted) if grown else slope
-    N, slope = (each if upper else each.T for each in (N, slope))
-    return turn @ N @ turn.T, turn @ slope @ turn.T
+    moved = np.array([[0.0, kept], [wanted / kept if kept else 0.0, 0.0]])
+    return turn @ (moved if abs(b) >= abs(c) else moved.T) @ turn.T
 
 
 def compact(stacked):
@@ -350,7 +304,7 @@ def compact(stacked):
     return linalg.qr(stacked.T, mode="r")[0][: len(stacked)].T
 
 
-def orthonormal_range(columns, beyond=None, rank=RANK):
+def orthonormal_range(columns, beyond=None, rank=DEPENDENT):
     """Orthonormal columns that span what some columns do, dependent ones left out.
 
     What a mode answers to a step is the step less its answers to the step's edges: nothing
@@ -362,7 +316,7 @@ def orthonormal_range(columns, beyond=None, rank=RANK):
     columns : ndarray, shape (n_rows, n_columns)
     beyond : ndarray, shape (n_rows, n_known), optional
         Orthonormal; what they span is left out.
-    rank : float, default=1e-11
+    rank : float, default=1.5e-11
         Of columns of length one, what is new in one that counts as independent.
 
     Returns

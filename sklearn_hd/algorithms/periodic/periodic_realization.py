@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -35,21 +36,18 @@ __all__ = [
     "order_by_residual",
     "response_to_states",
     "shape_functions",
+    "shapes_determine_state",
     "state_response",
     "told_apart",
     "without_noise",
 ]
 
 BIC_PATIENCE = 2
-SQUARE_DROP = 10.0**0.5
+SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
 TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
 NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
-ROUNDING = 1e-13  # of the outputs, below which nothing more can be explained
-UNSEEN = 1e-9
-DISTINCT = 1e-6  # of the strongest direction of some decays, the weakest that still counts
 SWEEPS = 20
-SWEEP_TOLERANCE = 1e-13
 
 
 # ---- the Poincaré map ------------------------------------------------------------------------
@@ -81,13 +79,13 @@ def order_by_residual(candidates, directions, lifted, told=None):
     per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
-        refined = refine_multipliers(Phi, directions, lifted).Phi
+        refined = refine_multipliers(Phi, directions, lifted)
         if not _is_possible(refined, max(map(len, lifted))):
             left.append(target)
             bic.append(np.inf)
         else:
             left.append(_left_by(refined, directions, target))
-            rss = max(float(np.sum(left[-1] ** 2)), ROUNDING**2 * float(np.sum(target**2)))
+            rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
             bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
         if told is not None:
             told(len(left) - 1, f"best so far {np.argmin(bic)}")
@@ -103,7 +101,7 @@ def order_by_residual(candidates, directions, lifted, told=None):
         best = white[0]
     elif not _is_white(left[best], n_columns):
         sizes = np.array([np.linalg.norm(rest) for rest in left])
-        drops = np.flatnonzero(sizes[:-1] >= SQUARE_DROP**0.5 * sizes[1:])
+        drops = np.flatnonzero(sizes[:-1] >= 10.0**0.25 * sizes[1:])
         best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
     return candidates[max(best, 1) - 1]
 
@@ -169,7 +167,7 @@ def told_apart(Phi, lifted):
     none = [np.zeros((len(block), 0)) for block in lifted]
     regressors = np.vstack(mode_responses(mode_steps(Phi), none))
     seen = linalg.svdvals(regressors / column_sizes(regressors))
-    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > DISTINCT * seen[0]
+    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > UNKNOWN * seen[0]
 
 
 def _is_white(rest, n_columns, margin=WHITE_MARGIN):
@@ -232,11 +230,11 @@ def state_response(Phi, C, directions, lifted, seen):
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
         size = column_sizes(regressors)
-        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=1e-13)[0] / size
+        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=EXACT)[0] / size
         states = np.einsum("kun,u->kn", units, unknown)
         sees = linalg.lstsq(states, few)[0].T
         left = float(np.sum((few - states @ sees.T) ** 2))
-        if left >= (1.0 - 1e-6) * before or left <= SWEEP_TOLERANCE**2 * np.sum(few**2):
+        if left >= (1.0 - 1e-6) * before or left <= EXACT**2 * np.sum(few**2):
             break
         target, before = few, left
     return _seen_of(states, outputs)
@@ -403,7 +401,7 @@ class FloquetShapes:
         return (slope + P @ self.R) @ inverse
 
 
-def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmonics=None):
+def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     """Mode shapes behind what each sample of the period sees of the state.
 
     P(ψ_j) e^{R t_j} = O_j in the least-squares sense that the noise of O asks for, with as
@@ -421,8 +419,6 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
     period : float
     n_rows : int
         Periods less parameters behind each sum of squares.
-    n_harmonics : int, optional
-        Decided by the data where not given.
 
     Returns
     -------
@@ -439,22 +435,39 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows, n_harmon
     weighted = decays @ root
     target = (sights @ root).transpose(0, 2, 1).reshape(n_phases * n, n_outputs)
     variance = residual.sum(axis=0) / (n_phases * max(1, n_rows))
-    rounding = (1e-15 * np.linalg.norm(target, axis=0)) ** 2
+    rounding = (4.0 * EPS * np.linalg.norm(target, axis=0)) ** 2
     variance = np.where(variance > rounding, variance, np.where(rounding > 0, rounding, 1.0))
-    highest = n_phases // 2
-    counts = list(range(highest + 1)) if n_harmonics is None else [min(n_harmonics, highest)]
-    functions = [[shape_functions(psi, count, flip)[0] for flip in flips] for count in counts]
-    chosen = 0
-    if len(counts) > 1:
-        left, n_columns = _left_by_count(functions, weighted, target)
-        chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
+    functions = [
+        [shape_functions(psi, count, flip)[0] for flip in flips]
+        for count in range(n_phases // 2 + 1)
+    ]
+    left, n_columns = _left_by_count(functions, weighted, target)
+    chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
     design = _shape_design(functions[chosen], weighted)
     size = np.linalg.norm(design, axis=0)
-    size[size < UNSEEN * size.max()] = np.inf  # the sine that is zero at every sample
+    size[size < DEPENDENT * size.max()] = np.inf  # the sine that is zero at every sample
     solution = linalg.lstsq(design / size, target)[0] / size[:, None]
     edges = np.cumsum([f.shape[1] for f in functions[chosen]])[:-1]
     noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
-    return FloquetShapes(R, flips, tuple(np.split(solution, edges)), counts[chosen], noise)
+    return FloquetShapes(R, flips, tuple(np.split(solution, edges)), chosen, noise)
+
+
+def shapes_determine_state(P):
+    """Whether P(ψ) can be inverted at every phase, rows and columns scaled over the period.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n_phases, n, n)
+    """
+    scaled = P / np.max(np.abs(P)) if P.any() else P
+    for _ in range(20):
+        rows = np.linalg.norm(scaled, axis=(0, 2))[:, None]
+        columns = np.linalg.norm(scaled, axis=(0, 1))
+        if not (rows.all() and columns.all()):
+            return False
+        scaled = scaled / rows
+        scaled = scaled / np.linalg.norm(scaled, axis=(0, 1))
+    return bool(np.max(np.linalg.cond(scaled)) <= SHAPE_CONDITION)
 
 
 def _shape_design(functions, weighted):
@@ -476,9 +489,9 @@ def _left_by_count(functions, weighted, target):
         n_columns.append(sum(before))
     design = np.hstack(blocks)
     size = np.linalg.norm(design, axis=0)
-    size[size < UNSEEN * size.max()] = np.inf
+    size[size < DEPENDENT * size.max()] = np.inf
     Q, R = linalg.qr(design / size, mode="economic")
-    Q = Q * (np.abs(np.diag(R)) > UNSEEN)
+    Q = Q * (np.abs(np.diag(R)) > DEPENDENT)
     taken = Q.T @ target
     beyond = np.sum((target - Q @ taken) ** 2, axis=0)
     later = np.cumsum(np.vstack([beyond, taken[::-1] ** 2]), axis=0)[::-1]  # no cancellation

@@ -23,8 +23,8 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.periodic.bisection import N_STAGES, gauss_tableau
 from sklearn_hd.algorithms.periodic.floquet import state_units
+from sklearn_hd.algorithms.periodic.gauss_rules import N_STAGES, gauss_tableau
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 

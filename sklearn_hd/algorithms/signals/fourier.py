@@ -6,20 +6,11 @@ A signal s whose harmonics k of the fundamental ω are kept reads, with ψ = ωt
 
 Coefficients are ordered as in the paper's Eq. 9: ``0, 1c, 1s, 2c, 2s, …``.
 The complex coefficients of the same signal, s = Σ_k S_k e^{jkψ}, are
-S_0 = s_0 and S_{±k} = (s_kc ∓ j s_ks) / 2.
+S_0 = s_0 and S_{±k} = (s_kc ∓ j s_ks) / 2. The analyzer, its readings and all periodic models
+need them.
 """
 
 import numpy as np
-
-__all__ = [
-    "complex_transformation",
-    "harmonic_functions",
-    "harmonic_labels",
-    "recompose",
-    "sampled_harmonics",
-    "window_weights",
-    "windowed_coefficients",
-]
 
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding

@@ -11,7 +11,7 @@ the α_i common to all outputs and times, holds for the true ω and no other (a
 linear time-invariant system apart, to which any ω is true). The ω at which it
 leaves least unexplained is the estimate (variable projection, Golub and Pereyra
 1973: α and the waveforms are linear). Signals between the samples come from
-splines.
+splines. Users estimate ω with it, and fits warn of another ω by it.
 """
 
 from typing import NamedTuple
@@ -24,25 +24,10 @@ from scipy.optimize import minimize_scalar
 
 from sklearn_hd._checks import check_numbers
 
-__all__ = ["FundamentalEstimate", "estimate_omega", "omega_mismatch"]
-
 DELAYS = 2  # slow modes; more would fit the harmonics of one mode at any ω
 STRIDES = (2, 1)  # periods to a delay: the longer, the sharper, if the input rests so long
-HARMONICS = 6  # of the waveforms
-REST_SHARE = 1e-3  # of an input's range, by which it may change while it is constant
-REST_NOISE = 8.0  # median steps from sample to sample that noise spans over some periods
-REST_MOST = 0.2  # of an input's range: what steps that much is no noise
-SMOOTHED = 12  # parts of a period over which outputs are smoothed, to either side half
-MAX_ROWS = 4000  # of a record are enough
-ROWS_PER_UNKNOWN = 5
 SPAN = 0.035  # relative, searched to either side
-PROBE = 3e-3  # relative step of the first look
 MISMATCH = 5e-4  # relative; the estimate from 60 periods at SNR 20 scatters by 1.5e-4
-DRIFT = 0.02  # of a period, over the longest segment
-LESS = 1.1  # times less must be unexplained at the estimate; 0.3 % at SNR 20 gives 1.4
-SIGNIFICANCE = 150.0  # N log(J₀/J), N not all independent; 0.3 % at SNR 20 gives 1800
-MATERIAL = 1e-9  # of the outputs' variance; splines err by 1e-10
-DEGREE = 5
 
 
 class FundamentalEstimate(NamedTuple):
@@ -167,15 +152,16 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
         return None
     off = abs(found / omega - 1.0)
     longest = max(len(u) for u in inputs) * sample_time * omega / (2.0 * np.pi)
-    if off < MISMATCH or off * longest < DRIFT:
+    if off < MISMATCH or off * longest < 0.02:
         return None
     given = repetition.unexplained(omega)
     ratios = [(given, residual)]
     richer = _Repetition.of(inputs, outputs, sample_time, omega, starts, DELAYS + 1)
     if richer is not None:
         ratios.append([richer.unexplained(w) for w in (omega, found)])
-    least = max(np.log(LESS), SIGNIFICANCE / repetition.n_values)
-    if any(a - b < MATERIAL or np.log(a / max(b, 1e-300)) < least for a, b in ratios):
+    # 0.3 % off at SNR 20 gives a ratio of 1.4, and 1800 for the other; splines err by 1e-10
+    least = max(np.log(1.1), 150.0 / repetition.n_values)
+    if any(a - b < 1e-9 or np.log(a / max(b, 1e-300)) < least for a, b in ratios):
         return None
     return FundamentalEstimate(found, residual, given, repetition.n_values)
 
@@ -194,7 +180,7 @@ class _Repetition:
         scale = np.where(scale > 0.0, scale, 1.0)
         self.outputs = np.vstack([y[r] for y, r in zip(outputs, rows, strict=True)]) / scale
         self.splines = [
-            make_interp_spline(np.arange(len(y)) * sample_time, y / scale, DEGREE)
+            make_interp_spline(np.arange(len(y)) * sample_time, y / scale, k=5)
             for y, r in zip(outputs, rows, strict=True)
             if len(r)
         ]
@@ -209,14 +195,14 @@ class _Repetition:
     def of(cls, inputs, outputs, sample_time, omega, starts=None, n_delays=DELAYS):
         """With the longest stride for which the inputs rest long enough; None if there is none."""
         period = 2.0 * np.pi / omega / sample_time
-        n_harmonics = max(0, min(HARMONICS, int(0.45 * period)))
-        half = round(period / SMOOTHED)
+        n_harmonics = max(0, min(6, int(0.45 * period)))
+        half = round(period / 12)  # outputs are smoothed over a sixth of a period
         unknown = (2 * n_harmonics + 1) * (1 + inputs[0].shape[1])
         for stride in STRIDES:
             rows = _rows_at_rest(inputs, period, stride * n_delays, half)
             found = sum(len(r) for r in rows)
-            if found >= ROWS_PER_UNKNOWN * unknown and found >= (DELAYS + 1) * period:
-                thin = -(-found // MAX_ROWS)
+            if found >= 5 * unknown and found >= (DELAYS + 1) * period:
+                thin = -(-found // 4000)
                 rows = [r[::thin] for r in rows]
                 delays = stride * np.arange(1, n_delays + 1)
                 starts = np.zeros(len(rows)) if starts is None else starts
@@ -249,10 +235,10 @@ class _Repetition:
 
     def at_home(self, omega):
         """Whether a first look shows the least residual at the frequency given."""
-        low, here, high = (self.unexplained(omega * (1.0 + d)) for d in (-PROBE, 0.0, PROBE))
+        low, here, high = (self.unexplained(omega * (1.0 + d)) for d in (-3e-3, 0.0, 3e-3))
         if not here < min(low, high):
             return False
-        vertex = 0.5 * PROBE * (low - high) / (low - 2.0 * here + high)
+        vertex = 1.5e-3 * (low - high) / (low - 2.0 * here + high)
         return abs(vertex) < MISMATCH
 
     def minimum(self, omega, span):
@@ -293,7 +279,7 @@ def _rows_at_rest(inputs, period, n_periods, half=0):
     span = np.ptp(np.vstack(inputs), axis=0)
     steps = np.abs(np.vstack([np.diff(u, axis=0) for u in inputs]))
     noise = np.median(steps, axis=0) if len(steps) else 0.0
-    limit = np.clip(REST_NOISE * noise, REST_SHARE * span, REST_MOST * span)
+    limit = np.clip(8.0 * noise, 1e-3 * span, 0.2 * span)  # noise spans 8 median steps
     rows, size = [], past + half + 1
     for u in inputs:
         if len(u) < size:

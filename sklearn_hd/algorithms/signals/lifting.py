@@ -7,16 +7,11 @@ outputs being all the samples of the period (the lifted signals):
 
 w holds an input's samples of a whole period. Mostly they move in few directions (a step at
 a period's start in one, at any other phase in two), and only those have to be told apart.
+The period-synchronous reading and match need them.
 """
 
 import numpy as np
 from scipy import linalg
-
-__all__ = ["input_directions", "lift"]
-
-DIRECTION_TOLERANCE = 1e-10
-LEAST_DIRECTIONS = 8  # that a level of noise can be seen from
-NOISE_SHARE = 0.1  # of the energy at most is taken for noise of the inputs
 
 
 def lift(values, phase, samples_per_period):
@@ -83,7 +78,7 @@ def input_directions(lifted, most=None):
     size = np.sqrt(np.mean(stacked**2, axis=(0, 1)))
     stacked = (stacked / np.where(size > 0.0, size, 1.0)).reshape(len(stacked), -1)
     U, s, _ = linalg.svd(stacked, full_matrices=False)
-    n_all = int(np.sum(s > max(DIRECTION_TOLERANCE * s[0], _noise_level(s, stacked.shape))))
+    n_all = int(np.sum(s > max(1e-10 * s[0], _noise_level(s, stacked.shape))))
     kept = n_all if most is None else min(n_all, most)
     W = U[:, :kept] * np.sqrt(len(stacked))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
@@ -92,10 +87,10 @@ def input_directions(lifted, most=None):
 
 def _noise_level(singular_values, shape):
     """Largest singular value of white noise whose smaller half these are; 0 if it is signal."""
-    if len(singular_values) < LEAST_DIRECTIONS:
+    if len(singular_values) < 8:  # too few to see a level of noise from
         return 0.0
     weaker = singular_values[len(singular_values) // 2 :]
     sigma = np.sqrt(np.mean(weaker**2) / max(shape))
     level = 1.5 * sigma * (np.sqrt(shape[0]) + np.sqrt(shape[1]))
     below = np.sum(singular_values[singular_values <= level] ** 2)
-    return level if below < NOISE_SHARE * np.sum(singular_values**2) else 0.0
+    return level if below < 0.1 * np.sum(singular_values**2) else 0.0

@@ -13,23 +13,13 @@ told apart:
   interval [g, g + h) that a sample on the grid is held for. A step stays a step
   (a spline would ring about it) and nothing of its area is lost.
 
-Where the places lie on the grid already both give the samples back.
+Where the places lie on the grid already both give the samples back. Records with jitter, gaps
+or a measured azimuth need them.
 """
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-__all__ = [
-    "bridge",
-    "held_means",
-    "interpolate",
-    "interpolation_error",
-    "uniform_grid",
-    "unwrap",
-]
-
-DEGREE = 5
-BRIDGE_DEGREE = 3
 ON_GRID = 1e-6  # share of a step within which a place counts as being on the grid
 
 
@@ -48,7 +38,7 @@ def uniform_grid(start, stop, step):
     return np.arange(first, last + 1) * step
 
 
-def interpolate(values, places, at, degree=DEGREE):
+def interpolate(values, places, at, degree=5):
     """Spline through some samples, evaluated elsewhere.
 
     Parameters
@@ -154,7 +144,7 @@ def _row_held(places, at):
     return np.clip(np.searchsorted(places, at, side="right") - 1, 0, len(places) - 1)
 
 
-def bridge(values, places, longest, degree=BRIDGE_DEGREE):
+def bridge(values, places, longest, degree=3):
     """Short runs of NaN between finite samples of one signal, filled by interpolation.
 
     Parameters

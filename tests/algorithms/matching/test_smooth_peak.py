@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.matching.log_det_bound import BoundSlopes
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.matching.smooth_peak import (
     _corrected,
@@ -11,6 +10,7 @@ from sklearn_hd.algorithms.matching.smooth_peak import (
     _Point,
     _region_step,
     _round,
+    _Walls,
     smooth_descent,
 )
 from sklearn_hd.structures import MatrixStructure
@@ -20,15 +20,15 @@ from tests.matching_cases import START, problem_of, start_of
 def point_of(problem):
     theta = start_of(problem)
     frequencies = problem.sampling(theta, [problem.peak(theta)[1]])
-    return _Point(problem, problem.curved_steps(theta), theta, frequencies)
+    return _Point(problem, _Walls(problem, theta), theta, frequencies)
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (1, 3), (2, 1)])
 @pytest.mark.parametrize("mu", [1.0, 1e-2, 1e-4])
 def test_slopes_agree_with_differences_along_curved_steps(shape, mu):
     point = point_of(problem_of(*shape))
-    slopes = BoundSlopes(point.bound, mu)
-    hessian = slopes.hessian + point.curvature(slopes)
+    slopes = point.slopes(mu)
+    hessian = slopes.hessian
     direction = np.random.default_rng(0).standard_normal(len(hessian))
     direction /= np.linalg.norm(direction)
 
@@ -66,7 +66,7 @@ def test_the_frequencies_stay_but_for_peaks_between_them():
     top = problem.peak(theta)[0]
     full = point_of(problem)
     assert full.completed(1e-2) is full
-    point = _Point(problem, full.steps, theta, problem.sampling(theta)[: len(problem.grid)])
+    point = _Point(problem, full.walls, theta, problem.sampling(theta)[: len(problem.grid)])
     missed = top - point.bound.top
     assert missed > 0
     assert len(sparse) < len(point.frequencies)
@@ -81,11 +81,11 @@ def test_the_frequencies_stay_but_for_peaks_between_them():
 
 def test_the_correction_lowers_f_where_steps_are_long():
     point, mu = _round(point_of(problem_of()), 1e-2, 1.0, 200)[0], 1e-3
-    slopes = BoundSlopes(point.bound, mu)
-    hessian = slopes.hessian + point.curvature(slopes)
+    slopes = point.slopes(mu)
+    hessian = slopes.hessian
     step, promised, solve = _region_step(slopes.gradient, hessian, 0.4)
     plain = point.value_at(point.moved(step), mu)[0]
-    assert plain > point.bound.value(mu) - 0.9 * promised
+    assert plain > point.value(mu) - 0.9 * promised
     theta, value = _corrected(point, slopes, mu, step, solve, -np.inf)
     assert value == point.value_at(theta, mu)[0]
     assert value < plain - 0.02 * promised

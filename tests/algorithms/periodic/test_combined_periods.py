@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_hd.algorithms.likelihood.sensitivity import Record, simulate
-from sklearn_hd.algorithms.periodic.combined_periods import combined_periods
-from sklearn_hd.algorithms.periodic.nested_least_squares import NestedLeastSquares
+from sklearn_hd.algorithms.periodic.combined_periods import NestedLeastSquares, combined_periods
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     PeriodicStructure,
     SampledResponse,

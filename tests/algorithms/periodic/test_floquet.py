@@ -12,7 +12,6 @@ from sklearn_hd.algorithms.periodic.floquet import (
 )
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
-    galerkin_coefficients,
 )
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     derivative_matrix,
@@ -21,7 +20,7 @@ from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     participation_factors,
     toeplitz_matrix,
 )
-from sklearn_hd.algorithms.signals.fourier import complex_transformation
+from sklearn_hd.algorithms.signals.fourier import complex_transformation, sampled_harmonics
 
 OMEGA = 2.0
 
@@ -172,7 +171,7 @@ def test_toeplitz_matrix_multiplies(random_coefficients):
     X = rng.standard_normal((5, 3))
     psi = 2 * np.pi * np.arange(64) / 64
     M, x = evaluate_harmonics(random_coefficients, psi), evaluate_harmonics(X, psi)
-    product = galerkin_coefficients(np.einsum("kij,kj->ki", M, x), 5)
+    product = sampled_harmonics(np.einsum("kij,kj->ki", M, x), 5)
     T = toeplitz_matrix(random_coefficients, 5, 2)
     np.testing.assert_allclose((T @ X.ravel()).reshape(11, 3), product, atol=1e-13)
 

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents, monodromy_matrix, on_branch
-from sklearn_hd.algorithms.periodic.floquet_exponents import floquet_exponents, product_logarithms
+from sklearn_hd.algorithms.periodic.floquet import (
+    floquet_exponents,
+    monodromy_exponents,
+    monodromy_matrix,
+    on_branch,
+    product_logarithms,
+)
 from sklearn_hd.systems import LTPSystem
 
 OMEGA = 3.0

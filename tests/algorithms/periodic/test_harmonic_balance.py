@@ -5,13 +5,12 @@ import pytest
 
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
-    galerkin_coefficients,
     resize_harmonics,
     sample_harmonics,
     solve_harmonic_balance,
 )
-from sklearn_hd.algorithms.periodic.integration import integrate
-from sklearn_hd.algorithms.periodic.shooting import solve_shooting
+from sklearn_hd.algorithms.periodic.integration import integrate, solve_shooting
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import TrimError
 
 OMEGA = 2.0
@@ -115,7 +114,7 @@ def test_right_hand_side_that_takes_one_point_is_refused():
 def test_sample_then_decompose_is_the_identity():
     rng = np.random.default_rng(0)
     X = rng.standard_normal((31, 2))
-    np.testing.assert_allclose(galerkin_coefficients(sample_harmonics(X, 64).T, 15), X, atol=1e-14)
+    np.testing.assert_allclose(sampled_harmonics(sample_harmonics(X, 64).T, 15), X, atol=1e-14)
 
 
 @pytest.mark.parametrize("n_harmonics", [0, 1, 2, 7, 40])

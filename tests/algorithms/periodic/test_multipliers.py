@@ -8,6 +8,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     _Elimination,
     characteristic,
     invariant_blocks,
+    with_characteristic,
 )
 
 
@@ -66,3 +67,11 @@ def test_beyond_the_largest_multiplier_nothing_is_explained_and_nothing_moves(rn
     left, jacobian = elimination.left(np.array([2.5]))
     np.testing.assert_array_equal(left, target.ravel())
     assert not jacobian.any()
+
+
+@pytest.mark.parametrize("block", [[[-0.3, 0.8], [0.2, -1.1]], [[-0.2, 1.0], [-1.4, -0.3]]])
+@pytest.mark.parametrize("coefficients", [(-1.2, 0.2), (-0.6, 1.5), (-0.4, 9.0), (3.0, -8.0)])
+def test_a_block_takes_the_polynomial_asked_for(block, coefficients):
+    """Of the kind it had, of the other one, and far beyond what it was."""
+    found = with_characteristic(np.array(block), coefficients)
+    np.testing.assert_allclose(characteristic(found), coefficients, rtol=1e-12)

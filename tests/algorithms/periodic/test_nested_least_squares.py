@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd.algorithms.periodic.nested_least_squares import NestedLeastSquares
+from sklearn_hd.algorithms.periodic.combined_periods import NestedLeastSquares
 
 
 def test_at_each_stage_the_solution_is_that_of_all_columns_so_far(rng):

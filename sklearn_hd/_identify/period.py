@@ -1,0 +1,128 @@
+"""``reading="period"``: identification of the Poincaré map, one row a period.
+
+The outputs of a period answer to every sample of the inputs within it, whatever harmonics of
+them are kept: what is projected out of the future are the directions that inputs move in within
+the period. D is always free, for inputs act within the period that they belong to.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd._continuous import output_scale
+from sklearn_hd._fit_checks import (
+    check_motion,
+    warn_of_growing_data,
+    warn_of_growth,
+    warn_of_mismatch,
+)
+from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
+from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
+from sklearn_hd._identify.statistics import Facts, Records
+from sklearn_hd._records.data import lifted_periods, rows_read
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.periodic.periodic_realization import order_by_residual
+from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
+from sklearn_hd.algorithms.subspace.projections import order_by_wide_gap
+from sklearn_hd.exceptions import ExcitationWarning
+
+__all__ = ["asked_block_rows", "identify", "read"]
+
+MOST_STATES = 12  # tried by order="auto": the raw periods are simulated with each
+MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
+WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block rows"
+
+
+def read(experiment, settings):
+    """Data of an experiment: its periods, and the directions that inputs move in within them."""
+    warn_of_mismatch(experiment)
+    warn_of_growing_data(experiment)
+    inputs, outputs = rows_read(experiment)
+    excitation = _excitation(experiment, settings)
+    return Records(inputs, outputs, Facts.of(experiment, inputs), settings.memory, excitation)
+
+
+def asked_block_rows(basis, settings):
+    """Block rows given, or four; a predictor has to forget its state, and has 15."""
+    if settings.block_rows is not None:
+        return int(settings.block_rows)
+    return DEFAULT_BLOCK_ROWS if settings.predictor else 2 * basis.window_rows + 2
+
+
+def identify(data, settings, experiment):
+    """Identify the Poincaré map, as :func:`~sklearn_hd._identify.plain.identify` a plain model."""
+    i = allowed_block_rows(
+        settings, data, asked_block_rows(data.facts.basis, settings), words=WORDS
+    )
+    check_motion(data.facts)
+    size, scales = data.scales(settings.scale)
+    if settings.predictor and settings.block_rows is None:
+        i = rows_of_predictor(data, i, size, settings, lifted=True)
+
+    def choose(found, bound):
+        return _order(found, bound, experiment, data, settings)
+
+    decomposition = decompose(data, i, size, settings, lifted=True, choose=choose)
+    matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
+    if settings.predictor:
+        matrices = _driven_by_means(matrices, data, scales[0])
+    fitted = matrices, noise, x0
+    fit = subspace_fit(decomposition, fitted, scales, data.facts, settings, True)
+    warn_of_growth(fit.model, experiment)
+    return fit
+
+
+def _excitation(experiment, settings):
+    """Directions of the inputs within the period, as many as the record tells apart."""
+    lifted = lifted_periods(experiment, experiment.inputs)
+    rows = 2 if settings.block_rows is None else settings.block_rows
+    states = 1 if settings.order == "auto" else settings.order
+    lengths = [len(u) for u in lifted]
+    most = max(1, (n_hankel_columns(lengths, rows) - 1 - states) // rows)
+    directions, n_all, left_out = input_directions(lifted, most)
+    if n_all > most:
+        need = rows * n_all + 1 + states + 2 * rows - 1
+        words = (
+            f"the inputs in the {experiment.span()} move in {n_all} directions within the "
+            f"period, of which {sum(lengths)} periods tell {most} apart at block_rows={rows}: "
+            f"{left_out:.2g} of their energy is taken for noise; {need} consecutive periods "
+            f"would do"
+        )
+        if left_out > MOST_LEFT_OUT:
+            raise ValueError(
+                f"{words}; use a longer record, inputs that change less often, or analyse "
+                f"with reading='sliding' and refine with StructuredMatcher(structure="
+                f"HarmonicStructure(), criterion='output_error')"
+            )
+        warn(words, ExcitationWarning)
+    if experiment.basis.output_trim is None:
+        return directions
+    # what a trim is off by repeats itself each period
+    return [np.hstack([w, np.ones((len(w), 1))]) for w in directions]
+
+
+def _order(found, bound, experiment, data, settings):
+    """The order of a wide gap, else the one whose simulation leaves least of the raw periods."""
+    wide = order_by_wide_gap(found.singular_values, found.floor, bound)
+    # a predictor's feedback would be cut by a simulation
+    if wide is not None or settings.predictor:
+        return by_gap(found, bound)
+    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
+    lifted = [y.reshape(len(y), -1) for y in lifted]
+    # half as many as the periods left once the inputs' directions are projected out
+    left = sum(map(len, lifted)) - data.n_inputs
+    most = min(bound, MOST_STATES, left // 2)
+    if most < 1:
+        return by_gap(found, bound)
+    candidates = [found.state_matrices(n + 1)[0] for n in range(most)]
+    return len(order_by_residual(candidates, data.excitation, lifted))
+
+
+def _driven_by_means(matrices, data, u_scale):
+    """Matrices of a predictor driven by the mean inputs, which stand for what moves within."""
+    A, B, C, D = matrices
+    u = np.vstack(data.inputs)
+    offset = np.ones((len(u), 1))  # of the trim, which is no input
+    share = linalg.lstsq(np.hstack([u / u_scale, offset]), np.vstack(data.excitation))[0]
+    B, D = (M @ share[:-1].T for M in (B, D))
+    return A, B, C, D

@@ -1,0 +1,177 @@
+"""``reading="sliding"``: identification of coefficients as a window sees them, row by row.
+
+What is projected out of the future are the inputs, or, where they change at more than one phase
+of the period, the inputs times harmonics of ψ (:mod:`~sklearn_hd._identify.modulation`).
+Block rows must exceed the window, whose memory is else mistaken for dynamics.
+"""
+
+import numpy as np
+
+from sklearn_hd._fit_checks import check_motion, warn_of_growing_data, warn_of_mismatch
+from sklearn_hd._identify.checks import allowed_block_rows
+from sklearn_hd._identify.modulation import (
+    changes_at_one_phase,
+    inputs_by_phase,
+    modulated_inputs,
+)
+from sklearn_hd._identify.stages import decompose, fit_matrices, subspace_fit
+from sklearn_hd._identify.statistics import Facts, Records
+from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._records.data import rows_read
+from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
+from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
+
+__all__ = ["asked_block_rows", "identify", "read"]
+
+LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
+EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
+
+
+def read(experiment, settings):
+    """Data of an experiment: windowed coefficients, and the inputs as the window sees them."""
+    warn_of_mismatch(experiment)
+    warn_of_growing_data(experiment)
+    inputs, outputs = rows_read(experiment)
+    data = Records(inputs, outputs, Facts.of(experiment, inputs), settings.memory)
+    modulated = modulated_inputs(experiment, data.lengths)
+    return data if modulated is None else data.with_excitation(modulated)
+
+
+def identify(data, settings, experiment=None):
+    """Identify a model of windowed coefficients, row by row.
+
+    Parameters
+    ----------
+    data : Records, Summed or Partitions
+    settings : Settings
+    experiment : Experiment, optional
+        Where data are in memory; more ways to an exact model are then tried.
+
+    Returns
+    -------
+    fit : SubspaceFit
+    """
+    basis = data.facts.basis
+    asked, least = asked_block_rows(basis, settings), basis.window_rows + 2
+    i = allowed_block_rows(settings, data, asked, least=least)
+    _check_rows_per_period(basis)
+    check_motion(data.facts)
+    size, scales = data.scales(settings.scale)
+    decomposition = decompose(data, i, size, settings)
+    while _fills_its_rank(decomposition, data, settings):
+        more = _more_block_rows(decomposition.block_rows)
+        decomposition = decompose(data, more, size, settings)
+    if settings.chooses and experiment is not None:
+        decomposition = _exact_map(decomposition, data, experiment, settings)
+    fitted = fit_matrices(data, decomposition, size, scales, settings, settings.feedthrough)
+    return subspace_fit(decomposition, fitted, scales, data.facts, settings, settings.feedthrough)
+
+
+def asked_block_rows(basis, settings):
+    """Block rows given, or the default: twice the window's rows, plus two.
+
+    Raises
+    ------
+    ValueError
+        If they do not exceed the window, or the noise is asked for: a window averages it.
+    """
+    if settings.disturbance_model or settings.predictor:
+        asked = "disturbance_model=True"
+        if settings.predictor:
+            asked = f"weighting={settings.weighting!r}"
+        raise ValueError(
+            f"{asked} identifies the noise from row to row, which a sliding window averages "
+            f"until no predictor is left; use HarmonicAnalyzer(reading='period'), or plain data"
+        )
+    if settings.block_rows is None:
+        return 2 * basis.window_rows + 2
+    i = int(settings.block_rows)
+    if i <= basis.window_rows + 1:
+        raise ValueError(
+            f"block_rows={i} must exceed the {basis.window_rows} rows in the analysis window "
+            f"plus one, or the window's own memory is mistaken for dynamics; use block_rows="
+            f"{basis.window_rows + 2} or more, or a larger hop"
+        )
+    return i
+
+
+def _check_rows_per_period(basis):
+    highest = highest_harmonic(basis.outputs)
+    if basis.rows_per_period <= 2 * highest:
+        most = basis.samples_per_period // (2 * highest + 1)
+        raise ValueError(
+            f"hop={basis.hop} reads {basis.rows_per_period} rows a period, too few for "
+            f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
+            f"most {most}, or reading='period'"
+        )
+
+
+def _more_block_rows(block_rows):
+    """Half as many again."""
+    return block_rows + (block_rows + 1) // 2
+
+
+def _fills_its_rank(decomposition, data, settings):
+    """Whether the order chosen fills the rank that default block rows allow, and more fit.
+
+    Few coefficients of many states: copies and memory need more rows than a window's.
+    """
+    if not settings.chooses:
+        return False
+    i, n_outputs = decomposition.block_rows, data.n_outputs
+    more = _more_block_rows(i)
+    if more > data.most_block_rows:
+        return False
+    room = n_hankel_columns(data.lengths, more) >= 2 * more * (data.n_inputs + n_outputs)
+    return decomposition.order >= (i - 1) * n_outputs and room
+
+
+def _exact_map(decomposition, data, experiment, settings):
+    """The model without noise in which most modes have copies that agree.
+
+    Inputs that move within a hop at many phases ask for many inputs, more than noise
+    would let be told apart; few coefficients of many states ask for many block rows.
+    Where no more than rounding is left, noise is no matter. A model whose inputs are too
+    few leaves no more, by modes that stand for inputs, but these have no copies.
+    """
+    basis, one_phase = experiment.basis, changes_at_one_phase(experiment)
+    if one_phase and _is_exact(decomposition, data):
+        return decomposition
+    best, most = decomposition, _n_agreeing(decomposition, basis)
+    choices = [data] if one_phase else map(data.with_excitation, inputs_by_phase(experiment))
+    for tried in choices:
+        rows = (int(windows * basis.window_rows) + 2 for windows in (4, 3, 2, 1.5, 1))
+        i = next((i for i in rows if _fits(tried, i)), 0)
+        if i == 0:
+            continue
+        other = decompose(tried, i, tried.scales(settings.scale)[0], settings)
+        if _is_exact(other, tried):
+            agreeing = _n_agreeing(other, basis)
+            if agreeing > most:
+                best, most = other, agreeing
+    return best
+
+
+def _n_agreeing(decomposition, basis):
+    """Modes of the model that belong to families with all their copies."""
+    z = np.linalg.eigvals(decomposition.found.state_matrices(decomposition.order)[0])
+    z = z[~is_window_pole(z, basis.window_rows, FAINT)]
+    orders = [orders for _, orders in basis.outputs]
+    return int(agreeing_copies(z, orders, basis.rows_per_period).sum())
+
+
+def _is_exact(decomposition, data):
+    """Whether rounding is all that is left, and rank and record allow for more states."""
+    i, order = decomposition.block_rows, decomposition.order
+    room = order <= (i - 2) * data.n_outputs
+    left = n_hankel_columns(data.lengths, i) - i * data.n_inputs >= order + i
+    floor, largest = decomposition.noise_floor, decomposition.singular_values[0]
+    return room and left and floor <= EXACT_FLOOR * largest
+
+
+def _fits(data, block_rows):
+    """Whether inputs leave a quarter of the columns, and it takes no more than some seconds."""
+    columns = n_hankel_columns(data.lengths, block_rows)
+    left = columns - block_rows * data.n_inputs
+    work = columns * (2.0 * block_rows * (data.n_inputs + data.n_outputs)) ** 2
+    return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY

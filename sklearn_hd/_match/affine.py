@@ -1,0 +1,223 @@
+"""Step 5 in a norm: a structure affine in its parameters, matched to a continuous model (Eq. 22).
+
+A MatrixStructure is affine as it stands; a HarmonicStructure is so in the harmonic
+decomposition of its periodic system. The matcher takes this route for all models but those
+identified period by period, and to start maximum likelihood from.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from numbers import Real
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._match.match import Match, periodic_match
+from sklearn_hd._match.periodic_model import PeriodicModel
+from sklearn_hd._match.warned import warn_matched
+from sklearn_hd._readings import highest_harmonic
+from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.matching.matching import match_structure
+from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.structures import HarmonicStructure
+
+
+@dataclass(frozen=True, eq=False)
+class NormSettings:
+    """How to match.
+
+    Attributes
+    ----------
+    criterion : {"hinf", "least_squares", "output_error"}
+        The last starts from the mean square.
+    output_weights, input_weights : as given to the matcher
+    n_starts, random_state, max_iter : int
+    """
+
+    criterion: str
+    output_weights: object
+    input_weights: object
+    n_starts: int
+    random_state: int | None
+    max_iter: int
+
+
+def match_affine(model, experiment, structure, settings):
+    """The structure matched to a continuous model in the norm of the criterion.
+
+    Parameters
+    ----------
+    model : LTIModel
+        In continuous time.
+    experiment : Experiment
+    structure : MatrixStructure, HarmonicStructure or None
+        None leaves the model as it is.
+    settings : NormSettings
+
+    Returns
+    -------
+    match : Match
+    """
+    if structure is None:
+        return _unchanged(model)
+    if isinstance(structure, HarmonicStructure):
+        return _match_decomposition(model, experiment, structure, settings)
+    _check_channels(structure, model)
+    if structure.n_parameters == 0:
+        raise ValueError(
+            f"the structure has no free parameter, so there is nothing to match: let entries be "
+            f"NaN or names, or free some of those fixed, {list(structure.fixed)}"
+        )
+    bounds = structure.lower, structure.upper
+    found = _matched(model, structure.affine, settings, structure.initial, bounds)
+    matrices = found.A, found.B, found.C, found.D
+    return Match(
+        model.in_continuous_time(*matrices, state_names=_state_names(structure, model)),
+        structure.parameter_names,
+        found.theta,
+        PeriodicStructure.time_invariant(structure.affine),
+    ).by(found)
+
+
+def _matched(model, affine, settings, initial=None, bounds=None):
+    """The MatchResult of an affine structure, channels scaled alike beside their weights."""
+    outputs = read_weights("output_weights", settings.output_weights, model.output_names)
+    inputs = read_weights("input_weights", settings.input_weights, model.input_names)
+    poles = np.linalg.eigvals(model.A)
+    grid = matching_grid(poles)
+    s = 1j * grid[np.isfinite(grid)]
+    scales = channel_scales(frequency_response(model.A, model.B, model.C, model.D, s))
+    found = match_structure(
+        model.A,
+        model.B,
+        model.C,
+        model.D,
+        affine,
+        criterion="hinf" if settings.criterion == "hinf" else "least_squares",
+        theta0=initial,
+        bounds=bounds,
+        output_weights=scales[0] * outputs,
+        input_weights=scales[1] * inputs,
+        emphasis=(outputs, inputs),
+        n_starts=settings.n_starts,
+        random_state=settings.random_state,
+        max_iter=settings.max_iter,
+    )
+    warn_matched(found, settings.criterion, poles, affine)
+    return found
+
+
+def _match_decomposition(model, experiment, structure, settings):
+    """The periodic system whose harmonic decomposition is nearest to the model."""
+    basis = experiment.basis
+    if not basis.harmonic:
+        raise ValueError(
+            "a HarmonicStructure needs the fundamental frequency, and no harmonic basis rides "
+            "on X; put a HarmonicAnalyzer before the model"
+        )
+    inputs, outputs = (tuple(s for s, _ in kept) for kept in (basis.inputs, basis.outputs))
+    if structure.states is not None and set(structure.states) != set(outputs):
+        raise ValueError(
+            f"states={list(structure.states)} are not the outputs {list(outputs)}, whose "
+            f"coefficients are the states of a harmonic decomposition; name these, or use "
+            f"HarmonicAnalyzer(reading='period')"
+        )
+    driven, measured = map(highest_harmonic, (basis.inputs, basis.outputs))
+    n_harmonics = {"F": 2 * measured, "G": driven + measured, "P": None}
+    full = structure.resolve(outputs, inputs, outputs, n_harmonics)
+    zero = np.zeros(full.n_parameters)
+    periodic = PeriodicModel(full.coefficients(zero), basis.omega, outputs, inputs, outputs)
+    affine, seen = periodic.decomposed_structure(full, basis)
+    found = _matched(model, affine, settings)
+    if settings.criterion == "output_error":  # the raw record sees them all
+        resolved, theta = full, zero
+        theta[seen] = found.theta
+    else:
+        resolved, theta = full.restricted(seen), found.theta
+    periodic = replace(periodic, coefficients=resolved.coefficients(theta))
+    return periodic_match(resolved, theta, periodic, model, basis, found)
+
+
+def read_weights(name, given, channels):
+    """Positive numbers by channel; what is not named in a dict weighs 1.
+
+    Parameters
+    ----------
+    name : str
+        Of the parameter, for messages.
+    given : None, number, sequence or mapping
+    channels : sequence of str
+
+    Returns
+    -------
+    weights : ndarray, shape (n_channels,)
+    """
+    channels = list(channels)
+    allowed = "a positive number, one for each channel, or a dict of them by channel"
+    if given is None or _is_number(given):
+        given = [1.0 if given is None else given] * len(channels)
+    if isinstance(given, Mapping | pd.Series):
+        by_channel = dict(given)
+    elif isinstance(given, list | tuple | np.ndarray) and len(given) == len(channels):
+        by_channel = dict(zip(channels, given, strict=True))
+    else:
+        raise ValueError(f"{name}={given!r} is not understood for {channels}; give {allowed}")
+    unknown = [channel for channel in by_channel if channel not in channels]
+    if unknown:
+        raise ValueError(f"{name} names {unknown}, the model has the channels {channels}")
+    for channel, weight in by_channel.items():
+        if not _is_number(weight):
+            raise ValueError(f"{name}[{channel!r}]={weight!r} is not understood; give {allowed}")
+    weights = np.array([float(by_channel.get(channel, 1.0)) for channel in channels])
+    if not (np.all(np.isfinite(weights)) and np.all(weights > 0)):
+        raise ValueError(f"{name}={given!r}: weights must be positive and finite; give {allowed}")
+    return weights
+
+
+def _is_number(value):
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _check_channels(structure, model):
+    """Raise unless the structure has the model's inputs and outputs."""
+    for what, given, there in (
+        ("inputs", structure.n_inputs, model.input_names),
+        ("outputs", structure.n_outputs, model.output_names),
+    ):
+        if given != len(there):
+            raise ValueError(
+                f"the structure has {given} {what}, the identified model {len(there)}: "
+                f"{list(there)}; give B, C and D of that size, or change the harmonics kept"
+            )
+    for what, given, there in (
+        ("inputs", structure.input_names, model.input_names),
+        ("outputs", structure.output_names, model.output_names),
+    ):
+        if given is not None and tuple(given) != tuple(there):
+            raise ValueError(
+                f"the structure names its {what} {list(given)}, the identified model "
+                f"{list(there)}; give the same names in the same order"
+            )
+
+
+def _state_names(structure, model):
+    """Names of the states: the structure's, or those of the outputs where C is the identity."""
+    if structure.state_names is not None:
+        return tuple(structure.state_names)
+    n = structure.n_states
+    C = structure.affine.constant[n:, :n]
+    fixed = not structure.affine.basis[:, n:, :n].any()
+    return model.output_names if fixed and np.array_equal(C, np.eye(n)) else None
+
+
+def _unchanged(model):
+    """No structure: every entry is a parameter, and the model stays as it is."""
+    matrices = (model.A, model.B, model.C, model.D)
+    names = tuple(
+        f"{name}[{i},{j}]"
+        for name, M in zip("ABCD", matrices, strict=True)
+        for i, j in np.ndindex(M.shape)
+    )
+    theta = np.concatenate([M.ravel() for M in matrices])
+    return Match(model, names, theta, None)

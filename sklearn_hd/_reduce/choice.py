@@ -1,0 +1,377 @@
+"""Which of the modes identified are the machine's own, decided by the raw signals.
+
+1. Split off the window's memory.   2. Group the rest into families of one Floquet multiplier.
+3. Choose the smallest set that explains the raw signals.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._continuous import input_scale, observations, output_scale, scaled_outputs
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
+from sklearn_hd.algorithms.modes.families import (
+    COPY_TOLERANCES,
+    FAINT,
+    agreeing_copies,
+    conjugate_units,
+    floquet_families,
+    is_window_pole,
+)
+from sklearn_hd.algorithms.modes.selection import best_modes, residual, unit_regressors
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+__all__ = [
+    "NEARLY_ALL",
+    "ROUNDING",
+    "IdentifiedModes",
+    "ModeChoice",
+    "choose_modes",
+    "identified_modes",
+    "mode_table",
+    "verdicts",
+    "warn_of_doubt",
+    "without_trifles",
+]
+
+# docs/benchmarks/reducer_thresholds.py halves and doubles them: none of them decides
+FAMILY_TOLERANCE = 0.05  # of ln z^r: neighbours of one family
+WINDOW_DECAY = 1e-3  # of a response, that is left at the window's end of its memory
+MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
+ROUNDING = 64 * EPS  # of the variance: poles known to half of their digits leave as much
+NEARLY_ALL = 1e-4  # of the variance: what a set whose poles are a little off may leave
+OWN_SHARE = 1e-3  # of next to nothing, that is left once a mode of the system's own is added
+DECISIVE_SHARE = 0.5  # of the unexplained variance: for more modes than output coefficients
+MATERIAL_SHARE = 0.1  # of what is left unexplained: what matters
+RIVAL_SHARE = 0.05  # a set that explains as much within this share is a rival
+
+
+@dataclass(frozen=True)
+class IdentifiedModes:
+    """The modes of an identified model, and what can be said of them without the data.
+
+    Parameters
+    ----------
+    z : complex ndarray, shape (n,)
+        Eigenvalues of the discrete A.
+    exponents : complex ndarray, shape (n,)
+        1/s.
+    shapes : complex ndarray, shape (n, n_coefficients)
+        Output vectors.
+    families : ndarray of int, shape (n,)
+        Number of the Floquet family, -1 of the window's memory.
+    window, wild : ndarray of bool, shape (n,)
+        The window's memory; modes that turn or grow too fast to be the system's own.
+    whole : ndarray of int, shape (n,)
+        Number of the family of a pole whose copies are all there, -1 of others.
+    omega : float
+        Fundamental frequency, rad/s; zero where there is none.
+    """
+
+    z: np.ndarray
+    exponents: np.ndarray
+    shapes: np.ndarray
+    families: np.ndarray
+    window: np.ndarray
+    wild: np.ndarray
+    whole: np.ndarray
+    omega: float
+
+    @property
+    def units(self):
+        """Real poles and pairs that may be kept."""
+        out = self.window | self.wild
+        return [unit for unit in conjugate_units(self.z) if not out[list(unit)].any()]
+
+    @property
+    def convertible(self):
+        """Modes that have a counterpart in continuous time."""
+        return self.mask(conjugate_units(self.z))
+
+    def mask(self, units):
+        """Which modes some units are made of."""
+        mask = np.zeros(len(self.z), dtype=bool)
+        mask[[i for unit in units for i in unit]] = True
+        return mask
+
+
+@dataclass(frozen=True)
+class ModeChoice:
+    """The modes to keep, and what speaks for other ones.
+
+    Parameters
+    ----------
+    units : list of tuple of int
+        Real poles and pairs that are kept.
+    rivals : list of list of tuple of int
+        Sets of as many states that explain the data as well.
+    tried : list of (float, list of tuple of int)
+        The best set of each size, and the sum of squares that it leaves.
+    left_out : float
+        Share of what ``units`` leave unexplained that all modes would explain.
+    by_family : bool
+        Whether complete families were found.
+    total : float
+        Sum of squares of the outputs, each divided by its scale.
+    """
+
+    units: list
+    rivals: list
+    tried: list
+    left_out: float
+    by_family: bool
+    total: float
+
+    @property
+    def doubtful(self):
+        """Units kept that some rival does without."""
+        return set(self.units) - set.intersection(set(self.units), *map(set, self.rivals))
+
+
+def identified_modes(model, experiment):
+    """The modes of a discrete model, in Floquet families where they were seen through a window.
+
+    Parameters
+    ----------
+    model : LTIModel
+    experiment : Experiment
+
+    Returns
+    -------
+    modes : IdentifiedModes
+    """
+    z, V = np.linalg.eig(model.A)
+    z = z.astype(complex)
+    exponents = np.log(np.where(z == 0.0, TINY, z)) / model.dt
+    longest = max(segment.stop - segment.start for segment in experiment.base.segments)
+    wild = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
+    shapes, basis, n = (model.C @ V).T, experiment.basis, len(z)
+    if not basis.harmonic:
+        whole, window = np.full(n, -1), np.zeros(n, dtype=bool)
+        return IdentifiedModes(z, exponents, shapes, np.arange(n), window, wild, whole, 0.0)
+    window = _window_memory(z, basis)
+    families = np.full(n, -1)
+    families[~window] = floquet_families(z[~window], basis.rows_per_period, FAMILY_TOLERANCE)
+    # a coefficient of harmonic k turns by less than half the way to the next: members further
+    # out are copies
+    highest = max(k for _, orders in basis.outputs for k in orders)
+    wild |= np.abs(exponents.imag) > (highest + 0.5) * basis.omega
+    whole = _whole_families(z, np.flatnonzero(~window), basis)
+    return IdentifiedModes(z, exponents, shapes, families, window, wild, whole, basis.omega)
+
+
+def choose_modes(modes, experiment, n_states=None):
+    """The smallest set of modes that explains the raw signals as well as all of them do.
+
+    Parameters
+    ----------
+    modes : IdentifiedModes
+    experiment : Experiment
+    n_states : int, optional
+        The best set of so many states instead.
+
+    Returns
+    -------
+    choice : ModeChoice
+
+    Raises
+    ------
+    ValueError
+        If no set of modes has ``n_states``, or none is left to choose from.
+    """
+    units = modes.units
+    family = {unit: modes.whole[unit[0]] for unit in units if (modes.whole[list(unit)] >= 0).all()}
+    whole = family if n_states is None else {}
+    R, columns = _regressors(modes, experiment)
+    total = float(R[:, -1] @ R[:, -1])
+    rounding, nothing = ROUNDING * total, NEARLY_ALL**2 * total
+    floor = residual(R, columns, tuple(range(len(units))))
+    of_families = [i for i, unit in enumerate(units) if unit in whole]
+    floor_whole = residual(R, columns, tuple(of_families))
+    # complete families that explain most are the system's own; what explains more beside
+    # them makes up for harmonics not kept, or for inputs that change between rows; unless
+    # all modes leave next to nothing, as those of a harmonic decomposition do
+    if floor_whole <= MATERIAL_SHARE * total + rounding and not floor <= nothing < floor_whole:
+        units, columns = [units[i] for i in of_families], [columns[i] for i in of_families]
+        floor = floor_whole
+    sizes = [len(unit) for unit in units]
+    n_coefficients = modes.shapes.shape[1]
+    rankings = _rankings(R, columns, sizes, n_states, n_coefficients, floor, rounding)
+    ranking = without_trifles(rankings, nothing)
+    if not ranking:
+        asked = "no mode" if n_states is None else f"n_states={n_states}"
+        raise ValueError(
+            f"{asked} cannot be kept: {sum(sizes)} states in {len(units)} real poles or "
+            f"conjugate pairs are left once the window's memory and modes that turn or grow "
+            f"too fast are split off (pairs stay together); change n_states, keep more "
+            f"harmonics, or raise the order of the identified model"
+        )
+    best, picked = ranking[0]
+    slack = nothing if best <= nothing else rounding
+    limit = best * (1.0 + RIVAL_SHARE) + rounding
+    kept = _every_family(R, columns, picked, [whole.get(unit) for unit in units])
+    return ModeChoice(
+        units=[units[i] for i in kept],
+        rivals=[[units[i] for i in rival] for value, rival in ranking[1:] if value <= limit],
+        tried=[(r[0][0], [units[i] for i in r[0][1]]) for r in rankings if r],
+        left_out=1.0 - min(1.0, (floor + slack) / max(best, slack)),
+        by_family=bool(whole),
+        total=total,
+    )
+
+
+def without_trifles(rankings, nothing):
+    """The ranking of the smallest size that leaves next to nothing; else that of the largest.
+
+    Poles that are a little off leave a trace, which more modes make up for by and by; one of
+    the system's own would lower what is left by decades.
+
+    Parameters
+    ----------
+    rankings : list of list of (float, tuple of int)
+        Of each size in turn, from :func:`best_modes`.
+    nothing : float
+        Sum of squares that is next to nothing.
+
+    Returns
+    -------
+    ranking : list of (float, tuple of int)
+    """
+    last = rankings[-1] if rankings else []
+    small = [r for r in rankings if r and r[0][0] <= nothing]
+    return next((r for r in small if last[0][0] >= OWN_SHARE * r[0][0]), last)
+
+
+def warn_of_doubt(choice, n_states):
+    """Warn where the modes kept explain much less than all, or no better than others."""
+    kept = sum(map(len, choice.units))
+    if choice.left_out > DECISIVE_SHARE and n_states is None:
+        warn(
+            f"the {kept} modes kept explain much less than all modes do (of what "
+            f"they leave, the others explain {choice.left_out:.0%}); give n_states, or change "
+            f"the order of the identified model",
+            IdentifiabilityWarning,
+        )
+    if choice.doubtful:
+        warn(
+            f"{len(choice.rivals)} other set(s) of {kept} modes explain the data as well "
+            f"as the one kept; see modes_, change n_states, or use a richer record",
+            IdentifiabilityWarning,
+        )
+
+
+def verdicts(modes, choice):
+    """Verdict and reason of each mode.
+
+    Parameters
+    ----------
+    modes : IdentifiedModes
+    choice : ModeChoice
+
+    Returns
+    -------
+    verdicts : list of {"window", "ambiguous", "genuine", "copy", "weak"}
+    reasons : list of str
+    """
+    kept, doubt = modes.mask(choice.units), modes.mask(choice.doubtful)
+    families, exponents = modes.families, modes.exponents
+    verdicts, reasons = [], []
+    for i, exponent in enumerate(exponents):
+        relatives = np.flatnonzero(kept & (families == families[i]))
+        if modes.window[i]:
+            verdict, reason = "window", "dies within the analysis window"
+        elif doubt[i]:
+            verdict, reason = "ambiguous", "kept, but another set explains the data as well"
+        elif kept[i]:
+            verdict, reason = "genuine", "needed to explain the raw signals"
+        elif len(relatives):
+            near = min(relatives, key=lambda j: abs(exponents[j].imag - exponent.imag))
+            verdict = "copy"
+            reason = f"same Floquet multiplier as the mode at {exponents[near]:.4g} rad/s"
+        elif modes.wild[i]:
+            verdict = "weak"
+            reason = "turns faster than the harmonics kept, or grows faster than the record shows"
+        else:
+            verdict, reason = "weak", "adds nothing material to the raw signals"
+        verdicts.append(verdict)
+        reasons.append(reason)
+    return verdicts, reasons
+
+
+def mode_table(exponents, families, verdicts, reasons):
+    """One row a mode, slowest first."""
+    table = pd.DataFrame(
+        {"eigenvalue": exponents, "family": families, "verdict": verdicts, "reason": reasons}
+    )
+    order = np.lexsort((exponents.imag, np.abs(exponents.imag), -exponents.real))
+    return table.iloc[order].reset_index(drop=True)
+
+
+def _window_memory(z, basis):
+    """Poles that die within the window, but for those whose copies agree."""
+    window = is_window_pole(z, basis.window_rows, WINDOW_DECAY)
+    told = np.flatnonzero(~is_window_pole(z, basis.window_rows, FAINT))
+    orders = [orders for _, orders in basis.outputs]
+    window[told[agreeing_copies(z[told], orders, basis.rows_per_period)]] = False
+    return window
+
+
+def _whole_families(z, rest, basis):
+    """Of each pole the family whose copies are all there, -1 of others.
+
+    A weak family's copies agree less well than a strong one's: of the poles that belong to
+    no family by the strictest tolerance the next are made.
+    """
+    rows, orders = basis.rows_per_period, [orders for _, orders in basis.outputs]
+    whole = np.full(len(z), -1)
+    for tolerance in COPY_TOLERANCES:
+        members = rest[agreeing_copies(z[rest], orders, rows, tolerance)]
+        count = int(np.max(whole, initial=-1)) + 1
+        if not count and not len(members):
+            break
+        if len(members):
+            whole[members] = floquet_families(z[members], rows, tolerance) + count
+        rest = np.setdiff1d(rest, members)
+    return whole
+
+
+def _regressors(modes, experiment):
+    """Triangular factor of the responses of all units beside the raw outputs, and columns."""
+    scale = output_scale(experiment)
+    observe = observations(experiment)
+    return unit_regressors(
+        modes.units,
+        modes.exponents,
+        modes.shapes,
+        [u / input_scale(experiment) for u in experiment.drive],
+        scaled_outputs(experiment),
+        experiment.base.sample_time,
+        [part / scale[:, None] for part in observe],
+    )
+
+
+def _rankings(R, columns, sizes, n_states, n_coefficients, floor, rounding):
+    """The best sets of each size, up to one that leaves nothing material; of n_states alone."""
+    wanted = range(1, sum(sizes) + 1) if n_states is None else [int(n_states)]
+    ranking, rankings = [], []
+    for n in wanted:
+        smaller = [best[0] for best in rankings[-2:] if best]
+        ranking = best_modes(R, columns, sizes, n, smaller) or ranking
+        rankings.append(ranking)
+        # in harmonic-decomposition form the output coefficients are the states: more are
+        # kept only where so many leave out what matters (noise can pair a real pole)
+        share = MATERIAL_SHARE if n < n_coefficients else DECISIVE_SHARE
+        if ranking and ranking[0][0] <= floor / (1.0 - share) + rounding:
+            break
+    return rankings
+
+
+def _every_family(R, columns, picked, families):
+    """The units picked, and of each family without one that which explains most."""
+    for family in sorted(set(families) - {families[i] for i in picked} - {None}):
+        own = [i for i, f in enumerate(families) if f == family]
+        best = min(own, key=lambda i: residual(R, columns, (*picked, i)))
+        picked = (*picked, best)
+    return picked

@@ -1,0 +1,216 @@
+"""How a model identified through a window becomes the machine's own, in continuous time.
+
+1. Split off the window's memory.      2. Group the other modes into families.
+3. Choose the smallest set of modes that explains the raw record.
+4. Refine it on the record, or find the F(ψ) that is behind it.
+5. Fit B, D and the initial states to the record through what is kept.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_hd._continuous import refit_inputs, to_continuous
+from sklearn_hd._fit_checks import warn_of_growth
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._reduce.choice import (
+    MATERIAL_SHARE,
+    NEARLY_ALL,
+    ROUNDING,
+    choose_modes,
+    identified_modes,
+    verdicts,
+    warn_of_doubt,
+)
+from sklearn_hd._reduce.refinement import harmonic_form, refined_modes
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import TINY
+from sklearn_hd.algorithms.lti.residualization import residualize
+from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
+from sklearn_hd.algorithms.modes.families import family_exponents, invariant_pair
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+__all__ = ["Reduction", "reduced"]
+
+MULTIPLIER_ANGLE = 0.3  # rad; a multiplier turned by less may be a real one
+MOST_LEFT = 3.0  # times what a choice leaves, from which refinement may get below it
+MAX_REFINED = 4  # sets that are refined: seconds each
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """What is kept of a model, and why.
+
+    Attributes
+    ----------
+    model : LTIModel
+    modes : tuple of (exponents, families, verdicts, reasons)
+        Of every mode identified.
+    r2 : float
+        Of the fit to the raw record; NaN where nothing was fitted.
+    left_out : float
+        Share of what is left unexplained that all modes would explain.
+    """
+
+    model: LTIModel
+    modes: tuple
+    r2: float = np.nan
+    left_out: float = 0.0
+
+
+def reduced(model, experiment, method, n_states=None):
+    """The genuine part of a model, in continuous time.
+
+    Parameters
+    ----------
+    model : LTIModel
+    experiment : Experiment
+    method : {"truncate", "residualize", "both"}
+    n_states : int, optional
+
+    Returns
+    -------
+    reduction : Reduction
+    """
+    if model.dt == 0.0 or experiment.basis.reading == "period":
+        return _passed(model, n_states)
+    modes = identified_modes(model, experiment)
+    if n_states is None and not modes.omega:
+        found = _all_convertible(model, experiment, modes)
+    else:
+        found = _chosen(model, experiment, modes, method, n_states)
+    warn_of_growth(found.model, experiment)
+    return found
+
+
+def _passed(model, n_states):
+    """A model with nothing spurious, as it is."""
+    reason = "period-synchronous" if model.dt else "already continuous"
+    if n_states not in (None, model.n_states):
+        way = f"MOESPRegressor(order={n_states})" if model.dt else "one reducer only"
+        raise ValueError(
+            f"n_states={n_states} cannot be kept: the model is {reason}, has nothing "
+            f"spurious, and passes with its {model.n_states} states; use {way}, or leave "
+            f"n_states=None"
+        )
+    z = np.linalg.eigvals(model.A).astype(complex)
+    exponents = np.log(np.where(z == 0.0, TINY, z)) / model.dt if model.dt else z
+    return Reduction(model, _all_genuine(exponents, reason))
+
+
+def _all_genuine(exponents, reason):
+    n = len(exponents)
+    return exponents, np.arange(n), ["genuine"] * n, [reason] * n
+
+
+def _all_convertible(model, experiment, modes):
+    """All modes that have a continuous-time counterpart, as no analyzer was there."""
+    kept = modes.convertible
+    if kept.all():
+        table = _all_genuine(modes.exponents, "no harmonic analyzer, nothing spurious")
+        return Reduction(to_continuous(model, experiment), table)
+    warn(
+        f"{int((~kept).sum())} mode(s) on the negative real axis have no continuous-time "
+        f"counterpart and are dropped; sample faster, or lower the order",
+        IdentifiabilityWarning,
+    )
+    reasons = ["" if k else "negative real pole: no continuous-time counterpart" for k in kept]
+    found = np.where(kept, "genuine", "weak").tolist()
+    A, C = _modal_pair(model, modes.z, kept)
+    B, D, r2 = refit_inputs(A, C, experiment, model.feedthrough)
+    table = modes.exponents, modes.families, found, reasons
+    return Reduction(model.in_continuous_time(A, B, C, D), table, r2)
+
+
+def _chosen(model, experiment, modes, method, n_states):
+    """The modes that the raw record calls for, refined on it where they are only truncated."""
+    choice, found = choose_modes(modes, experiment, n_states), None
+    if method == "truncate" and modes.omega:
+        choice, found = _most_likely(choice, modes, experiment)
+    warn_of_doubt(choice, n_states)
+    judged, reasons = verdicts(modes, choice)
+    kept = modes.mask(choice.units)
+    if found is None and n_states is None and method == "truncate" and modes.omega:
+        found = _behind_families(model, experiment, modes, choice)
+        if found is not None:
+            shown = "its family's mode shape gives F(ψ), and that the harmonic decomposition"
+            reasons = [shown if v == "genuine" else r for v, r in zip(judged, reasons, strict=True)]
+    feedthrough = model.feedthrough
+    if found is not None:
+        A, C = found
+        B, D, r2 = refit_inputs(A, C, experiment, feedthrough)
+    else:
+        fast = _to_residualize(method, kept, modes)
+        A, C = _modal_pair(model, modes.z, kept | fast)
+        B, D, r2 = refit_inputs(A, C, experiment, feedthrough)
+        if fast.any():
+            A, B, C, D = residualize(A, B, C, D, modes.exponents[kept], modes.exponents[fast])
+            feedthrough = True
+    model = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough)
+    return Reduction(model, (modes.exponents, modes.families, judged, reasons), r2, choice.left_out)
+
+
+def _modal_pair(model, z, kept):
+    """(A, C) of some modes in continuous time."""
+    A, C = invariant_pair(model.A, model.C, z[kept], z[~kept])
+    return discrete_to_continuous(A, np.zeros((len(A), 0)), model.dt)[0], C
+
+
+def _most_likely(choice, modes, experiment):
+    """The smallest set of modes that explains all but white noise once refined, its A and C.
+
+    The choice given, and None, where none does. Also enough is what the choice leaves:
+    poles a little off are made up for by further ones.
+    """
+    size = sum(map(len, choice.units))
+    value = next((v for v, some in choice.tried if set(some) == set(choice.units)), 0.0)
+    rounding, nothing = ROUNDING * choice.total, NEARLY_ALL**2 * choice.total
+    if value <= rounding or (choice.by_family and value > nothing):
+        return choice, None  # nothing to gain, or nothing white: copies agree to 0.1 %
+    limit, enough, tried = max(NEARLY_ALL * choice.total, MOST_LEFT * value), rounding, choice.tried
+    if value <= nothing:  # as good as all: no more modes than these
+        tried = [pair for pair in tried if sum(map(len, pair[1])) <= size]
+        enough = value
+    for some in [some for rest, some in tried if rest <= limit][:MAX_REFINED]:
+        first = [unit[0] for unit in some]
+        single = np.array([len(unit) == 1 for unit in some])
+        exponents = modes.exponents[first]
+        start = np.where(single, exponents.real, exponents)
+        A, C = refined_modes(experiment, start, modes.shapes[first], enough)
+        if A is not None:
+            return replace(choice, units=some, rivals=[]), (A, C)
+    return choice, None
+
+
+def _behind_families(model, experiment, modes, choice):
+    """A and C of the harmonic decomposition of the F(ψ) behind the families chosen.
+
+    None where the outputs do not show it, or where the modes themselves explain the raw
+    record materially better.
+    """
+    chosen = {
+        frozenset(modes.families[unit[0]].item() for unit in best) for _, best in choice.tried
+    }
+    rows, n = experiment.basis.rows_per_period, len(experiment.basis.outputs)
+    readings = [
+        reading
+        for some in chosen
+        for reading in family_exponents(
+            modes.z, modes.families, sorted(some), rows, n, MULTIPLIER_ANGLE
+        )
+    ]
+    A, C = harmonic_form(experiment, readings)
+    if A is None:
+        return None
+    _, _, r2 = refit_inputs(A, C, experiment, model.feedthrough)
+    own = _modal_pair(model, modes.z, modes.mask(choice.units))
+    _, _, r2_modes = refit_inputs(*own, experiment, model.feedthrough)
+    return (A, C) if (1.0 - r2) * (1.0 - MATERIAL_SHARE) <= 1.0 - r2_modes else None
+
+
+def _to_residualize(method, kept, modes):
+    """Modes replaced by their static gain: neither kept nor the window's memory."""
+    if method == "truncate":
+        return np.zeros(len(kept), dtype=bool)
+    fast = ~(kept | modes.window) & modes.convertible
+    return fast & (np.abs(modes.exponents) > modes.omega) if method == "both" else fast

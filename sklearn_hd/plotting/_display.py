@@ -1,0 +1,476 @@
+"""What all displays share: docstrings, panels, looks, and the fitted steps and records behind them.
+
+Okabe and Ito's palette is told apart by colour-blind readers. Nothing is told by colour
+alone: lines differ in dashes, points in their markers, bars in their hatches.
+"""
+
+import inspect
+import math
+import re
+from itertools import cycle, islice
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
+from sklearn.frozen import FrozenEstimator
+from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_hd._checks import FIRST, check_span
+from sklearn_hd._model_step import ModelStep
+from sklearn_hd._time import read_time
+from sklearn_hd.matching import StructuredMatcher
+from sklearn_hd.systems import LTPSystem
+
+BLACK, GREY, LIGHT = "#000000", "#8A8A8A", "#E4E4E4"
+ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+REFERENCE = {"color": GREY, "lw": 3.0, "ls": "-", "alpha": 0.7}  # measured, or true
+LINES = (
+    {"color": BLUE, "lw": 1.5, "ls": "-"},
+    {"color": RED, "lw": 1.5, "ls": (0, (4, 2))},
+    {"color": GREEN, "lw": 1.5, "ls": (0, (5, 1, 1, 1))},
+    {"color": PURPLE, "lw": 1.7, "ls": (0, (1, 1))},
+    {"color": BLACK, "lw": 1.1, "ls": (0, (7, 2))},
+    {"color": ORANGE, "lw": 1.5, "ls": (0, (3, 1, 1, 1, 1, 1))},
+)
+POINTS = (
+    {"color": BLUE, "marker": "o", "ls": "-"},
+    {"color": RED, "marker": "s", "ls": (0, (4, 2))},
+    {"color": GREEN, "marker": "^", "ls": (0, (5, 1, 1, 1))},
+    {"color": PURPLE, "marker": "D", "ls": (0, (1, 1))},
+    {"color": BLACK, "marker": "v", "ls": (0, (7, 2))},
+    {"color": ORANGE, "marker": "P", "ls": (0, (3, 1, 1, 1, 1, 1))},
+)
+BARS = (
+    {"color": BLUE, "edgecolor": "white"},
+    {"color": ORANGE, "edgecolor": "white", "hatch": "//"},
+    {"color": GREEN, "edgecolor": "white", "hatch": ".."},
+    {"color": PURPLE, "edgecolor": "white", "hatch": "xx"},
+    {"color": SKY, "edgecolor": "white", "hatch": "\\\\"},
+    {"color": GREY, "edgecolor": "white", "hatch": "++"},
+)
+TIME, SAMPLES = "time (s)", "sample (–)"
+FREQUENCY = "frequency (rad/s)"
+REAL, IMAGINARY = "real part (1/s)", "imaginary part (rad/s)"
+LEGEND = {"fontsize": 9, "edgecolor": "none", "framealpha": 0.8}  # readable over what it covers
+NAMES = {ModelStep: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher"}
+SHARED = {  # parameters that mean the same wherever they occur
+    "record": "label, optional\n    Which record of a (record, time) index; the first by default.",
+    "span": "(float, float), optional\n    Seconds to draw.",
+    "units": "dict, optional\n    Unit of each signal, for the labels.",
+    "ax": "Axes, optional\n    Those of a new figure by default.",
+}
+SEVERAL = (
+    "Axes or array of Axes, optional\n    {}, or one that is divided;\n    a new figure by default."
+)
+UNFITTED = (
+    "TypeError\n    If the estimator is, or holds, no such step.\n"
+    "NotFittedError\n    If it has not been fitted."
+)
+
+
+class Display:
+    """Base of the displays: completes the docstrings of their public methods.
+
+    A parameter is described once: in the first method that takes it, in the class, or in
+    ``SHARED``. What is returned, and what an estimator that does not fit raises, are added.
+
+    Parameters
+    ----------
+    axes : str, optional
+        How many Axes a display with several draws on, and what each shows.
+    """
+
+    _several = None
+
+    def __init_subclass__(cls, axes=None):
+        cls._several = axes
+        members = [getattr(member, "__func__", member) for member in vars(cls).values()]
+        methods = [
+            method
+            for method in members
+            if inspect.isfunction(method) and not method.__name__.startswith("_") and method.__doc__
+        ]
+        known = {name: f"{name} : {text}" for name, text in SHARED.items()}
+        if axes is not None:
+            known["ax"] = f"ax : {SEVERAL.format(axes[0].upper() + axes[1:])}"
+        for described in [cls, *reversed(methods)]:
+            known |= _described(described)
+        for method in methods:
+            method.__doc__ = cls._completed(method, known | _described(method))
+
+    @classmethod
+    def _completed(cls, method, known):
+        """The docstring of a method with what it shares with others."""
+        summary, sections = _sections(method)
+        names = list(inspect.signature(method).parameters)[1:]
+        entries = dict.fromkeys(known[name] for name in names)
+        sections["Parameters"] = "----------\n" + "\n".join(entries)
+        sections["Returns"] = (
+            f"-------\ndisplay : {cls.__name__}\n    Drawn; what it draws stands in its attributes."
+        )
+        if method.__name__ == "from_estimator":
+            others = sections.get("Raises", "------").removeprefix("------")
+            sections["Raises"] = f"------\n{UNFITTED}{others}"
+        order = [name for name in ("Parameters", "Returns", "Raises") if name in sections]
+        return "\n\n".join([summary, *(f"{name}\n{sections[name]}" for name in order)]) + "\n"
+
+    def _panels(self, ax, size, cells=((0, 0),), **grid):
+        """Panels to draw on, kept as ``ax_`` or ``axes_`` and ``figure_``."""
+        panels = Panels(ax, cells, size=size, names=self._several, **grid)
+        self.figure_ = panels.figure
+        if self._several is None:
+            self.ax_ = panels.axes[0]
+        else:
+            self.axes_ = panels.axes
+        return panels
+
+
+def _sections(described):
+    """Text above the sections of a docstring, and the sections by name."""
+    text = inspect.cleandoc(described.__doc__ or "")
+    summary, *parts = re.split(r"\n\n(?=[A-Z]\w+\n-{4,}\n)", text)
+    return summary, dict(part.split("\n", 1) for part in parts)
+
+
+def _described(described):
+    """Entries of the section on parameters, by each name that they describe."""
+    entries = re.split(r"\n(?=\S)", _sections(described)[1].get("Parameters", ""))[1:]
+    return {name: e for e in entries for name in re.findall(r"\w+", re.split(r" : |\n", e)[0])}
+
+
+class Panels:
+    """The panels of a display.
+
+    Parameters
+    ----------
+    ax : Axes, array of Axes or None
+        None makes a figure; one Axes is divided where more than one panel is
+        needed; an array holds one Axes a panel.
+    cells : list of (int, int)
+        Row and column of each panel.
+    size : (float, float)
+        Of a new figure, inches.
+    heights : sequence of float, optional
+        Of rows, relative.
+    share_x, share_y : "all", "row" or None
+        Which panels have one axis.
+    names : str, optional
+        What the panels show, for errors.
+
+    Attributes
+    ----------
+    axes : ndarray of Axes, shape (n_panels,)
+    figure : Figure
+    own : bool
+        Whether the figure was made here.
+    """
+
+    def __init__(self, ax, cells, *, size, heights=None, share_x=None, share_y=None, names=None):
+        self.own = ax is None
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            self.figure = plt.figure(figsize=size, layout="constrained")
+            self.axes = self._divide(None, cells, heights, share_x, share_y)
+            return
+        given = np.asarray(ax, dtype=object).ravel()
+        wrong = [item for item in given if not isinstance(item, Axes)]
+        if wrong:
+            raise TypeError(
+                f"ax={wrong[0]!r} is no matplotlib Axes; give one, an array of {len(cells)}, or "
+                f"None for a new figure"
+            )
+        self.figure = given[0].figure
+        if len(given) == len(cells):
+            self.axes = given
+        elif len(given) == 1:
+            self.axes = self._divide(given[0], cells, heights, share_x, share_y)
+        else:
+            raise ValueError(
+                f"ax holds {len(given)} Axes, but {len(cells)} panels are drawn"
+                f"{'' if names is None else f' ({names})'}; give {len(cells)}, or one to be divided"
+            )
+
+    def _divide(self, ax, cells, heights, share_x, share_y):
+        shape = tuple(1 + max(place) for place in zip(*cells, strict=True))
+        if ax is None:
+            grid = GridSpec(*shape, figure=self.figure, height_ratios=heights)
+        elif ax.get_subplotspec() is None:
+            raise ValueError(
+                f"this Axes stands in no grid of subplots and cannot be divided into the "
+                f"{len(cells)} panels needed; make it with plt.subplots, or give {len(cells)} Axes"
+            )
+        else:
+            ax.set_axis_off()
+            grid = GridSpecFromSubplotSpec(
+                *shape, subplot_spec=ax.get_subplotspec(), height_ratios=heights
+            )
+        axes = []
+        for place in cells:
+            shared = {
+                "sharex": _partner(share_x, place, cells, axes),
+                "sharey": _partner(share_y, place, cells, axes),
+            }
+            axes.append(self.figure.add_subplot(grid[place], **shared))
+        for ax_, place in zip(axes, cells, strict=True):
+            if share_x == "all" and any(c == place[1] and r > place[0] for r, c in cells):
+                ax_.tick_params(labelbottom=False)
+        return np.array(axes, dtype=object)
+
+    def legend(self, handles=None, *, columns=4, fallback=0):
+        """One legend for all panels: below them, or in one of them where the figure is given."""
+        if handles is None:
+            handles = self.axes[fallback].get_legend_handles_labels()[0]
+        if not handles:
+            return None
+        options = {"handles": handles, **LEGEND}
+        if not self.own:
+            return self.axes[fallback].legend(**options)
+        for count in range(min(columns, len(handles)), 0, -1):  # as many as the figure is wide
+            legend = self.figure.legend(loc="outside lower center", ncols=count, **options)
+            if count == 1 or legend.get_window_extent().width <= self.figure.bbox.width:
+                return legend
+            legend.remove()
+
+
+def _partner(share, place, cells, axes):
+    """The first Axes made with which the one at some place shares an axis."""
+    keep = {
+        "all": lambda other: True,
+        "row": lambda other: other[0] == place[0],
+    }.get(share, lambda other: False)
+    made = zip(cells, axes, strict=False)
+    return next((ax for other, ax in made if keep(other)), None)
+
+
+def grid_of(count, *, most=None):
+    """Rows and columns for some panels: a stack of up to three, then two, three, four columns."""
+    if most is None:
+        most = 1 if count <= 3 else 2 if count <= 8 else 3
+    columns = min(most, count)
+    return math.ceil(count / columns), columns
+
+
+def places(count, columns):
+    """Places of some panels in a grid, row by row."""
+    return [divmod(k, columns) for k in range(count)]
+
+
+def looks(styles, count):
+    """As many styles as there are things to draw; the first come again after the last."""
+    return list(islice(cycle(styles), count))
+
+
+def line_styles(labels, reference=None):
+    """A style for each label, broad and grey for that of the truth."""
+    own = [label for label in labels if label != reference]
+    styles = dict(zip(own, looks(LINES, len(own)), strict=True))
+    return styles if reference is None else styles | {reference: REFERENCE | {"lw": 4.0}}
+
+
+def dress(ax, *, x=None, y=None, title=None, small=False):
+    """Labels, a faint grid below the data, no frame at the top and on the right."""
+    size = {"fontsize": 8} if small else {}
+    if x is not None:
+        ax.set_xlabel(x, **size)
+    if y is not None:
+        ax.set_ylabel(y, **size)
+    if title is not None:
+        ax.set_title(title, loc="left", fontsize=8 if small else 10.5)
+    if small:
+        ax.tick_params(labelsize=8)
+    ax.grid(True, color=LIGHT, lw=0.6)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def with_unit(name, units):
+    """``w (m/s)`` where the unit of w is known, or that of the signal that w_0 belongs to."""
+    unit = unit_of(name, units)
+    return str(name) if unit is None else f"{name} ({unit})"
+
+
+def unit_of(name, units):
+    """Unit of a signal, or of a coefficient of it; None where none was given."""
+    signal = str(name).rsplit("_", 1)[0]
+    return (units or {}).get(name, (units or {}).get(signal))
+
+
+def number(value):
+    """Three digits as print has them: 7.8e8, −0.5."""
+    digits, _, power = f"{value:.3g}".partition("e")
+    return (f"{digits}e{int(power)}" if power else digits).replace("-", "−")
+
+
+def is_real(value):
+    """Whether the imaginary part of an eigenvalue is rounding."""
+    return abs(value.imag) <= 1e-9 * abs(value)
+
+
+def complex_number(value):
+    """An eigenvalue, or the pair that it stands for, in words of a legend."""
+    if is_real(value):
+        return f"{number(value.real)} 1/s"
+    return f"{number(value.real)} ± {number(abs(value.imag))}j 1/s"
+
+
+def unbroken(time, values, segments, span=None):
+    """Times and values with a NaN between the segments, so that lines do not cross gaps.
+
+    With ``span`` only those within it.
+    """
+    times, parts = [], []
+    for segment in segments:
+        times += [time[segment], [np.nan]]
+        parts += [values[segment], np.full((1, *values.shape[1:]), np.nan)]
+    times, parts = np.concatenate(times[:-1]), np.concatenate(parts[:-1])
+    if span is None:
+        return times, parts
+    start, stop = check_span("span", span)
+    shown = ~((times < start) | (times > stop))  # the breaks, too
+    if not np.any(np.isfinite(times[shown])):
+        raise ValueError(
+            f"span=({start:g}, {stop:g}) holds none of the rows, from t = {time[0]:.6g} s to "
+            f"{time[-1]:.6g} s; give times within"
+        )
+    return times[shown], parts[shown]
+
+
+def steps_of(estimator):
+    """The steps behind an estimator, last first: of pipelines, searches and meta-estimators."""
+    if isinstance(estimator, Pipeline):
+        for _, step in reversed(estimator.steps):
+            yield from steps_of(step)
+    elif isinstance(estimator, FrozenEstimator):
+        yield from steps_of(estimator.estimator)
+    elif hasattr(estimator, "cv") and hasattr(estimator, "refit"):
+        check_is_fitted(estimator, "best_estimator_")
+        yield from steps_of(estimator.best_estimator_)
+    else:
+        yield estimator
+        inner = getattr(estimator, "estimator_", None)
+        if inner is not None:
+            yield from steps_of(inner)
+
+
+def find_step(estimator, kinds):
+    """The last step of some kinds, or None; NotFittedError where it is not fitted."""
+    step = next((step for step in steps_of(estimator) if isinstance(step, kinds)), None)
+    if step is not None:
+        check_is_fitted(step)
+    return step
+
+
+def fitted_step(estimator, kinds, display):
+    """The last step of some kinds; TypeError where there is none."""
+    if isinstance(estimator, type):
+        raise TypeError(
+            f"{display} needs a fitted estimator, and {estimator.__name__} is a class; give an "
+            f"instance that has been fitted"
+        )
+    step = find_step(estimator, kinds)
+    if step is None:
+        kinds = kinds if isinstance(kinds, tuple) else (kinds,)
+        names = " or ".join(NAMES.get(kind, kind.__name__) for kind in kinds)
+        raise TypeError(
+            f"{display} needs a fitted {names}, or a Pipeline or search that holds one; "
+            f"{type(estimator).__name__} holds none"
+        )
+    return step
+
+
+class Record:
+    """Rows of one record, and their times.
+
+    Parameters
+    ----------
+    data : DataFrame, Series or ndarray
+    record : label or None
+        None is the first record.
+    timing : Timing, optional
+        When rows were sampled.
+
+    Attributes
+    ----------
+    rows : ndarray of bool, shape (n_rows,)
+    time : ndarray, shape (n_rows_of_record,)
+        Seconds.
+    segments : list of slice
+        Runs of consecutive rows of the record.
+    label : label or None
+        None where there is but one record.
+    axis : str
+        What the time axis is called.
+    """
+
+    def __init__(self, data, record=None, timing=None):
+        step = None if timing is None else timing.sample_time
+        origin = FIRST if timing is None or timing.time_origin is None else timing.time_origin
+        base = read_time(data, step, origin)
+        self.rows, self.label = _rows_of(getattr(data, "index", None), len(data), record)
+        place = np.cumsum(self.rows) - 1
+        inside = [segment for segment in base.segments if self.rows[segment.start]]
+        self.segments = [slice(place[s.start], place[s.stop - 1] + 1) for s in inside]
+        self.time = base.time[self.rows]
+        self.axis = SAMPLES if base.counted and step in (None, 1.0) else TIME
+
+
+def _rows_of(index, n_rows, record):
+    if not isinstance(index, pd.MultiIndex):
+        if record is not None:
+            raise ValueError(
+                f"record={record!r} was asked for, but the data have no (record, time) index; "
+                f"leave record=None"
+            )
+        return np.ones(n_rows, dtype=bool), None
+    labels = index.droplevel(-1)
+    wanted = labels[0] if record is None else record
+    rows = np.array([label == wanted for label in labels])
+    if not rows.any():
+        known = list(dict.fromkeys(labels))
+        raise ValueError(f"record={record!r} is not among the records {known[:10]}")
+    return rows, wanted
+
+
+def by_label(given, default):
+    """A dict of things to draw by label, from one thing or a dict."""
+    return dict(given) if isinstance(given, dict) else {default: given}
+
+
+def chosen(wanted, names, what):
+    """Places of the signals to draw."""
+    if wanted is None:
+        return range(len(names))
+    wanted = [wanted] if isinstance(wanted, str) else list(wanted)
+    unknown = [name for name in wanted if name not in names]
+    if unknown or not wanted:
+        raise ValueError(f"{what}={wanted} are not all among {names}; give some of these")
+    return [names.index(name) for name in wanted]
+
+
+def periodic_system(estimator, display):
+    """The linear time-periodic system that a fitted estimator has identified."""
+    matcher = fitted_step(estimator, StructuredMatcher, display)
+    if not hasattr(matcher, "ltp_"):
+        raise ValueError(
+            f"{display} needs a linear time-periodic model, and this match was made with "
+            f"structure={matcher.structure!r}; fit with a HarmonicStructure, or with "
+            f"HarmonicAnalyzer(reading='period')"
+        )
+    return matcher.ltp_
+
+
+def check_periodic(system, display, label=None):
+    """Raise TypeError unless a system is linear time-periodic."""
+    if not isinstance(system, LTPSystem):
+        what = "this" if label is None else repr(label)
+        raise TypeError(f"{display} draws LTPSystems; {what} is of type {type(system).__name__}")

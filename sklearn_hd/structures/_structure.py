@@ -1,0 +1,296 @@
+"""What both structures share: what is said of parameters by name, and how they are shown.
+
+Of a parameter there may be a value to hold, where to start, between what bounds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+import pandas as pd
+
+from sklearn_hd.structures._cells import finite_number, format_cell
+
+_FREE = ' style="text-align:right; font-weight:bold; background:rgba(70,130,180,0.2)"'
+_NUMBER = ' style="text-align:right"'
+_NAME = ' style="text-align:right; font-weight:normal"'
+_TABLE = ' style="color:inherit"'
+_CAPTION = ' style="caption-side:top; text-align:center"'
+_ROW = ' style="display:flex; flex-wrap:wrap; gap:1.5em; align-items:flex-start"'
+
+
+class Structure:
+    """What both structures share: parameters to fix and free, equality, text and HTML.
+
+    A structure has ``_fixed``, ``_check_fixed``, ``_with_fixed``, ``_key``, ``_shown`` and
+    ``_notes``.
+    """
+
+    @property
+    def fixed(self):
+        """Value of each parameter that is fixed, by name."""
+        return dict(self._fixed)
+
+    def fix(self, values):
+        """The structure with numbers in place of some parameters.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values by the name of the parameter.
+
+        Returns
+        -------
+        structure : MatrixStructure or HarmonicStructure
+            A new one; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a name is no parameter, or a value is no finite number within its bounds.
+        """
+        values = read_fixed(values)
+        self._check_fixed("fix", values)
+        return self._with_fixed(join_fixed(self._fixed, values))
+
+    def free(self, names=None):
+        """The structure with some fixed parameters free again.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            All that are fixed by default.
+
+        Returns
+        -------
+        structure : MatrixStructure or HarmonicStructure
+            Where it has initial values, those freed start at the value they had.
+
+        Raises
+        ------
+        ValueError
+            If a name is not that of a fixed parameter.
+        """
+        names = freed(self._fixed, names)
+        return self._with_fixed({k: x for k, x in self._fixed.items() if k not in names})
+
+    def __eq__(self, other):
+        return self._key() == other._key() if isinstance(other, type(self)) else NotImplemented
+
+    def __hash__(self):
+        return hash(self._key())
+
+    def __str__(self):
+        """Text of tables and of lines between and after them."""
+        shown = [part if isinstance(part, str) else _text_of_table(part) for part in self._shown()]
+        return "\n".join([*shown, *self._notes()])
+
+    def _repr_html_(self):
+        """HTML of tables and of lines between and after them: what is free is bold on a ground."""
+        parts = self._shown()
+        tables = "".join(_html_of_table(part) for part in parts if not isinstance(part, str))
+        lines = [part for part in parts if isinstance(part, str)] + list(self._notes())
+        below = "".join(f"<div>{escape(line)}</div>" for line in lines)
+        return f"<div><div{_ROW}>{tables}</div>{below}</div>"
+
+
+def read_fixed(given, names=None):
+    """{name: number} of parameters that are known; the names must be among some."""
+    fixed = {
+        name: _number(f"fixed value of {name!r}", value)
+        for name, value in _mapping("fixed", given, "{'k': 2.0}").items()
+    }
+    if names is not None:
+        check_known("fixed", fixed, names)
+    return fixed
+
+
+def join_fixed(fixed, more):
+    """Both, where they do not contradict each other."""
+    for name, value in more.items():
+        if fixed.get(name, value) != value:
+            raise ValueError(
+                f"{name!r} is fixed at {fixed[name]:g} already and cannot be {value:g} too; "
+                f"free([{name!r}]) first"
+            )
+    return {**fixed, **more}
+
+
+def freed(fixed, names):
+    """Names to be freed, all by default, after checking that they are fixed."""
+    if names is None:
+        return tuple(fixed)
+    if isinstance(names, str) or not np.iterable(names):
+        raise ValueError(f"free({names!r}): give a list of names, such as ['k']")
+    names = tuple(names)
+    unknown = [name for name in names if name not in fixed]
+    if unknown:
+        raise ValueError(f"{unknown} are not fixed, so cannot be freed; fixed are {list(fixed)}")
+    return names
+
+
+def read_bounds(given, names):
+    """{name: (low, high)}, None for an open end; names without any bound are left out."""
+    given = _mapping("bounds", given, "{'k': (0.0, None)}")
+    check_known("bounds", given, names)
+    bounds = {name: _interval(name, ends) for name, ends in given.items()}
+    return {name: ends for name, ends in bounds.items() if ends != (None, None)}
+
+
+def _interval(name, given):
+    try:
+        low, high = given
+        low, high = _end(low, -np.inf), _end(high, np.inf)
+    except (TypeError, ValueError, OverflowError):
+        low = high = np.nan
+    if not low < high:
+        raise ValueError(
+            f"bounds of {name!r} are {given!r}; give (low, high) with low < high, None where it is "
+            f"open; one value alone is given by fixed"
+        )
+    return tuple(float(end) if np.isfinite(end) else None for end in (low, high))
+
+
+def _end(value, unbounded):
+    if value is None:
+        return unbounded
+    if isinstance(value, str | bool):
+        raise TypeError
+    return float(value)
+
+
+def read_initial(given, names, fixed):
+    """{name: number} of all of some names; those fixed may be there, at their value."""
+    if given is None:
+        return None
+    if not isinstance(given, Mapping | pd.Series):
+        return dict(zip(names, read_numbers("initial", given, names).tolist(), strict=True))
+    initial = _mapping("initial", given, "{'k': 2.0}")
+    unknown = [name for name in initial if name not in names and name not in fixed]
+    missing = [name for name in names if name not in initial]
+    if unknown or missing:
+        raise ValueError(
+            f"initial must give every parameter and no other; missing {missing}, unknown "
+            f"{unknown}, allowed {list(names)}"
+        )
+    initial = {name: _number(f"initial value of {name!r}", x) for name, x in initial.items()}
+    for name in initial.keys() & fixed.keys():
+        if initial[name] != fixed[name]:
+            raise ValueError(
+                f"initial gives {name!r} the value {initial[name]:g}, but it is fixed at "
+                f"{fixed[name]:g}; leave it out of one of the two"
+            )
+    return {name: initial[name] for name in names}
+
+
+def check_within(what, values, bounds):
+    """Raise ValueError naming the parameter whose value its bounds exclude."""
+    for name, value in values.items():
+        low, high = bounds.get(name, (None, None))
+        if (low is not None and value < low) or (high is not None and value > high):
+            raise ValueError(
+                f"the {what} value {value:g} of {name!r} is outside its bounds ({low}, {high}); "
+                f"change one of them"
+            )
+
+
+def bound_array(bounds, names, end, unbounded):
+    """One end of the bounds of some names, shape (k,), infinite where open."""
+    ends = (bounds.get(name, (None, None))[end] for name in names)
+    return np.array([unbounded if value is None else value for value in ends], dtype=float)
+
+
+def describe(names, fixed, initial=None, bounds=None):
+    """A line for each parameter of which something is known."""
+    lines = []
+    for name in names:
+        if name in fixed:
+            lines.append(f"{name} = {fixed[name]:.6g}, fixed")
+            continue
+        low, high = (bounds or {}).get(name, (None, None))
+        left = "" if low is None else f"{low:.6g} <= "
+        right = "" if high is None else f" <= {high:.6g}"
+        start = f", initial {initial[name]:.6g}" if initial else ""
+        if left or right or start:
+            lines.append(f"{left}{name}{right}{start}")
+    return lines
+
+
+def check_known(what, given, names):
+    """Raise ValueError if a name is no parameter."""
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise ValueError(f"{what} names {unknown}, no parameters here; allowed are {list(names)}")
+
+
+def read_numbers(what, values, names):
+    """One finite float for each name, in their order."""
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        numbers = None
+    if numbers is None or numbers.shape != (len(names),) or not np.all(np.isfinite(numbers)):
+        raise ValueError(
+            f"{what} must hold {len(names)} finite numbers, one for each of {list(names)}; got "
+            f"{values!r}"
+        )
+    return numbers
+
+
+def _mapping(what, given, example):
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping | pd.Series):
+        raise ValueError(f"{what}={given!r} is no mapping by name; give one such as {example}")
+    if isinstance(given, pd.Series) and not given.index.is_unique:
+        twice = list(given.index[given.index.duplicated()].unique())
+        raise ValueError(f"{what} names {twice} more than once; give every name one value")
+    return dict(given)
+
+
+def _number(what, value):
+    number = None if isinstance(value, bool) else finite_number(value)
+    if number is None:
+        raise ValueError(f"the {what} must be a finite number; got {value!r}")
+    return number
+
+
+@dataclass(frozen=True)
+class Table:
+    """A matrix to be shown: its letter, the harmonic it belongs to, cells, and names if any."""
+
+    letter: str
+    cells: tuple
+    rows: tuple | None = None
+    columns: tuple | None = None
+    harmonic: str = ""
+
+
+def _text_of_table(table):
+    texts = [[format_cell(cell) for cell in line] for line in table.cells]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    head = f"{table.letter}_{table.harmonic} = " if table.harmonic else f"{table.letter} = "
+    lines = ["[ " + "  ".join(map(str.rjust, line, widths)) + " ]" for line in texts] or ["[ ]"]
+    return head + ("\n" + " " * len(head)).join(lines)
+
+
+def _html_of_table(table):
+    n_columns = len(table.cells[0]) if table.cells else 0
+    rows = range(len(table.cells)) if table.rows is None else table.rows
+    columns = range(n_columns) if table.columns is None else table.columns
+    caption = f"<i>{table.letter}</i>" + (f"<sub>{table.harmonic}</sub>" if table.harmonic else "")
+    head = "".join(f"<th{_NAME}>{escape(str(name))}</th>" for name in columns)
+    body = "".join(
+        f"<tr><th{_NAME}>{escape(str(name))}</th>{''.join(map(_html_of_cell, line))}</tr>"
+        for name, line in zip(rows, table.cells, strict=True)
+    )
+    return (
+        f"<table{_TABLE}><caption{_CAPTION}>{caption}</caption>"
+        f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _html_of_cell(cell):
+    style = _FREE if cell[1] else _NUMBER
+    return f"<td{style}>{escape(format_cell(cell))}</td>"

@@ -1,0 +1,539 @@
+"""Three-bladed turbines: linearization files of OpenFAST, and models made of several azimuths."""
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import control
+import numpy as np
+import pandas as pd
+
+from sklearn_hd._checks import check_choice, check_count, real_array
+from sklearn_hd.algorithms.periodic.multiblade import (
+    N_BLADES,
+    Frame,
+    blade_harmonics,
+    from_multiblade,
+    to_multiblade,
+)
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.systems.arguments import check_names
+from sklearn_hd.systems.ltp import LTPSystem
+
+RATE = "First time derivative of "
+HEADER = {
+    "simulation_time": "Simulation time",
+    "rotor_speed": "Rotor Speed",
+    "azimuth": "Azimuth",
+    "wind_speed": "Wind Speed",
+}
+SECTIONS = {"Order of continuous states": "x", "Order of inputs": "u", "Order of outputs": "y"}
+ROW = re.compile(r"\s*\d+\s+(?P<value>[-+.\dEeDd, ]+?)\s+(?P<turns>[TF])\s+(?P<rest>.*)")
+SHORT_EXPONENT = re.compile(r"(\d)([+-]\d{3})\b")  # 1.234-101, as Fortran prints it
+MATRIX = re.compile(r"([ABCD]):\s*(\d+)\s*x\s*(\d+)\s*$")
+DEGREE_OF_FREEDOM = re.compile(r"DOF_(\w+)(?:\((\d+),(\d+)\))?\)")
+MULTIBLADE = ("mean", "cos", "sin")
+BLADE = [  # where a name says which blade
+    re.compile(r"^(.*_b)(\d)((?:_dot)?)$"),
+    re.compile(r"^(.*blade )(\d)(.*)$", re.IGNORECASE),
+    re.compile(r"^(BD_)(\d)(.*)$"),
+    re.compile(r"^(B)(\d)(N\d.*)$"),
+    re.compile(r"^(.*\D)(\d)()$"),
+]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenFASTLinearization:
+    """A turbine linearised at one azimuth: what one .lin file holds.
+
+        ẋ = A x + B u,   y = C x + D u
+
+    Parameters
+    ----------
+    description : str
+        Of the model, from its input file.
+    simulation_time : float
+        In seconds.
+    rotor_speed : float
+        Ω in rad/s.
+    azimuth : float
+        Of blade 1, ψ in radians.
+    wind_speed : float
+        In m/s.
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
+        In the units of the file.
+    states, inputs, outputs : DataFrame
+        Index: short names. Columns: ``description``, ``operating_point``, ``rotating``
+        (whether a signal turns with the blades), ``derivative_order``.
+
+    References
+    ----------
+    J. M. Jonkman, B. J. Jonkman, "FAST modularization framework for wind turbine
+    simulation: full-system linearization", Journal of Physics: Conference Series 753
+    (2016) 082010.
+
+    Examples
+    --------
+    >>> from sklearn_hd.datasets import load_wind_turbine
+    >>> turbine = load_wind_turbine().linearizations[0]
+    >>> turbine.rotor_speed, turbine.wind_speed
+    (0.7301, 3.0)
+    >>> bool(turbine.states.rotating["BE1_b2"]), bool(turbine.states.rotating["TFA1"])
+    (True, False)
+    """
+
+    description: str
+    simulation_time: float
+    rotor_speed: float
+    azimuth: float
+    wind_speed: float
+    A: np.ndarray = field(repr=False)
+    B: np.ndarray = field(repr=False)
+    C: np.ndarray = field(repr=False)
+    D: np.ndarray = field(repr=False)
+    states: pd.DataFrame = field(repr=False)
+    inputs: pd.DataFrame = field(repr=False)
+    outputs: pd.DataFrame = field(repr=False)
+
+
+def read_openfast_lin(path):
+    """Read a linearization file of OpenFAST (``.lin``).
+
+    Parameters
+    ----------
+    path : str or path
+        Of the file.
+
+    Returns
+    -------
+    linearization : OpenFASTLinearization
+        Degrees of freedom are named as OpenFAST numbers them: ``TFA1`` is the first
+        fore-aft mode of the tower, ``BE1_b2`` the first edgewise mode of blade 2,
+        ``BE1_b2_dot`` its rate. Other signals go by their description.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no state matrix, or not what its headings promise.
+
+    References
+    ----------
+    J. M. Jonkman, B. J. Jonkman, "FAST modularization framework for wind turbine
+    simulation: full-system linearization", Journal of Physics: Conference Series 753
+    (2016) 082010.
+
+    Examples
+    --------
+    >>> from sklearn_hd.datasets import load_wind_turbine
+    >>> path = load_wind_turbine().filenames[0]
+    >>> turbine = read_openfast_lin(path)
+    >>> turbine.A.shape, turbine.rotor_speed
+    ((30, 30), 0.7301)
+    >>> list(turbine.states.index[:8])
+    ['TFA1', 'TSS1', 'TFA2', 'TSS2', 'Yaw', 'DrTr', 'BF1_b1', 'BF1_b2']
+    """
+    lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+    header = {key: _number(lines, label, path) for key, label in HEADER.items()}
+    tables = {"x": _table([]), "u": _table([]), "y": _table([])}
+    for k, line in enumerate(lines):
+        section = SECTIONS.get(line.strip().removesuffix(":"))
+        if section:
+            tables[section] = _table(_rows(lines, k + 3, path))
+    n, m, n_outputs = (len(tables[key]) for key in "xuy")
+    shapes = {"A": (n, n), "B": (n, m), "C": (n_outputs, n), "D": (n_outputs, m)}
+    matrices = {name: np.zeros(shape) for name, shape in shapes.items()}
+    found = dict(_matrices(lines, path))
+    if "A" not in found:
+        raise ValueError(f"{path} holds no state matrix A; give a .lin file that OpenFAST wrote")
+    for name, matrix in found.items():
+        if matrix.shape != shapes[name]:
+            raise ValueError(
+                f"{path}: {name} is {matrix.shape[0]} x {matrix.shape[1]}, but the file lists {n} "
+                f"states, {m} inputs and {n_outputs} outputs; write it anew with OpenFAST"
+            )
+    matrices |= found
+    about = [line for line in lines if line.startswith("Description")]
+    return OpenFASTLinearization(
+        description=about[0].partition(":")[2].strip() if about else "",
+        **header,
+        **matrices,
+        states=tables["x"],
+        inputs=tables["u"],
+        outputs=tables["y"],
+    )
+
+
+def _number(lines, label, path):
+    """The number behind a label of the header."""
+    for line in lines:
+        key, _, value = line.partition(":")
+        if key.strip() == label:
+            return float(value.split()[0])
+    raise ValueError(f"{path} does not say {label!r}; give a .lin file that OpenFAST wrote")
+
+
+def _rows(lines, start, path):
+    """Rows of a table of signals, up to the first line that is none."""
+    rows = []
+    for line in lines[start:]:
+        if not line.strip():
+            break
+        row = ROW.match(line)
+        if row is None:
+            raise ValueError(f"{path}: the row {line.strip()!r} lists no signal")
+        order, _, text = row["rest"].partition(" ")
+        if not order.isdigit():  # files of FAST 8 have no such column
+            order, text = "0", row["rest"]
+        value = row["value"].split(",")[0]  # orientations have three numbers
+        rows.append((text.strip(), float(value), row["turns"] == "T", int(order)))
+    return rows
+
+
+def _table(rows):
+    """Signals by short names, all different."""
+    columns = {"description": object, "operating_point": float, "rotating": bool}
+    columns["derivative_order"] = int
+    texts = [row[0] for row in rows]
+    names = _where_repeated([_short_name(text) for text in texts], texts)
+    names = _where_repeated(names, [f"{name} ({k})" for k, name in enumerate(names, 1)])
+    table = pd.DataFrame(rows, pd.Index(names, name="name", dtype=object), list(columns))
+    return table.astype(columns)
+
+
+def _where_repeated(names, others):
+    """The names, or the others in place of those that occur more than once."""
+    count = Counter(names)
+    return [other if count[name] > 1 else name for name, other in zip(names, others, strict=True)]
+
+
+def _short_name(description):
+    """TFA1, BE1_b2_dot, RootMyc1, …"""
+    rate = "_dot" if RATE in description else ""
+    degree = DEGREE_OF_FREEDOM.search(description)
+    if degree:
+        name, blade, mode = degree.groups()
+        return f"{name}{mode}_b{blade}{rate}" if blade else f"{name}{rate}"
+    text = description.replace(RATE, "").rpartition(",")[0] or description
+    module, _, rest = text.partition(" ")
+    return (rest.strip() if rest and module.isalpha() and len(module) <= 4 else text) + rate
+
+
+def _matrices(lines, path):
+    """A, B, C, D by name, as far as the file holds them."""
+    for k, line in enumerate(lines):
+        head = MATRIX.match(line)
+        if head is None:
+            continue
+        name, shape = head[1], (int(head[2]), int(head[3]))
+        rows = [
+            SHORT_EXPONENT.sub(r"\1E\2", row).split() for row in lines[k + 1 : k + 1 + shape[0]]
+        ]
+        if len(rows) < shape[0] or any(len(row) != shape[1] for row in rows):
+            raise ValueError(f"{path}: {name} has fewer entries than {shape[0]} x {shape[1]}")
+        wanted = "a .lin file of a linearization that succeeded"
+        yield name, real_array(f"{path}: {name}", np.array(rows, dtype=float), wanted)
+
+
+def multiblade_model(linearizations, *, inputs=None, outputs=None):
+    """Time-invariant model of a three-bladed turbine in multi-blade coordinates.
+
+    The matrices at each azimuth are written in coordinates that do not turn
+    (:mod:`sklearn_hd.algorithms.periodic.multiblade`), and averaged.
+
+    Parameters
+    ----------
+    linearizations : sequence of OpenFASTLinearization
+        One operating point at several azimuths.
+    inputs : sequence of str, optional
+        Names of inputs of the files, or of rates among the states, for accelerations
+        that act on these. All inputs of the files by default.
+    outputs : sequence of str, optional
+        Names of outputs of the files or of states. All outputs of the files by default.
+
+    Returns
+    -------
+    model : control.StateSpace
+        Names as in the files, but of what turns with the blades: ``BE1_mean``,
+        ``BE1_cos``, ``BE1_sin`` for ``BE1_b1``, ``BE1_b2``, ``BE1_b3``. Frequencies and
+        damping ratios are those of its method ``damp()``.
+
+    Raises
+    ------
+    ValueError
+        If the files do not belong together, blades are not three, or a name is unknown.
+
+    References
+    ----------
+    G. Bir, "Multi-blade coordinate transformation and its application to wind turbine
+    analysis", 46th AIAA Aerospace Sciences Meeting (2008), AIAA 2008-1300.
+
+    Examples
+    --------
+    >>> from sklearn_hd.datasets import load_wind_turbine
+    >>> model = multiblade_model(load_wind_turbine().linearizations)
+    >>> omega, zeta, poles = model.damp()
+    >>> k = np.argmin(np.where(poles.imag > 0, zeta, 1))
+    >>> print(f"{omega[k] / (2 * np.pi):.5f} Hz, {100 * zeta[k]:.4f} %")
+    0.31403 Hz, 0.4386 %
+    """
+    files, rotor_speed, frame = _checked(linearizations)
+    psi = np.array([file.azimuth for file in files])
+    fixed = to_multiblade(_stacked(files), psi, rotor_speed, frame)
+    first = files[0]
+    names = [
+        _multiblade_names(table.index, triplets)
+        for table, triplets in (
+            (first.states, frame.states),
+            (first.inputs, frame.inputs),
+            (first.outputs, frame.outputs),
+        )
+    ]
+    mean = [M.mean(axis=0)[None] for M in fixed]
+    A, B, C, D, inputs, outputs = _chosen(mean, names, inputs, outputs, _loose(first, frame))
+    if outputs and not inputs:
+        raise ValueError(
+            f"outputs={outputs} without inputs make no control.StateSpace, and the files have no "
+            f"inputs; name rates that accelerations act on, such as inputs={_rates(names[0])[:1]}"
+        )
+    return control.StateSpace(
+        A[0], B[0], C[0], D[0], states=names[0], inputs=inputs, outputs=outputs
+    )
+
+
+def rotor_system(
+    linearizations, *, inputs=None, outputs=None, coordinates="multiblade", n_harmonics=0
+):
+    """Time-periodic model of a turbine, its blades turning.
+
+    Matrices are known at the azimuths of the files only. Between them, a Fourier series
+    is fitted (least squares) either to the matrices in multi-blade coordinates, turned
+    back onto the blades, or to the matrices as the files hold them.
+
+    Parameters
+    ----------
+    linearizations : sequence of OpenFASTLinearization
+        One operating point at several azimuths.
+    inputs, outputs : sequence of str, optional
+        As in :func:`multiblade_model`, by the names of the files.
+    coordinates : {"multiblade", "rotating"}, default="multiblade"
+        ``"multiblade"`` takes three equal blades for granted: harmonics 3, 6, … are all
+        that a series has there, and its mean alone makes F(ψ) of two harmonics.
+        ``"rotating"`` takes nothing for granted, and needs the azimuths for it: F(ψ) of
+        a turbine with three blades has at least two harmonics, hence five azimuths.
+    n_harmonics : int, default=0
+        Harmonics of the series: multiples of three a turn, or of one.
+
+    Returns
+    -------
+    system : LTPSystem
+        States are those of the files; ψ is the azimuth of blade 1. With
+        ``coordinates="multiblade"`` and ``n_harmonics=0`` its Floquet exponents are the
+        eigenvalues of :func:`multiblade_model`, up to multiples of jΩ.
+
+    Raises
+    ------
+    ValueError
+        If the files do not belong together, the azimuths do not tell the harmonics
+        apart, or a name is unknown.
+
+    References
+    ----------
+    G. Bir, "Multi-blade coordinate transformation and its application to wind turbine
+    analysis", 46th AIAA Aerospace Sciences Meeting (2008), AIAA 2008-1300.
+
+    Examples
+    --------
+    >>> from sklearn_hd.datasets import load_wind_turbine
+    >>> files = load_wind_turbine().linearizations
+    >>> system = rotor_system(files, inputs=["TSS1_dot"], outputs=["TSS1", "BE1_b1"])
+    >>> system.n_states, system.F.n_harmonics
+    (30, 2)
+    """
+    check_choice("coordinates", coordinates, ("multiblade", "rotating"))
+    K = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
+    turned = coordinates == "multiblade"
+    files, rotor_speed, frame = _checked(linearizations, turned)
+    psi = np.array([file.azimuth for file in files])
+    matrices = _stacked(files)
+    if turned:
+        matrices = to_multiblade(matrices, psi, rotor_speed, frame)
+    series = _fitted(matrices, psi, blade_harmonics(K) if turned else list(range(K + 1)))
+    if turned:
+        series = from_multiblade(series, rotor_speed, frame)
+    first = files[0]
+    names = [list(table.index) for table in (first.states, first.inputs, first.outputs)]
+    loose = _loose(first, frame) if turned else set()
+    F, G, P, Q, inputs, outputs = _chosen(series, names, inputs, outputs, loose)
+    return LTPSystem(
+        F,
+        G,
+        P,
+        Q,
+        omega=rotor_speed,
+        state_names=names[0],
+        input_names=inputs,
+        output_names=outputs,
+    )
+
+
+# ---- blades --------------------------------------------------------------------------------------
+
+
+def _blade(name):
+    """A name without its blade's number (#), and that number; (name, None) without."""
+    for pattern in BLADE:
+        found = pattern.match(name)
+        if found:
+            return f"{found[1]}#{found[3]}", int(found[2])
+    return name, None
+
+
+def _triplets(table):
+    """Positions of like signals on blades 1, 2, 3, by their common name."""
+    by_blade = {}
+    for k, (name, turns) in enumerate(zip(table.index, table["rotating"], strict=True)):
+        key, blade = _blade(name) if turns else (name, None)
+        if blade is not None:
+            by_blade.setdefault(key, {})[blade] = k
+    wanted = range(1, N_BLADES + 1)
+    return {
+        key: tuple(places[b] for b in wanted)
+        for key, places in by_blade.items()
+        if sorted(places) == list(wanted)
+    }
+
+
+def _frame(file):
+    """What turns with the blades; ValueError where states do in another way."""
+    states = _triplets(file.states)
+    turning = set(np.flatnonzero(file.states["rotating"]))
+    left = turning - {k for triplet in states.values() for k in triplet}
+    rates = {
+        triplet: states[f"{key}_dot"] for key, triplet in states.items() if f"{key}_dot" in states
+    }
+    with_rate = {k for pair in rates.items() for triplet in pair for k in triplet}
+    second = set(np.flatnonzero(file.states["derivative_order"] == 2)) & turning
+    wrong = sorted(left | (second - with_rate))
+    if wrong:
+        raise ValueError(
+            f"the states {list(file.states.index[wrong])} turn with the rotor, but do not stand "
+            f"for three blades (with a rate each): multi-blade coordinates need these; use "
+            f"rotor_system(..., coordinates='rotating')"
+        )
+    own = (list(_triplets(table).values()) for table in (file.inputs, file.outputs))
+    return Frame(list(states.values()), rates, *own)
+
+
+def _loose(file, frame):
+    """Names of inputs and outputs that turn, but do not stand for three blades."""
+    names = set()
+    for table, triplets in ((file.inputs, frame.inputs), (file.outputs, frame.outputs)):
+        placed = {k for triplet in triplets for k in triplet}
+        names |= {table.index[k] for k in np.flatnonzero(table["rotating"]) if k not in placed}
+    return names
+
+
+def _multiblade_names(names, triplets):
+    names = list(names)
+    for triplet in triplets:
+        key = _blade(names[triplet[0]])[0]
+        for k, part in zip(triplet, MULTIBLADE, strict=True):
+            before, _, after = key.replace("_b#", "_#").partition("#")
+            joint = "" if before.endswith((" ", "_")) else "_"
+            names[k] = f"{before}{joint}{part}{after}"
+    return names
+
+
+# ---- several azimuths ----------------------------------------------------------------------------
+
+
+def _checked(linearizations, blades=True):
+    """The files as a list, their rotor speed, and what turns with the blades."""
+    files = list(linearizations) if np.iterable(linearizations) else [linearizations]
+    if not files or not all(isinstance(file, OpenFASTLinearization) for file in files):
+        raise ValueError(
+            f"linearizations={linearizations!r} must be a list of what read_openfast_lin returns"
+        )
+    for file in files[1:]:
+        for kind in ("states", "inputs", "outputs"):
+            if not getattr(file, kind).index.equals(getattr(files[0], kind).index):
+                raise ValueError(
+                    f"the files at azimuths {files[0].azimuth:g} and {file.azimuth:g} rad list "
+                    f"different {kind}; give one turbine at one operating point"
+                )
+    speeds = np.array([file.rotor_speed for file in files])
+    if np.ptp(speeds) > 1e-3 * speeds.max():
+        raise ValueError(
+            f"the rotor speeds of the files lie between {speeds.min():g} and {speeds.max():g} "
+            f"rad/s; give one operating point at several azimuths"
+        )
+    return files, float(speeds.mean()), _frame(files[0]) if blades else None
+
+
+def _stacked(files):
+    return tuple(np.stack([getattr(file, name) for file in files]) for name in "ABCD")
+
+
+def _fitted(matrices, psi, harmonics):
+    """Fourier coefficients of the harmonics given; ValueError where azimuths are too few."""
+    functions = harmonic_functions(psi, harmonics)
+    values = np.linalg.svd(functions, compute_uv=False)
+    if len(psi) < functions.shape[1] or values[0] > 30.0 * values[-1]:
+        period = 360.0 / harmonics[-1]
+        degrees = np.unique(np.round(np.degrees(psi) % period)).tolist()
+        raise ValueError(
+            f"{len(psi)} azimuths do not tell the {functions.shape[1]} coefficients of harmonics "
+            f"{harmonics} apart: modulo {period:g}°, the period of the highest, they are "
+            f"{degrees}; linearise at more azimuths, or lower n_harmonics"
+        )
+    inverse = np.linalg.pinv(functions)
+    return tuple(np.tensordot(inverse, M, axes=(1, 0)) for M in matrices)
+
+
+def _chosen(matrices, names, inputs, outputs, loose):
+    """The matrices with the inputs and outputs asked for, and their names.
+
+    The second kind of input is an acceleration on a rate, the second of output a state.
+    """
+    A, B, C, D = matrices
+    n, m, n_outputs = A.shape[1], B.shape[2], C.shape[1]
+    unit = np.zeros((len(A), n, n))
+    unit[0] = np.eye(n)
+    B = np.concatenate([B, unit], axis=2)
+    C = np.concatenate([C, unit], axis=1)
+    D = np.pad(D, ((0, 0), (0, n), (0, n)))
+    rates = _rates(names[0])
+    allowed = [*names[1], *(name if name in rates else None for name in names[0])]
+    columns = _places("inputs", inputs, m, allowed, loose)
+    rows = _places("outputs", outputs, n_outputs, [*names[2], *names[0]], loose)
+    labels = [*names[2], *names[0]]
+    return (
+        A,
+        B[:, :, columns],
+        C[:, rows],
+        D[:, rows][:, :, columns],
+        [allowed[k] for k in columns],
+        [labels[k] for k in rows],
+    )
+
+
+def _rates(names):
+    """Names of the states that are rates of other states."""
+    return [name for name in names if name.removesuffix("_dot") in set(names) - {name}]
+
+
+def _places(parameter, wanted, n_own, allowed, loose):
+    """Positions of the names asked for; by default those of the files' own signals."""
+    wanted = allowed[:n_own] if wanted is None else check_names(wanted, parameter)
+    unknown = [name for name in wanted if name not in allowed]
+    if unknown:
+        known = [name for name in allowed if name is not None]
+        raise ValueError(f"{parameter}={unknown} are not known; choose from {known}")
+    turning = [name for name in wanted if name in loose]
+    if turning:
+        raise ValueError(
+            f"{parameter}={turning} turn with the rotor, but do not stand for three blades: "
+            f"leave them out, or use rotor_system(..., coordinates='rotating')"
+        )
+    return [allowed.index(name) for name in wanted]
