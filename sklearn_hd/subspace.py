@@ -6,8 +6,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_count, check_outputs_given
 from sklearn_hd._guards import one_blas_thread, within_range
-from sklearn_hd._identify import Settings, asked_block_rows, identify, identify_record
-from sklearn_hd._identify.checks import PREDICTOR, check_settings
+from sklearn_hd._identify import Settings, identify, identify_record, most_block_rows
+from sklearn_hd._identify.checks import PREDICTOR, checked
 from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
 from sklearn_hd._identify.partitions import Partitions, is_partitioned
 from sklearn_hd._identify.prediction import predicted_ahead
@@ -182,7 +182,7 @@ class MOESPRegressor(ModelStep):
         settings = self._settings()
         self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
         if is_partitioned(X) or is_partitioned(y):
-            data = Partitions(X, y, lambda basis: asked_block_rows(basis, settings))
+            data = Partitions(X, y, lambda basis: most_block_rows(basis, settings))
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
         experiment = read_for_fit(X, y)
@@ -263,10 +263,8 @@ class MOESPRegressor(ModelStep):
     def _settings(self):
         """The parameters of the method, checked."""
         names = ("order", "block_rows", "weighting", "feedthrough", "disturbance_model", "scale")
-        settings = Settings(**{name: getattr(self, name) for name in (*names, "memory")})
         self._check_warmup()
-        check_settings(settings)
-        return settings
+        return checked(Settings(**{name: getattr(self, name) for name in (*names, "memory")}))
 
     def _store(self, found, basis, X, y):
         self.order_, self.block_rows_, self.x0_ = found.order, found.block_rows, found.x0

@@ -5,9 +5,17 @@ arrays in memory, sums over chunks, dask's partitions) and settings, and gives a
 """
 
 from sklearn_hd._identify import period, plain, sliding
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 
-__all__ = ["Settings", "SubspaceFit", "asked_block_rows", "identify", "identify_record"]
+__all__ = [
+    "Settings",
+    "SubspaceFit",
+    "asked_block_rows",
+    "identify",
+    "identify_record",
+    "most_block_rows",
+]
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period}
 
@@ -19,10 +27,20 @@ def identify_record(experiment, settings):
 
 
 def identify(data, settings):
-    """Identify a model from data that are not in memory: sums over chunks, or partitions."""
+    """Identify a model from data that are not in memory: sums over chunks, or partitions.
+
+    Period by period the raw periods are simulated, too: that reading takes records in memory.
+    """
     return MODULES[data.facts.basis.reading].identify(data, settings)
 
 
 def asked_block_rows(basis, settings):
     """Block rows given, or the default of a reading."""
     return MODULES[basis.reading].asked_block_rows(basis, settings)
+
+
+def most_block_rows(basis, settings):
+    """The most block rows that sums over data should be made for, before they are seen."""
+    asked = asked_block_rows(basis, settings)  # which says what a reading refuses
+    chosen = settings.predictor and settings.block_rows is None
+    return MOST_PREDICTOR_ROWS if chosen else asked

@@ -1,5 +1,7 @@
 """What block rows, order and weighting the data allow."""
 
+from dataclasses import replace
+
 from sklearn_hd._checks import check_choice, check_count, check_flag
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._warn import warn
@@ -14,7 +16,7 @@ __all__ = [
     "PREDICTOR",
     "allowed_block_rows",
     "check_rank_bound",
-    "check_settings",
+    "checked",
     "fewer_block_rows",
     "rows_of_predictor",
 ]
@@ -27,19 +29,18 @@ ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)
 
 
-def check_settings(settings):
-    """Raise ValueError for a parameter of the subspace method that is not understood."""
+def checked(settings):
+    """The settings, flags as bool; ValueError for one that is not understood."""
     if not isinstance(settings.order, str):
         check_count("order", settings.order, 1, "'auto' chooses it")
     elif settings.order != "auto":
         raise ValueError(f"order={settings.order!r} is not known; give a whole number or 'auto'")
     KeptSums(settings.memory)
     check_choice("weighting", settings.weighting, WEIGHTINGS)
-    check_flag("disturbance_model", settings.disturbance_model)
     if settings.block_rows is not None:
         check_count("block_rows", settings.block_rows, 2, "None chooses them")
-    check_flag("scale", settings.scale)
-    check_flag("feedthrough", settings.feedthrough)
+    flags = ("disturbance_model", "scale", "feedthrough")
+    return replace(settings, **{name: check_flag(name, getattr(settings, name)) for name in flags})
 
 
 def check_rank_bound(order, block_rows, n_outputs):
@@ -112,7 +113,7 @@ def warn_excitation(excited, block_rows, n_moving, span):
         )
 
 
-def rows_of_predictor(data, first, size, settings, *, lifted=False):
+def rows_of_predictor(data, first, size, settings):
     """Block rows after which the predictor has forgotten its state, and the order fits in.
 
     Beyond the directions that the inputs excite there are many predictors, whose states are no
@@ -125,14 +126,13 @@ def rows_of_predictor(data, first, size, settings, *, lifted=False):
         Block rows of the shortest predictor tried.
     size : ndarray, shape (n_inputs + n_outputs,)
     settings : Settings
-    lifted : bool
-        Whether a row is a period: inputs act at once, and their directions are all excited.
 
     Returns
     -------
     block_rows : int
     """
     n_inputs, n_outputs, lengths = data.n_inputs, data.n_outputs, data.lengths
+    lifted = data.facts.basis.reading == "period"  # inputs act at once, all directions excited
     most = first
     longest = min(MOST_PREDICTOR_ROWS, data.most_block_rows)
     while most < longest and n_hankel_columns(lengths, most + 1) >= (

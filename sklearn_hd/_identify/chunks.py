@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE
-from sklearn_hd._identify import asked_block_rows, identify
-from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, check_rank_bound, fewer_block_rows
+from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
+from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
@@ -299,9 +299,7 @@ def with_chunk(stream, experiment, X, settings):
     ValueError
         If the chunk does not follow on the others, or more block rows are asked for.
     """
-    asked = asked_block_rows(experiment.basis, settings)
-    if settings.predictor and settings.block_rows is None:
-        asked = MOST_PREDICTOR_ROWS  # some of which are chosen once more data are there
+    asked = most_block_rows(experiment.basis, settings)
     check_rank_bound(settings.order, asked, len(experiment.basis.output_labels))
     if stream is None:
         stream = Stream.begin(experiment, asked, _first_date(X))

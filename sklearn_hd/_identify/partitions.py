@@ -46,7 +46,7 @@ class Partitions:
     ----------
     X, y : dask DataFrame (or Series)
     block_rows : callable
-        ``block_rows(basis)`` are those that are probably asked for.
+        ``block_rows(basis)`` are the most that are probably asked for.
 
     Raises
     ------
@@ -106,10 +106,27 @@ class Partitions:
         """A row of X and one of y."""
         return self.found.head
 
-    def __getattr__(self, name):
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.summed, name)
+    facts = property(lambda self: self.summed.facts)
+    lengths = property(lambda self: self.summed.lengths)
+    n_inputs = property(lambda self: self.summed.n_inputs)
+    n_outputs = property(lambda self: self.summed.n_outputs)
+    raw = property(lambda self: self.summed.raw)
+
+    def scales(self, scale):
+        """What channels, and drive and outputs, are divided by."""
+        return self.summed.scales(scale)
+
+    def projection(self, make, scale, *choices):
+        """What ``make`` makes of the factor."""
+        return make()
+
+    def input_matrices(self, A, C, feedthrough, scales):
+        """B, D and the initial states."""
+        return self.summed.input_matrices(A, C, feedthrough, scales)
+
+    def initial_states(self, A, B, C, D, K, covariance, scales):
+        """Those that leave the least innovations."""
+        return self.summed.initial_states(A, B, C, D, K, covariance, scales)
 
     def factor(self, block_rows, scale):
         """R factor of the block Hankel matrices, as ``hankel_factor`` gives."""

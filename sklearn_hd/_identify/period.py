@@ -57,12 +57,12 @@ def identify(data, settings, experiment):
     check_motion(data.facts)
     size, scales = data.scales(settings.scale)
     if settings.predictor and settings.block_rows is None:
-        i = rows_of_predictor(data, i, size, settings, lifted=True)
+        i = rows_of_predictor(data, i, size, settings)
 
     def choose(found, bound):
         return _order(found, bound, experiment, data, settings)
 
-    decomposition = decompose(data, i, size, settings, lifted=True, choose=choose)
+    decomposition = decompose(data, i, size, settings, choose)
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
     if settings.predictor:
         matrices = _driven_by_means(matrices, data, scales[0])

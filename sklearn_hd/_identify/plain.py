@@ -59,7 +59,7 @@ def identify(data, settings, experiment=None):
 
 def _block_rows(data, settings):
     """Block rows given, or as many as the record allows; a record of few rows has a gain alone."""
-    asked = min(asked_block_rows(None, settings), data.most_block_rows)
+    asked = min(asked_block_rows(data.facts.basis, settings), data.most_block_rows)
     if settings.chooses and sum(data.lengths) > 1:
         return fewer_block_rows(asked, 2, data.lengths, data.n_inputs + data.n_outputs)
     return allowed_block_rows(settings, data, asked)
@@ -70,7 +70,7 @@ def static_gain(facts, experiment, settings, block_rows):
     if experiment is None:
         raise ValueError(
             f"the {facts.span()} are too few to identify dynamics from {len(facts.drive_names)} "
-            f"input(s); give frames in memory, from which a static gain is fitted"
+            f"input(s); fit all rows at once, in memory, for a static gain"
         )
     inputs, outputs = experiment.drive, experiment.outputs
     n_outputs = outputs[0].shape[1]

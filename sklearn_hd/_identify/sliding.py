@@ -53,8 +53,8 @@ def identify(data, settings, experiment=None):
     """
     basis = data.facts.basis
     asked, least = asked_block_rows(basis, settings), basis.window_rows + 2
-    i = allowed_block_rows(settings, data, asked, least=least)
     _check_rows_per_period(basis)
+    i = allowed_block_rows(settings, data, asked, least=least)
     check_motion(data.facts)
     size, scales = data.scales(settings.scale)
     decomposition = decompose(data, i, size, settings)

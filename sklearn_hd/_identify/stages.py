@@ -97,7 +97,7 @@ class Decomposition:
     noise_floor: float
 
 
-def decompose(data, block_rows, size, settings, *, lifted=False, choose=None):
+def decompose(data, block_rows, size, settings, choose=None):
     """Project the future outputs and choose the order.
 
     Parameters
@@ -107,9 +107,6 @@ def decompose(data, block_rows, size, settings, *, lifted=False, choose=None):
     size : ndarray, shape (n_inputs + n_outputs,)
         What the channels are divided by.
     settings : Settings
-    lifted : bool
-        Whether a row is a period. A step in mid-period moves in a direction that occurs but
-        once, and what cannot be told apart is projected out as a whole.
     choose : callable, optional
         ``choose(found, bound)`` gives the order; the gap of the singular values by default.
 
@@ -118,6 +115,8 @@ def decompose(data, block_rows, size, settings, *, lifted=False, choose=None):
     decomposition : Decomposition
     """
     columns, m = n_hankel_columns(data.lengths, block_rows), data.n_inputs
+    # a step in mid-period moves in a direction that occurs but once: projected out as a whole
+    lifted = data.facts.basis.reading == "period"
     counted = data.raw and not lifted
     feedthrough = settings.feedthrough or lifted
 

@@ -64,11 +64,6 @@ def match_affine(model, experiment, structure, settings):
     if isinstance(structure, HarmonicStructure):
         return _match_decomposition(model, experiment, structure, settings)
     _check_channels(structure, model)
-    if structure.n_parameters == 0:
-        raise ValueError(
-            f"the structure has no free parameter, so there is nothing to match: let entries be "
-            f"NaN or names, or free some of those fixed, {list(structure.fixed)}"
-        )
     bounds = structure.lower, structure.upper
     found = _matched(model, structure.affine, settings, structure.initial, bounds)
     matrices = found.A, found.B, found.C, found.D
@@ -82,6 +77,11 @@ def match_affine(model, experiment, structure, settings):
 
 def _matched(model, affine, settings, initial=None, bounds=None):
     """The MatchResult of an affine structure, channels scaled alike beside their weights."""
+    if affine.n_parameters == 0:
+        raise ValueError(
+            "the structure has no free parameter, so there is nothing to match: let entries be "
+            "NaN or names, or free some of those fixed"
+        )
     outputs = read_weights("output_weights", settings.output_weights, model.output_names)
     inputs = read_weights("input_weights", settings.input_weights, model.input_names)
     poles = np.linalg.eigvals(model.A)
@@ -156,8 +156,8 @@ def read_weights(name, given, channels):
     channels = list(channels)
     allowed = "a positive number, one for each channel, or a dict of them by channel"
     if given is None or _is_number(given):
-        given = [1.0 if given is None else given] * len(channels)
-    if isinstance(given, Mapping | pd.Series):
+        by_channel = dict.fromkeys(channels, 1.0 if given is None else given)
+    elif isinstance(given, Mapping | pd.Series):
         by_channel = dict(given)
     elif isinstance(given, list | tuple | np.ndarray) and len(given) == len(channels):
         by_channel = dict(zip(channels, given, strict=True))
