@@ -6,8 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd._match.free_response import MAX_GROWTH, GrowthError
-from sklearn_hd._match.periodic_model import PeriodicModel
+from sklearn_hd._match.match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.combined_periods import (
@@ -23,12 +22,15 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 
-__all__ = ["InputProblem", "Realization"]
-
+MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 ROUNDING = 1e-28
 RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
+
+
+class GrowthError(ValueError):
+    """A model that grows more over a record than numbers can hold."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,23 +11,21 @@ from scipy import sparse
 
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.structures._cells import (
+from sklearn_hd.structures._structure import (
     FREE,
+    Structure,
+    Table,
     axis_names,
+    check_known,
     check_places,
+    describe,
     fill_all,
     matrix_shape,
     name_places,
     parameter_names,
     read_cells,
-    read_names,
-)
-from sklearn_hd.structures._structure import (
-    Structure,
-    Table,
-    check_known,
-    describe,
     read_fixed,
+    read_names,
 )
 
 MOST_HARMONICS = 10_000  # no record tells more apart

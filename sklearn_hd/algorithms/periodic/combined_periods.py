@@ -20,8 +20,6 @@ from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
 
-__all__ = ["CombinedPeriods", "NestedLeastSquares", "combined_periods"]
-
 
 @dataclass(frozen=True, eq=False)
 class CombinedPeriods:

@@ -15,19 +15,6 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
-__all__ = [
-    "LARGEST_RESPONSE",
-    "SEPARATION",
-    "characteristic",
-    "compact",
-    "invariant_blocks",
-    "mode_responses",
-    "mode_steps",
-    "orthonormal_range",
-    "refine_multipliers",
-    "with_characteristic",
-]
-
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1

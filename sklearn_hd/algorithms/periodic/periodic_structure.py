@@ -23,12 +23,9 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.periodic.floquet import state_units
-from sklearn_hd.algorithms.periodic.gauss_rules import N_STAGES, gauss_tableau
+from sklearn_hd.algorithms.periodic.floquet import N_STAGES, gauss_tableau, state_units
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-
-__all__ = ["PeriodicStructure", "SampledResponse", "held_pushes", "sampled_response"]
 
 LONGEST_STEP = 1.0  # |F| h and K ω h of one collocation step; at 1 it errs by 1e-15
 MAX_SUBSTEPS = 256  # within one sample; whatever moves faster was not seen by the samples
