@@ -16,8 +16,9 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sklearn_hd"
-TOOLS = {"exceptions", "_arithmetic", "_checks", "_containers", "_threads", "_time", "_warn"}
-STEPS = {"harmonics", "subspace", "reduction", "matching"}
+TOOLS = {"exceptions", "_checks", "_guards", "_tables", "_warn"}
+STEPS = ("harmonics", "subspace", "reduction", "matching")
+SIDE_BY_SIDE = (*STEPS, "_model_step", "_identify", "_reduce", "_match")  # others by name
 
 
 def layers():
@@ -32,7 +33,7 @@ def layers():
         elif names & TOOLS:
             rows.append(["tools"])
         elif names != {"__init__"}:
-            rows.append(sorted(names))
+            rows.append(sorted(names, key=lambda name: (*SIDE_BY_SIDE, name).index(name)))
     return rows
 
 

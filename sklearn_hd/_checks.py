@@ -7,7 +7,7 @@ import reprlib
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._arithmetic import square_sums
+from sklearn_hd._guards import square_sums
 
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
 MOST_SAMPLES = 1e7  # in a period

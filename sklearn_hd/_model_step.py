@@ -7,15 +7,14 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import extremes, within_range
 from sklearn_hd._checks import (
     check_output_names,
     check_outputs_given,
     check_positive,
     signal_names,
 )
-from sklearn_hd._containers import as_container, without_inputs
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._guards import extremes, one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
@@ -27,8 +26,7 @@ from sklearn_hd._records.data import (
 )
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states
-from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._time import STEP_TOLERANCE
+from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError

@@ -9,7 +9,6 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import (
     PERIOD_TOLERANCE,
     RAISE,
@@ -22,8 +21,8 @@ from sklearn_hd._checks import (
     check_span,
     whole_period,
 )
-from sklearn_hd._containers import check_has_signals
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._guards import within_range
 from sklearn_hd._readings import READINGS, Timing, coefficient_names
 from sklearn_hd._records.data import (
     check_features,
@@ -36,7 +35,7 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._time import why_short
+from sklearn_hd._tables import check_has_signals, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning

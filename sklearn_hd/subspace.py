@@ -4,9 +4,8 @@ import numpy as np
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import check_count, check_outputs_given
-from sklearn_hd._containers import without_inputs
+from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._identify import Settings, asked_block_rows, identify, identify_record
 from sklearn_hd._identify.checks import PREDICTOR, check_settings
 from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
@@ -15,7 +14,7 @@ from sklearn_hd._identify.prediction import predicted_ahead
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import check_features
-from sklearn_hd._threads import one_blas_thread
+from sklearn_hd._tables import without_inputs
 
 __all__ = ["MOESPRegressor"]
 

@@ -211,6 +211,7 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     assert set(trusted) <= {
         "sklearn_hd._readings.sliding.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
+        "sklearn_hd._match.match.Match",
         "sklearn_hd._readings.basis.Timing",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
@@ -240,6 +241,9 @@ def test_skops_keeps_a_structure(tmp_path, short):
     assert set(trusted) == {
         "sklearn_hd._readings.sliding.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
+        "sklearn_hd._match.match.Match",
+        "sklearn_hd.algorithms.matching.matching.MatchResult",
+        "sklearn_hd.algorithms.matching.smooth_peak.Certificate",
         "sklearn_hd._readings.basis.Timing",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.structures._matrix.MatrixStructure",

@@ -9,15 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {
-        "exceptions",
-        "_arithmetic",
-        "_checks",
-        "_containers",
-        "_threads",
-        "_time",
-        "_warn",
-    },
+    {"exceptions", "_checks", "_guards", "_tables", "_warn"},
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},

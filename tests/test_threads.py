@@ -3,7 +3,7 @@
 import pytest
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from sklearn_hd._threads import VARIABLES, one_blas_thread
+from sklearn_hd._guards import VARIABLES, one_blas_thread
 
 
 def blas_threads():

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._time import read_time, why_short
+from sklearn_hd._tables import read_time, why_short
 from sklearn_hd.exceptions import JitterWarning
 
 DT = 2 * np.pi / (2 * np.pi * 26.3) / 64  # 64 samples a wingbeat of the hawkmoth

@@ -22,7 +22,7 @@ from sklearn_hd._identify.modulation import (
 from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd._time import STEP_TOLERANCE
+from sklearn_hd._tables import STEP_TOLERANCE
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST
+from sklearn_hd._guards import one_blas_thread
 from sklearn_hd._identify.modulation import (
     largest_changes,
     modulated,
@@ -23,8 +24,7 @@ from sklearn_hd._identify.modulation import (
 from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, first_difference
 from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
-from sklearn_hd._threads import one_blas_thread
-from sklearn_hd._time import STEP_TOLERANCE, read_time
+from sklearn_hd._tables import STEP_TOLERANCE, read_time
 
 __all__ = ["Partitions", "is_partitioned"]
 

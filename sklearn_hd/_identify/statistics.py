@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd._arithmetic import extremes, square_sums
 from sklearn_hd._checks import COMMON
 from sklearn_hd._fit_checks import DUST
+from sklearn_hd._guards import extremes, square_sums
 from sklearn_hd._identify.products_cache import KeptSums
-from sklearn_hd._time import why_short
+from sklearn_hd._tables import why_short
 from sklearn_hd.algorithms.subspace.hankel import factor_of_products
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.algorithms.subspace.sums import (

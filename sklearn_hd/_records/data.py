@@ -16,11 +16,10 @@ from sklearn_hd._checks import (
     check_wrap,
     signal_names,
 )
-from sklearn_hd._containers import as_container, to_float, without_inputs
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
 from sklearn_hd._records.sampling import Sampling, lay_grid
-from sklearn_hd._time import TimeBase, read_time
+from sklearn_hd._tables import TimeBase, as_container, read_time, to_float, without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.lifting import lift
 from sklearn_hd.algorithms.signals.resampling import bridge, unwrap

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import RAISE
-from sklearn_hd._time import TimeBase, even
+from sklearn_hd._tables import TimeBase, even
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,

@@ -4,9 +4,8 @@ import numpy as np
 from sklearn.model_selection import BaseCrossValidator
 
 from sklearn_hd._checks import PERIOD_TOLERANCE, check_count, check_phase, check_span
-from sklearn_hd._containers import as_container
 from sklearn_hd._records.data import read_azimuth
-from sklearn_hd._time import read_time
+from sklearn_hd._tables import as_container, read_time
 from sklearn_hd.algorithms.signals.resampling import unwrap
 
 ROUNDING = 1e-6  # of a period

@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import FIRST, check_span
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._time import read_time
+from sklearn_hd._tables import read_time
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.systems import LTPSystem
 

@@ -5,7 +5,7 @@ import pandas as pd
 
 from sklearn_hd._checks import FIRST
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd._time import read_time
+from sklearn_hd._tables import read_time
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (
     BLACK,

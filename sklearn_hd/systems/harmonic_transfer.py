@@ -10,7 +10,6 @@ import pandas as pd
 from scipy.signal import get_window
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import (
     check_count,
     check_finite,
@@ -23,8 +22,8 @@ from sklearn_hd._checks import (
     check_time_origin,
     signal_names,
 )
-from sklearn_hd._containers import as_container, to_float
-from sklearn_hd._time import read_time
+from sklearn_hd._guards import within_range
+from sklearn_hd._tables import as_container, read_time, to_float
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (

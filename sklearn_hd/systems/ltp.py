@@ -5,8 +5,8 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from sklearn_hd._arithmetic import within_range
 from sklearn_hd._checks import check_count, check_flag, check_numbers, check_positive
+from sklearn_hd._guards import within_range
 from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
 from sklearn_hd.algorithms.periodic.floquet import floquet_exponents

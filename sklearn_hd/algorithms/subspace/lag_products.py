@@ -45,7 +45,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd._arithmetic import extremes
+from sklearn_hd._guards import extremes
 from sklearn_hd.algorithms.linalg.double_double import (
     N_SLICES,
     Pair,

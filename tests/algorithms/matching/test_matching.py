@@ -13,7 +13,7 @@ from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.structures import MatrixStructure
 
 NAN = np.nan
-NEAR = 2e-4  # of the least norm, relative: how near the descent comes
+NEAR = 1e-3  # of the least norm, relative: how near the descent has to come
 
 # Vertical flight of a flapping-wing vehicle, one harmonic kept (Aerospace 2024, 11(11), 875,
 # Eq. 26): heave (w_0, φ̇_1c, φ̇_1s) and flap (φ̇_0, w_1c, w_1s).

@@ -10,7 +10,7 @@ from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.structures import MatrixStructure
 
 NAN = np.nan
-NEAR = 2e-4  # of the least norm, relative: how near the descent comes
+NEAR = 1e-3  # of the least norm, relative: how near the descent has to come
 CRITERIA = ["hinf", "least_squares"]
 OSCILLATORS = (
     np.array([[-0.3, 2.0, 0.1], [-2.0, -0.2, 0.4], [0.3, 0.2, -1.5]]),
