@@ -19,18 +19,20 @@ from sklearn_hd._match.match import periodic_match
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
-from sklearn_hd.algorithms.periodic.multipliers import refine_multipliers
+from sklearn_hd.algorithms.periodic.multipliers import (
+    leaves_white_noise,
+    refine_multipliers,
+    told_apart,
+    without_noise,
+)
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
     equation_error,
     fit_shapes,
     floquet_logarithm,
-    leaves_white_noise,
     response_to_states,
     shapes_determine_state,
     state_response,
-    told_apart,
-    without_noise,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.algorithms.signals.lifting import input_directions
