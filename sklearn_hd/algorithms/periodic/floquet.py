@@ -160,7 +160,7 @@ def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
     """Transition matrix over one period, from azimuth ``start`` (radians)."""
     psi = start + np.linspace(0.0, 2.0 * np.pi, 33)
     Phi, _ = transition_matrices(F, None, psi, omega, tolerance=tolerance)
-    return _product(Phi)
+    return product_of(Phi)
 
 
 def monodromy_exponents(monodromy, omega):
@@ -232,7 +232,7 @@ def propagate_periodic(Phi, forcing, x0):
     v = np.pad(forcing, padding).reshape(*batch, n_periods, p, n)
     starts = np.broadcast_to(x0, (*batch, n))[..., None, :]
     if n_periods > 1:
-        starts = propagate(_product(Phi), _from_rest(Phi, v), starts[..., 0, :])
+        starts = propagate(product_of(Phi), _from_rest(Phi, v), starts[..., 0, :])
     states, x = np.empty_like(v), starts
     for k in range(p):
         states[..., k, :] = x
@@ -248,23 +248,37 @@ def _collocation_step(F, G, left, right, omega, units):
 
     Stages K_i = F_i (x + h Σ_j a_ij K_j) + G_i u; step h Σ_i b_i K_i.
     """
-    c, a, b = gauss_tableau(N_STAGES)
-    width = right - left
+    c, width = gauss_tableau(N_STAGES)[0], right - left
     nodes = (left[:, None] + width[:, None] * c).ravel()
     Fs = F(nodes)
     n = Fs.shape[-1]
     Gs = np.empty((len(nodes), n, 0)) if G is None else G(nodes)
     Fs, Gs = (M.reshape(len(left), len(c), n, -1) for M in (Fs, Gs))
-    Fs, Gs = Fs * (units / units[:, None]), Gs / units[:, None]
-    h = width[:, None, None] / omega
-    coupling = Fs[:, :, :, None, :] * a[None, :, None, :, None]
-    size = len(c) * n
-    system = np.eye(size) - h * coupling.reshape(-1, size, size)
-    slopes = np.concatenate([Fs, Gs], axis=-1)
-    stages = np.linalg.solve(system, slopes.reshape(len(left), size, -1)).reshape(slopes.shape)
-    step = h * np.einsum("s,ksij->kij", b, stages)
-    step[:, :, :n] += np.eye(n)
-    return step
+    values = np.concatenate([Fs * (units / units[:, None]), Gs / units[:, None]], axis=-1)
+    return collocation(width[:, None, None, None] / omega * values, adjoint=False)[2][:, :n]
+
+
+def collocation(values, *, adjoint):
+    """Adjoints L_q, stage states Z_q = [X_q; u] and steps [Φ Γ; 0 I] of collocation steps.
+
+    Stages K_q = h [F_q G_q] Z_q, X_q = x + Σ_r a_qr K_r; step x + Σ_q b_q K_q. A push of K_q
+    ends up as L_q times it. ``values`` holds h [F G] at the nodes, (..., n_stages, n, n + m).
+    """
+    _, a, b = gauss_tableau(N_STAGES)
+    *batch, Q, n, columns = values.shape
+    coupling = values[..., :, :, None, :n] * a[:, None, :, None]
+    system = np.eye(Q * n) - coupling.reshape(*batch, Q * n, Q * n)
+    K = np.linalg.solve(system, values.reshape(*batch, Q * n, columns))
+    K = K.reshape(*batch, Q, n, columns)
+    steps = np.zeros((*batch, columns, columns)) + np.eye(columns)
+    steps[..., :n, :] += np.einsum("q,...qij->...ij", b, K)
+    if not adjoint:
+        return None, None, steps
+    stages = np.zeros((*batch, Q, columns, columns)) + np.eye(columns)
+    stages[..., :n, :] += np.einsum("qr,...rij->...qij", a, K)
+    weights = np.broadcast_to(np.kron(b[:, None], np.eye(n)), (*batch, Q * n, n))
+    left = np.linalg.solve(np.swapaxes(system, -1, -2), weights)
+    return np.swapaxes(left.reshape(*batch, Q, n, n), -1, -2), stages, steps
 
 
 def _compose(second, first):
@@ -296,7 +310,7 @@ def state_units(F):
 # ---- periodic recursion -------------------------------------------------------------------
 
 
-def _product(Phi):
+def product_of(Phi):
     """Φ[p−1] … Φ[1] Φ[0]."""
     product = np.eye(Phi.shape[1])
     for factor in Phi:
