@@ -148,17 +148,12 @@ def _from_equation_error(model, experiment, structure, scale):
         return None
     rows = [names.index(name) for name in states]
     spp = basis.samples_per_period
-    inputs = lifted_periods(experiment, experiment.inputs)
-    outputs = lifted_periods(experiment, experiment.outputs, scale)
-    directions, _, _ = input_directions(
-        inputs, most_directions(sum(map(len, outputs)), model.n_states)
-    )
-    clean = without_noise(model.A, directions, [y.reshape(len(y), -1) for y in outputs])
-    instruments = [each.reshape(-1, len(names))[:, rows] for each in clean]
-    segments = [
-        (y.reshape(-1, len(names))[:, rows], u.reshape(len(y) * spp, -1), 0)
-        for y, u in zip(outputs, inputs, strict=True)
-    ]
+    inputs, lifted, directions = _raw_periods(experiment, model.n_states, scale)
+    segments, instruments = [], []
+    for u, y, clean in zip(inputs, lifted, without_noise(model.A, directions, lifted), strict=True):
+        measured, shown = (each.reshape(-1, len(names))[:, rows] for each in (y, clean))
+        segments.append((measured, u.reshape(-1, u.shape[2]), 0))
+        instruments.append(shown)
     count = min(EQUATION_HARMONICS, (spp - 1) // 2)
     F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
@@ -305,15 +300,10 @@ def output_shapes(model, experiment, scale, states=None):
     """
     basis = experiment.basis
     spp, period = basis.samples_per_period, 2.0 * np.pi / basis.omega
-    inputs = lifted_periods(experiment, experiment.inputs)
-    lifted = [y.reshape(len(y), -1) for y in lifted_periods(experiment, experiment.outputs, scale)]
-    directions, _, _ = input_directions(
-        inputs, most_directions(sum(map(len, lifted)), model.n_states)
-    )
-    _, seen = rows_read(experiment)
+    inputs, lifted, directions = _raw_periods(experiment, model.n_states, scale)
     if states is None:
-        unit = _sizes(np.vstack(seen))
-        C, seen = model.C / unit[:, None], [Y / unit for Y in seen]
+        seen, unit = _seen(experiment)
+        C = model.C / unit[:, None]
         Phi, response, n_rows = _simulated(model.A, C, inputs, directions, lifted, seen)
     else:
         directions = beside_trim(directions, basis)
@@ -323,15 +313,8 @@ def output_shapes(model, experiment, scale, states=None):
     R, to_original, flips = floquet_logarithm(Phi, period)
     back = linalg.inv(to_original)
     sights = sights.reshape(spp, -1, model.n_states) @ to_original
-    return fit_shapes(
-        sights,
-        back @ information @ back.T,
-        residual.reshape(spp, -1),
-        R,
-        flips,
-        period,
-        n_rows,
-    )
+    information, residual = back @ information @ back.T, residual.reshape(spp, -1)
+    return fit_shapes(sights, information, residual, R, flips, period, n_rows)
 
 
 def predictor_states(model, experiment):
@@ -344,13 +327,9 @@ def predictor_states(model, experiment):
     -------
     states : list of ndarray, shapes (n_periods_s, n)
     """
-    inputs = lifted_periods(experiment, experiment.inputs)
-    directions, _, _ = input_directions(
-        inputs, most_directions(sum(map(len, inputs)), model.n_states)
-    )
-    _, seen = rows_read(experiment)
-    unit = _sizes(np.vstack(seen))
-    C, K, seen = model.C / unit[:, None], model.kalman_gain * unit, [Y / unit for Y in seen]
+    _, _, directions = _raw_periods(experiment, model.n_states)
+    seen, unit = _seen(experiment)
+    C, K = model.C / unit[:, None], model.kalman_gain * unit
     return predicted_states(model.A, C, K, beside_trim(directions, experiment.basis), seen)
 
 
@@ -402,14 +381,22 @@ def free_decays(inputs):
     return [(s, rows) for s, rows in tails if len(inputs[s][rows])]
 
 
-def most_directions(n_periods, n_states):
-    """Directions of the inputs that some periods can tell from the states."""
-    return max(1, n_periods // 2 - n_states)
+def _raw_periods(experiment, n_states, scale=1.0):
+    """Inputs and outputs of each period, (n_periods_s, n_phases, m) and (n_periods_s, q), and
+    as many directions of the inputs as the record can tell from some states."""
+    inputs = lifted_periods(experiment, experiment.inputs)
+    lifted = lifted_periods(experiment, experiment.outputs, scale)
+    most = max(1, sum(map(len, lifted)) // 2 - n_states)
+    lifted = [y.reshape(len(y), -1) for y in lifted]
+    return inputs, lifted, input_directions(inputs, most)[0]
 
 
-def _sizes(columns):
-    sizes = np.sqrt(np.mean(columns**2, axis=0))
-    return np.where(sizes > 0.0, sizes, 1.0)
+def _seen(experiment):
+    """What the model was identified from, one row a period, in parts of its size, and that."""
+    _, seen = rows_read(experiment)
+    unit = np.sqrt(np.mean(np.vstack(seen) ** 2, axis=0))
+    unit = np.where(unit > 0.0, unit, 1.0)
+    return [Y / unit for Y in seen], unit
 
 
 def warn_realized(found):

@@ -65,10 +65,10 @@ def state_response(Phi, C, directions, lifted, seen):
     residual : ndarray, shape (q,)
         Sum of squares left of each sample of the period.
     """
-    project = _off(directions)
-    units, outputs = _unit_responses(Phi, directions), project(np.vstack(lifted))
-    units = np.stack([project(unit) for unit in units], axis=1)  # (n_periods, n_unknown, n)
-    target, sees, before = project(np.vstack(seen)), C, np.inf
+    units = _unit_responses(Phi, directions)  # (n_periods, n_unknown, n)
+    outputs, target = _off(directions, lifted), _off(directions, seen)
+    units = _off(directions, [units.reshape(len(outputs), -1)]).reshape(units.shape)
+    sees, before = C, np.inf
     few = compact(outputs)
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
@@ -80,7 +80,7 @@ def state_response(Phi, C, directions, lifted, seen):
         if left >= (1.0 - 1e-6) * before or left <= EXACT**2 * np.sum(few**2):
             break
         target, before = few, left
-    return _seen_of(states, outputs)
+    return response_to_states([states], directions, [outputs])
 
 
 def response_to_states(states, directions, lifted):
@@ -98,34 +98,29 @@ def response_to_states(states, directions, lifted):
     sights, information, residual
         As of :func:`state_response`.
     """
-    project = _off(directions)
-    return _seen_of(project(np.vstack(states)), project(np.vstack(lifted)))
-
-
-def _off(directions):
-    """Projection of stacked periods off the inputs."""
-    W = np.vstack(directions)
-    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
-    return lambda block: block - Q @ (Q.T @ block)
-
-
-def _seen_of(states, outputs):
+    states, outputs = _off(directions, states), _off(directions, lifted)
     sights = linalg.lstsq(states, outputs)[0].T
     return sights, states.T @ states, np.sum((outputs - states @ sights.T) ** 2, axis=0)
+
+
+def _off(directions, blocks):
+    """Stacked periods less what inputs explain."""
+    W, stacked = np.vstack(directions), np.vstack(blocks)
+    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
+    return stacked - Q @ (Q.T @ stacked)
 
 
 def _unit_responses(Phi, directions):
     """States for each entry of B, row by row, and of every initial state, all periods stacked."""
     n, r = len(Phi), directions[0].shape[1]
-    lengths = [len(w) for w in directions]
     units = []
     for s, w in enumerate(directions):
         forcing = np.einsum("ab,kq->aqkb", np.eye(n), w).reshape(n * r, len(w), n)
         forced = propagate(Phi, forcing, np.zeros((n * r, n)))
         free = np.zeros((len(directions), n, len(w), n))
-        free[s] = propagate(Phi, np.zeros((n, lengths[s], n)), np.eye(n))
-        units.append(np.concatenate([forced, free.reshape(-1, len(w), n)]))
-    return np.concatenate(units, axis=1)
+        free[s] = propagate(Phi, np.zeros((n, len(w), n)), np.eye(n))
+        units.append(np.concatenate([forced, free.reshape(-1, len(w), n)]).swapaxes(0, 1))
+    return np.concatenate(units)
 
 
 # ---- Floquet form ----------------------------------------------------------------------------
