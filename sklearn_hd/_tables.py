@@ -55,6 +55,18 @@ def check_has_signals(data, what):
         )
 
 
+def check_upright(data, what):
+    """Raise ValueError for an array of more signals than samples: it is one lying on its side."""
+    if not isinstance(data, np.ndarray) or data.ndim != 2:
+        return
+    rows, columns = data.shape
+    if 1 < rows < columns:
+        raise ValueError(
+            f"{what} has {rows} rows and {columns} columns, more signals than samples: it is "
+            f"probably transposed; give one row a sample, {what}.T"
+        )
+
+
 def without_inputs(y):
     """A frame of no columns on the rows of outputs, the inputs of an output-only model."""
     y = as_container(y, "y")

@@ -35,7 +35,7 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._tables import check_has_signals, why_short
+from sklearn_hd._tables import check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -254,6 +254,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         _check_not_analysed(X)
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
+        check_upright(X, "X")
         inputs = read_signals(X, "x", "X", timing)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):

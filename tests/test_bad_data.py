@@ -361,3 +361,14 @@ def test_sparse_columns_of_outputs_are_predicted_dense(u, y):
     sparse = y.astype(pd.SparseDtype(float, 0.0))
     predicted = MOESPRegressor(order=1).fit(u, sparse).predict(u)
     pd.testing.assert_frame_equal(predicted, MOESPRegressor(order=1).fit(u, y).predict(u))
+
+
+def test_arrays_that_lie_on_their_side_are_refused(rng):
+    u, y = rng.standard_normal((2, 3, 200))
+    words = r"has 3 rows and 200 columns, more signals than samples: .* transposed"
+    with pytest.raises(ValueError, match="X " + words):
+        MOESPRegressor().fit(u, y)
+    with pytest.raises(ValueError, match="y " + words):
+        MOESPRegressor().fit(np.zeros((3, 1)), y)
+    with pytest.raises(ValueError, match="X " + words):
+        HarmonicAnalyzer(1.0).fit(u)

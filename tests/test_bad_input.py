@@ -366,8 +366,6 @@ STRUCTURES = {
         },
         r"names its outputs \['a', 'b', 'c'\], the identified model \['w_0', 'v_1c', 'v_1s'\]",
     ),
-    "tolerance": ({"tol": 0}, r"tol must be a positive number in units of the norm, got 0"),
-    "switch": ({"scale": "no"}, r"scale must be True or False, got 'no'"),
     "seed": ({"random_state": "x"}, r"random_state must be a whole number of at least 0, got 'x'"),
     "iterations": ({"max_iter": 0}, r"max_iter must be a whole number of at least 1, got 0"),
 }

@@ -576,3 +576,9 @@ def test_periodic_system_needs_names(wing):
 def test_number_of_harmonics_is_checked(random_ltp, value):
     with pytest.raises(ValueError, match=r"n_harmonics must be a whole number .*; 0 keeps"):
         random_ltp.harmonic_decomposition(value)
+
+
+def test_a_mode_that_does_not_move_a_state_has_no_share_in_it():
+    system = LTPSystem(np.diag([-1.0, -2.0]), [[1.0], [1.0]], [[1.0, 1.0]], omega=1.0)
+    shares = system.modal_participation(1).groupby("state").sum()
+    np.testing.assert_allclose(np.sort(shares.to_numpy(), axis=None), [0.0, 0.0, 1.0, 1.0])

@@ -152,3 +152,16 @@ def test_short_segments_say_what_made_them_so(rng):
     inputs = pd.DataFrame({"u": rng.standard_normal(400)}, index=rows / 16)
     with pytest.raises(ValueError, match=r"too few for block_rows=15: .*shuffled split"):
         MOESPRegressor(order=2, block_rows=15).fit(inputs, target)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.JitterWarning")
+def test_predictions_are_held_beyond_the_first_and_last_sample_of_the_grid(rng):
+    """A spline through a response to white inputs is no guide beyond its ends."""
+    t = 0.1 * np.arange(200) + 0.02 + rng.uniform(-0.01, 0.01, 200)  # the grid begins at 0.1
+    u = rng.standard_normal(200)
+    y = np.convolve(u, 0.5 ** np.arange(20))[:200]
+    X, y = pd.DataFrame({"u": u}, index=t), pd.Series(y, index=t)
+    predicted = MOESPRegressor(order=1, block_rows=5).fit(X, y).predict(X)
+    inside = predicted.iloc[2:-2]
+    assert predicted.iloc[:2].between(inside.min(), inside.max()).all()
+    assert predicted.iloc[-2:].between(inside.min(), inside.max()).all()

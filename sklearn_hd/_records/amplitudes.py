@@ -10,6 +10,7 @@ import numpy as np
 
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._records.sampling import Piece, Sampling
+from sklearn_hd._tables import check_upright
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.amplitudes import (
     extrapolation_weights,
@@ -30,6 +31,8 @@ def read_for_fit(X, y):
     As :func:`~sklearn_hd._records.data.read_experiment`, with records at several
     amplitudes combined where the analyzer was asked to.
     """
+    check_upright(X, "X")
+    check_upright(y, "y")
     experiment = read_experiment(X, y)
     how = experiment.basis.small_signal
     return experiment if how is None else _small_signal(experiment, how)

@@ -73,8 +73,11 @@ class Piece:
         return result
 
     def back(self, values):
-        """Values on the grid, brought to the user's rows."""
-        return values if self.is_grid else interpolate(values, self.grid, self.places)
+        """Values on the grid, brought to the user's rows; held beyond the first and the last."""
+        if self.is_grid:
+            return values
+        within = np.clip(self.places, self.grid[0], self.grid[-1])
+        return interpolate(values, self.grid, within)
 
     def rows_between(self, start, stop):
         """Which of the user's rows of this piece lie from start to before stop on the grid."""

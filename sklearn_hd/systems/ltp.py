@@ -322,7 +322,8 @@ class LTPSystem(NamedSignals):
 
             (|c_ik| + |c_i,−k|) / Σ_k |c_ik|
 
-        sum to one for each state and mode. Each Floquet exponent is represented by the
+        sum to one for each state and mode, or to zero where the mode does not move the state.
+        Each Floquet exponent is represented by the
         eigenvalue of the HD model nearest to it (the paper's base eigenvalues, Fig. 1).
 
         Parameters
@@ -352,7 +353,8 @@ class LTPSystem(NamedSignals):
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
         sizes = _harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
-        shares = sizes / sizes.sum(axis=0)
+        total = sizes.sum(axis=0)  # none where a mode does not move a state
+        shares = np.divide(sizes, total, out=np.zeros_like(sizes), where=total > 0.0)
         index = pd.MultiIndex.from_product(
             [self.state_names, range(N + 1)], names=["state", "harmonic"]
         )
