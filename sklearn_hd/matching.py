@@ -11,10 +11,9 @@ from sklearn_hd._checks import check_choice, check_count, check_fraction, check_
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
-from sklearn_hd._match.likelihood import match_likelihood
+from sklearn_hd._match.likelihood import match_likelihood, warn_closed_loop
+from sklearn_hd._match.match import PeriodicSimulator
 from sklearn_hd._match.periodic import match_periodic
-from sklearn_hd._match.periodic_model import PeriodicSimulator
-from sklearn_hd._match.warned import warn_closed_loop
 from sklearn_hd._model_step import ModelStep, upstream
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure

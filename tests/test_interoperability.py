@@ -317,7 +317,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
         "sklearn_hd._frame.LTIModel",
         "sklearn_hd._readings.basis.Timing",
         "sklearn_hd._match.match.Match",
-        "sklearn_hd._match.periodic_model.PeriodicModel",
+        "sklearn_hd._match.match.PeriodicModel",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.structures._harmonic.HarmonicStructure",

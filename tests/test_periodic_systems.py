@@ -10,16 +10,16 @@ from periodic_cases import record, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
-from sklearn_hd._match.free_response import _unless_it_explains_less
-from sklearn_hd.algorithms.periodic.equation_error import equation_error
+from sklearn_hd._match.periodic import _unless_it_explains_less
 from sklearn_hd.algorithms.periodic.multipliers import (
     characteristic,
     invariant_blocks,
+    order_by_residual,
     orthonormal_range,
     refine_multipliers,
     with_characteristic,
 )
-from sklearn_hd.algorithms.periodic.periodic_realization import order_by_residual
+from sklearn_hd.algorithms.periodic.periodic_realization import equation_error
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import bittanti_colaneri, flapping_blade, mathieu
 

@@ -16,7 +16,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.frozen import FrozenEstimator
 
 from sklearn_hd import MatrixStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd._match.warned import warn_matched
+from sklearn_hd._match.affine import warn_matched
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.exceptions import IdentifiabilityWarning

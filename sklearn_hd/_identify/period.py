@@ -20,7 +20,7 @@ from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspac
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.periodic_realization import order_by_residual
+from sklearn_hd.algorithms.periodic.multipliers import order_by_residual
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.projections import order_by_wide_gap

@@ -11,16 +11,21 @@ from numbers import Real
 
 import numpy as np
 import pandas as pd
+from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._match.match import Match, periodic_match
-from sklearn_hd._match.periodic_model import PeriodicModel
-from sklearn_hd._match.warned import warn_matched
+from sklearn_hd._match.match import Match, PeriodicModel, periodic_match
 from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
+
+POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
+RUNAWAY = 1e4  # speed of a pole, relative to the model's fastest, that is a feedthrough's
+FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,3 +226,49 @@ def _unchanged(model):
     )
     theta = np.concatenate([M.ravel() for M in matrices])
     return Match(model, names, theta, None)
+
+
+def warn_matched(result, criterion, poles, affine):
+    """Of a match in a norm of an affine structure to a model with some poles."""
+    n_found, n_wanted = len(poles), affine.n_states
+    if n_found != n_wanted and result.relative_error > POOR_MATCH:
+        warn(
+            f"the model has {n_found} states, the structure {n_wanted}, and the match leaves a "
+            f"relative error of {result.relative_error:.2g}; the structure may not be that of the "
+            f"system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
+            IdentifiabilityWarning,
+        )
+    if result.feedthrough_floor > FLOOR * result.hinf_error and not result.exact:
+        warn(
+            f"the feedthrough of the model cannot be that of the structure: entries of D that are "
+            f"fixed leave {result.feedthrough_floor / result.hinf_error:.0%} of the error, at "
+            f"infinite frequency, whatever the parameters; free them, or weigh high frequencies "
+            f"less (output_weights)",
+            IdentifiabilityWarning,
+        )
+    fastest = np.abs(poles).max(initial=0.0)
+    speed, halfway = (
+        np.abs(affine.poles(share * result.theta)).max(initial=0.0) for share in (1.0, 0.5)
+    )
+    held_by_parameters = abs(speed - halfway) > 0.01 * speed
+    if speed > RUNAWAY * fastest > 0 and held_by_parameters and not result.exact:
+        warn(
+            f"the match has a pole of {speed:.2g} rad/s, {speed / fastest:.1g} times the fastest "
+            f"of the model: the best one lies at infinity, where that pole is a feedthrough; free "
+            f"entries of D, or give bounds to the parameters that grew",
+            IdentifiabilityWarning,
+        )
+    if result.unidentified:
+        warn(
+            f"these outputs do not determine {', '.join(result.unidentified)} (only some "
+            f"combinations of them): fix some, share a name, or measure more outputs",
+            IdentifiabilityWarning,
+        )
+    if not result.converged:
+        name = "H-infinity" if criterion == "hinf" else "least-squares"
+        warn(
+            f"the {name} match stopped after {result.n_iter} steps at a relative error of "
+            f"{result.relative_error:.3g}, with {result.left:.2g} of it left where "
+            f"{result.tolerance:g} counts as converged; raise max_iter or n_starts",
+            ConvergenceWarning,
+        )

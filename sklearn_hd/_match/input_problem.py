@@ -1,13 +1,11 @@
 """Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd._match.free_response import MAX_GROWTH, GrowthError
-from sklearn_hd._match.periodic_model import PeriodicModel
+from sklearn_hd._match.match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.combined_periods import (
@@ -23,12 +21,15 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 
-__all__ = ["InputProblem", "Realization"]
-
+MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 ROUNDING = 1e-28
 RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
+
+
+class GrowthError(ValueError):
+    """A model that grows more over a record than numbers can hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,7 @@ class InputProblem:
     def __init__(self, structure, states, experiment, free, form, scale, starts=None):
         basis = experiment.basis
         self.structure, self.free, self.form = structure, free, form
+        self.omega = basis.omega
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
         self.experiment, self.scale, self.starts = experiment, scale, starts
         self.n_rows = sum(map(len, experiment.outputs))
@@ -95,14 +97,25 @@ class InputProblem:
         And as they determine: inputs that change at a few phases of the period tell more
         harmonics apart only where the outputs are the states.
         """
-        linear = self._known_states(self._resolved(n_harmonics, self._asked(N_INPUT_HARMONICS[0])))
-        response = self._sampled(linear)
+        asked = self.structure.n_harmonics("G")
+        first = N_INPUT_HARMONICS[0] if asked is None else asked
+        linear = self._known_states(self._resolved(n_harmonics, first))
+        response, n = self._sampled(linear), linear.n_states
         self.parts = self._segments(response) if self.starts is None else self._periods()
-        counts = self._counts()
-        best, worse, fit, further = None, 0, *self._begun(linear, response, counts)
-        for count in counts:
-            if best is not None:
-                fit.extend(next(further))
+        counts = [first] if asked is not None else self._counts()
+        forced, left, free = self._columns(response, response.dPsi[..., n:], response.dOut[..., n:])
+        fit = NestedLeastSquares(left)
+        fit.extend(np.hstack([free, forced]))
+        if len(counts) > 1:
+            theta, spp = np.zeros(linear.n_parameters), len(response.Psi)
+            pushes = held_pushes(linear, theta, self.omega, spp, counts[-1])
+            unit = np.eye(linear.n_inputs)
+        best, worse = None, 0
+        for before, count in zip([None, *counts], counts, strict=False):
+            if before is not None:
+                new = pushes[2 * before + 1 : 2 * count + 1]  # of each state, by each input
+                gains = np.einsum("hpba,jc->hajpbc", new, unit).reshape(-1, spp, n, len(unit))
+                fit.extend(self._columns(response, gains)[0])
             found = self._judged(fit, count)
             if best is not None and np.sum(found.unknown) > np.sum(best.unknown):
                 break
@@ -112,16 +125,9 @@ class InputProblem:
                 break
         return self._realization(best, n_harmonics, counts[0], physical)
 
-    def _asked(self, default):
-        """Harmonics of G that the structure asks for, or a default."""
-        asked = self.structure.n_harmonics("G")
-        return default if asked is None else asked
-
     def _counts(self):
         """Numbers of harmonics of G to be tried."""
         first, *others = N_INPUT_HARMONICS
-        if self._asked(None) is not None:
-            return [self._asked(None)]
         highest = (self.experiment.basis.samples_per_period - 1) // 2
         n, m = len(self.names[0]), len(self.names[1])
         n_rows = sum(np.sum(part.seen) for part in self.parts) * len(self.scale)
@@ -136,7 +142,16 @@ class InputProblem:
         """The response of a structure at all phases, G and Q at zero."""
         spp = self.experiment.basis.samples_per_period
         response = sampled_response(linear, np.zeros(linear.n_parameters), self.omega, spp)
-        self._check_growth(response)
+        n_samples = max(map(len, self.experiment.outputs))
+        if self.starts is not None:  # each period from its own
+            n_samples = self.experiment.basis.samples_per_period
+        growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
+        if not growth <= MAX_GROWTH:
+            raise GrowthError(
+                f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
+                f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
+                f"F, sample more often, or change the order of the model"
+            )
         each = response.Psi, response.Out, response.dPsi, response.dOut
         return SampledResponse(
             *(np.broadcast_to(M, (*M.shape[:-3], spp, *M.shape[-2:])) for M in each)
@@ -214,27 +229,6 @@ class InputProblem:
         names = tuple(np.array(full.parameter_names, dtype=object)[drives])
         return PeriodicStructure(constant, entries[drives], n, names)
 
-    def _begun(self, linear, response, counts):
-        """Least squares by initial states and the parameters of a structure, and an iterator of
-        columns for the harmonics of G that further counts add."""
-        added = response.dPsi[..., linear.n_states :], response.dOut[..., linear.n_states :]
-        forced, left, free = self._columns(response, *added)
-        fit = NestedLeastSquares(left)
-        fit.extend(np.hstack([free, forced]))
-        return fit, self._further_columns(linear, response, counts)
-
-    def _further_columns(self, linear, response, counts):
-        n, m, spp = linear.n_states, linear.n_inputs, len(response.Psi)
-        if len(counts) > 1:
-            rest = np.zeros(linear.n_parameters)
-            pushes = held_pushes(linear, rest, self.omega, spp, counts[-1])
-        for before, count in pairwise(counts):
-            new = pushes[2 * before + 1 : 2 * count + 1].transpose(0, 3, 1, 2)
-            gains = np.zeros((len(new), n, m, spp, n, m))
-            for j in range(m):
-                gains[:, :, j, :, :, j] = new
-            yield self._columns(response, gains.reshape(-1, spp, n, m))[0]
-
     def _columns(self, response, gains, direct=None):
         """Outputs by the parameters, what parameters of zero leave of them, and outputs by the
         initial states, in parts of their scale, (n_rows, …)."""
@@ -286,19 +280,3 @@ class InputProblem:
         names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
         shares = 1.0 - fit.rss / self.total, self._systematic(fit.left) / self.total
         return Realization(model, full, theta, physical, *shares, names)
-
-    def _check_growth(self, response):
-        n_samples = max(map(len, self.experiment.outputs))
-        if self.starts is not None:  # each period from its own
-            n_samples = self.experiment.basis.samples_per_period
-        growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
-        if not growth <= MAX_GROWTH:
-            raise GrowthError(
-                f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
-                f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
-                f"F, sample more often, or change the order of the model"
-            )
-
-    @property
-    def omega(self):
-        return self.experiment.basis.omega

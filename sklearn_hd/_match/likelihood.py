@@ -4,12 +4,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._match.match import Uncertainty, periodic_match
-from sklearn_hd._match.warned import warn_refined
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.output_error import OutputErrorResult, output_error
 from sklearn_hd.algorithms.likelihood.uncertainty import floquet_exponent_std
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
@@ -222,3 +224,31 @@ def _climb(best, name, ahead, fit):
 def _hopeless(at, best):
     """Whether no part of a model class can have a smaller criterion: it fits worse, if anything."""
     return 2.0 * at.result.cost >= best.result.aic
+
+
+def warn_closed_loop():
+    """Of maximum likelihood of a simulation, after a model identified in closed loop."""
+    warn(
+        "criterion='output_error' simulates the record and takes all that is left for noise of the "
+        "sensors; where disturbances move the machine and feedback answers, this is biased, and "
+        "weighting='pbsid' has told that inputs may answer to outputs: use criterion='hinf', "
+        "or ignore this where nothing but sensors is noisy",
+        IdentifiabilityWarning,
+    )
+
+
+def warn_refined(result):
+    """Of a fit by maximum likelihood."""
+    if result.unidentified:
+        warn(
+            f"the record does not determine {', '.join(result.unidentified)} (only some "
+            f"combinations of them): their standard deviation is infinite; fix some, share a name, "
+            f"or use a richer record",
+            IdentifiabilityWarning,
+        )
+    if not result.converged:
+        warn(
+            f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
+            f"lower the sum of squares by {result.relative_decrease:.2g} of itself; raise max_iter",
+            ConvergenceWarning,
+        )

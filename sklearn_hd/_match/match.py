@@ -1,4 +1,4 @@
-"""A structured model with its parameters: what each route of matching returns."""
+"""What each route of matching returns: a structured model with its parameters, periodic or not."""
 
 from dataclasses import dataclass, replace
 
@@ -6,11 +6,205 @@ import numpy as np
 
 from sklearn_hd._checks import check_frequencies
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._match.periodic_model import PeriodicModel
+from sklearn_hd._readings import highest_harmonic
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import MatchResult
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
+from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.systems import LTPSystem
+
+OVERFLOW = 1e150  # squares of anything larger overflow
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicModel:
+    """Linear time-periodic system by its Fourier coefficients, as a value that pickles.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+        Of [F G; P Q](ψ), in the order 0, 1c, 1s, ….
+    omega : float
+        rad/s.
+    state_names, input_names, output_names : tuple of str
+    """
+
+    coefficients: np.ndarray
+    omega: float
+    state_names: tuple
+    input_names: tuple
+    output_names: tuple
+
+    @property
+    def n_states(self):
+        """Number of states."""
+        return len(self.state_names)
+
+    @property
+    def physical(self):
+        """Whether the states are outputs, rather than Floquet coordinates."""
+        return set(self.state_names) <= set(self.output_names)
+
+    def matrices(self):
+        """Fourier coefficients of F, G, P and Q."""
+        M, n = self.coefficients, self.n_states
+        return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
+
+    def highest(self, name):
+        """Highest harmonic of F, G, P or Q that is not zero."""
+        return len(_trimmed(self.matrices()["FGPQ".index(name)])) // 2
+
+    def to_system(self):
+        """The model as an LTPSystem."""
+        F, G, P, Q = (_trimmed(M) for M in self.matrices())
+        return LTPSystem(
+            F,
+            G,
+            P,
+            Q,
+            omega=self.omega,
+            state_names=self.state_names,
+            input_names=self.input_names,
+            output_names=self.output_names,
+        )
+
+    def sampled(self, n_phases):
+        """Transition and output matrices of the samples of one period."""
+        fixed = PeriodicStructure(
+            self.coefficients, np.zeros((0, self.coefficients.size)), self.n_states, ()
+        )
+        return sampled_response(fixed, [], self.omega, n_phases, sensitivities=False)
+
+    def time_invariant(self, basis):
+        """Harmonic decomposition between the coefficients that a basis keeps (Eq. 8).
+
+        Where the outputs are the states, the coefficients kept are the states, too.
+
+        Returns
+        -------
+        A, B, C, D : ndarray
+        state_names : tuple of str
+        """
+        N, states = self._states_kept(basis)
+        labels = [f"{x}_{k}" for k in harmonic_labels(range(N + 1)) for x in self.state_names]
+        stacked = _decompose(self.coefficients, self.omega, basis, N, states)
+        n = len(states)
+        parts = stacked[:n, :n], stacked[:n, n:], stacked[n:, :n], stacked[n:, n:]
+        return parts, tuple(labels[i] for i in states)
+
+    def decomposed_structure(self, structure, basis):
+        """The same with the parameters of a periodic structure, whose model this is.
+
+        Returns
+        -------
+        affine : AffineStructure
+        seen : ndarray of int
+            Parameters that stand in it.
+        """
+        N, states = self._states_kept(basis)
+        shape = structure.constant.shape
+        rates = [
+            _decompose(row.reshape(shape), 0.0, basis, N, states)
+            for row in structure.basis.toarray()
+        ]
+        seen = np.array([k for k, rate in enumerate(rates) if rate.any()], dtype=int)
+        constant = _decompose(structure.constant, self.omega, basis, N, states)
+        stacked = np.array([rates[k] for k in seen]).reshape(len(seen), *constant.shape)
+        names = tuple(structure.parameter_names[k] for k in seen)
+        return AffineStructure(constant, stacked, len(states), names), seen
+
+    def _states_kept(self, basis):
+        """Harmonics of the states, and the places of those kept."""
+        L = highest_harmonic(basis.outputs)
+        if self.state_names == self.output_names:
+            return L, kept_places(basis.outputs)
+        N = L + len(_trimmed(self.matrices()[2])) // 2
+        return N, list(range((2 * N + 1) * self.n_states))
+
+
+def _decompose(coefficients, omega, basis, n_harmonics, states):
+    """[A B; C D] of the harmonic decomposition between some states and what a basis keeps."""
+    n = coefficients.shape[1] - len(basis.outputs)
+    M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
+    parts = coefficients[:, :n, :n], coefficients[:, :n, n:]
+    parts += coefficients[:, n:, :n], coefficients[:, n:, n:]
+    A, B, C, D = harmonic_decomposition(*parts, omega, n_harmonics, M, L)
+    rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
+    left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
+    right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]
+    return np.hstack([np.vstack(left), np.vstack(right)])
+
+
+def _trimmed(coefficients):
+    """Fourier coefficients without harmonics that are zero."""
+    moving = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2)))
+    highest = (moving[-1] + 1) // 2 if len(moving) else 0
+    return coefficients[: 2 * highest + 1]
+
+
+def kept_places(signals):
+    """Places of the coefficients kept of some signals in the order s_0, s_1c, s_1s, …."""
+    places = []
+    for i, (_, orders) in enumerate(signals):
+        for k in orders:
+            blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
+            places += [block * len(signals) + i for block in blocks]
+    return places
+
+
+class PeriodicSimulator:
+    """Free simulation of a periodic model over one segment, linear in its initial state.
+
+    Parameters
+    ----------
+    model : PeriodicModel
+    response : SampledResponse
+        Of the model, over the samples of one period.
+    phase : ndarray of int, shape (n_samples,)
+        Sample within the period.
+    inputs : ndarray, shape (n_samples, m)
+    time : ndarray, shape (n_samples,)
+    """
+
+    def __init__(self, model, response, phase, inputs, time):
+        self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
+        self.response = response
+
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, trim not added, of all samples or the first of them."""
+        inputs = self.inputs[:n_samples]
+        states = self._states(inputs, x0)
+        if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
+            raise UnstableModelError(
+                f"the simulation overflows: the model's largest Floquet multiplier is "
+                f"{self.response.spectral_radius:.4g} (1 is the bound of stability); change the "
+                f"order of the identified model, or simulate a shorter span"
+            )
+        extended = np.concatenate([states, inputs], axis=-1)
+        return np.einsum("tla,ta->tl", self._at(self.response.Out, n_samples), extended)
+
+    def free(self, n_samples):
+        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
+        n = self.model.n_states
+        states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
+        return np.einsum("tla,kta->ktl", self._at(self.response.Out, n_samples)[..., :n], states)
+
+    def _at(self, matrices, n_samples):
+        return matrices[self.phase[:n_samples] % len(matrices)]
+
+    def _states(self, inputs, x0):
+        n = self.model.n_states
+        Psi = self.response.Psi
+        turned = np.roll(Psi, -(self.phase[0] % len(Psi)), axis=0)
+        which = np.arange(len(inputs)) % len(Psi)
+        forcing = np.einsum("tij,tj->ti", turned[which, :, n:], inputs)
+        forcing = np.broadcast_to(forcing, (*x0.shape[:-1], *forcing.shape))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return propagate_periodic(turned[:, :, :n], forcing, x0)
 
 
 @dataclass(frozen=True, eq=False)

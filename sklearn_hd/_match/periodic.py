@@ -10,37 +10,46 @@
 from itertools import combinations
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd._continuous import output_scale
-from sklearn_hd._match.free_response import (
-    GrowthError,
-    most_directions,
-    output_shapes,
-    predictor_states,
-)
-from sklearn_hd._match.input_problem import InputProblem
+from sklearn_hd._fit_checks import growth_rate, longest_span
+from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
 from sklearn_hd._match.match import periodic_match
-from sklearn_hd._match.warned import warn_growing, warn_realized
-from sklearn_hd._records.data import lifted_periods
+from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.equation_error import equation_error
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
+from sklearn_hd.algorithms.periodic.multipliers import (
+    leaves_white_noise,
+    refine_multipliers,
+    told_apart,
+    without_noise,
+)
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
+    equation_error,
+    fit_shapes,
+    floquet_logarithm,
+    response_to_states,
     shapes_determine_state,
-    without_noise,
+    state_response,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.algorithms.signals.lifting import input_directions
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.algorithms.subspace.innovations import predicted_states
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
+POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
+LEAST_DECAY = 4  # periods for each state in a free decay that can stand alone
+REST_SHARE = 1e-9  # of an input's largest value, below which it is at rest
+A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 
 
 def match_periodic(model, experiment, structure, simulated=True):
@@ -139,17 +148,12 @@ def _from_equation_error(model, experiment, structure, scale):
         return None
     rows = [names.index(name) for name in states]
     spp = basis.samples_per_period
-    inputs = lifted_periods(experiment, experiment.inputs)
-    outputs = lifted_periods(experiment, experiment.outputs, scale)
-    directions, _, _ = input_directions(
-        inputs, most_directions(sum(map(len, outputs)), model.n_states)
-    )
-    clean = without_noise(model.A, directions, [y.reshape(len(y), -1) for y in outputs])
-    instruments = [each.reshape(-1, len(names))[:, rows] for each in clean]
-    segments = [
-        (y.reshape(-1, len(names))[:, rows], u.reshape(len(y) * spp, -1), 0)
-        for y, u in zip(outputs, inputs, strict=True)
-    ]
+    inputs, lifted, directions = _raw_periods(experiment, model.n_states, scale)
+    segments, instruments = [], []
+    for u, y, clean in zip(inputs, lifted, without_noise(model.A, directions, lifted), strict=True):
+        measured, shown = (each.reshape(-1, len(names))[:, rows] for each in (y, clean))
+        segments.append((measured, u.reshape(-1, u.shape[2]), 0))
+        instruments.append(shown)
     count = min(EQUATION_HARMONICS, (spp - 1) // 2)
     F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
@@ -271,3 +275,174 @@ def _invertible(P, flips):
     if np.sum(flips) % 2 or not shapes_determine_state(P):
         return False
     return len(np.unique(np.sign(np.linalg.det(P)))) == 1
+
+
+def output_shapes(model, experiment, scale, states=None):
+    """Mode shapes of the outputs, in parts of their scale.
+
+    Parameters
+    ----------
+    model : LTIModel
+        Discrete, from one period to the next.
+    experiment : Experiment
+    scale : ndarray, shape (n_outputs,)
+    states : list of ndarray, shapes (n_periods_s, n), optional
+        At the beginning of each period, from :func:`predictor_states`; else simulated.
+
+    Returns
+    -------
+    shapes : FloquetShapes
+
+    Raises
+    ------
+    FloquetError, GrowthError
+        If the multipliers are those of no periodic system, or of one that outgrows numbers.
+    """
+    basis = experiment.basis
+    spp, period = basis.samples_per_period, 2.0 * np.pi / basis.omega
+    inputs, lifted, directions = _raw_periods(experiment, model.n_states, scale)
+    if states is None:
+        seen, unit = _seen(experiment)
+        C = model.C / unit[:, None]
+        Phi, response, n_rows = _simulated(model.A, C, inputs, directions, lifted, seen)
+    else:
+        directions = beside_trim(directions, basis)
+        Phi, response = model.A, response_to_states(states, directions, lifted)
+        n_rows = sum(map(len, lifted)) - directions[0].shape[1] - model.n_states
+    sights, information, residual = response
+    R, to_original, flips = floquet_logarithm(Phi, period)
+    back = linalg.inv(to_original)
+    sights = sights.reshape(spp, -1, model.n_states) @ to_original
+    information, residual = back @ information @ back.T, residual.reshape(spp, -1)
+    return fit_shapes(sights, information, residual, R, flips, period, n_rows)
+
+
+def predictor_states(model, experiment):
+    """States of a model with a Kalman gain at the beginning of each period, by its predictor.
+
+    Its predictor is stable, and its errors are independent of inputs that answer to outputs of
+    earlier periods.
+
+    Returns
+    -------
+    states : list of ndarray, shapes (n_periods_s, n)
+    """
+    _, _, directions = _raw_periods(experiment, model.n_states)
+    seen, unit = _seen(experiment)
+    C, K = model.C / unit[:, None], model.kalman_gain * unit
+    return predicted_states(model.A, C, K, beside_trim(directions, experiment.basis), seen)
+
+
+def _simulated(A, C, inputs, directions, lifted, seen):
+    """Φ refined on the raw record, what it sees of the states, and the rows left for noise."""
+    n, n_periods = len(A), sum(map(len, lifted))
+    Phi = refine_multipliers(A, directions, lifted)
+    Phi = _unless_it_explains_less(Phi, A, C, directions, lifted, seen)
+    radius = max(np.max(np.abs(linalg.eigvals(Phi))), np.finfo(float).tiny)
+    growth = max(map(len, lifted)) * np.log(radius)
+    if growth > MAX_GROWTH:
+        raise GrowthError(
+            f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
+            f"a record can show: lower the order, check omega, or cut the record shorter"
+        )
+    if not leaves_white_noise(Phi, directions, lifted):
+        # systematic errors, a nonlinear system's: smallest where the motion dies away
+        free = free_decays(inputs)
+        decays = [lifted[s][rows] for s, rows in free]
+        if sum(map(len, decays)) > LEAST_DECAY * n and told_apart(Phi, decays):
+            lifted, seen = ([blocks[s][rows] for s, rows in free] for blocks in (lifted, seen))
+            directions = [np.zeros((len(block), 0)) for block in lifted]
+            Phi = refine_multipliers(Phi, directions, lifted)
+            n_periods = sum(map(len, lifted))
+    response = state_response(Phi, C, directions, lifted, seen)
+    return Phi, response, n_periods - directions[0].shape[1] - n
+
+
+def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
+    """The refined map, or the identified one where that leaves a tenth less of the record.
+
+    Multipliers are refined with every mode free to answer in its own way to each direction of
+    the inputs. Many modes that last but a period or two can then stand for each other, and noise
+    decides; with one B for all that is seen they cannot.
+    """
+    left, others = (
+        np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
+    )
+    return identified if others < A_TENTH_LESS * left else refined
+
+
+def free_decays(inputs):
+    """Periods of each segment after the last in which an input moves: (segment, rows)."""
+    largest = np.max(np.abs(np.concatenate(inputs)), axis=(0, 1), initial=0.0)
+    tails = []
+    for s, u in enumerate(inputs):
+        moving = np.flatnonzero(np.any(np.abs(u) > REST_SHARE * largest, axis=(1, 2)))
+        tails.append((s, slice(moving[-1] + 1 if len(moving) else 0, len(u))))
+    return [(s, rows) for s, rows in tails if len(inputs[s][rows])]
+
+
+def _raw_periods(experiment, n_states, scale=1.0):
+    """Inputs and outputs of each period, (n_periods_s, n_phases, m) and (n_periods_s, q), and
+    as many directions of the inputs as the record can tell from some states."""
+    inputs = lifted_periods(experiment, experiment.inputs)
+    lifted = lifted_periods(experiment, experiment.outputs, scale)
+    most = max(1, sum(map(len, lifted)) // 2 - n_states)
+    lifted = [y.reshape(len(y), -1) for y in lifted]
+    return inputs, lifted, input_directions(inputs, most)[0]
+
+
+def _seen(experiment):
+    """What the model was identified from, one row a period, in parts of its size, and that."""
+    _, seen = rows_read(experiment)
+    unit = np.sqrt(np.mean(np.vstack(seen) ** 2, axis=0))
+    unit = np.where(unit > 0.0, unit, 1.0)
+    return [Y / unit for Y in seen], unit
+
+
+def warn_realized(found):
+    """Of a periodic model in closed form."""
+    if not found.physical:
+        warn(
+            f"the outputs {list(found.model.output_names)} do not determine the "
+            f"{found.model.n_states} states: the model is in Floquet coordinates, in which its "
+            f"states have no physical meaning; measure more outputs for that",
+            IdentifiabilityWarning,
+        )
+    if found.r2 < POOR_FIT:
+        warn(
+            f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
+            f"check order, omega and that the record is long enough, or refine it with "
+            f"criterion='output_error'",
+            IdentifiabilityWarning,
+        )
+    elif found.systematic > MOST_SYSTEMATIC:
+        warn(
+            f"the periodic model leaves {found.systematic:.2g} of the record's variance in a rest "
+            f"that is no noise (neighbouring samples are alike); check order, omega, the harmonics "
+            f"that the structure allows, and whether the response is linear",
+            IdentifiabilityWarning,
+        )
+    if found.unidentified:
+        warn(
+            f"the record does not determine {', '.join(found.unidentified)} (only some "
+            f"combinations of them): of all values that fit, the smallest are taken; let inputs "
+            f"change at more phases of the period, or give G and Q fewer harmonics",
+            IdentifiabilityWarning,
+        )
+
+
+def warn_growing(periodic, model, experiment):
+    """Of a periodic model that grows e-fold within a segment, where that identified does not."""
+    longest, basis = longest_span(experiment), experiment.basis
+    if growth_rate(model) * longest > 1.0:  # it has been warned of
+        return
+    radius = periodic.sampled(basis.samples_per_period).spectral_radius
+    folds = np.log(max(radius, 1e-300)) * longest * basis.omega / (2.0 * np.pi)
+    if folds > 1.0:
+        warn(
+            f"the periodic model matched has a Floquet multiplier of size {radius:.4g}, by which "
+            f"it grows {np.exp(min(folds, 700.0)):.3g} times over the longest segment, where the "
+            f"model identified is stable: noise has moved it; refine it with criterion="
+            f"'output_error' and structure=HarmonicStructure(), or change the order",
+            InstabilityWarning,
+        )

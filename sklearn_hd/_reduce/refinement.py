@@ -17,9 +17,8 @@ from scipy import linalg, sparse
 
 from sklearn_hd._continuous import input_scale, output_scale
 from sklearn_hd._reduce.choice import MAX_GROWTH
-from sklearn_hd.algorithms.likelihood.likelihood import is_white
+from sklearn_hd.algorithms.likelihood.likelihood import as_records, is_white, residuals
 from sklearn_hd.algorithms.likelihood.output_error import output_error
-from sklearn_hd.algorithms.likelihood.sensitivity import as_records, residuals
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.modes.families import real_block
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix, toeplitz_matrix
@@ -291,7 +290,9 @@ def _likely_shapes(experiment, exponents, shapes):
 
     Those given where no number of harmonics leaves white noise.
     """
-    basis, best, P = experiment.basis, None, np.stack(shapes.coefficients, axis=2)
+    basis, best = experiment.basis, None
+    P = np.concatenate(shapes.coefficients.transpose(1, 2, 3, 0))
+    P = np.delete(P, 1, axis=0)  # sin 0ψ
     spp, omega = basis.samples_per_period, basis.omega
     if any(orders != (0,) for _, orders in basis.inputs):
         return shapes  # the drive is not the raw input
@@ -304,7 +305,8 @@ def _likely_shapes(experiment, exponents, shapes):
         best, exponents, P = found, found.exponents, found.P
     if best is None or not is_white(best.left, spp):
         return shapes
-    R, columns = real_block(best.exponents), tuple(best.P.transpose(2, 0, 1))
+    R, P = real_block(best.exponents), np.insert(best.P, 1, 0.0, axis=0).transpose(2, 0, 1)
+    columns = P.reshape(len(P), -1, 2, P.shape[2])
     return FloquetShapes(R, np.zeros(len(R), dtype=bool), columns, len(best.P) // 2)
 
 

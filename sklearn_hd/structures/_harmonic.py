@@ -11,23 +11,21 @@ from scipy import sparse
 
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.structures._cells import (
+from sklearn_hd.structures._structure import (
     FREE,
+    Structure,
+    Table,
     axis_names,
+    check_known,
     check_places,
+    describe,
     fill_all,
     matrix_shape,
     name_places,
     parameter_names,
     read_cells,
-    read_names,
-)
-from sklearn_hd.structures._structure import (
-    Structure,
-    Table,
-    check_known,
-    describe,
     read_fixed,
+    read_names,
 )
 
 MOST_HARMONICS = 10_000  # no record tells more apart
@@ -238,45 +236,45 @@ class HarmonicStructure(Structure):
         """
         sides = {"F": (states, states), "G": (states, inputs)}
         sides |= {"P": (outputs, states), "Q": (outputs, inputs)}
-        parts = [name for name in "FGPQ" if name != "F" or form is None]
-        terms = {name: self._terms(name, sides[name], n_harmonics.get(name)) for name in parts}
-        places = {
-            place: cell
-            for part in terms.values()
-            for _, at in part.values()
-            for place, cell in at.items()
-        }
-        check_places(places)
-        check_known("fixed", self._fixed, parameter_names([[places.values()]]))
-        highest = max([order_of(label) for part in terms.values() for label in part], default=0)
+        if form is not None:
+            del sides["F"]
+        cells = {name: self._terms(name, sides[name], n_harmonics.get(name)) for name in sides}
+        highest = max((order_of(label) for part in cells.values() for label in part), default=0)
         size = 1 + 2 * max(highest, 0 if form is None else form.n_harmonics)
         n = len(states)
         constant = np.zeros((size, n + len(outputs), n + len(inputs)))
-        names, entries = {}, []
+        names, known, places, entries = {}, {}, {}, []
         corners = {"F": (0, 0), "G": (0, n), "P": (n, 0), "Q": (n, n)}
-        for name, part in terms.items():
-            for place, number, scales in _numbered(part, corners[name], self._fixed):
-                constant[place] = number
-                for parameter, scale in scales:
-                    entries.append((names.setdefault(parameter, len(names)), place, scale))
+        for name, label in ((name, label) for name, part in cells.items() for label in part):
+            (top, left), (rows, columns) = corners[name], sides[name]
+            for i, j in np.ndindex(len(rows), len(columns)):
+                place, cell = f"{name}[{rows[i]},{columns[j]}]_{label}", cells[name][label][i][j]
+                at = place_of(label), top + i, left + j
+                places[place] = (0.0, ((place, 1.0),)) if cell == FREE else cell
+                constant[at] = places[place][0]
+                for parameter, scale in places[place][1]:
+                    known[parameter] = True
+                    if parameter in self._fixed:
+                        constant[at] += scale * self._fixed[parameter]
+                    else:
+                        entries.append((names.setdefault(parameter, len(names)), *at, scale))
+        check_places(places)
+        check_known("fixed", self._fixed, known)
         if form is not None:
-            places = range(min(size, len(form.constant)))
-            constant[places, :n, :n] = form.constant[places]
+            count = min(size, len(form.constant))
+            constant[:count, :n, :n] = form.constant[:count]
             for parameter, direction in form.directions.items():
                 column = names.setdefault(parameter, len(names))
-                entries += [
-                    (column, tuple(place), direction[tuple(place)])
-                    for place in np.argwhere(direction)
-                ]
-        rows = [column for column, _, _ in entries]
-        where = [np.ravel_multi_index(place, constant.shape) for _, place, _ in entries]
-        values = [value for _, _, value in entries]
-        basis = sparse.coo_array((values, (rows, where)), shape=(len(names), constant.size)).tocsr()
+                entries += [(column, *at, direction[tuple(at)]) for at in np.argwhere(direction)]
+        table = np.array(entries, dtype=float).reshape(-1, 5)
+        where = np.ravel_multi_index(tuple(table[:, 1:4].T.astype(int)), constant.shape)
+        shape = len(names), constant.size
+        basis = sparse.coo_array((table[:, 4], (table[:, 0].astype(int), where)), shape).tocsr()
         _check_independent(basis, tuple(names))
         return PeriodicStructure(constant, basis, n, tuple(names))
 
     def _terms(self, name, sides, chosen):
-        """Of each coefficient of one matrix, by label: its cells, and the cell at each place."""
+        """Cells of each coefficient of one matrix, by label."""
         spec, (rows, columns) = self._specs[name], sides
         if isinstance(spec, dict):
             found = shape_of(next(iter(spec.values()))[0])
@@ -287,16 +285,16 @@ class HarmonicStructure(Structure):
                 )
             for label, (_, *labels) in spec.items():
                 check_labels(f"{name}_{label}", labels, sides)
-            cells = {label: given for label, (given, *_) in spec.items()}
-        else:
-            count = chosen if spec is None else spec
-            cells = {label: [[FREE] * len(columns)] * len(rows) for label in labels_up_to(count)}
-            if name == "P" and spec is None:
-                cells = _measured(rows, columns, cells)
-        return {
-            label: name_places(given, name, rows, columns, f"_{label}")
-            for label, given in cells.items()
-        }
+            return {label: given for label, (given, *_) in spec.items()}
+        labels = labels_up_to(chosen if spec is None else spec)
+        if name != "P" or spec is not None:
+            return dict.fromkeys(labels, [[FREE] * len(columns)] * len(rows))
+        cells = {}
+        for label in labels or ["0"]:  # states that are outputs are measured as they are
+            cells[label] = [[FREE if labels else (0.0, ())] * len(columns) for _ in rows]
+            for i in np.flatnonzero(np.isin(rows, columns)):
+                cells[label][i] = [(float(rows[i] == x and label == "0"), ()) for x in columns]
+        return cells
 
     def _key(self):
         specs = tuple(
@@ -344,31 +342,6 @@ def _counted(number):
 
 def _written(name, spec):
     return f"{name}={'{' + ', '.join(spec) + '}' if isinstance(spec, dict) else spec}"
-
-
-def _numbered(part, corner, fixed):
-    """Place in [F G; P Q], constant and terms of each entry of one matrix."""
-    top, left = corner
-    for label, (cells, _) in part.items():
-        for i, line in enumerate(fill_all(cells, fixed)):
-            for j, (number, terms) in enumerate(line):
-                yield (place_of(label), top + i, left + j), number, terms
-
-
-def _measured(outputs, states, cells):
-    """Cells of a P that measures those states that are outputs, as some cells for the others."""
-    known = [output in states for output in outputs]
-    identity = [[(float(output == state), ()) for state in states] for output in outputs]
-    zero = [[(0.0, ())] * len(states)] * len(outputs)
-    return {
-        label: [
-            line if known[i] else free
-            for i, (line, free) in enumerate(
-                zip(identity if label == "0" else zero, given, strict=True)
-            )
-        ]
-        for label, given in (cells or {"0": identity}).items()
-    }
 
 
 def _check_independent(basis, names):

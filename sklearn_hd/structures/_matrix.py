@@ -6,26 +6,24 @@ from functools import cached_property
 import numpy as np
 
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
-from sklearn_hd.structures._cells import (
+from sklearn_hd.structures._structure import (
+    Structure,
+    Table,
     axis_names,
+    bound_array,
+    check_known,
     check_places,
+    check_within,
+    describe,
     fill_all,
     matrix_shape,
     name_places,
     parameter_names,
-    read_cells,
-    read_names,
-)
-from sklearn_hd.structures._structure import (
-    Structure,
-    Table,
-    bound_array,
-    check_known,
-    check_within,
-    describe,
     read_bounds,
+    read_cells,
     read_fixed,
     read_initial,
+    read_names,
     read_numbers,
 )
 

@@ -20,16 +20,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem
-from sklearn_hd.algorithms.likelihood.sensitivity import (
+from sklearn_hd.algorithms.likelihood.likelihood import (
+    Point,
+    Problem,
     n_columns,
     output_sensitivities,
     residuals,
     updated_factor,
 )
 from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
-
-__all__ = ["InnovationFilter", "NoisyInputProblem", "innovation_filter", "noisy_input_problem"]
 
 
 @dataclass(frozen=True, eq=False)

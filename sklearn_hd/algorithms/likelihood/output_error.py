@@ -20,8 +20,6 @@ import numpy as np
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import noisy_input_problem
 
-__all__ = ["OutputErrorResult", "output_error"]
-
 STALLED = 1e-2  # fall of the cost per residual; at rounding nothing better can be had
 FIRST_DAMPING = 1e-6
 SETTLED = 1e-3  # relative change of noise levels; far below their own error

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states
-from sklearn_hd.algorithms.likelihood.sensitivity import as_records, jacobian_factors
+from sklearn_hd.algorithms.likelihood.likelihood import (
+    as_records,
+    eliminate_states,
+    jacobian_factors,
+)
 from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents
 from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
-
-__all__ = ["FisherInformation", "fisher_information", "floquet_exponent_std", "propagate_std"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,6 @@ from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
 
-__all__ = ["CombinedPeriods", "NestedLeastSquares", "combined_periods"]
-
 
 @dataclass(frozen=True, eq=False)
 class CombinedPeriods:
@@ -74,19 +72,22 @@ class CombinedPeriods:
         free : ndarray, shape (n_rows, s)
         """
         n, k = response.n_states, len(gains)
-        Psi, Out, gains = (self._turned(M) for M in (response.Psi, response.Out, gains))
-        within, ends = self._within(Psi, Out, np.concatenate([gains, Psi[None, :, :, n:]]))
+        Psi, Out, gains = (
+            np.roll(M, -self.first_phase, axis=-3) for M in (response.Psi, response.Out, gains)
+        )
+        gains = np.concatenate([gains, Psi[None, :, :, n:]])
+        within, ends, sights = self._within(Psi[:, :, :n], Out[:, :, :n], gains)
         within[:, :, k:] += self._by_direction(Out[None, :, :, n:])
         if direct is not None:
-            within[:, :, :k] += self._by_direction(self._turned(direct))
-        sights = _sights(Psi[:, :, :n], Out[:, :, :n])
+            within[:, :, :k] += self._by_direction(np.roll(direct, -self.first_phase, axis=-3))
         begun = np.tensordot(ends, self.answers, ((0, 2), (2, 1)))  # (k + 1, d, n)
         forced = within @ self.mix.T + np.tensordot(sights, begun, (2, 2))
         free = np.tensordot(sights, self.starts, (2, 1)).swapaxes(2, 3)
-        forced, free, outputs = (
-            self._rows(values, scale) for values in (forced, free, self.outputs[:, :, None])
-        )
-        return forced[:, :k], outputs[:, 0] - forced[:, k], free
+        # samples of a combination one after the other
+        rows = np.concatenate([forced, self.outputs[:, :, None], free], axis=2)
+        rows = rows.transpose(3, 0, 1, 2)[self.seen.T] / scale[:, None]
+        rows = rows.reshape(-1, rows.shape[2])
+        return rows[:, :k], rows[:, k + 1] - rows[:, k], rows[:, k + 2 :]
 
     def unfolded(self, rows):
         """Rows of one column, where they stand in each combination, (n_phases, l, d)."""
@@ -94,41 +95,24 @@ class CombinedPeriods:
         whole[self.seen.T] = rows.reshape(-1, self.outputs.shape[1])
         return whole.transpose(1, 2, 0)
 
-    def _turned(self, matrices):
-        """Matrices of one period (…, n_phases, a, b) from the first phase on."""
-        return np.roll(matrices, -self.first_phase, axis=-3)
-
-    def _rows(self, values, scale):
-        """(n_phases, l, k, d) as (n_rows, k), samples of a combination one after the other."""
-        rows = values.transpose(3, 0, 1, 2)[self.seen.T] / scale[:, None]
-        return rows.reshape(-1, values.shape[2])
-
     def _by_direction(self, gains):
         """What some gains (k, n_phases, a, m) make of each direction, (n_phases, a, k, r)."""
         return (gains @ self.directions.transpose(1, 2, 0)).transpose(1, 2, 0, 3)
 
-    def _within(self, Psi, Out, gains):
-        """Outputs (n_phases, l, k, r) of a period from rest, and its end (n, k, r)."""
-        n = Psi.shape[1]
+    def _within(self, Phi, P, gains):
+        """Outputs (n_phases, l, k, r) of a period from rest, its end (n, k, r), and what each
+        sample sees of the state at its start, (n_phases, l, n)."""
         forcing = self._by_direction(gains)
-        states = np.empty(forcing.shape)
-        flat, v = states.reshape(len(Psi), n, -1), forcing.reshape(len(Psi), n, -1)
-        x = np.zeros(v.shape[1:])
-        for j, factor in enumerate(Psi[:, :, :n]):
-            flat[j] = x
-            x = factor @ x + v[j]
-        outputs = Out[:, :, :n] @ flat
-        k_and_r = states.shape[2:]
-        return outputs.reshape(*Out.shape[:2], *k_and_r), x.reshape(n, *k_and_r)
-
-
-def _sights(Phi, P):
-    """What each sample of a period sees of the state at its start, (n_phases, l, n)."""
-    sights, x = np.empty(P.shape), np.eye(Phi.shape[1])
-    for j, factor in enumerate(Phi):
-        sights[j] = P[j] @ x
-        x = factor @ x
-    return sights
+        n, k_and_r = Phi.shape[1], forcing.shape[2:]
+        v = forcing.reshape(len(Phi), n, -1)
+        states, x = np.empty((len(Phi), n, v.shape[2] + n)), np.eye(n, v.shape[2] + n, v.shape[2])
+        for j, factor in enumerate(Phi):
+            states[j] = x
+            x = factor @ x
+            x[:, :-n] += v[j]
+        outputs = P @ states
+        within = outputs[..., :-n].reshape(*P.shape[:2], *k_and_r)
+        return within, x[:, :-n].reshape(n, *k_and_r), outputs[..., -n:]
 
 
 def combined_periods(Phi, u, y, n_phases, first_phase):
@@ -152,8 +136,10 @@ def combined_periods(Phi, u, y, n_phases, first_phase):
     """
     n, whole = len(Phi), len(u) // n_phases
     size = column_sizes(u)
-    inputs, outputs = (_by_period(signal, n_phases) for signal in (u / size, y))
-    n_periods = len(inputs)
+    n_periods = -(-len(u) // n_phases)
+    filled = np.zeros((n_periods * n_phases, u.shape[1] + y.shape[1]))
+    filled[: len(u)] = np.hstack([u / size, y])
+    inputs, outputs = np.split(filled.reshape(n_periods, n_phases, -1), [u.shape[1]], axis=2)
     W, values, Vt = linalg.svd(inputs.reshape(n_periods, -1), full_matrices=False)
     kept = values > EPS * max(n_periods, Vt.shape[1]) * values[0]
     W, directions = (
@@ -181,14 +167,6 @@ def combined_periods(Phi, u, y, n_phases, first_phase):
         first_phase,
     )
     return periods, T, (flat - T @ combined).reshape(outputs.shape)
-
-
-def _by_period(signal, n_phases):
-    """(n_samples, c) as (n_periods, n_phases, c), the last period filled up with zeros."""
-    n_periods = -(-len(signal) // n_phases)
-    filled = np.zeros((n_periods * n_phases, signal.shape[1]))
-    filled[: len(signal)] = signal
-    return filled.reshape(n_periods, n_phases, -1)
 
 
 # ---- least squares ------------------------------------------------------------------------------
@@ -223,9 +201,9 @@ class NestedLeastSquares:
     """
 
     def __init__(self, target):
-        self.target = target
-        self.columns, self.bases = [], []  # X and Q, by blocks
-        self.size, self.factor, self.seen = np.zeros(0), np.zeros((0, 0)), np.zeros(0)
+        self.target, none = target, np.zeros((len(target), 0))
+        self.columns, self.base, self.factor = none, none, np.zeros((0, 0))  # X, Q and R
+        self.size, self.seen = np.zeros(0), np.zeros(0)
 
     def extend(self, columns):
         """Add columns to X.
@@ -237,11 +215,9 @@ class NestedLeastSquares:
         size = column_sizes(columns)
         rest, inside = columns / size, np.zeros((len(self.factor), columns.shape[1]))
         for _ in range(2):
-            shares = [Q.T @ rest for Q in self.bases]
-            for Q, share in zip(self.bases, shares, strict=True):
-                rest -= Q @ share
-            if shares:
-                inside += np.vstack(shares)
+            share = self.base.T @ rest
+            rest -= self.base @ share
+            inside += share
         Q, own, order = linalg.qr(
             rest, mode="economic", pivoting=True, overwrite_a=True, check_finite=False
         )
@@ -250,8 +226,8 @@ class NestedLeastSquares:
         Q, R[:, order] = Q[:, :new], own[:new]
         self.factor = np.block([[self.factor, inside], [below, R]])
         self.size, self.seen = np.append(self.size, size), np.append(self.seen, Q.T @ self.target)
-        self.columns.append(columns)
-        self.bases.append(Q)
+        self.columns = np.hstack([self.columns, columns])
+        self.base = np.hstack([self.base, Q])
 
     def solve(self):
         """The shortest solution, columns counted as of one length.
@@ -268,8 +244,5 @@ class NestedLeastSquares:
         U, values, Vt = np.linalg.svd(self.factor)
         rank = np.sum(values > DEPENDENT * np.max(values, initial=0.0))
         solution = Vt[:rank].T @ (U[:, :rank].T @ self.seen / values[:rank]) / self.size
-        left = self.target.copy()
-        edges = np.cumsum([columns.shape[1] for columns in self.columns])[:-1]
-        for columns, part in zip(self.columns, np.split(solution, edges), strict=True):
-            left -= columns @ part
+        left = self.target - self.columns @ solution
         return solution, left, np.linalg.norm(Vt[rank:], axis=0) > UNKNOWN

@@ -24,33 +24,77 @@ tried first: its eigenvalues are those of the rounded product, and of 16 factors
 multipliers 1 and 1e-18, its triangular factors gave 0.012 and 1e-18.)
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.periodic.gauss_rules import (
-    N_STAGES,
-    by_bisection,
-    gauss_tableau,
-    neighbours,
-)
 
-__all__ = [
-    "floquet_exponents",
-    "monodromy_exponents",
-    "monodromy_matrix",
-    "on_branch",
-    "product_logarithms",
-    "propagate_periodic",
-    "state_units",
-    "transition_matrices",
-]
-
+N_STAGES = 7  # collocation of order 14, quadrature exact up to degree 13
+MAX_BISECTIONS = 50  # 2⁻⁵⁰ of a period: closer to a jump than rounding tells
+MAX_ROUGH = 4096  # intervals open at one time; a few jumps and kinks never come near
+BLOCK = 256  # intervals integrated together; bounds the memory
 ROTATION = 2.0  # ∫‖F‖ dt of one factor: its condition stays below e⁴
 MIN_FACTORS, MAX_FACTORS = 32, 8192
 MAX_SWEEPS = 60  # multipliers whose ratio is below 0.5 part in 50
 WIDE = 1e-3  # ratio of multipliers in one block below which sweeps go on
+
+
+def neighbours(edges):
+    """Left and right ends of neighbouring intervals, some hundred at a time."""
+    for k in range(0, len(edges) - 1, BLOCK):
+        block = edges[k : k + BLOCK + 1]
+        yield block[:-1], block[1:]
+
+
+def by_bisection(rule, compose, weights, left, right, tolerance):
+    """What ``rule`` gives for each interval, the intervals halved until it settles.
+
+    ``rule(left, right)`` returns one array per interval, ``compose(second, first)``
+    joins those of two neighbours, ``weights(whole)`` scales their differences.
+    """
+    whole = rule(left, right)
+    if not np.all(np.isfinite(whole)):
+        raise ValueError("the matrices hold NaN or infinity at some azimuths; make them finite")
+    weight = weights(whole)
+
+    def settle(left, right, whole, depth):
+        middle = 0.5 * (left + right)
+        first, second = rule(left, middle), rule(middle, right)
+        halves = compose(second, first)
+        axes = tuple(range(1, halves.ndim))
+        error = np.max(np.abs(halves - whole) * weight, axis=axes, initial=0.0)
+        size = np.max(np.abs(halves) * weight, axis=axes, initial=1.0)
+        rough = np.flatnonzero(~(error <= tolerance * size))
+        if rough.size > MAX_ROUGH:
+            raise ValueError(
+                f"{rough.size} intervals of a period are still not resolved to {tolerance:g}; the "
+                f"matrices must be smooth in psi but for a few jumps, free of noise"
+            )
+        if rough.size and depth:
+            ends = np.concatenate([left[rough], middle[rough], right[rough]])
+            wholes = np.concatenate([first[rough], second[rough]])
+            k = rough.size
+            fine = settle(ends[: 2 * k], ends[k:], wholes, depth - 1)
+            halves[rough] = compose(fine[k:], fine[:k])
+        return halves
+
+    return settle(left, right, whole, MAX_BISECTIONS)
+
+
+@lru_cache(maxsize=4)
+def gauss_tableau(n_stages):
+    """Nodes c, matrix a and weights b of Gauss collocation on [0, 1]."""
+    x, w = np.polynomial.legendre.leggauss(n_stages)
+    legendre = np.polynomial.legendre
+    values = legendre.legvander(x, n_stages - 1)
+    integrals = np.stack(
+        [legendre.legval(x, legendre.legint(row, lbnd=-1.0)) for row in np.eye(n_stages)],
+        axis=1,
+    )  # ∫ of each Legendre polynomial from −1 to each node
+    return 0.5 * (x + 1.0), 0.5 * integrals @ np.linalg.inv(values), 0.5 * w
 
 
 def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
@@ -116,7 +160,7 @@ def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
     """Transition matrix over one period, from azimuth ``start`` (radians)."""
     psi = start + np.linspace(0.0, 2.0 * np.pi, 33)
     Phi, _ = transition_matrices(F, None, psi, omega, tolerance=tolerance)
-    return _product(Phi)
+    return product_of(Phi)
 
 
 def monodromy_exponents(monodromy, omega):
@@ -188,7 +232,7 @@ def propagate_periodic(Phi, forcing, x0):
     v = np.pad(forcing, padding).reshape(*batch, n_periods, p, n)
     starts = np.broadcast_to(x0, (*batch, n))[..., None, :]
     if n_periods > 1:
-        starts = propagate(_product(Phi), _from_rest(Phi, v), starts[..., 0, :])
+        starts = propagate(product_of(Phi), _from_rest(Phi, v), starts[..., 0, :])
     states, x = np.empty_like(v), starts
     for k in range(p):
         states[..., k, :] = x
@@ -204,23 +248,37 @@ def _collocation_step(F, G, left, right, omega, units):
 
     Stages K_i = F_i (x + h Σ_j a_ij K_j) + G_i u; step h Σ_i b_i K_i.
     """
-    c, a, b = gauss_tableau(N_STAGES)
-    width = right - left
+    c, width = gauss_tableau(N_STAGES)[0], right - left
     nodes = (left[:, None] + width[:, None] * c).ravel()
     Fs = F(nodes)
     n = Fs.shape[-1]
     Gs = np.empty((len(nodes), n, 0)) if G is None else G(nodes)
     Fs, Gs = (M.reshape(len(left), len(c), n, -1) for M in (Fs, Gs))
-    Fs, Gs = Fs * (units / units[:, None]), Gs / units[:, None]
-    h = width[:, None, None] / omega
-    coupling = Fs[:, :, :, None, :] * a[None, :, None, :, None]
-    size = len(c) * n
-    system = np.eye(size) - h * coupling.reshape(-1, size, size)
-    slopes = np.concatenate([Fs, Gs], axis=-1)
-    stages = np.linalg.solve(system, slopes.reshape(len(left), size, -1)).reshape(slopes.shape)
-    step = h * np.einsum("s,ksij->kij", b, stages)
-    step[:, :, :n] += np.eye(n)
-    return step
+    values = np.concatenate([Fs * (units / units[:, None]), Gs / units[:, None]], axis=-1)
+    return collocation(width[:, None, None, None] / omega * values, adjoint=False)[2][:, :n]
+
+
+def collocation(values, *, adjoint):
+    """Adjoints L_q, stage states Z_q = [X_q; u] and steps [Φ Γ; 0 I] of collocation steps.
+
+    Stages K_q = h [F_q G_q] Z_q, X_q = x + Σ_r a_qr K_r; step x + Σ_q b_q K_q. A push of K_q
+    ends up as L_q times it. ``values`` holds h [F G] at the nodes, (..., n_stages, n, n + m).
+    """
+    _, a, b = gauss_tableau(N_STAGES)
+    *batch, Q, n, columns = values.shape
+    coupling = values[..., :, :, None, :n] * a[:, None, :, None]
+    system = np.eye(Q * n) - coupling.reshape(*batch, Q * n, Q * n)
+    K = np.linalg.solve(system, values.reshape(*batch, Q * n, columns))
+    K = K.reshape(*batch, Q, n, columns)
+    steps = np.zeros((*batch, columns, columns)) + np.eye(columns)
+    steps[..., :n, :] += np.einsum("q,...qij->...ij", b, K)
+    if not adjoint:
+        return None, None, steps
+    stages = np.zeros((*batch, Q, columns, columns)) + np.eye(columns)
+    stages[..., :n, :] += np.einsum("qr,...rij->...qij", a, K)
+    weights = np.broadcast_to(np.kron(b[:, None], np.eye(n)), (*batch, Q * n, n))
+    left = np.linalg.solve(np.swapaxes(system, -1, -2), weights)
+    return np.swapaxes(left.reshape(*batch, Q, n, n), -1, -2), stages, steps
 
 
 def _compose(second, first):
@@ -252,7 +310,7 @@ def state_units(F):
 # ---- periodic recursion -------------------------------------------------------------------
 
 
-def _product(Phi):
+def product_of(Phi):
     """Φ[p−1] … Φ[1] Φ[0]."""
     product = np.eye(Phi.shape[1])
     for factor in Phi:

@@ -19,8 +19,6 @@ from sklearn_hd.algorithms.periodic.periodic_realization import FloquetError
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-__all__ = ["FloquetForm", "fixed_scale", "floquet_coordinates"]
-
 SINGLE, PAIR, TURNED = "single", "pair", "turned"
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # a turn by a quarter: J
 SWING = np.array([np.zeros((2, 2)), [[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]])

@@ -12,7 +12,7 @@ Its matrices are multiplications by Fourier series, of which this file has the c
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.periodic.gauss_rules import (
+from sklearn_hd.algorithms.periodic.floquet import (
     N_STAGES,
     by_bisection,
     gauss_tableau,

@@ -11,26 +11,16 @@ from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
-from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-
-__all__ = [
-    "LARGEST_RESPONSE",
-    "SEPARATION",
-    "characteristic",
-    "compact",
-    "invariant_blocks",
-    "mode_responses",
-    "mode_steps",
-    "orthonormal_range",
-    "refine_multipliers",
-    "with_characteristic",
-]
 
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
+BIC_PATIENCE = 2
+WHITE_MARGIN = 1.3  # above it something stands out of the noise
+TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
+NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 
 
@@ -41,7 +31,8 @@ def refine_multipliers(Phi, directions, lifted):
     states enter, how outputs see the state) eliminated by projection (Golub and Pereyra,
     1973), the multipliers are left as the only unknowns. Two of them enter by the
     coefficients of z² − s z + p, so that a complex pair which noise has split into two real
-    multipliers finds back, and the other way round.
+    multipliers finds back, and the other way round. A start beyond 1 (noise alone makes one of
+    multipliers of 0.04) has no way down: then smaller ones are tried, too.
 
     Parameters
     ----------
@@ -60,22 +51,72 @@ def refine_multipliers(Phi, directions, lifted):
     multipliers = linalg.eigvals(Phi)
     n, r = len(Phi), directions[0].shape[1]
     n_periods = sum(len(block) for block in lifted)
-    gaps = np.abs(multipliers[:, None] - multipliers) + np.eye(n) * np.max(np.abs(multipliers))
-    if 2 * (r + n * (r + len(lifted))) > n_periods or not np.all(
-        gaps > SEPARATION * np.max(np.abs(multipliers))
-    ):
-        return Phi
+    size = np.max(np.abs(multipliers))
+    gaps = np.abs(multipliers[:, None] - multipliers) + np.eye(n) * size
     largest = min(1e3 ** (1.0 / n_periods) + 0.5, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
-    if np.max(np.abs(multipliers)) >= largest:
+    few = 2 * (r + n * (r + len(lifted))) > n_periods
+    if few or size >= largest or not np.all(gaps > SEPARATION * size):
         return Phi
     basis, blocks = invariant_blocks(Phi)
-    elimination = _Elimination(blocks, directions, compact(np.vstack(lifted)), largest)
-    found = _best_of(elimination, blocks)
-    moved = [
-        with_characteristic(block, values)
-        for block, values in zip(blocks, elimination.by_block(found.x), strict=True)
-    ]
+    edges = np.cumsum([len(block) for block in blocks])[:-1]
+    elimination = _Elimination(edges, Modes(directions), compact(np.vstack(lifted)), largest)
+    best = None
+    for wanted in (size, *SMALLER) if size > 1.0 else (size,):
+        start = np.concatenate([characteristic(block * (wanted / size)) for block in blocks])
+        found = least_squares(
+            lambda c: elimination.factor(c)[:, -1],
+            start,
+            lambda c: elimination.factor(c)[:, :-1],
+            x_scale="jac",
+            xtol=1e-15,
+            ftol=1e-12,
+            gtol=1e-15,
+            max_nfev=MAX_STEPS,
+        )
+        best = found if best is None or found.cost < best.cost else best
+    moved = map(with_characteristic, blocks, np.split(best.x, edges))
     return basis @ linalg.block_diag(*moved) @ linalg.inv(basis)
+
+
+class Modes:
+    """Answers of the modes of a map to inputs and initial states, by their polynomials.
+
+    A mode of z² − s z + p answers to w[k] by x[k+1] = s x[k] − p x[k−1] + w[k]; x[k] and x[k−1]
+    are its coordinates.
+
+    Parameters
+    ----------
+    directions : list of ndarray, shapes (n_periods_s, r)
+    """
+
+    def __init__(self, directions):
+        self.inputs, ends = np.vstack(directions), np.cumsum([len(w) for w in directions])
+        self.firsts = np.unique(np.append(0, ends[:-1])[np.diff(ends, prepend=0) > 0])
+        starts = np.zeros((len(self.inputs), len(self.firsts)))
+        starts[self.firsts, range(len(self.firsts))] = 1.0
+        self.sources = np.hstack([self.later(self.inputs), starts])
+
+    def responses(self, steps):
+        """x of each mode for inputs and initial states, and all coordinates side by side."""
+        states, columns = [], [self.inputs[:, :0]]
+        for coefficients in steps:
+            states.append(self.answer(coefficients, self.sources))
+            columns += [states[-1], self.later(states[-1])][: len(coefficients)]
+        return states, np.hstack(columns)
+
+    def answer(self, coefficients, sources):
+        """x of the mode of some characteristic polynomial, shape (n_periods, n_sources)."""
+        polynomial, x = np.append([1.0, -coefficients[0]], coefficients[1:]), sources.copy()
+        for part in np.split(x, self.firsts[1:]):
+            part[:] = lfilter([1.0], polynomial, part, axis=0)
+        return x
+
+    def later(self, x):
+        """Each row where the next one of its segment is; zero in a segment's first."""
+        later = np.zeros_like(x)
+        later[1:] = x[:-1]
+        later[self.firsts] = 0.0
+        return later
 
 
 class _Elimination:
@@ -85,60 +126,55 @@ class _Elimination:
 
         ∂r/∂c = −P⊥ ∂M M⁻ T − (P⊥ ∂M M⁻)ᵀ T              (Golub and Pereyra, 1973)
 
-    A mode of z² − s z + p answers to w[k] by x[k+1] = s x[k] − p x[k−1] + w[k]; x[k] and x[k−1]
-    are its coordinates. ∂x/∂s is its answer to x itself, ∂x/∂p to −x[k−1].
+    ∂x/∂s is a mode's answer to x itself, ∂x/∂p to −x[k−1].
 
     Parameters
     ----------
-    blocks : list of ndarray
-        Whose characteristic polynomials have the coefficients c.
-    directions : list of ndarray, shapes (n_periods_s, r)
+    edges : ndarray of int
+        Where the coefficients c are divided between the modes.
+    modes : Modes
     target : ndarray, shape (n_periods, q)
         T.
     largest : float
         Size of a multiplier from which on no mode is simulated.
     """
 
-    def __init__(self, blocks, directions, target, largest):
-        self.edges = np.cumsum([len(block) for block in blocks])[:-1]
-        self.target, self.largest = target, largest
-        ends = np.cumsum([len(w) for w in directions])
-        self.segments = [
-            slice(end - len(w), end) for w, end in zip(directions, ends, strict=True) if len(w)
-        ]
-        self.inputs = np.vstack(directions)
-        starts = np.zeros((len(target), len(self.segments)))
-        starts[[segment.start for segment in self.segments], range(len(self.segments))] = 1.0
-        self.sources = np.hstack([self._later(self.inputs), starts])
+    def __init__(self, edges, modes, target, largest):
+        self.edges, self.modes, self.target, self.largest = edges, modes, target, largest
         self._last = None, None
-
-    def by_block(self, coefficients):
-        """The coefficients of each block's polynomial."""
-        return np.split(coefficients, self.edges)
 
     def left(self, coefficients):
         """r, shape (n_periods q,), and ∂r/∂c, shape (n_periods q, n)."""
-        n, q = len(coefficients), self.target.shape[1]
-        found = self._project(coefficients)
-        if found is None:
-            return self.target.ravel(), np.zeros((self.target.size, n))
-        states, Q, R, kept, explained, left = found
-        inverse = linalg.solve_triangular(R, np.eye(len(R)), check_finite=False)
-        weights = np.zeros((self.inputs.shape[1] + n * self.sources.shape[1], q))
+        modes, target, n = self.modes, self.target, len(coefficients)
+        steps = np.split(coefficients, self.edges)
+        roots = [np.roots(np.append([1.0, -c[0]], c[1:])) for c in steps]
+        if not np.max(np.abs(np.concatenate(roots))) < self.largest:
+            return target.ravel(), np.zeros((target.size, n))
+        states, answers = modes.responses(steps)
+        M = np.hstack([modes.inputs, answers])
+        size = column_sizes(M)
+        Q, R, kept = linalg.qr(M / size, mode="economic", pivoting=True, check_finite=False)
+        independent = np.abs(np.diag(R)) > DEPENDENT
+        Q, R = Q[:, independent], R[np.ix_(independent, independent)]
+        kept = kept[: len(independent)][independent]
+        explained = Q.T @ target
+        left = target - Q @ explained
+        inverse = linalg.solve_triangular(R * size[kept], np.eye(len(R)), check_finite=False)
+        weights = np.zeros((M.shape[1], target.shape[1]))
         weights[kept] = inverse @ explained
-        moved, reached = np.zeros((n, *self.target.shape)), np.zeros((n, *weights.shape))
-        i, at = 0, self.inputs.shape[1]
-        for values, x in zip(self.by_block(coefficients), states, strict=True):
-            rate = self._answer(values, self._later(x))
+        moved, reached = np.zeros((n, *target.shape)), np.zeros((n, *weights.shape))
+        i, at = 0, modes.inputs.shape[1]
+        for values, x in zip(steps, states, strict=True):
+            rate = modes.answer(values, modes.later(x))
             for _ in values:  # x[k], then x[k−1]
                 place = slice(at, at + rate.shape[1])
                 moved[i] += rate @ weights[place]
                 reached[i, place] = rate.T @ left
-                rate, at = self._later(rate), place.stop
+                rate, at = modes.later(rate), place.stop
                 if len(values) == 2:
                     reached[i + 1, place] = -(rate.T @ left)
             if len(values) == 2:
-                moved[i + 1] = -self._later(moved[i])
+                moved[i + 1] = -modes.later(moved[i])
             i += len(values)
         inside = inverse.T @ reached[:, kept] - Q.T @ moved
         return left.ravel(), -(moved + Q @ inside).reshape(n, -1).T
@@ -151,73 +187,6 @@ class _Elimination:
             factor = np.linalg.qr(np.column_stack([jacobian, left]), mode="r")
             self._last = coefficients.copy(), factor
         return factor
-
-    def _project(self, coefficients):
-        """Answers of each block, Q R of independent columns of M and which they are, what they
-        explain and what they leave; None beyond what is simulated."""
-        steps = self.by_block(coefficients)
-        if not max(map(_largest_root, steps)) < self.largest:
-            return None
-        states = [self._answer(values, self.sources) for values in steps]
-        columns = [self.inputs]
-        for values, x in zip(steps, states, strict=True):
-            columns += [x, self._later(x)][: len(values)]
-        M = np.hstack(columns)
-        size = column_sizes(M)
-        Q, R, order = linalg.qr(M / size, mode="economic", pivoting=True, check_finite=False)
-        kept = np.abs(np.diag(R)) > DEPENDENT
-        Q, R, order = Q[:, kept], R[np.ix_(kept, kept)], order[kept]
-        explained = Q.T @ self.target
-        return states, Q, R * size[order], order, explained, self.target - Q @ explained
-
-    def _answer(self, coefficients, sources):
-        """x of the mode of some characteristic polynomial, shape (n_periods, n_sources)."""
-        signs = [-1.0, 1.0][: len(coefficients)]
-        polynomial, x = np.append(1.0, signs * coefficients), np.empty_like(sources)
-        for segment in self.segments:
-            x[segment] = lfilter([1.0], polynomial, sources[segment], axis=0)
-        return x
-
-    def _later(self, x):
-        """Each row where the next one of its segment is; zero in a segment's first."""
-        later = np.zeros_like(x)
-        for segment in self.segments:
-            later[segment.start + 1 : segment.stop] = x[segment.start : segment.stop - 1]
-        return later
-
-
-def _largest_root(coefficients):
-    """Size of the largest root of z − c₀, or of z² − c₀ z + c₁."""
-    if len(coefficients) == 1:
-        return abs(coefficients[0])
-    half, product = 0.5 * coefficients[0], coefficients[1]
-    square = half * half - product
-    return np.sqrt(product) if square < 0.0 else abs(half) + np.sqrt(square)
-
-
-def _best_of(elimination, blocks):
-    """Least squares from the multipliers given, and from smaller ones where they are too large.
-
-    A start beyond 1 (noise alone makes one of multipliers of 0.04) has no way down.
-    """
-    size = max(np.max(np.abs(linalg.eigvals(block))) for block in blocks)
-    wanted = [size] + [value for value in SMALLER if size > 1.0]
-    searches = []
-    for value in wanted:
-        start = np.concatenate([characteristic(block * (value / size)) for block in blocks])
-        searches.append(
-            least_squares(
-                lambda c: elimination.factor(c)[:, -1],
-                start,
-                lambda c: elimination.factor(c)[:, :-1],
-                x_scale="jac",
-                xtol=1e-15,
-                ftol=1e-12,
-                gtol=1e-15,
-                max_nfev=MAX_STEPS,
-            )
-        )
-    return min(searches, key=lambda search: search.cost)
 
 
 def invariant_blocks(M):
@@ -237,8 +206,7 @@ def invariant_blocks(M):
     if len(real) % 2:
         single = np.argmax(np.abs(values[real]))
         real = np.append(np.delete(real, single), real[single])
-    spans = [V[:, [i]] for i in np.flatnonzero(values.imag > 0.0)]
-    spans = [np.hstack([v.real, v.imag]) for v in spans]
+    spans = [np.stack([v.real, v.imag], axis=1) for v in V.T[values.imag > 0.0]]
     spans += [V[:, real[i : i + 2]].real for i in range(0, len(real), 2)]
     basis = np.hstack([linalg.qr(span, mode="economic")[0] for span in spans])
     inside, at, blocks = linalg.solve(basis, M @ basis), 0, []
@@ -337,44 +305,146 @@ def orthonormal_range(columns, beyond=None, rank=DEPENDENT):
     return Q[:, np.abs(np.diag(R)) > rank]
 
 
-def mode_steps(Phi):
-    """Step of each real mode and each complex pair of Φ."""
-    values = linalg.eigvals(Phi) if len(Phi) else np.zeros(0, dtype=complex)
+def polynomials(Phi):
+    """Coefficients of the polynomial of each real mode and each complex pair of Φ."""
+    values = linalg.eigvals(Phi) if len(Phi) else np.zeros(0)
     return [
-        np.array([[z.real, z.imag], [-z.imag, z.real]]) if z.imag else np.array([[z.real]])
+        np.array([2.0 * z.real, abs(z) ** 2] if z.imag else [z.real])
         for z in values[values.imag >= 0.0]
     ]
 
 
-def mode_responses(steps, directions):
-    """Inputs, and the responses of each mode to each of them and to each initial state.
+# ---- how many there are --------------------------------------------------------------------------
+
+
+def order_by_residual(candidates, directions, lifted):
+    """Which of some maps Φ, of rising order, the lifted outputs call for.
+
+    The order of the least Bayesian information criterion, or the next one that leaves white
+    noise. Systematic errors (a nonlinear system's) call for ever more states: then the last order
+    that brought down the sum of squares left by half a decade.
+
+    Parameters
+    ----------
+    candidates : list of ndarray, shapes (n, n), n = 1, 2, …
+    directions, lifted : list of ndarray
+        As for :func:`refine_multipliers`.
 
     Returns
     -------
-    responses : list of ndarray, shapes (n_periods_s, r + (r + n_segments) n)
+    Phi : ndarray, shape (n, n)
+        The candidate chosen.
     """
-    return _beside(directions, mode_states(steps, directions))
+    n_columns, r = lifted[0].shape[1], directions[0].shape[1]
+    target = compact(np.vstack(lifted))
+    n_free = (len(target) - r) * n_columns
+    per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
+    left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
+    for Phi in candidates:
+        refined = refine_multipliers(Phi, directions, lifted)
+        left.append(target)
+        bic.append(np.inf)
+        if _is_possible(refined, max(map(len, lifted))):
+            left[-1] = _left_by(refined, directions, target)
+            rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
+            bic[-1] = n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free)
+        if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
+            break
+    best = int(np.argmin(bic))
+    for n in range(max(best, 1), len(left)):
+        if _is_noise(left[n], len(target) - r - n, n_columns):
+            return candidates[n - 1]  # more states than the criterion pays for
+    if not _is_white(left[best], n_columns):
+        sizes = np.linalg.norm(left, axis=(1, 2))
+        drops = np.flatnonzero(sizes[:-1] >= 10.0**0.25 * sizes[1:])
+        best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
+    return candidates[max(best, 1) - 1]
 
 
-def _beside(directions, states):
-    return [np.hstack([w, x.reshape(len(w), -1)]) for w, x in zip(directions, states, strict=True)]
+def _is_possible(Phi, n_periods):
+    """Whether a periodic system may have this map: one state alone cannot change sign from period
+    to period, and what outgrows numbers within a record was not recorded."""
+    if Phi.size == 1 and Phi.item() < 0.0:
+        return False
+    largest = np.max(np.abs(linalg.eigvals(Phi)))
+    return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
 
 
-def mode_states(steps, directions):
-    """States of each mode for each input, and for each segment's initial state.
+def _left_by(Phi, directions, target):
+    """Lifted outputs less what inputs and as many states as Φ has can explain.
 
-    Pushed in the last coordinate of its step, the coordinates of a pair span what it can do.
+    The states move in n of the directions in which n modes could answer to every input and
+    initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
+    them together would fit the noise, the more the more directions the inputs have.
+    """
+    modes = Modes(directions)
+    Q = orthonormal_range(modes.inputs)
+    left = target - Q @ (Q.T @ target)
+    Q = orthonormal_range(modes.responses(polynomials(Phi))[1], beyond=Q)
+    within = Q.T @ left
+    U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
+    return left - Q @ (U @ (U.T @ within))
+
+
+def leaves_white_noise(Phi, directions, lifted):
+    """Whether what the multipliers of Φ leave of the lifted outputs is white noise, or rounding.
+
+    If so, :func:`refine_multipliers` is the estimate of largest likelihood; if not, the squares it
+    minimises are systematic errors, and it has no claim to be the better one.
+    """
+    target = compact(np.vstack(lifted))
+    rest = _left_by(Phi, directions, target)
+    rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
+    return bool(rounding) or _is_white(rest, lifted[0].shape[1])
+
+
+def without_noise(Phi, directions, lifted):
+    """Lifted outputs as far as inputs and the modes of Φ explain them, whatever O is.
+
+    With Φ but roughly right still close to the truth where a period forgets most.
 
     Returns
     -------
-    states : list of ndarray, shapes (n_periods_s, r + n_segments, n)
+    explained : list of ndarray, shapes (n_periods_s, q)
     """
-    step = linalg.block_diag(*steps) if steps else np.zeros((0, 0))
-    push = np.concatenate([[0.0] * (len(each) - 1) + [1.0] for each in steps] or [np.zeros(0)])
-    n, states = len(step), []
-    for s, w in enumerate(directions):
-        forced = propagate(step, w.T[:, :, None] * push, np.zeros((w.shape[1], n)))
-        free = np.zeros((len(directions), len(w), n))
-        free[s] = propagate(step, np.zeros((len(w), n)), push)
-        states.append(np.concatenate([forced, free]).transpose(1, 0, 2))
-    return states
+    modes, steps = Modes(directions), Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi))))
+    Q = orthonormal_range(np.hstack([modes.inputs, modes.responses(polynomials(steps))[1]]))
+    edges = np.cumsum([len(block) for block in lifted])[:-1]
+    return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
+
+
+def told_apart(Phi, lifted):
+    """Whether free decays move in as many directions as Φ has multipliers.
+
+    One decay cannot show both modes of a double multiplier.
+    """
+    regressors = Modes([block[:, :0] for block in lifted]).responses(polynomials(Phi))[1]
+    seen = linalg.svdvals(regressors / column_sizes(regressors))
+    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > UNKNOWN * seen[0]
+
+
+def _is_white(rest, n_columns):
+    """Whether no direction stands out of what is left (Marchenko and Pastur, 1967)."""
+    sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
+    largest = np.linalg.norm(rest, 2)
+    return largest <= WHITE_MARGIN * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
+
+
+def _is_noise(rest, n_rows, n_columns):
+    """Whether the strongest direction of what is left may be white noise's (Johnstone, 2001).
+
+    Its variance in parts of the noise's, less its expectation, in parts of its spread has
+    Tracy and Widom's distribution.
+
+    Parameters
+    ----------
+    rest : ndarray, shape (n_periods, n_columns or fewer)
+        Of the same scalar products as what is left.
+    n_rows : int
+        Periods less the directions taken out.
+    n_columns : int
+    """
+    variance = float(np.sum(rest**2)) / (n_rows * n_columns)
+    a, b = np.sqrt(n_rows - 1.0), np.sqrt(n_columns)
+    spread = (a + b) * (1.0 / a + 1.0 / b) ** (1.0 / 3.0)
+    return bool(np.linalg.norm(rest, 2) ** 2 <= variance * ((a + b) ** 2 + TRACY_WIDOM * spread))

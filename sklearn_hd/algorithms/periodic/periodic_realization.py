@@ -8,6 +8,15 @@ multipliers, whose shapes change sign from one period to the next),
 
 is the state matrix where the outputs determine the state. Neither needs eigenvectors, so
 repeated and defective multipliers are no special case.
+
+Of measured states F(ψ) also follows by linear least squares, the equation-error method
+(V. Klein, E. A. Morelli, *Aircraft System Identification*, 2006, chapter 5):
+
+    x[k+m] − x[k] = ∫ F(ψ) x + G(ψ) u dt,   F, G of a few harmonics
+
+Noise of x enters the regressors, too, and biases least squares; states almost free of noise
+as instruments take the bias away (T. Söderström, P. Stoica, *System Identification*, 1989,
+chapter 8). A start where a period forgets the state and noise hides what is left.
 """
 
 from dataclasses import dataclass
@@ -15,186 +24,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
-    LARGEST_RESPONSE,
     compact,
-    mode_responses,
-    mode_steps,
-    orthonormal_range,
-    refine_multipliers,
 )
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-__all__ = [
-    "FloquetError",
-    "FloquetShapes",
-    "fit_shapes",
-    "floquet_logarithm",
-    "leaves_white_noise",
-    "order_by_residual",
-    "response_to_states",
-    "shape_functions",
-    "shapes_determine_state",
-    "state_response",
-    "told_apart",
-    "without_noise",
-]
-
-BIC_PATIENCE = 2
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
-WHITE_MARGIN = 1.3  # above it something stands out of the noise
-TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
-NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 SWEEPS = 20
 
 
 # ---- the Poincaré map ------------------------------------------------------------------------
-
-
-def order_by_residual(candidates, directions, lifted, told=None):
-    """Which of some maps Φ, of rising order, the lifted outputs call for.
-
-    The order of the least Bayesian information criterion, or the next one that leaves white
-    noise. Systematic errors (a nonlinear system's) call for ever more states: then the last order
-    that brought down the sum of squares left by half a decade.
-
-    Parameters
-    ----------
-    candidates : list of ndarray, shapes (n, n), n = 1, 2, …
-    directions, lifted : list of ndarray
-        As in :func:`~sklearn_hd.algorithms.periodic.multipliers.refine_multipliers`.
-    told : callable, optional
-        ``told(done, note)``, with the candidates tried.
-
-    Returns
-    -------
-    Phi : ndarray, shape (n, n)
-        The candidate chosen.
-    """
-    n_columns, r = lifted[0].shape[1], directions[0].shape[1]
-    target = compact(np.vstack(lifted))
-    n_free = (len(target) - r) * n_columns
-    per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
-    left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
-    for Phi in candidates:
-        refined = refine_multipliers(Phi, directions, lifted)
-        if not _is_possible(refined, max(map(len, lifted))):
-            left.append(target)
-            bic.append(np.inf)
-        else:
-            left.append(_left_by(refined, directions, target))
-            rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
-            bic.append(n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free))
-        if told is not None:
-            told(len(left) - 1, f"best so far {np.argmin(bic)}")
-        if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
-            break
-    best = int(np.argmin(bic))
-    white = [
-        n
-        for n in range(max(best, 1), len(left))
-        if _is_noise(left[n], len(target) - r - n, n_columns)
-    ]
-    if white:  # more states than the criterion pays for, if fewer leave what is no noise
-        best = white[0]
-    elif not _is_white(left[best], n_columns):
-        sizes = np.array([np.linalg.norm(rest) for rest in left])
-        drops = np.flatnonzero(sizes[:-1] >= 10.0**0.25 * sizes[1:])
-        best = min(best, int(drops[-1]) + 1 if len(drops) else 1)
-    return candidates[max(best, 1) - 1]
-
-
-def _is_possible(Phi, n_periods):
-    """Whether a periodic system may have this map: one state alone cannot change sign from period
-    to period, and what outgrows numbers within a record was not recorded."""
-    if Phi.size == 1 and Phi.item() < 0.0:
-        return False
-    largest = np.max(np.abs(linalg.eigvals(Phi)))
-    return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
-
-
-def _left_by(Phi, directions, target):
-    """Lifted outputs less what inputs and as many states as Φ has can explain.
-
-    The states move in n of the directions in which n modes could answer to every input and
-    initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
-    them together would fit the noise, the more the more directions the inputs have.
-    """
-    regressors, r = np.vstack(mode_responses(mode_steps(Phi), directions)), len(directions[0].T)
-    Q = orthonormal_range(regressors[:, :r])
-    left = target - Q @ (Q.T @ target)
-    Q = orthonormal_range(regressors[:, r:], beyond=Q)
-    within = Q.T @ left
-    U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
-    return left - Q @ (U @ (U.T @ within))
-
-
-def leaves_white_noise(Phi, directions, lifted):
-    """Whether what the multipliers of Φ leave of the lifted outputs is white noise, or rounding.
-
-    If so, :func:`~sklearn_hd.algorithms.periodic.multipliers.refine_multipliers` is the estimate of
-    largest likelihood; if not, the squares it minimises are systematic errors, and it has no
-    claim to be the better one.
-    """
-    target = compact(np.vstack(lifted))
-    rest = _left_by(Phi, directions, target)
-    rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
-    return bool(rounding) or _is_white(rest, lifted[0].shape[1])
-
-
-def without_noise(Phi, directions, lifted):
-    """Lifted outputs as far as inputs and the modes of Φ explain them, whatever O is.
-
-    With Φ but roughly right still close to the truth where a period forgets most.
-
-    Returns
-    -------
-    explained : list of ndarray, shapes (n_periods_s, q)
-    """
-    steps = mode_steps(Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi)))))
-    Q = orthonormal_range(np.vstack(mode_responses(steps, directions)))
-    edges = np.cumsum([len(block) for block in lifted])[:-1]
-    return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
-
-
-def told_apart(Phi, lifted):
-    """Whether free decays move in as many directions as Φ has multipliers.
-
-    One decay cannot show both modes of a double multiplier.
-    """
-    none = [np.zeros((len(block), 0)) for block in lifted]
-    regressors = np.vstack(mode_responses(mode_steps(Phi), none))
-    seen = linalg.svdvals(regressors / column_sizes(regressors))
-    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > UNKNOWN * seen[0]
-
-
-def _is_white(rest, n_columns, margin=WHITE_MARGIN):
-    """Whether no direction stands out of what is left (Marchenko and Pastur, 1967)."""
-    sigma = np.linalg.norm(rest) / np.sqrt(len(rest) * n_columns)
-    largest = np.linalg.norm(rest, 2)
-    return largest <= margin * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
-
-
-def _is_noise(rest, n_rows, n_columns):
-    """Whether the strongest direction of what is left may be white noise's (Johnstone, 2001).
-
-    Its variance in parts of the noise's, less its expectation, in parts of its spread has
-    Tracy and Widom's distribution.
-
-    Parameters
-    ----------
-    rest : ndarray, shape (n_periods, n_columns or fewer)
-        Of the same scalar products as what is left.
-    n_rows : int
-        Periods less the directions taken out.
-    n_columns : int
-    """
-    variance = float(np.sum(rest**2)) / (n_rows * n_columns)
-    a, b = np.sqrt(n_rows - 1.0), np.sqrt(n_columns)
-    spread = (a + b) * (1.0 / a + 1.0 / b) ** (1.0 / 3.0)
-    return bool(np.linalg.norm(rest, 2) ** 2 <= variance * ((a + b) ** 2 + TRACY_WIDOM * spread))
+INTERVALS = 8  # a period: longer ones have more signal, shorter ones a finer rule
 
 
 def state_response(Phi, C, directions, lifted, seen):
@@ -222,10 +65,10 @@ def state_response(Phi, C, directions, lifted, seen):
     residual : ndarray, shape (q,)
         Sum of squares left of each sample of the period.
     """
-    project = _off(directions)
-    units, outputs = _unit_responses(Phi, directions), project(np.vstack(lifted))
-    units = np.stack([project(unit) for unit in units], axis=1)  # (n_periods, n_unknown, n)
-    target, sees, before = project(np.vstack(seen)), C, np.inf
+    units = _unit_responses(Phi, directions)  # (n_periods, n_unknown, n)
+    outputs, target = _off(directions, lifted), _off(directions, seen)
+    units = _off(directions, [units.reshape(len(outputs), -1)]).reshape(units.shape)
+    sees, before = C, np.inf
     few = compact(outputs)
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
@@ -237,7 +80,7 @@ def state_response(Phi, C, directions, lifted, seen):
         if left >= (1.0 - 1e-6) * before or left <= EXACT**2 * np.sum(few**2):
             break
         target, before = few, left
-    return _seen_of(states, outputs)
+    return response_to_states([states], directions, [outputs])
 
 
 def response_to_states(states, directions, lifted):
@@ -255,34 +98,29 @@ def response_to_states(states, directions, lifted):
     sights, information, residual
         As of :func:`state_response`.
     """
-    project = _off(directions)
-    return _seen_of(project(np.vstack(states)), project(np.vstack(lifted)))
-
-
-def _off(directions):
-    """Projection of stacked periods off the inputs."""
-    W = np.vstack(directions)
-    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
-    return lambda block: block - Q @ (Q.T @ block)
-
-
-def _seen_of(states, outputs):
+    states, outputs = _off(directions, states), _off(directions, lifted)
     sights = linalg.lstsq(states, outputs)[0].T
     return sights, states.T @ states, np.sum((outputs - states @ sights.T) ** 2, axis=0)
+
+
+def _off(directions, blocks):
+    """Stacked periods less what inputs explain."""
+    W, stacked = np.vstack(directions), np.vstack(blocks)
+    Q = linalg.qr(W, mode="economic")[0] if W.shape[1] else W
+    return stacked - Q @ (Q.T @ stacked)
 
 
 def _unit_responses(Phi, directions):
     """States for each entry of B, row by row, and of every initial state, all periods stacked."""
     n, r = len(Phi), directions[0].shape[1]
-    lengths = [len(w) for w in directions]
     units = []
     for s, w in enumerate(directions):
         forcing = np.einsum("ab,kq->aqkb", np.eye(n), w).reshape(n * r, len(w), n)
         forced = propagate(Phi, forcing, np.zeros((n * r, n)))
         free = np.zeros((len(directions), n, len(w), n))
-        free[s] = propagate(Phi, np.zeros((n, lengths[s], n)), np.eye(n))
-        units.append(np.concatenate([forced, free.reshape(-1, len(w), n)]))
-    return np.concatenate(units, axis=1)
+        free[s] = propagate(Phi, np.zeros((n, len(w), n)), np.eye(n))
+        units.append(np.concatenate([forced, free.reshape(-1, len(w), n)]).swapaxes(0, 1))
+    return np.concatenate(units)
 
 
 # ---- Floquet form ----------------------------------------------------------------------------
@@ -341,24 +179,6 @@ def floquet_logarithm(Phi, period):
     return linalg.block_diag(*logarithms)[-len(Phi) :, -len(Phi) :], to_original, flips
 
 
-def shape_functions(psi, n_harmonics, flips):
-    """Functions that shapes are made of, and their derivatives with respect to ψ.
-
-    1, cos ψ, sin ψ, … for shapes that repeat; cos ψ/2, sin ψ/2, cos 3ψ/2, … for those that
-    change sign from one period to the next.
-
-    Returns
-    -------
-    values, slopes : ndarray, shape (n_points, n_functions)
-    """
-    orders = np.arange(max(n_harmonics, 1)) + 0.5 if flips else np.arange(n_harmonics + 1)
-    angles = np.multiply.outer(psi, orders)
-    values = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    slopes = orders[:, None] * np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
-    nothing = [] if flips else [1]  # sin 0ψ
-    return tuple(np.delete(f.reshape(len(psi), -1), nothing, axis=1) for f in (values, slopes))
-
-
 class FloquetError(ValueError):
     """Multipliers that no periodic system has: zero, or an odd number of negative ones."""
 
@@ -367,12 +187,16 @@ class FloquetError(ValueError):
 class FloquetShapes:
     """Mode shapes P(ψ) of a periodic system as series in ψ.
 
+    Of 1, cos ψ, sin ψ, … where shapes repeat; of cos ψ/2, sin ψ/2, cos 3ψ/2, … where they
+    change sign from one period to the next.
+
     Attributes
     ----------
     R : ndarray, shape (n, n)
         1/s; the free response is y = P(ψ) e^{Rt} q.
     flips : ndarray of bool, shape (n,)
-    coefficients : tuple of ndarray, shapes (n_functions_a, l), one for each state a
+    coefficients : ndarray, shape (n, n_orders, 2, l)
+        Of the cosine and the sine of each order, by state.
     n_harmonics : int
     noise : float
         Standard deviation of what the shapes were fitted to, in parts of its size.
@@ -380,17 +204,16 @@ class FloquetShapes:
 
     R: np.ndarray
     flips: np.ndarray
-    coefficients: tuple
+    coefficients: np.ndarray
     n_harmonics: int
     noise: float = 0.0
 
     def __call__(self, psi):
         """P(ψ) and dP/dψ, shapes (n_points, l, n)."""
-        parts = [
-            [f @ c for f in shape_functions(psi, self.n_harmonics, flips)]
-            for flips, c in zip(self.flips, self.coefficients, strict=True)
-        ]
-        return np.stack([p for p, _ in parts], axis=2), np.stack([s for _, s in parts], axis=2)
+        angles, orders = _angles(psi, self.flips, self.coefficients.shape[1])
+        c, s = np.cos(angles), np.sin(angles)
+        both = np.stack([c, s], axis=-1), orders[..., None] * np.stack([-s, c], axis=-1)
+        return np.einsum("dpakf,akfl->dpla", both, self.coefficients)
 
     def state_matrix(self, psi, omega, rows):
         """F(ψ) = (P′ + P R) P⁻¹ with some rows of P as states, shape (n_points, n, n)."""
@@ -399,6 +222,12 @@ class FloquetShapes:
         scale = np.linalg.norm(P, axis=(0, 2))[:, None]  # outputs in like units
         inverse = np.linalg.inv(P / scale) / scale.T
         return (slope + P @ self.R) @ inverse
+
+
+def _angles(psi, flips, n_orders):
+    """Angles kψ, or (k + 1/2)ψ where shapes change sign, (n_points, n, n_orders), and k."""
+    orders = np.arange(n_orders) + 0.5 * np.asarray(flips)[:, None]
+    return np.multiply.outer(psi, orders), orders
 
 
 def fit_shapes(sights, information, residual, R, flips, period, n_rows):
@@ -431,25 +260,39 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     decays[0] = np.eye(n)
     for j in range(1, n_phases):
         decays[j] = step @ decays[j - 1]
-    root = _root(information)
-    weighted = decays @ root
+    values, vectors = linalg.eigh(information)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))  # root rootᵀ = information
+    weighted = (decays @ root).transpose(0, 2, 1)
     target = (sights @ root).transpose(0, 2, 1).reshape(n_phases * n, n_outputs)
     variance = residual.sum(axis=0) / (n_phases * max(1, n_rows))
     rounding = (4.0 * EPS * np.linalg.norm(target, axis=0)) ** 2
     variance = np.where(variance > rounding, variance, np.where(rounding > 0, rounding, 1.0))
-    functions = [
-        [shape_functions(psi, count, flip)[0] for flip in flips]
-        for count in range(n_phases // 2 + 1)
-    ]
-    left, n_columns = _left_by_count(functions, weighted, target)
-    chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
-    design = _shape_design(functions[chosen], weighted)
+    # columns in the order in which more and more harmonics need them: one factorisation for all
+    counts = np.arange(n_phases // 2 + 1)
+    angles = _angles(psi, flips, len(counts))[0]
+    since = np.repeat(np.where(flips[:, None] & (counts > 0), counts + 1, counts), 2)
+    since.reshape(n, -1)[~flips, 1] = len(counts)  # sin 0ψ
+    columns = np.argsort(since, kind="stable")[: np.sum(since < len(counts))]
+    n_columns = np.searchsorted(since[columns], counts, side="right")
+    functions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    design = functions[:, None] * weighted[..., None, None]
+    design = design.reshape(len(target), -1)[:, columns]
     size = np.linalg.norm(design, axis=0)
     size[size < DEPENDENT * size.max()] = np.inf  # the sine that is zero at every sample
-    solution = linalg.lstsq(design / size, target)[0] / size[:, None]
-    edges = np.cumsum([f.shape[1] for f in functions[chosen]])[:-1]
+    Q, upper = linalg.qr(design / size, mode="economic")
+    Q = Q * (np.abs(np.diag(upper)) > DEPENDENT)
+    taken = Q.T @ target
+    beyond = np.sum((target - Q @ taken) ** 2, axis=0)
+    left = np.cumsum(np.vstack([beyond, taken[::-1] ** 2]), axis=0)[::-1]  # no cancellation
+    left = left[np.minimum(n_columns, len(taken))]
+    chosen = int(np.argmin(np.sum(left / variance, axis=1) + 2.0 * n_columns * n_outputs))
+    columns = columns[: n_columns[chosen]]
+    size = size[: len(columns), None]
+    coefficients = np.zeros((len(since), n_outputs))
+    coefficients[columns] = linalg.lstsq(design[:, : len(columns)] / size.T, target)[0] / size
+    coefficients = coefficients.reshape(n, len(counts), 2, n_outputs)[:, : chosen + 1]
     noise = float(np.sqrt(len(target) * np.sum(variance) / np.sum(target**2)))
-    return FloquetShapes(R, flips, tuple(np.split(solution, edges)), chosen, noise)
+    return FloquetShapes(R, flips, coefficients, chosen, noise)
 
 
 def shapes_determine_state(P):
@@ -470,37 +313,61 @@ def shapes_determine_state(P):
     return bool(np.max(np.linalg.cond(scaled)) <= SHAPE_CONDITION)
 
 
-def _shape_design(functions, weighted):
-    """Regressors of the coefficients of P: functions of ψ times what each state has become."""
-    columns = [f[:, None, :] * weighted[:, a, :, None] for a, f in enumerate(functions)]
-    return np.concatenate(columns, axis=2).reshape(len(weighted) * weighted.shape[2], -1)
+def equation_error(segments, period, n_phases, n_harmonics, instruments=None):
+    """Fourier coefficients of F(ψ) and G(ψ) from measured states.
 
+    Parameters
+    ----------
+    segments : list of (states, inputs, first_phase)
+        (n_samples, n), (n_samples, m), held, and the first sample's phase in samples.
+    period : float
+        Seconds.
+    n_phases : int
+        Samples a period.
+    n_harmonics : int
+        Highest harmonic of F and G.
+    instruments : list of ndarray, shapes (n_samples, n), optional
+        States of less noise, of every segment; the measured ones by default.
 
-def _left_by_count(functions, weighted, target):
-    """Sums of squares that more and more functions leave, and how many coefficients they have.
+    Returns
+    -------
+    F : ndarray, shape (2 n_harmonics + 1, n, n)
+    G : ndarray, shape (2 n_harmonics + 1, n, m)
 
-    Those of fewer harmonics are the first of those of more: one factorisation serves all.
+    Examples
+    --------
+    >>> x = np.exp(-0.5 * np.arange(0, 8, 0.01))[:, None]
+    >>> F, _ = equation_error([(x, np.zeros((800, 0)), 0)], 1.0, 100, 0)
+    >>> F.round(3).tolist()
+    [[[-0.5]]]
     """
-    blocks, n_columns, before = [], [], [0] * len(functions[0])
-    for each in functions:
-        new = [f[:, seen:] for f, seen in zip(each, before, strict=True)]
-        before = [f.shape[1] for f in each]
-        blocks.append(_shape_design(new, weighted))
-        n_columns.append(sum(before))
-    design = np.hstack(blocks)
-    size = np.linalg.norm(design, axis=0)
-    size[size < DEPENDENT * size.max()] = np.inf
-    Q, R = linalg.qr(design / size, mode="economic")
-    Q = Q * (np.abs(np.diag(R)) > DEPENDENT)
-    taken = Q.T @ target
-    beyond = np.sum((target - Q @ taken) ** 2, axis=0)
-    later = np.cumsum(np.vstack([beyond, taken[::-1] ** 2]), axis=0)[::-1]  # no cancellation
-    return later[np.minimum(np.cumsum([b.shape[1] for b in blocks]), len(taken))], np.array(
-        n_columns
-    )
+    m, step = max(1, n_phases // INTERVALS), period / n_phases
+    shown = [x for x, _, _ in segments] if instruments is None else instruments
+    X, Z, target = [], [], []
+    for (x, u, first), z in zip(segments, shown, strict=True):
+        functions = harmonic_functions(
+            2.0 * np.pi / n_phases * (first + np.arange(len(x))), range(n_harmonics + 1)
+        )
+        X.append(step * _integrals(functions, x, u, m))
+        Z.append(step * _integrals(functions, z, u, m))
+        target.append(x[m:] - x[:-m])
+    X, Z, target = map(np.vstack, (X, Z, target))
+    size = column_sizes(Z)
+    Q = linalg.qr(Z / size, mode="economic")[0]
+    solution = linalg.lstsq(Q.T @ X / size, Q.T @ target, cond=1e-9)[0] / size[:, None]
+    n, count = target.shape[1], 2 * n_harmonics + 1
+    F = solution[: count * n].reshape(count, n, n).transpose(0, 2, 1)
+    return F, solution[count * n :].reshape(count, -1, n).transpose(0, 2, 1)
 
 
-def _root(information):
-    """L with L Lᵀ = information, by its eigenvalues."""
-    values, vectors = linalg.eigh(information)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+def _integrals(functions, x, u, m):
+    """Of harmonics times states and held inputs, over m samples, in samples."""
+
+    def products(values, functions):
+        return (functions[:, :, None] * values[:, None, :]).reshape(len(values), -1)
+
+    ends = products(x, functions)
+    held = products(u[:-1], functions[:-1]) + products(u[:-1], functions[1:])
+    rates = 0.5 * np.hstack([ends[1:] + ends[:-1], held])
+    sums = np.vstack([np.zeros(rates.shape[1]), np.cumsum(rates, axis=0)])
+    return sums[m:] - sums[:-m]

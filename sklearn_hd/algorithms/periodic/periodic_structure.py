@@ -23,12 +23,15 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.periodic.floquet import state_units
-from sklearn_hd.algorithms.periodic.gauss_rules import N_STAGES, gauss_tableau
+from sklearn_hd.algorithms.periodic.floquet import (
+    N_STAGES,
+    collocation,
+    gauss_tableau,
+    product_of,
+    state_units,
+)
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-
-__all__ = ["PeriodicStructure", "SampledResponse", "held_pushes", "sampled_response"]
 
 LONGEST_STEP = 1.0  # |F| h and K ω h of one collocation step; at 1 it errs by 1e-15
 MAX_SUBSTEPS = 256  # within one sample; whatever moves faster was not seen by the samples
@@ -148,18 +151,18 @@ class PeriodicStructure:
     @cached_property
     def dynamic_entries(self):
         """Harmonic, row and column of the entries of [F G] that move, and their rates (k, e)."""
-        return self._entries(lambda row: row < self.n_states)
+        return self._entries(dynamic=True)
 
     @cached_property
     def output_entries(self):
         """The same of [P Q], rows counted from its first."""
-        harmonic, row, column, rates = self._entries(lambda row: row >= self.n_states)
+        harmonic, row, column, rates = self._entries(dynamic=False)
         return harmonic, row - self.n_states, column, rates
 
-    def _entries(self, chosen):
+    def _entries(self, *, dynamic):
         moved = np.unique(self.basis.indices)
         index = np.array(np.unravel_index(moved, self.constant.shape))
-        chosen = chosen(index[1])
+        chosen = (index[1] < self.n_states) == dynamic
         return *index[:, chosen], self.basis[:, moved[chosen]]
 
 
@@ -196,11 +199,8 @@ class SampledResponse:
     @cached_property
     def monodromy(self):
         """Transition matrix over the p intervals: one period, or one sample if p is 1."""
-        product = np.eye(self.n_states)
         with np.errstate(over="ignore", invalid="ignore"):
-            for factor in self.Phi:
-                product = factor @ product
-        return product
+            return product_of(self.Phi)
 
     @cached_property
     def spectral_radius(self):
@@ -326,13 +326,13 @@ def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True
     scale = units / units[:n, None]
     nodes, width = _nodes(p, n_phases, n_substeps)
     values = evaluate_harmonics(M * scale, nodes)
-    left, stages, steps = _collocation(values, width / omega, adjoint=adjoint)
+    left, stages, steps = collocation(values * (width / omega), adjoint=adjoint)
     before, after = _chains(steps)
     Psi = (steps[:, -1] @ before[:, -1])[:, :n] / scale
     nodes = nodes.reshape(p, -1)
     if not adjoint:
         return nodes, Psi, None, None
-    left = after[:, :, None, :n, :n] @ left * (units[:n, None] / units[:n])
+    left = after[:, :, None, :n, :n] @ left * (width / omega * units[:n, None] / units[:n])
     stages = stages @ before[:, :, None] * (units[:, None] / units)
     left, stages = (M.reshape(p, -1, *M.shape[3:]) for M in (left, stages))
     return nodes, Psi, left, stages
@@ -343,29 +343,6 @@ def _nodes(p, n_phases, n_substeps):
     width = 2.0 * np.pi / (n_phases * n_substeps)
     starts = 2.0 * np.pi / n_phases * np.arange(p)[:, None] + width * np.arange(n_substeps)
     return starts[:, :, None] + width * gauss_tableau(N_STAGES)[0], width
-
-
-def _collocation(values, h, *, adjoint):
-    """Adjoints L_q, stage states Z_q = [X_q; u] and steps [Φ Γ; 0 I] of collocation steps.
-
-    Stages K_q = [F_q G_q] Z_q, X_q = x + h Σ_r a_qr K_r; step x + h Σ_q b_q K_q.
-    ``values`` holds [F G] at the nodes, shape (..., n_stages, n, n + m).
-    """
-    _, a, b = gauss_tableau(N_STAGES)
-    *batch, Q, n, columns = values.shape
-    coupling = h * values[..., :, :, None, :n] * a[:, None, :, None]
-    system = np.eye(Q * n) - coupling.reshape(*batch, Q * n, Q * n)
-    K = np.linalg.solve(system, values.reshape(*batch, Q * n, columns))
-    K = K.reshape(*batch, Q, n, columns)
-    steps = np.zeros((*batch, columns, columns)) + np.eye(columns)
-    steps[..., :n, :] += h * np.einsum("q,...qij->...ij", b, K)
-    if not adjoint:
-        return None, None, steps
-    stages = np.zeros((*batch, Q, columns, columns)) + np.eye(columns)
-    stages[..., :n, :] += h * np.einsum("qr,...rij->...qij", a, K)
-    weights = np.broadcast_to(h * np.kron(b[:, None], np.eye(n)), (*batch, Q * n, n))
-    left = np.linalg.solve(np.swapaxes(system, -1, -2), weights)
-    return np.swapaxes(left.reshape(*batch, Q, n, n), -1, -2), stages, steps
 
 
 def _chains(steps):

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
+from sklearn_hd.algorithms.likelihood.likelihood import (
+    as_records,
+    likelihood_problem,
+    residuals,
+    simulate,
+)
 from sklearn_hd.algorithms.likelihood.noisy_inputs import innovation_filter, noisy_input_problem
 from sklearn_hd.algorithms.likelihood.output_error import output_error
-from sklearn_hd.algorithms.likelihood.sensitivity import as_records, residuals, simulate
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 
 OMEGA, N_PHASES = 2 * np.pi, 16

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.likelihood import sensitivity
+from sklearn_hd.algorithms.likelihood import likelihood
+from sklearn_hd.algorithms.likelihood.likelihood import as_records, jacobian_factors, simulate
 from sklearn_hd.algorithms.likelihood.output_error import output_error
-from sklearn_hd.algorithms.likelihood.sensitivity import as_records, jacobian_factors, simulate
 from sklearn_hd.algorithms.likelihood.uncertainty import (
     fisher_information,
     floquet_exponent_std,
@@ -57,7 +57,7 @@ def residual_vector(structure, theta, segments, x0, observe=None):
     response = sampled_response(structure, theta, OMEGA, N_PHASES, observe)
     records = as_records(segments, structure.n_inputs, response.Out.shape[1])
     parts = [
-        sensitivity.residuals(response, record, start)
+        likelihood.residuals(response, record, start)
         for record, start in zip(records, x0, strict=True)
     ]
     return np.concatenate(parts)
@@ -69,7 +69,7 @@ def residual_vector(structure, theta, segments, x0, observe=None):
 @pytest.mark.parametrize("piece", [1, 3000, 8_000_000])
 def test_jacobian_is_that_of_central_differences(oscillator, rng, piece, monkeypatch):
     """All at once or piece by piece, the factor has the Jacobian's Gram matrix."""
-    monkeypatch.setattr(sensitivity, "PIECE", piece)
+    monkeypatch.setattr(likelihood, "PIECE", piece)
     structure, theta = oscillator
     segments, x0 = recorded(structure, theta, rng, lengths=(150,), phases=(5,), noise=0.1)
     response = sampled_response(structure, theta, OMEGA, N_PHASES)

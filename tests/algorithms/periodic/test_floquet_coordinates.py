@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.periodic.floquet_coordinates import fixed_scale, floquet_coordinates
-from sklearn_hd.algorithms.periodic.periodic_realization import FloquetShapes, shape_functions
+from sklearn_hd.algorithms.periodic.periodic_realization import FloquetShapes
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 from sklearn_hd.systems import LTPSystem
@@ -37,8 +37,8 @@ def shapes_of(name, n_outputs=2, n_harmonics=2):
     turned, straight = CASES[name]
     R = linalg.block_diag(*[part for part in (turned, straight) if len(part)])
     flips, rng = np.arange(len(R)) < len(turned), np.random.default_rng(1)
-    sizes = [shape_functions(np.zeros(1), n_harmonics, flip)[0].shape[1] for flip in flips]
-    coefficients = tuple(rng.standard_normal((size, n_outputs)) for size in sizes)
+    coefficients = rng.standard_normal((len(R), n_harmonics + 1, 2, n_outputs))
+    coefficients[flips, -1] = 0.0
     return FloquetShapes(R, flips, coefficients, n_harmonics)
 
 
@@ -72,7 +72,7 @@ def test_coordinates_repeat_with_the_period(name):
 
 def test_modes_too_close_have_no_form():
     R = np.array([[-0.3, 1.0], [0.0, -0.3]])
-    shapes = FloquetShapes(R, np.array([False, False]), (np.eye(3)[:, :1], np.eye(3)[:, 1:2]), 1)
+    shapes = FloquetShapes(R, np.array([False, False]), np.eye(4).reshape(4, 2, 2, 1)[:2], 1)
     F, P, form = floquet_coordinates(shapes, np.zeros(3), OMEGA)
     assert form is None
     np.testing.assert_array_equal(F, np.broadcast_to(R, (3, 2, 2)))
@@ -80,7 +80,7 @@ def test_modes_too_close_have_no_form():
 
 
 def test_an_odd_number_of_negative_multipliers_is_refused():
-    shapes = FloquetShapes(np.array([[-0.3]]), np.array([True]), (np.ones((2, 1)),), 1)
+    shapes = FloquetShapes(np.array([[-0.3]]), np.array([True]), np.ones((1, 1, 2, 1)), 1)
     with pytest.raises(ValueError, match=r"1 negative real .* odd number.*; try order=2, or"):
         floquet_coordinates(shapes, np.zeros(3), OMEGA)
 

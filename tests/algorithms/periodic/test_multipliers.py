@@ -5,11 +5,18 @@ import pytest
 
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.periodic.multipliers import (
+    Modes,
     _Elimination,
     characteristic,
     invariant_blocks,
     with_characteristic,
 )
+
+
+def problem(blocks, directions, target):
+    """Multipliers below 2."""
+    edges = np.cumsum([len(block) for block in blocks])[:-1]
+    return _Elimination(edges, Modes(directions), target, 2.0)
 
 
 @pytest.mark.parametrize("n_segments", [1, 3])
@@ -21,7 +28,7 @@ def test_jacobian_of_what_is_left_is_the_derivative(rng, n, n_segments):
     _, blocks = invariant_blocks(Phi)
     directions = [rng.standard_normal((40, 2)) for _ in range(n_segments)]
     directions[0][:, 1] = 0.0
-    elimination = _Elimination(blocks, directions, rng.standard_normal((40 * n_segments, 7)), 2.0)
+    elimination = problem(blocks, directions, rng.standard_normal((40 * n_segments, 7)))
     point = np.concatenate([characteristic(block) for block in blocks])
     columns = [
         (elimination.left(point + step)[0] - elimination.left(point - step)[0]) / 2e-6
@@ -57,13 +64,13 @@ def test_what_is_left_is_what_no_answer_of_the_modes_explains(rng, n):
     M = np.hstack(columns)
     expected = target - M @ np.linalg.lstsq(M, target)[0]
     point = np.concatenate([characteristic(block) for block in blocks])
-    left, _ = _Elimination(blocks, directions, target, 2.0).left(point)
+    left, _ = problem(blocks, directions, target).left(point)
     np.testing.assert_allclose(left, expected.ravel(), atol=1e-9)
 
 
 def test_beyond_the_largest_multiplier_nothing_is_explained_and_nothing_moves(rng):
     target = rng.standard_normal((20, 3))
-    elimination = _Elimination([np.eye(1)], [rng.standard_normal((20, 1))], target, 2.0)
+    elimination = problem([np.eye(1)], [rng.standard_normal((20, 1))], target)
     left, jacobian = elimination.left(np.array([2.5]))
     np.testing.assert_array_equal(left, target.ravel())
     assert not jacobian.any()
