@@ -440,3 +440,19 @@ def test_grid_search_on_a_cluster(rng):
     assert search.best_params_ == expected.best_params_
     scores = [each.cv_results_["mean_test_score"] for each in (search, expected)]
     np.testing.assert_allclose(*scores, rtol=1e-12)
+
+
+def test_an_error_in_the_users_graph_comes_through_at_once(rng):
+    """An AttributeError, too, which Python asks again for where attributes are looked up."""
+    t, called = np.arange(60) * 0.1, []
+    u, y = (pd.DataFrame({name: rng.standard_normal(60)}, index=t) for name in "uy")
+
+    def broken(part):
+        called.append(len(part))
+        return part.nope
+
+    X = dd.from_pandas(u, npartitions=2)
+    X = X.map_partitions(broken, meta=X._meta)
+    with dask.config.set(scheduler="synchronous"), pytest.raises(AttributeError, match="nope"):
+        MOESPRegressor(1).fit(X, dd.from_pandas(y, npartitions=2))
+    assert len(called) == 1

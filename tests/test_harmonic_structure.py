@@ -12,7 +12,7 @@ from periodic_cases import mathieu, record, synchronous
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd import HarmonicStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd._match.match import PeriodicModel
 from sklearn_hd._readings import SlidingBasis
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
@@ -479,3 +479,15 @@ def test_criterion_and_structure_are_checked(data):
     matcher = StructuredMatcher(MOESPRegressor(order=1, block_rows=5), criterion="output_error")
     with pytest.raises(ValueError, match=r"needs a structure whose parameters the record determ"):
         matcher.fit(u, y)
+
+
+def test_a_structure_without_parameters_is_refused_through_a_window_too():
+    """There is nothing to match, whichever route is taken."""
+    t = pd.Index(np.arange(640) / 16, name="time")
+    u = pd.DataFrame({"u": np.repeat(np.random.default_rng(0).standard_normal(40), 16)}, t)
+    y = pd.DataFrame({"x": np.convolve(u["u"], 0.9 ** np.arange(60))[:640]}, t)
+    frame = HarmonicAnalyzer(2 * np.pi, output_harmonics=0).fit(u, y).transform(u)
+    fixed = HarmonicStructure(F={"0": [[-0.5]]}, G={"0": [[1.0]]})
+    match = StructuredMatcher(MOESPRegressor(2), structure=fixed)
+    with pytest.raises(ValueError, match="the structure has no free parameter"):
+        match.fit(frame, y)

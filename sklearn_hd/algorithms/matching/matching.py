@@ -211,6 +211,7 @@ def match_structure(
 
 TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
+_CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
 _DESCENTS = 3  # matches and starts that go down
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
@@ -240,6 +241,8 @@ def _result(problem, fit, fits, exact, start=None, descent=None):
         theta, certificate, n_iter = descent.theta, descent.certificate, n_iter + descent.n_iter
         history += tuple(("minimax", value) for value in descent.history)
         predicted, left, tolerance = descent.predicted_decrease, descent.ratio - 1.0, GAP
+        if predicted > _CERTIFIED:  # t is down, but no minimum
+            left, tolerance = predicted, _CERTIFIED
     value, peak = problem.peak(theta)
     singular_values, unidentified = problem.identifiability(theta)
     return MatchResult(

@@ -9,6 +9,7 @@ from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem, channel_scales
+from sklearn_hd.algorithms.matching.smooth_peak import Certificate, SmoothDescent
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.structures import MatrixStructure
 
@@ -463,3 +464,18 @@ def test_a_direction_that_fades_on_the_way_does_not_hold_up_the_others():
     result = match_structure(*model, MatrixStructure(*cells).affine)
     assert result.converged
     assert result.hinf_error == pytest.approx(0.38465, rel=1e-4)  # 0.444 where it did
+
+
+@pytest.mark.parametrize(("promised", "converged"), [(1e-3, True), (1.2, False)])
+def test_a_bound_that_is_down_at_no_minimum_has_not_converged(monkeypatch, promised, converged):
+    """A certificate of more than the norm itself says that the descent ended nowhere."""
+    seen = Certificate(np.ones(1), np.ones(1), np.ones(1), 1.0, promised)
+
+    def ended(problem, fits, starts, max_iter):
+        return fits[0], SmoothDescent(fits[0].theta, (problem.peak(fits[0].theta)[0],), 1.0, seen)
+
+    monkeypatch.setattr("sklearn_hd.algorithms.matching.matching.least_norm", ended)
+    two = np.diag([-1.0, -3.0])
+    lag = MatrixStructure([["-a"]], [["b"]]).affine
+    found = match_structure(two, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), lag)
+    assert found.converged is converged
