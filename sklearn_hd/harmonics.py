@@ -251,10 +251,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             Fitted.
         """
         timing = self._checked_timing()
-        _check_not_analysed(X)
+        _check_raw(X)
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
-        check_upright(X, "X")
         inputs = read_signals(X, "x", "X", timing)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
@@ -510,13 +509,14 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         return np.asarray([*self.basis_.measured, *self.basis_.drive_labels], dtype=object)
 
 
-def _check_not_analysed(X):
+def _check_raw(X):
     if isinstance(X, HarmonicFrame) and X.is_laden:
         raise ValueError(
             "X comes from HarmonicAnalyzer or a model step already; the order of steps is "
             "HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher, each "
             "once"
         )
+    check_upright(X, "X")
 
 
 def _warn_if_counted(base):

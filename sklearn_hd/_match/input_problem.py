@@ -23,7 +23,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
 
 MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-ROUNDING = 1e-28
+LEAST_SQUARE = 1e-28  # of a row of outputs of unit size: what rounding leaves
 RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 
@@ -241,7 +241,7 @@ class InputProblem:
         n_starts = self.parts[0].starts.shape[2]
         n_rows, n_outputs = self.n_rows, len(self.scale)
         rss = np.sum(left.reshape(-1, n_outputs) ** 2, axis=0) + self.beyond
-        likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, ROUNDING * n_rows))))
+        likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, LEAST_SQUARE * n_rows))))
         bic = likelihood + np.log(n_rows * n_outputs) * (len(solution) - n_starts)
         return _Fit(count, bic, solution[n_starts:], unknown[n_starts:], float(np.sum(rss)), left)
 

@@ -24,8 +24,8 @@ from sklearn_hd.algorithms.modes.selection import best_modes, residual, unit_reg
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = [
+    "HALF_KNOWN",
     "NEARLY_ALL",
-    "ROUNDING",
     "IdentifiedModes",
     "ModeChoice",
     "choose_modes",
@@ -40,7 +40,7 @@ __all__ = [
 FAMILY_TOLERANCE = 0.05  # of ln z^r: neighbours of one family
 WINDOW_DECAY = 1e-3  # of a response, that is left at the window's end of its memory
 MAX_GROWTH = 20.0  # e-folds over the longest segment: such a mode would show
-ROUNDING = 64 * EPS  # of the variance: poles known to half of their digits leave as much
+HALF_KNOWN = 64 * EPS  # of the variance: poles known to half of their digits leave as much
 NEARLY_ALL = 1e-4  # of the variance: what a set whose poles are a little off may leave
 OWN_SHARE = 1e-3  # of next to nothing, that is left once a mode of the system's own is added
 DECISIVE_SHARE = 0.5  # of the unexplained variance: for more modes than output coefficients
@@ -186,7 +186,7 @@ def choose_modes(modes, experiment, n_states=None):
     whole = family if n_states is None else {}
     R, columns = _regressors(modes, experiment)
     total = float(R[:, -1] @ R[:, -1])
-    rounding, nothing = ROUNDING * total, NEARLY_ALL**2 * total
+    rounding, nothing = HALF_KNOWN * total, NEARLY_ALL**2 * total
     floor = residual(R, columns, tuple(range(len(units))))
     of_families = [i for i, unit in enumerate(units) if unit in whole]
     floor_whole = residual(R, columns, tuple(of_families))

@@ -14,9 +14,9 @@ from sklearn_hd._continuous import refit_inputs, to_continuous
 from sklearn_hd._fit_checks import warn_of_growth
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._reduce.choice import (
+    HALF_KNOWN,
     MATERIAL_SHARE,
     NEARLY_ALL,
-    ROUNDING,
     choose_modes,
     identified_modes,
     verdicts,
@@ -164,7 +164,7 @@ def _most_likely(choice, modes, experiment):
     """
     size = sum(map(len, choice.units))
     value = next((v for v, some in choice.tried if set(some) == set(choice.units)), 0.0)
-    rounding, nothing = ROUNDING * choice.total, NEARLY_ALL**2 * choice.total
+    rounding, nothing = HALF_KNOWN * choice.total, NEARLY_ALL**2 * choice.total
     if value <= rounding or (choice.by_family and value > nothing):
         return choice, None  # nothing to gain, or nothing white: copies agree to 0.1 %
     limit, enough, tried = max(NEARLY_ALL * choice.total, MOST_LEFT * value), rounding, choice.tried

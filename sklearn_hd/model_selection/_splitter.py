@@ -8,7 +8,7 @@ from sklearn_hd._records.data import read_azimuth
 from sklearn_hd._tables import as_container, read_time
 from sklearn_hd.algorithms.signals.resampling import unwrap
 
-ROUNDING = 1e-6  # of a period
+SAME_TURN = 1e-6  # of a period
 
 
 class PeriodBlockSplit(BaseCrossValidator):
@@ -151,7 +151,7 @@ class PeriodBlockSplit(BaseCrossValidator):
                 own = periods[rows][tested[rows]]
                 near[rows] = (periods[rows] >= own[0] - gap) & (periods[rows] <= own[-1] + gap)
             train = np.flatnonzero((~near & ~tested) | always)
-            if np.sum(share[~near]) < 1.0 - share.max() + ROUNDING:
+            if np.sum(share[~near]) < 1.0 - share.max() + SAME_TURN:
                 raise ValueError(
                     f"gap={gap} leaves no whole period to train on beside block {k} of "
                     f"n_splits={n_splits}; give longer records, a smaller gap or more blocks"
@@ -189,7 +189,7 @@ class PeriodBlockSplit(BaseCrossValidator):
         for segment in base.segments:
             steps = np.diff(turns[segment])
             share[segment] = np.append(steps, steps[-1:] if len(steps) else 0.0)
-        return turns + ROUNDING, share
+        return turns + SAME_TURN, share
 
     def _always_trained(self, base):
         """Rows of the trim span."""

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy import linalg
 
-__all__ = ["EPS", "ROUNDING", "all_above", "safe_cholesky", "solve_within_rank", "triangle"]
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 
-EPS = np.finfo(float).eps
-ROUNDING = 2.0**16 * EPS  # 1.5e-11 of the longest direction: what sums of so many rows leave
+__all__ = ["all_above", "safe_cholesky", "solve_within_rank", "triangle"]
+
 STRIP = 192  # columns of an inverse, found together
 TOLERATED_LOSS = 1e-7  # far below what noise does, 1/√n, to as many rows as fit anywhere
 
@@ -146,4 +146,4 @@ def solve_within_rank(X, Y, size=None):
         return np.zeros((X.shape[1], Y.shape[1]))
     size = np.linalg.norm(X, axis=0) if size is None else size
     size = np.where(size > 0.0, size, 1.0)
-    return linalg.lstsq(X / size, Y, cond=ROUNDING)[0] / size[:, None]
+    return linalg.lstsq(X / size, Y, cond=DEPENDENT)[0] / size[:, None]

@@ -22,7 +22,7 @@ __all__ = ["GridFit", "Start", "levenberg_marquardt", "local_fits"]
 
 _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become rounding
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
-_ROUNDING = 1e-31  # sum of squares, relative to that of G_c
+_NOTHING_LEFT = 1e-31  # sum of squares, relative to that of G_c
 _PATIENCE = 25  # steps that must earn a tenth; a creep goes to parameters at infinity
 _RUNAWAY = 1e6  # times the fastest pole: one that has become a feedthrough
 _LINES = 40  # largest number of lines Re s = α on the way to the axis
@@ -99,9 +99,9 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
         damping = damping * max(1e-2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
         damping, growth = max(damping, 1e-16), 2.0
         creeping = len(costs) > _PATIENCE and cost > 0.9 * costs[-_PATIENCE]
-        if creeping or cost > (1.0 - _STALLED) * costs[-2] or cost <= _ROUNDING:
+        if creeping or cost > (1.0 - _STALLED) * costs[-2] or cost <= _NOTHING_LEFT:
             break
-    promised = _steps(problem, theta, residual, jacobian).promised / max(cost, _ROUNDING)
+    promised = _steps(problem, theta, residual, jacobian).promised / max(cost, _NOTHING_LEFT)
     return GridFit(theta, float(np.sqrt(cost)), float(promised), tuple(np.sqrt(costs).tolist()))
 
 

@@ -28,7 +28,7 @@ _NULL = 1e-6  # share of a parameter, its column of length one, in what is not d
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
-_ROUNDING = 1e-13  # of a pole, relative to the largest
+_POLE_DIGITS = 1e-13  # of a pole, relative to the largest
 _RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
 # structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
 
@@ -203,7 +203,7 @@ class MatchingProblem:
         if len(poles) == 0:
             return -np.inf
         fastest = np.abs(poles).max()
-        return poles.real.max() + _ROUNDING * fastest if fastest <= self.speed_limit else np.inf
+        return poles.real.max() + _POLE_DIGITS * fastest if fastest <= self.speed_limit else np.inf
 
     def error_and_sensitivity(self, theta, frequencies):
         """E(jω; θ) and ∂E/∂θ in the criterion's weights and unit."""

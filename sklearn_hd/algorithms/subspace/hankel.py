@@ -23,7 +23,8 @@ import functools
 import numpy as np
 
 from sklearn_hd.algorithms.linalg.double_double import cholesky
-from sklearn_hd.algorithms.linalg.triangular import ROUNDING, all_above, safe_cholesky, triangle
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
+from sklearn_hd.algorithms.linalg.triangular import all_above, safe_cholesky, triangle
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 
 __all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
@@ -119,10 +120,10 @@ def n_excited(R, block_rows, n_inputs):
     n_directions : int
     """
     size = 2 * block_rows * n_inputs
-    if all_above(R[:size, :size], ROUNDING):
+    if all_above(R[:size, :size], DEPENDENT):
         return size
     values = np.linalg.svd(R[:size, :size], compute_uv=False)
-    return int(np.sum(values > ROUNDING * np.max(values, initial=0.0)))
+    return int(np.sum(values > DEPENDENT * np.max(values, initial=0.0)))
 
 
 @functools.lru_cache(maxsize=8)

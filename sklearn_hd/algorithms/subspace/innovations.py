@@ -19,7 +19,8 @@ from itertools import product
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.triangular import ROUNDING, solve_within_rank, triangle
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 
@@ -105,13 +106,13 @@ class InnovationForm:
             return np.zeros(0)
         stable = self.A - self.K @ self.C
         radius = np.max(np.abs(linalg.eigvals(stable)))
-        rows = REACH if radius >= 1.0 else n + np.log(ROUNDING) / np.log(max(radius, 1e-3))
+        rows = REACH if radius >= 1.0 else n + np.log(DEPENDENT) / np.log(max(radius, 1e-3))
         u, y = inputs[: int(min(rows, REACH))], outputs[: int(min(rows, REACH))]
         size = np.ones(y.shape[1]) if covariance is None else np.sqrt(np.diagonal(covariance))
         size = np.where(size > 0.0, size, 1.0)
         left = (y - self.states(u, y, np.zeros(n)) @ self.C.T - u @ self.D.T) / size
         free = propagate(stable, np.zeros((n, len(u), n)), np.eye(n)) @ self.C.T / size
-        return linalg.lstsq(free.reshape(n, -1).T, left.ravel(), cond=ROUNDING)[0]
+        return linalg.lstsq(free.reshape(n, -1).T, left.ravel(), cond=DEPENDENT)[0]
 
 
 def _many_steps(A, forcing, steps):

@@ -33,7 +33,8 @@ import numpy as np
 from scipy import linalg
 from scipy.signal import fftconvolve
 
-from sklearn_hd.algorithms.linalg.triangular import EPS, safe_cholesky, triangle
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.triangular import safe_cholesky, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.responses import (
     BLOCKS,

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.triangular import EPS, ROUNDING, solve_within_rank, triangle
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.subspace.innovations import gain_of_covariances
 
 __all__ = ["PredictorSubspace", "rows_remembered"]
@@ -161,7 +162,7 @@ def rows_remembered(R, block_rows, n_inputs, n_columns, feedthrough):
     first = inputs if feedthrough else inputs[:0]
     T = triangle(R[:, np.concatenate([first, *rows, outputs])])
     target, width = T[:, -len(outputs) :], len(now)
-    least = ROUNDING * np.linalg.norm(target)  # below, nothing is left to predict
+    least = DEPENDENT * np.linalg.norm(target)  # below, nothing is left to predict
     criteria = []
     for p in range(1, block_rows + 1):
         sizes = linalg.svdvals(target[len(first) + p * width :])

@@ -19,9 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import (
-    EPS,
-    ROUNDING,
     all_above,
     solve_within_rank,
     triangle,
@@ -86,10 +85,10 @@ def release_idle_directions(R, n_future_inputs):
         Upper block triangular; RᵀR as before, but for what is below rounding in U_f.
     """
     n = n_future_inputs
-    if all_above(R[:n, :n], ROUNDING):
+    if all_above(R[:n, :n], DEPENDENT):
         return R
     rotation, sizes, _ = linalg.svd(R[:n, :n])
-    idle = sizes <= ROUNDING * sizes[0]
+    idle = sizes <= DEPENDENT * sizes[0]
     if not idle.any():
         return R
     freed = rotation[:, idle].T @ R[:n, n:]
@@ -271,12 +270,12 @@ def _cva(R, block_rows, n_inputs, n_columns):
     off = R[past.start :, past.stop :].T  # Y_f Π
     U, sizes, Vt = linalg.svd(off, full_matrices=False)
     largest = np.max(sizes, initial=0.0)
-    rank = int(np.sum(sizes > ROUNDING * largest))
+    rank = int(np.sum(sizes > DEPENDENT * largest))
     rotation, correlations, _ = linalg.svd(Vt[:rank, : past.stop - past.start], full_matrices=False)
     directions, values = np.zeros((len(off), len(off))), np.zeros(len(off))
     directions[:, : rotation.shape[1]] = (U[:, :rank] * sizes[:rank]) @ rotation
     values[: len(correlations)] = correlations
-    noisy = int(np.sum(linalg.svdvals(R[past.stop :, past.stop :]) > ROUNDING * largest))
+    noisy = int(np.sum(linalg.svdvals(R[past.stop :, past.stop :]) > DEPENDENT * largest))
     floor, left = 10.0 * EPS, n_columns - future.stop
     if rank == min(left, len(off)):  # no fewer than there could be, were all noise
         noisy = rank

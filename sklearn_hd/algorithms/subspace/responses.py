@@ -34,7 +34,8 @@ import numpy as np
 import slycot
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.triangular import EPS, triangle
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.triangular import triangle
 
 __all__ = [
     "OutputNormal",

@@ -26,7 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft, linalg
 
-from sklearn_hd.algorithms.linalg.triangular import ROUNDING, safe_cholesky
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
+from sklearn_hd.algorithms.linalg.triangular import safe_cholesky
 from sklearn_hd.algorithms.subspace.innovations import REACH, InnovationForm
 from sklearn_hd.algorithms.subspace.input_matrices import alike_states, input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, Stretch, stretch
@@ -261,7 +262,7 @@ def input_matrices_of_sums(A, C, sums, feedthrough, scales):
         G, _ = normal_equations(model, products, feedthrough)
         G = np.triu(G) + np.triu(G, 1).T
         seen, directions = linalg.eigh(G[:n, :n])
-        inverse = np.where(seen > ROUNDING, 1.0 / np.maximum(seen, ROUNDING), 0.0)
+        inverse = np.where(seen > DEPENDENT, 1.0 / np.maximum(seen, DEPENDENT), 0.0)
         inverse = (directions * inverse) @ directions.T
         starts.append((inverse @ G[:n, n:-1], inverse @ G[:n, -1]))
         loss = loss + np.diagonal(G)[n : n + n * m]
@@ -286,7 +287,7 @@ def _record_products(basis, sums, scales):
     """
     m, scale, reach = len(scales[0]), np.concatenate(scales), len(sums.lags) - 1
     answers = pulses(basis.F, basis.g, reach)
-    if np.max(np.abs(answers[-1])) > ROUNDING and any(e.n_rows > reach for e in sums.ends):
+    if np.max(np.abs(answers[-1])) > DEPENDENT and any(e.n_rows > reach for e in sums.ends):
         return None
     forced = np.tensordot(answers, sums.lags[1:], ((0,), (0,))).transpose(1, 0, 2)
     lags = sums.lags[0] / scales[0][:, None] / scale
