@@ -25,6 +25,7 @@ __all__ = [
 DUST = 1e-13  # share of a signal's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
+INTEGRATED = 0.01  # e-folds over a record that do not tell growth from an integrator
 CALM = 1e6  # times growth that leaves most of them
 
 
@@ -113,6 +114,19 @@ def warn_of_growth(model, experiment):
             f"the orbit is known to be stable",
             InstabilityWarning,
         )
+
+
+def warn_of_unstable(model, n_rows):
+    """Warn if a model of plain data has a mode that grows over its longest segment."""
+    folds = growth_rate(model) * model.dt
+    if folds * n_rows < INTEGRATED:
+        return
+    warn(
+        f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, by which it "
+        f"grows {np.exp(min(folds * n_rows, 700.0)):.3g} times over the {n_rows} rows of the "
+        f"longest segment; if the system is known to be stable, use stable=True or another order",
+        InstabilityWarning,
+    )
 
 
 def growth_rate(model):

@@ -1,5 +1,7 @@
 """Step 3: subspace identification of a discrete-time state-space model."""
 
+from dataclasses import fields
+
 import numpy as np
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
@@ -15,6 +17,7 @@ from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import check_features
 from sklearn_hd._tables import without_inputs
+from sklearn_hd.algorithms.subspace.order import Simulated
 
 __all__ = ["MOESPRegressor"]
 
@@ -40,9 +43,13 @@ class MOESPRegressor(ModelStep):
     Parameters
     ----------
     order : int or "auto", default="auto"
-        Number of states. ``"auto"`` takes the widest gap between consecutive
-        singular values that reaches down to the noise floor; 0, a static gain, on
-        plain data too short for any dynamics.
+        Number of states. ``"auto"`` takes a gap of decades between singular values, as exact
+        data leave it. Where plain data in memory have none, models of rising order are
+        simulated over the record, and the Bayesian information criterion of what they leave
+        decides (``order_search_``); an unstable one must leave less than half of what the best
+        stable one leaves. Else (frames of an analyzer, chunks, dask, outputs alone) the widest
+        gap that reaches down to the noise floor; 0, a static gain, on plain data too short for
+        any dynamics.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows
         in the analysis window, plus two; 15 on plain data (fewer where the
@@ -55,17 +62,26 @@ class MOESPRegressor(ModelStep):
         inputs answer to noisy outputs: for data measured in closed loop use ``"pbsid"``
         (predictor-based; on plain data, or ``reading="period"`` where the feedback is of earlier
         periods; with ``feedthrough=True``, of earlier rows).
-    feedthrough : bool, default=False
-        Whether D is free, else zero. Period by period (``reading="period"``) D
-        always is, for inputs act within the period that they belong to.
+    feedthrough : bool or "auto", default="auto"
+        Whether D is free, else zero. ``"auto"`` simulates both on plain data in memory and
+        takes the one of the lower Bayesian information criterion. With ``weighting="pbsid"``,
+        in chunks and with dask, D is free if the inputs explain outputs of their own row and
+        past outputs do not explain the inputs, which would be a feedback.
+        ``feedthrough_reason_`` has the figures. Through a sliding window ``"auto"`` is zero;
+        period by period D always is free, for inputs act within their period.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
         (on plain data or ``reading="period"``); with ``weighting="pbsid"`` it always is.
 
             x[k+1] = A x[k] + B u[k] + K e[k],   y[k] = C x[k] + D u[k] + e[k]
+    stable : bool, default=False
+        Whether A is brought to the nearest stable matrix, each state weighed by how much
+        outputs see of it: unstable eigenvalues are mirrored at the unit circle, λ → 1/λ̄, the
+        others stay. B, D and K are fitted to that A.
     scale : bool, default=True
-        Divide each signal by its root mean square before the projection, so
-        that units do not decide what counts as large.
+        Divide each signal by its root mean square before the projection, so that units do not
+        decide what counts as large. With one output nothing changes; with several it weighs
+        the outputs anew, and moves eigenvalues as far as noise and nonlinearity leave them open.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data, and
@@ -90,6 +106,14 @@ class MOESPRegressor(ModelStep):
         Of A.
     x0_ : ndarray, shape (n_segments, order)
         Initial state of each segment of the data fitted.
+    feedthrough_ : bool
+        Whether D is free.
+    feedthrough_reason_ : str
+        Why, with the figures that decided.
+    order_search_ : dict of ndarray, shape (n_simulated,)
+        Of each model simulated: ``order``, ``feedthrough``, ``stable``, ``share`` of the
+        outputs that is left (root mean square), ``variance`` left, ``bic``. Empty where
+        singular values told the order, or it was given together with the feedthrough.
     kalman_gain_ : ndarray, shape (order, n_outputs)
         Where identified.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
@@ -110,20 +134,25 @@ class MOESPRegressor(ModelStep):
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
-        If an output rests at a value other than zero.
+        If an output rests at a value other than zero, or with ``weighting="pbsid"`` a
+        feedthrough and a feedback within the row look alike.
     FrequencyMismatchWarning
         If the data repeat themselves at another frequency than ``omega``; it
         says at which.
     InstabilityWarning
-        If the outputs grow beyond what rounding lets see beside them, or a
-        Floquet exponent is positive (``reading="period"``; else
-        :class:`SpuriousModeReducer` warns of it).
+        If the model of plain data is unstable, the outputs grow beyond what rounding lets see
+        beside them, or a Floquet exponent is positive (``reading="period"``; through a sliding
+        window :class:`SpuriousModeReducer` warns of it).
 
     References
     ----------
     Verhaegen (1994), Automatica 30(1), 61-74 (PO-MOESP).
     Van Overschee, De Moor (1996), Subspace Identification for Linear Systems (N4SID, CVA).
     Chiuso (2007), Automatica 43(6), 1034-1048 (optimised PBSID).
+    Schwarz (1978), Annals of Statistics 6(2), 461-464 (Bayesian information criterion).
+    Granger (1969), Econometrica 37(3), 424-438 (feedback).
+    Jongeneel, Sutter, Kuhn (2023), IEEE Transactions on Automatic Control 68(5), 2790-2804
+    (the nearest stable matrix).
 
     Examples
     --------
@@ -143,8 +172,9 @@ class MOESPRegressor(ModelStep):
         *,
         block_rows=None,
         weighting="moesp",
-        feedthrough=False,
+        feedthrough="auto",
         disturbance_model=False,
+        stable=False,
         scale=True,
         warmup=None,
         memory=None,
@@ -154,6 +184,7 @@ class MOESPRegressor(ModelStep):
         self.weighting = weighting
         self.feedthrough = feedthrough
         self.disturbance_model = disturbance_model
+        self.stable = stable
         self.scale = scale
         self.warmup = warmup
         self.memory = memory
@@ -262,13 +293,15 @@ class MOESPRegressor(ModelStep):
 
     def _settings(self):
         """The parameters of the method, checked."""
-        names = ("order", "block_rows", "weighting", "feedthrough", "disturbance_model", "scale")
         self._check_warmup()
-        return checked(Settings(**{name: getattr(self, name) for name in (*names, "memory")}))
+        return checked(Settings(**{f.name: getattr(self, f.name) for f in fields(Settings)}))
 
     def _store(self, found, basis, X, y):
         self.order_, self.block_rows_, self.x0_ = found.order, found.block_rows, found.x0
         self.singular_values_, self.noise_floor_ = found.singular_values, found.noise_floor
+        self.feedthrough_reason_ = found.feedthrough_reason
+        names = [f.name for f in fields(Simulated)]
+        self.order_search_ = {n: np.array([getattr(m, n) for m in found.tried]) for n in names}
         return self._remember(found.model, basis, X, y)
 
     @property
@@ -276,6 +309,12 @@ class MOESPRegressor(ModelStep):
         """Eigenvalues of the discrete A."""
         check_is_fitted(self)
         return np.linalg.eigvals(self.model_.A)
+
+    @property
+    def feedthrough_(self):
+        """Whether D is free."""
+        check_is_fitted(self)
+        return self.model_.feedthrough
 
     @property
     def kalman_gain_(self):

@@ -72,6 +72,7 @@ CONTAINERS = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:the model is unstable")
 def test_only_a_model_of_outputs_alone_does_without_inputs():
     with pytest.raises(
         TypeError, match=r"X is None, which is no table of signals; give a DataFrame"
@@ -291,10 +292,11 @@ def test_warmup_is_checked_at_fit(u, y, warmup):
             step(MOESPRegressor(order=1), warmup=warmup).fit(u, y)
 
 
-@pytest.mark.parametrize("name", ["feedthrough", "scale"])
+@pytest.mark.parametrize("name", ["feedthrough", "scale", "stable", "disturbance_model"])
 @pytest.mark.parametrize("value", ["no", 1, None, 0.5])
 def test_switches_are_switches(u, y, name, value):
-    with pytest.raises(ValueError, match=rf"{name} must be True or False, got {value!r}"):
+    allowed = "True, False or 'auto'" if name == "feedthrough" else "True or False"
+    with pytest.raises(ValueError, match=rf"{name} must be {allowed}, got {value!r}"):
         MOESPRegressor(**{name: value}).fit(u, y)
 
 

@@ -442,7 +442,8 @@ def test_an_overflowing_simulation_is_refused_and_scores_minus_infinity():
     y = np.zeros(60)
     for k in range(59):
         y[k + 1] = 1.5 * y[k] + u[k, 0]
-    model = MOESPRegressor(order=1, block_rows=3).fit(u, y)
+    with pytest.warns(InstabilityWarning, match=r"size 1.5, by which it grows 3.68e\+10 times"):
+        model = MOESPRegressor(order=1, block_rows=3).fit(u, y)
     assert model.eigenvalues_[0].real == pytest.approx(1.5, abs=1e-6)
     with pytest.raises(UnstableModelError, match=r"overflows: the model has a pole of size 1.5"):
         model.predict(np.ones((5000, 1)))

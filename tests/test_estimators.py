@@ -33,6 +33,7 @@ ESTIMATORS = [
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.TimeBaseWarning")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.ExcitationWarning")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")  # of noise
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 @parametrize_with_checks(ESTIMATORS, expected_failed_checks=lambda estimator: EXPECTED_FAILURES)
 def test_scikit_learn_habits(estimator, check):

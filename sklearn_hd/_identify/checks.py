@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from sklearn_hd._checks import check_choice, check_count, check_flag
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._warn import warn
@@ -39,7 +41,11 @@ def checked(settings):
     check_choice("weighting", settings.weighting, WEIGHTINGS)
     if settings.block_rows is not None:
         check_count("block_rows", settings.block_rows, 2, "None chooses them")
-    flags = ("disturbance_model", "scale", "feedthrough")
+    free = settings.feedthrough
+    if not (isinstance(free, bool | np.bool_) or (isinstance(free, str) and free == "auto")):
+        raise ValueError(f"feedthrough must be True, False or 'auto', got {free!r}")
+    settings = replace(settings, feedthrough=free if isinstance(free, str) else bool(free))
+    flags = ("disturbance_model", "scale", "stable")
     return replace(settings, **{name: check_flag(name, getattr(settings, name)) for name in flags})
 
 
@@ -153,7 +159,7 @@ def rows_of_predictor(data, first, size, settings):
             R = data.factor(most, size)
     columns = n_hankel_columns(lengths, most)
     order = 1 if settings.order == "auto" else int(settings.order)
-    rows = rows_remembered(R, most, n_inputs, columns, settings.feedthrough or lifted)
+    rows = rows_remembered(R, most, n_inputs, columns, settings.direct or lifted)
     rows = min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)
     check_rank_bound(settings.order, rows, n_outputs)
     return rows

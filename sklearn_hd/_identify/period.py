@@ -23,7 +23,7 @@ from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.multipliers import order_by_residual
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
-from sklearn_hd.algorithms.subspace.projections import order_by_wide_gap
+from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
@@ -67,7 +67,10 @@ def identify(data, settings, experiment):
     if settings.predictor:
         matrices = _driven_by_means(matrices, data, scales[0])
     fitted = matrices, noise, x0
-    fit = subspace_fit(decomposition, fitted, scales, data.facts, settings, True)
+    reason = "inputs act within the period that they belong to: D is free"
+    fit = subspace_fit(
+        decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
+    )
     warn_of_growth(fit.model, experiment)
     return fit
 
@@ -114,7 +117,7 @@ def _order(found, bound, experiment, data, settings):
     most = min(bound, MOST_STATES, left // 2)
     if most < 1:
         return by_gap(found, bound)
-    candidates = [found.state_matrices(n + 1)[0] for n in range(most)]
+    candidates = [found.state_matrices(n + 1, settings.stable)[0] for n in range(most)]
     return len(order_by_residual(candidates, data.excitation, lifted))
 
 

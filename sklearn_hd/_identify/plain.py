@@ -1,8 +1,10 @@
 """Plain data: ordinary subspace identification, sample by sample."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from sklearn_hd._fit_checks import check_motion
+from sklearn_hd._fit_checks import check_motion, warn_of_unstable
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import (
     DEFAULT_BLOCK_ROWS,
@@ -10,12 +12,14 @@ from sklearn_hd._identify.checks import (
     fewer_block_rows,
     rows_of_predictor,
 )
-from sklearn_hd._identify.stages import SubspaceFit, decompose, fit_matrices, subspace_fit
+from sklearn_hd._identify.stages import SubspaceFit, by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.algorithms.subspace.order import Comparison, order_by_wide_gap
+from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once, share_fed_back
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
@@ -52,9 +56,113 @@ def identify(data, settings, experiment=None):
     size, scales = data.scales(settings.scale)
     if settings.predictor and settings.block_rows is None:
         i = rows_of_predictor(data, i, size, settings)
-    decomposition = decompose(data, i, size, settings)
-    fitted = fit_matrices(data, decomposition, size, scales, settings, settings.feedthrough)
-    return subspace_fit(decomposition, fitted, scales, data.facts, settings, settings.feedthrough)
+    choice = Choice(data, settings, scales, experiment is not None)
+    settings = choice.before(i, size)
+    decomposition = decompose(data, i, size, settings, choice.order)
+    free = choice.feedthrough(decomposition)
+    fitted = fit_matrices(data, decomposition, size, scales, settings, free)
+    fit = subspace_fit(
+        decomposition,
+        fitted,
+        scales,
+        data.facts,
+        settings,
+        free,
+        feedthrough_reason=choice.reason,
+        tried=choice.tried,
+    )
+    warn_of_unstable(fit.model, max(data.lengths))
+    return fit
+
+
+class Choice:
+    """The order and the feedthrough that the data ask for.
+
+    Parameters
+    ----------
+    data : Records, Summed or Partitions
+    settings : Settings
+    scales : tuple of ndarray, shapes (m,), (l,)
+        What inputs and outputs are divided by.
+    in_memory : bool
+        Whether there are rows to simulate models over; else singular values tell.
+    """
+
+    def __init__(self, data, settings, scales, in_memory):
+        self.data, self.settings, self.scales = data, settings, scales
+        self.simulates = in_memory and data.n_inputs > 0
+        self.reason, self.tried, self._comparison = "", (), None
+
+    def before(self, block_rows, size):
+        """The settings, with the feedthrough where simulations will not tell: from what rows
+        before leave of the outputs.
+        """
+        asked, i, m = self.settings.feedthrough, block_rows, self.data.n_inputs
+        if asked != "auto":
+            self.reason = f"feedthrough={asked} was asked for"
+        elif m == 0:
+            self._settle(False, "there are no inputs")
+        elif self.settings.predictor or not self.simulates:
+            R, columns = self.data.factor(i, size), n_hankel_columns(self.data.lengths, i)
+            now, fed_back = (share(R, i, m, columns) for share in (share_at_once, share_fed_back))
+            words = (
+                f"inputs explain {now:.2%} of what the rows before leave of the outputs, and past "
+                f"outputs {fed_back:.2%} of what inputs do anew"
+            )
+            self._settle(now > 0.0 and fed_back == 0.0, words)
+            if now > 0.0 and fed_back > 0.0:
+                warn(
+                    f"{words}: a feedback within the row, or a feedthrough, and D is zero; if the "
+                    f"outputs answer to the inputs at once, use feedthrough=True",
+                    IdentifiabilityWarning,
+                )
+        return self.settings
+
+    def _settle(self, free, reason):
+        self.settings, self.reason = replace(self.settings, feedthrough=free), reason
+
+    def order(self, found, bound):
+        """By a gap of decades, else by what simulations leave, else by any gap."""
+        wide = order_by_wide_gap(found.singular_values, found.floor, bound)
+        if wide is not None or not self.simulates:
+            return by_gap(found, bound)
+        m, n_outputs = self.data.n_inputs, self.data.n_outputs
+        most = (sum(self.data.lengths) // 2 - m) * n_outputs // (m + n_outputs + 1)
+        comparison = self._compared(found)
+        order = comparison.order(max(1, min(bound, most)), bool(self.settings.feedthrough))
+        self.tried = comparison.tried
+        return by_gap(found, bound) if order is None else order
+
+    def feedthrough(self, decomposition):
+        """Whether D is free."""
+        if self.settings.feedthrough != "auto":
+            return self.settings.feedthrough
+        comparison, order = self._compared(decomposition.found), decomposition.order
+        free, zero = (comparison.simulated(order, D) for D in (True, False))
+        gain = zero.bic - free.bic
+        self.reason = (
+            f"simulations leave {free.share:.4g} of the outputs with D free, {zero.share:.4g} "
+            f"with D = 0: the Bayesian information criterion is {abs(gain):.3g} lower with "
+            f"{'D free' if gain > 0.0 else 'D = 0'}"
+        )
+        return bool(gain > 0.0)
+
+    def _compared(self, found):
+        """Simulations of models of one decomposition, in the units that it was made in."""
+        if self._comparison is None:
+            data, (u_scale, y_scale), stable = self.data, self.scales, self.settings.stable
+            inputs = [u / u_scale for u in data.inputs]
+            outputs = [y / y_scale for y in data.outputs]
+
+            def model(order, feedthrough):
+                if self.settings.predictor:
+                    return found.model(order, stable)[:4]
+                A, C = found.state_matrices(order, stable)
+                B, D, _ = input_matrices(A, C, inputs, outputs, feedthrough)
+                return A, B, C, D
+
+            self._comparison = Comparison(model, inputs, outputs, self.settings.predictor)
+        return self._comparison
 
 
 def _block_rows(data, settings):

@@ -63,8 +63,17 @@ def identify(data, settings, experiment=None):
         decomposition = decompose(data, more, size, settings)
     if settings.chooses and experiment is not None:
         decomposition = _exact_map(decomposition, data, experiment, settings)
-    fitted = fit_matrices(data, decomposition, size, scales, settings, settings.feedthrough)
-    return subspace_fit(decomposition, fitted, scales, data.facts, settings, settings.feedthrough)
+    fitted = fit_matrices(data, decomposition, size, scales, settings, settings.direct)
+    reason = "a window averages what inputs do at once: D is zero unless feedthrough=True"
+    return subspace_fit(
+        decomposition,
+        fitted,
+        scales,
+        data.facts,
+        settings,
+        settings.direct,
+        feedthrough_reason=reason,
+    )
 
 
 def asked_block_rows(basis, settings):

@@ -14,12 +14,9 @@ import numpy as np
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import PREDICTOR, warn_excitation
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
+from sklearn_hd.algorithms.subspace.order import order_by_gap
 from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
-from sklearn_hd.algorithms.subspace.projections import (
-    Projection,
-    order_by_gap,
-    release_idle_directions,
-)
+from sklearn_hd.algorithms.subspace.projections import Projection, release_idle_directions
 
 __all__ = [
     "Decomposition",
@@ -39,10 +36,16 @@ class Settings:
     order: int | str = "auto"
     block_rows: int | None = None
     weighting: str = "moesp"
-    feedthrough: bool = False
+    feedthrough: bool | str = "auto"
     disturbance_model: bool = False
+    stable: bool = False
     scale: bool = True
     memory: object = None
+
+    @property
+    def direct(self):
+        """Whether D is asked to be free."""
+        return self.feedthrough is True
 
     @property
     def predictor(self):
@@ -67,6 +70,10 @@ class SubspaceFit:
     block_rows, order : int
     singular_values : ndarray
     noise_floor : float
+    feedthrough_reason : str
+        Why D is free, or zero.
+    tried : tuple of Simulated
+        The models that the order was chosen from; none where singular values told it.
     """
 
     model: LTIModel
@@ -75,6 +82,8 @@ class SubspaceFit:
     order: int
     singular_values: np.ndarray = field(default_factory=lambda: np.zeros(0))
     noise_floor: float = 0.0
+    feedthrough_reason: str = ""
+    tried: tuple = ()
 
 
 @dataclass(frozen=True)
@@ -118,7 +127,7 @@ def decompose(data, block_rows, size, settings, choose=None):
     # a step in mid-period moves in a direction that occurs but once: projected out as a whole
     lifted = data.facts.basis.reading == "period"
     counted = data.raw and not lifted
-    feedthrough = settings.feedthrough or lifted
+    feedthrough = settings.direct or lifted
 
     def project():
         R = data.factor(block_rows, size)
@@ -154,15 +163,15 @@ def fit_matrices(data, decomposition, size, scales, settings, feedthrough):
     """A, B, C, D, the noise (K and the innovations' covariance, or None) and initial states."""
     found, order = decomposition.found, decomposition.order
     if settings.predictor:
-        A, B, C, D, K, covariance = found.model(order)
+        A, B, C, D, K, covariance = found.model(order, settings.stable)
         own = size[: data.n_inputs], scales[1]
         x0 = data.initial_states(A, B, C, D, K, covariance, own)
         if data.raw:
             B, D = (_of_all_inputs(M, data.facts.moving) for M in (B, D))
         return (A, B, C, D), (K, covariance), x0
-    A, C = found.state_matrices(order)
+    A, C = found.state_matrices(order, settings.stable)
     B, D, x0 = data.input_matrices(A, C, feedthrough, scales)
-    noise = found.kalman_gain(order) if settings.disturbance_model else None
+    noise = found.kalman_gain(order, settings.stable) if settings.disturbance_model else None
     return (A, B, C, D), noise, x0
 
 
@@ -175,8 +184,8 @@ def _of_all_inputs(M, moving):
     return whole
 
 
-def subspace_fit(decomposition, fitted, scales, facts, settings, feedthrough):
-    """The frozen result, its model in the units of the signals."""
+def subspace_fit(decomposition, fitted, scales, facts, settings, feedthrough, **choice):
+    """The frozen result, its model in the units of the signals, and how it was chosen."""
     ((A, B, C, D), noise, x0), (u_scale, y_scale) = fitted, scales
     K = covariance = None
     if noise is not None:
@@ -198,4 +207,4 @@ def subspace_fit(decomposition, fitted, scales, facts, settings, feedthrough):
     )
     found = decomposition
     values, floor = found.singular_values, found.noise_floor
-    return SubspaceFit(model, x0, found.block_rows, found.order, values, floor)
+    return SubspaceFit(model, x0, found.block_rows, found.order, values, floor, **choice)

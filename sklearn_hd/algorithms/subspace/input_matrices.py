@@ -48,7 +48,7 @@ from sklearn_hd.algorithms.subspace.responses import (
     split,
 )
 
-__all__ = ["alike_states", "input_matrices", "response_regressors"]
+__all__ = ["alike_states", "input_matrices", "pieces_of", "response_regressors"]
 
 MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
 CONVOLVED_ORDER = 40  # from which on responses are convolved, in less time than by recursion
@@ -141,7 +141,7 @@ def input_matrices(
     n, m, n_outputs = len(A), inputs[0].shape[1], len(C)
     scales = scales or (np.ones(m), np.ones(outputs[0].shape[1]))
     factors = _RecordFactors(A, C, feedthrough, scales)
-    pieces, firsts = _pieces(A, [len(u) for u in inputs], factors.radius)
+    pieces, firsts = pieces_of(A, [len(u) for u in inputs])
     starts, shared = [], np.zeros((0, n * m + feedthrough * n_outputs * m + 1))
     for s, rows in pieces:
         u, y = inputs[s][rows], outputs[s][rows]
@@ -161,6 +161,36 @@ def input_matrices(
     if not return_residual:
         return found
     return *found, float(np.sum((shared[:, -1] - shared[:, :-1] @ theta) ** 2))
+
+
+def pieces_of(A, lengths):
+    """Rows of each segment in pieces over which an unstable A does not overflow.
+
+    Each piece gets an initial state of its own; a stable A leaves segments whole.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    lengths : list of int
+
+    Returns
+    -------
+    pieces : list of (int, slice)
+        Segment and rows.
+    firsts : list of int
+        The first piece of each segment.
+    """
+    longest, radius = max(lengths, default=0), np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)
+    if radius > 1.0:  # no fewer rows than tell states apart, while squares are numbers
+        growth = np.log(radius)
+        longest = max(2 * len(A), int(MAX_GROWTH / growth))
+        longest = max(2, min(longest, int(15.0 * MAX_GROWTH / growth)))
+    pieces, firsts = [], []
+    for s, length in enumerate(lengths):
+        firsts.append(len(pieces))
+        starts = range(0, length, longest) if length else [0]
+        pieces += [(s, slice(start, min(start + longest, length))) for start in starts]
+    return pieces, firsts
 
 
 def alike_states(A, C):
@@ -254,31 +284,6 @@ class _RecordFactors:
         R[:, :n] *= size
         R[:, n : n + n * m] *= np.repeat(size, m)
         return R
-
-
-def _pieces(A, lengths, radius):
-    """Rows of each segment in pieces over which an unstable A does not overflow.
-
-    Each piece gets an initial state of its own; a stable A leaves segments whole.
-
-    Returns
-    -------
-    pieces : list of (int, slice)
-        Segment and rows.
-    firsts : list of int
-        The first piece of each segment.
-    """
-    longest = max(lengths, default=0)
-    if radius > 1.0:  # no fewer rows than tell states apart, while squares are numbers
-        growth = np.log(radius)
-        longest = max(2 * len(A), int(MAX_GROWTH / growth))
-        longest = max(2, min(longest, int(15.0 * MAX_GROWTH / growth)))
-    pieces, firsts = [], []
-    for s, length in enumerate(lengths):
-        firsts.append(len(pieces))
-        starts = range(0, length, longest) if length else [0]
-        pieces += [(s, slice(start, min(start + longest, length))) for start in starts]
-    return pieces, firsts
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
+from sklearn_hd.algorithms.lti.stability import is_stable, nearest_stable
 from sklearn_hd.algorithms.subspace.innovations import gain_of_covariances
 
-__all__ = ["PredictorSubspace", "rows_remembered"]
+__all__ = ["PredictorSubspace", "rows_remembered", "share_at_once", "share_fed_back"]
 
 DRAWS = 20  # of coefficients that are noise
 
@@ -99,8 +100,8 @@ class PredictorSubspace:
             n_columns,
         )
 
-    def model(self, order):
-        """The innovation form of some order.
+    def model(self, order, stable=False):
+        """The innovation form of some order; with ``stable``, A is.
 
         Returns
         -------
@@ -118,6 +119,9 @@ class PredictorSubspace:
         A, B, K = np.split(
             solve_within_rank(driven, later).T, np.cumsum([order, u.shape[1]]), axis=1
         )
+        if stable and not is_stable(A):
+            A = nearest_stable(A, self.singular_values[:order])
+            B = solve_within_rank(driven[:, order:], later - x @ A.T).T[:, : u.shape[1]]
         noise = np.hstack([later - x @ A.T - u @ B.T, e])
         covariance = noise.T @ noise / max(1, self.n_columns - order - u.shape[1])
         size = np.linalg.norm(y, axis=0) / np.sqrt(self.n_columns)
@@ -132,9 +136,9 @@ class PredictorSubspace:
         edges = np.cumsum([block.shape[1] for block in regressors])[:-1]
         return *np.split(found.T, edges, axis=1), target - stacked @ found
 
-    def state_matrices(self, order):
-        """A and C of some order."""
-        found = self.model(order)
+    def state_matrices(self, order, stable=False):
+        """A and C of some order; with ``stable``, A is."""
+        found = self.model(order, stable)
         return found[0], found[2]
 
 
@@ -169,6 +173,56 @@ def rows_remembered(R, block_rows, n_inputs, n_columns, feedthrough):
         information = 2.0 * n_columns * np.sum(np.log(np.maximum(sizes, least)))
         criteria.append(information + 2.0 * p * width * len(outputs))
     return int(np.argmin(criteria)) + 1
+
+
+def share_at_once(R, block_rows, n_inputs, n_columns):
+    """Share of the innovations' variance that the inputs of the same row explain.
+
+    Parameters
+    ----------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+    block_rows, n_inputs, n_columns : int
+
+    Returns
+    -------
+    share : float
+        From 0 to 1; 0 where the Bayesian information criterion takes it for chance.
+    """
+    rows, now = _rows_back(R, block_rows, n_inputs)
+    return _explained(R, np.concatenate(rows), now[:n_inputs], now[n_inputs:], n_columns)
+
+
+def share_fed_back(R, block_rows, n_inputs, n_columns):
+    """Share of what inputs do anew that past outputs explain: that of a feedback (Granger, 1969).
+
+    Feedback of a row's own outputs shows too, for past outputs foretell them.
+
+    Parameters
+    ----------
+    R : ndarray, shape (2 i (m + l), 2 i (m + l))
+    block_rows, n_inputs, n_columns : int
+
+    Returns
+    -------
+    share : float
+        From 0 to 1; 0 where the Bayesian information criterion takes it for chance.
+    """
+    rows, now = _rows_back(R, block_rows, n_inputs)
+    rows = np.array(rows)
+    inputs, outputs = rows[:, :n_inputs].ravel(), rows[:, n_inputs:].ravel()
+    return _explained(R, inputs, outputs, now[:n_inputs], n_columns)
+
+
+def _explained(R, given, more, target, n_columns):
+    """Share of what some data leave of others that more data explain; 0 if that may be chance."""
+    T = triangle(R[:, np.concatenate([given, more, target])])[:, -len(target) :]
+    least = DEPENDENT * np.linalg.norm(T)
+    without = np.maximum(linalg.svdvals(T[len(given) :]), least)
+    left = np.maximum(linalg.svdvals(T[len(given) + len(more) :]), least)
+    gain = 2.0 * n_columns * np.sum(np.log(without / left))
+    if gain <= len(more) * len(target) * np.log(n_columns):
+        return 0.0
+    return float(1.0 - np.sum(left**2) / np.sum(without**2))
 
 
 def _rows_back(R, block_rows, n_inputs):

@@ -25,6 +25,7 @@ from sklearn_hd.algorithms.linalg.triangular import (
     solve_within_rank,
     triangle,
 )
+from sklearn_hd.algorithms.lti.stability import nearest_stable
 from sklearn_hd.algorithms.subspace.innovations import kalman_gain
 
 __all__ = [
@@ -32,15 +33,9 @@ __all__ = [
     "Projection",
     "noise_floor",
     "observability_subspace",
-    "order_by_gap",
-    "order_by_wide_gap",
     "release_idle_directions",
     "state_matrices",
 ]
-
-GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie
-CLEAR_GAP = 2.0  # below which ratios scatter by noise
-WIDE_GAP = 1e3  # that decides by itself
 
 
 def observability_subspace(R, block_rows, n_inputs):
@@ -134,53 +129,10 @@ def noise_floor(R, block_rows, n_inputs, n_columns):
     return max(unit * np.linalg.norm(R[:, start:], 2), noise)
 
 
-def order_by_gap(singular_values, floor, max_order):
-    """Order at the gap by which singular values stand above a floor.
-
-    Of the ratios σ_n / max(σ_{n+1}, floor) the widest decides, if it spans
-    three decades. A lesser gap far above the floor parts strong modes from
-    weak ones, not modes from noise: then only ratios count whose lower side
-    is within half a decade of the floor. Where the widest of these is less
-    than a factor of two there is no gap, and all values above the floor count.
-
-    Parameters
-    ----------
-    singular_values : ndarray
-        In descending order.
-    floor : float
-        Size of the values that rounding or noise alone would give.
-    max_order : int
-
-    Returns
-    -------
-    order : int
-        At least 1.
-
-    Examples
-    --------
-    >>> order_by_gap(np.array([9.0, 5.0, 2.0, 1e-15, 5e-16]), floor=1e-14, max_order=4)
-    3
-    """
-    order = order_by_wide_gap(singular_values, floor, max_order)
-    if order is not None:
-        return order
-    values = np.maximum(singular_values, floor)
-    ratios = (values[:-1] / values[1:])[:max_order]
-    near = np.where(values[1:][:max_order] <= GAP_REACH * floor, ratios, 0.0)
-    if np.max(near, initial=0.0) >= CLEAR_GAP:
-        return int(np.argmax(near)) + 1
-    return int(np.clip(np.sum(singular_values > floor), 1, max_order))
-
-
-def order_by_wide_gap(singular_values, floor, max_order):
-    """Order at a gap of three decades or more, the widest; None if there is none."""
-    values = np.maximum(singular_values, floor)
-    ratios = (values[:-1] / values[1:])[:max_order]
-    return int(np.argmax(ratios)) + 1 if np.max(ratios, initial=0.0) >= WIDE_GAP else None
-
-
-def state_matrices(U, singular_values, order, n_outputs):
+def state_matrices(U, singular_values, order, n_outputs, stable=False):
     """A and C of the chosen order by the shift property (Eq. 13).
+
+    With ``stable``, the nearest stable A, each state weighed by how much outputs see of it.
 
     Returns
     -------
@@ -189,6 +141,8 @@ def state_matrices(U, singular_values, order, n_outputs):
     """
     observability = U[:, :order] * np.sqrt(singular_values[:order])
     A = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=EPS)[0]
+    if stable:
+        A = nearest_stable(A, singular_values[:order])  # the squared columns of Γ
     return A, observability[:n_outputs]
 
 
@@ -228,13 +182,13 @@ class Projection:
         """Number of outputs, l."""
         return len(self.R) // (2 * self.block_rows) - self.n_inputs
 
-    def state_matrices(self, order):
-        """A and C of some order (Eq. 13)."""
-        return state_matrices(self.directions, self.singular_values, order, self.n_outputs)
+    def state_matrices(self, order, stable=False):
+        """A and C of some order (Eq. 13); with ``stable``, A is."""
+        return state_matrices(self.directions, self.singular_values, order, self.n_outputs, stable)
 
-    def kalman_gain(self, order):
+    def kalman_gain(self, order, stable=False):
         """K of the innovation form, and the covariance of the innovations."""
-        A, C = self.state_matrices(order)
+        A, C = self.state_matrices(order, stable)
         observability = self.directions[:, :order] * np.sqrt(self.singular_values[:order])
         return kalman_gain(
             A, C, observability, self.R, self.block_rows, self.n_inputs, self.n_columns

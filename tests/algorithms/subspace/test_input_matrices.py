@@ -282,7 +282,7 @@ def grown(rng, n, radius):
 def test_an_unstable_model_without_noise_is_given_back(rng, radius):
     A, B, C, D = model(rng, grown(rng, 5, radius), True)
     u, y = rng.standard_normal((4000, 2)), np.empty((4000, 3))
-    pieces, _ = module._pieces(A, [len(u)], radius)
+    pieces, _ = module.pieces_of(A, [len(u)])
     starts = rng.standard_normal((len(pieces), 5))  # anew, or it would overflow
     for x0, (_, rows) in zip(starts, pieces, strict=True):
         y[rows] = simulate(A, B, C, D, u[rows], x0)

@@ -8,10 +8,10 @@ from sklearn_hd.algorithms.lti.simulation import frequency_response, propagate
 from sklearn_hd.algorithms.subspace import input_matrices as kernel
 from sklearn_hd.algorithms.subspace.hankel import _columns, hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, response_regressors
+from sklearn_hd.algorithms.subspace.order import order_by_gap
 from sklearn_hd.algorithms.subspace.projections import (
     noise_floor,
     observability_subspace,
-    order_by_gap,
     release_idle_directions,
     state_matrices,
 )

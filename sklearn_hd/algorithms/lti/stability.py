@@ -1,0 +1,59 @@
+"""The stable matrix nearest to an unstable one, in closed form.
+
+Of all stable A′ the one with the least stationary tr(W (A′ − A) X (A′ − A)ᵀ), X the covariance of
+the states that noise of some size gives under A′ (Jongeneel, Sutter and Kuhn, 2023). With states
+as little disturbed as need be, it mirrors each unstable eigenvalue λ at the unit circle to 1/λ̄,
+and leaves the stable ones, with their modes, as they are:
+
+    A′ = A − W⁻¹ Vᵀ (X + V W⁻¹ Vᵀ)⁻¹ V A,   X = A_u⁻¹ (X + V W⁻¹ Vᵀ) A_u⁻ᵀ,   V A = A_u V
+
+with V the left invariant subspace of the unstable eigenvalues. ``MOESPRegressor(stable=True)``
+needs it.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
+
+__all__ = ["is_stable", "nearest_stable"]
+
+ON_THE_CIRCLE = 1.0 + DEPENDENT  # of an integrator, to within rounding
+
+
+def is_stable(A):
+    """Whether no mode of x[k+1] = A x[k] grows, beyond rounding."""
+    return bool(np.max(np.abs(linalg.eigvals(A)), initial=0.0) <= ON_THE_CIRCLE)
+
+
+def nearest_stable(A, weights):
+    """The stable matrix nearest to A.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    weights : ndarray, shape (n,)
+        The diagonal of W: how much a change of each next state counts.
+
+    Returns
+    -------
+    A : ndarray, shape (n, n)
+        As given where it is stable.
+
+    References
+    ----------
+    Jongeneel, Sutter, Kuhn (2023), IEEE Transactions on Automatic Control 68(5), 2790-2804.
+
+    Examples
+    --------
+    >>> nearest_stable(np.diag([0.5, 1.25]), np.ones(2)).diagonal().tolist()
+    [0.5, 0.8]
+    """
+    if is_stable(A):
+        return A
+    T, Q, n_unstable = linalg.schur(A.T, sort=lambda re, im: np.hypot(re, im) > ON_THE_CIRCLE)
+    V, inverse = Q[:, :n_unstable].T, linalg.inv(T[:n_unstable, :n_unstable].T)
+    push = V.T / np.maximum(weights, EPS * np.max(weights))[:, None]
+    reach = V @ push
+    X = linalg.solve_discrete_lyapunov(inverse, inverse @ reach @ inverse.T)
+    return A - push @ linalg.solve(X + reach, V @ A, assume_a="pos")

@@ -1,0 +1,194 @@
+"""The order of a model: by a gap of the singular values, or by what simulations leave.
+
+Singular values tell the order of exact data, by a gap of decades. What noise, gusts and
+nonlinearity leave of measured data has no gap: there models of rising order are simulated over
+the record, and compared by the Bayesian information criterion of what they leave (Schwarz, 1978),
+
+    BIC(n) = N Σ_j log(Σ_k e_j[k]² / N) + p log N,   e = y − ŷ
+
+with p = n (m + l) + l m free entries, and n more for each initial state. Each output counts by
+what is left of it, whatever its unit, also where outputs are sums of others. The criterion asks
+nothing of how states were found, so that one rule serves all weightings. Plain data need it
+(:mod:`sklearn_hd._identify.plain`); :mod:`~sklearn_hd.algorithms.periodic.multipliers` has the
+like for Poincaré maps.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.lti.simulation import simulate
+from sklearn_hd.algorithms.lti.stability import is_stable
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
+
+__all__ = ["Comparison", "Simulated", "order_by_gap", "order_by_wide_gap"]
+
+GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie
+CLEAR_GAP = 2.0  # below which ratios scatter by noise
+WIDE_GAP = 1e3  # that decides by itself
+PATIENCE = 8  # orders that may pass without a better one: four pairs of modes
+UNSTABLE_GAIN = 2.0  # by which an unstable model must lower variances, beyond what its order does
+
+
+def order_by_gap(singular_values, floor, max_order):
+    """Order at the gap by which singular values stand above a floor.
+
+    Of the ratios σ_n / max(σ_{n+1}, floor) the widest decides, if it spans
+    three decades. A lesser gap far above the floor parts strong modes from
+    weak ones, not modes from noise: then only ratios count whose lower side
+    is within half a decade of the floor. Where the widest of these is less
+    than a factor of two there is no gap, and all values above the floor count.
+
+    Parameters
+    ----------
+    singular_values : ndarray
+        In descending order.
+    floor : float
+        Size of the values that rounding or noise alone would give.
+    max_order : int
+
+    Returns
+    -------
+    order : int
+        At least 1.
+
+    Examples
+    --------
+    >>> order_by_gap(np.array([9.0, 5.0, 2.0, 1e-15, 5e-16]), floor=1e-14, max_order=4)
+    3
+    """
+    order = order_by_wide_gap(singular_values, floor, max_order)
+    if order is not None:
+        return order
+    values = np.maximum(singular_values, floor)
+    ratios = (values[:-1] / values[1:])[:max_order]
+    near = np.where(values[1:][:max_order] <= GAP_REACH * floor, ratios, 0.0)
+    if np.max(near, initial=0.0) >= CLEAR_GAP:
+        return int(np.argmax(near)) + 1
+    return int(np.clip(np.sum(singular_values > floor), 1, max_order))
+
+
+def order_by_wide_gap(singular_values, floor, max_order):
+    """Order at a gap of three decades or more, the widest; None if there is none."""
+    values = np.maximum(singular_values, floor)
+    ratios = (values[:-1] / values[1:])[:max_order]
+    return int(np.argmax(ratios)) + 1 if np.max(ratios, initial=0.0) >= WIDE_GAP else None
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What the simulation of a model leaves of a record.
+
+    Attributes
+    ----------
+    order : int
+    feedthrough : bool
+        Whether D is free.
+    stable : bool
+    share : float
+        Of the outputs, root mean square, that is left.
+    variance : float
+        Geometric mean of the shares of the outputs' variances that are left.
+    bic : float
+    """
+
+    order: int
+    feedthrough: bool
+    stable: bool
+    share: float
+    variance: float
+    bic: float
+
+
+class Comparison:
+    """Models of rising order, with D free or zero, simulated over a record.
+
+    Parameters
+    ----------
+    model : callable
+        ``model(order, feedthrough)`` gives A, B, C, D.
+    inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
+        Of each segment.
+    fed_back : bool, default=False
+        Whether feedback may have held the outputs of an unstable system: it is then simulated
+        in pieces, each with an initial state of its own. In open loop outputs grow with it.
+    """
+
+    def __init__(self, model, inputs, outputs, fed_back=False):
+        self.model, self.inputs, self.outputs = model, inputs, outputs
+        self.fed_back = fed_back
+        squares = sum(np.sum(y**2, axis=0) for y in outputs)
+        self.size = np.sqrt(np.where(squares > 0.0, squares, 1.0))
+        self._simulated = {}
+
+    def order(self, most, feedthrough):
+        """The order that leaves least, up to some; None if no simulation stays finite.
+
+        Parameters
+        ----------
+        most : int
+        feedthrough : bool
+            Whether D is free.
+
+        Returns
+        -------
+        order : int or None
+        """
+        tried = []
+        for n in range(1, most + 1):
+            tried.append(self.simulated(n, feedthrough))
+            best = self._best(tried)
+            if best.order <= n - PATIENCE:
+                break
+        return best.order if np.isfinite(best.bic) else None
+
+    def _best(self, tried):
+        """The one of the least criterion; an unstable one only where it leaves far less."""
+        best = min(tried, key=lambda each: each.bic)
+        stable = min(
+            (each for each in tried if each.stable), key=lambda each: each.bic, default=best
+        )
+        n_values = sum(y.size for y in self.outputs)
+        return best if best.bic + n_values * np.log(UNSTABLE_GAIN) < stable.bic else stable
+
+    @property
+    def tried(self):
+        """All models simulated so far."""
+        return tuple(self._simulated.values())
+
+    def simulated(self, order, feedthrough):
+        """What the model of some order leaves, with D free or zero: a :class:`Simulated`."""
+        key = order, feedthrough
+        if key not in self._simulated:
+            self._simulated[key] = self._simulate(order, feedthrough)
+        return self._simulated[key]
+
+    def _simulate(self, order, feedthrough):
+        A, B, C, D = self.model(order, feedthrough)
+        (n, m), n_outputs = B.shape, len(C)
+        lengths = [len(y) for y in self.outputs]
+        pieces = [(s, slice(None)) for s in range(len(lengths))]
+        if self.fed_back:
+            pieces = pieces_of(A, lengths)[0]
+        C, D = C / self.size[:, None], D / self.size[:, None]
+        records = ((self.inputs[s][k], self.outputs[s][k] / self.size) for s, k in pieces)
+        with np.errstate(over="ignore", invalid="ignore"):
+            shares = sum(np.sum(_left(A, B, C, D, *record) ** 2, axis=0) for record in records)
+        if not np.all(np.isfinite(shares)):
+            return Simulated(order, feedthrough, False, np.inf, np.inf, np.inf)
+        logs = np.log(shares + EPS)  # of exact data rounding is left, which tells nothing
+        n_rows = sum(lengths)
+        n_free = n * (m + n_outputs) + feedthrough * m * n_outputs + n * len(pieces)
+        bic = n_rows * np.sum(logs) + n_free * np.log(n_rows)
+        share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
+        return Simulated(order, feedthrough, is_stable(A), *map(float, (share, variance, bic)))
+
+
+def _left(A, B, C, D, u, y):
+    """What a simulation from the initial state that fits best leaves of a piece."""
+    rest = y - simulate(A, B, C, D, u, np.zeros(len(A)))
+    if not np.all(np.isfinite(rest)):
+        return np.full_like(rest, np.inf)
+    x0 = input_matrices(A, C, [u[:, :0]], [rest], False)[2][0]
+    return rest - simulate(A, B[:, :0], C, D[:, :0], u[:, :0], x0)
