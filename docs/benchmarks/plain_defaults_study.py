@@ -78,9 +78,8 @@ def row(name, weighting, data):
 def main():
     """Print the table."""
     warnings.simplefilter("ignore")
-    print(
-        "| record | weighting | order | validated fit | best (order) | all: order, ‖λ‖, VAF | scale=False |"
-    )
+    heads = "record", "weighting", "order", "validated fit", "best (order)"
+    print("|", " | ".join([*heads, "all: order, spectral radius, VAF", "scale=False"]), "|")
     print("|---|---|---|---|---|---|---|")
     for name, load in RECORDS.items():
         for weighting in WEIGHTINGS:

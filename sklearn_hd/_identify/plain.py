@@ -23,6 +23,8 @@ from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
+NOTABLE = 0.01  # share of the innovations, beyond which a missing feedthrough is warned of
+
 
 def read(experiment, settings):
     """Data of an experiment: its rows as they are."""
@@ -110,7 +112,7 @@ class Choice:
                 f"outputs {fed_back:.2%} of what inputs do anew"
             )
             self._settle(now > 0.0 and fed_back == 0.0, words)
-            if now > 0.0 and fed_back > 0.0:
+            if now > NOTABLE and fed_back > 0.0:
                 warn(
                     f"{words}: a feedback within the row, or a feedthrough, and D is zero; if the "
                     f"outputs answer to the inputs at once, use feedthrough=True",
