@@ -17,7 +17,7 @@ from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
-from sklearn_hd.algorithms.subspace.order import Comparison, order_by_wide_gap
+from sklearn_hd.algorithms.subspace.order import Comparison, order_by_wide_gap, runs_away
 from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once, share_fed_back
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
@@ -160,6 +160,8 @@ class Choice:
                 if self.settings.predictor:
                     return found.model(order, stable)[:4]
                 A, C = found.state_matrices(order, stable)
+                if runs_away(A, max(data.lengths)):
+                    return None
                 B, D, _ = input_matrices(A, C, inputs, outputs, feedthrough)
                 return A, B, C, D
 

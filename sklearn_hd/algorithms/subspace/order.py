@@ -17,17 +17,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, TINY
 from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.algorithms.lti.stability import is_stable
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
 
-__all__ = ["Comparison", "Simulated", "order_by_gap", "order_by_wide_gap"]
+__all__ = ["Comparison", "Simulated", "order_by_gap", "order_by_wide_gap", "runs_away"]
 
 GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie
 CLEAR_GAP = 2.0  # below which ratios scatter by noise
 WIDE_GAP = 1e3  # that decides by itself
 PATIENCE = 8  # orders that may pass without a better one: four pairs of modes
+FARTHEST = 300.0  # e-folds, beyond which squares of outputs overflow
 UNSTABLE_GAIN = 2.0  # by which an unstable model must lower variances, beyond what its order does
 
 
@@ -107,7 +108,8 @@ class Comparison:
     Parameters
     ----------
     model : callable
-        ``model(order, feedthrough)`` gives A, B, C, D.
+        ``model(order, feedthrough)`` gives A, B, C, D; None where it runs away
+        (:func:`runs_away`).
     inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
         Of each segment.
     fed_back : bool, default=False
@@ -165,7 +167,10 @@ class Comparison:
         return self._simulated[key]
 
     def _simulate(self, order, feedthrough):
-        A, B, C, D = self.model(order, feedthrough)
+        model = self.model(order, feedthrough)
+        if model is None:
+            return Simulated(order, feedthrough, False, np.inf, np.inf, np.inf)
+        A, B, C, D = model
         (n, m), n_outputs = B.shape, len(C)
         lengths = [len(y) for y in self.outputs]
         pieces = [(s, slice(None)) for s in range(len(lengths))]
@@ -185,10 +190,24 @@ class Comparison:
         return Simulated(order, feedthrough, is_stable(A), *map(float, (share, variance, bic)))
 
 
+def runs_away(A, n_rows):
+    """Whether a mode of A grows over some rows beyond what outputs in open loop could do."""
+    return n_rows * np.log(_radius(A)) > FARTHEST
+
+
+def _radius(A):
+    return max(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0), TINY)
+
+
 def _left(A, B, C, D, u, y):
     """What a simulation from the initial state that fits best leaves of a piece."""
     rest = y - simulate(A, B, C, D, u, np.zeros(len(A)))
     if not np.all(np.isfinite(rest)):
         return np.full_like(rest, np.inf)
-    x0 = input_matrices(A, C, [u[:, :0]], [rest], False)[2][0]
-    return rest - simulate(A, B[:, :0], C, D[:, :0], u[:, :0], x0)
+    rows, radius = len(y), _radius(A)
+    if radius < 1.0:  # after which the initial state is forgotten
+        rows = min(rows, int(len(A) + np.log(DEPENDENT) / np.log(radius)) + 1)
+    none = u[:rows, :0]
+    x0 = input_matrices(A, C, [none], [rest[:rows]], False)[2][0]
+    rest[:rows] -= simulate(A, B[:, :0], C, D[:, :0], none, x0)
+    return rest
