@@ -278,8 +278,8 @@ def why_short(base):
         return (
             f" (the {n_rows} rows fall into {n_segments} segments: they are {step:.3g} samples of "
             f"{base.sample_time:.6g} s apart in the median; were they drawn at random, as by a "
-            f"shuffled split, or thinned out? split with TimeSeriesSplit, GroupKFold or "
-            f"PeriodBlockSplit, and keep the sample time of the data at fit)"
+            f"shuffled split, or thinned out? split with BlockSplit, PeriodBlockSplit "
+            f"or GroupKFold, and keep the sample time of the data at fit)"
         )
     return ""
 
@@ -302,7 +302,7 @@ def _record_bounds(index):
             f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}): sorted by time, they "
             f"need data.sort_index(), which sorts by record first; drawn at random "
             f"(HalvingGridSearchCV over n_samples, a shuffled split), they have no dynamics: halve "
-            f"over another resource, and split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
+            f"over another resource, and split with BlockSplit, PeriodBlockSplit or GroupKFold"
         )
     return [0, *starts.tolist(), len(index)]
 
@@ -414,7 +414,7 @@ def _check_increasing(seconds, start, stop):
             f"sort the rows, drop duplicates, or give each record its own label in a "
             f"(record, time) MultiIndex. Rows drawn at random (HalvingGridSearchCV over "
             f"n_samples, a shuffled split) have no dynamics: halve over another resource, and "
-            f"split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
+            f"split with BlockSplit, PeriodBlockSplit or GroupKFold"
         )
 
 
