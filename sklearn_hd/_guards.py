@@ -7,11 +7,13 @@ Overflow ends in an error of ours, not in a warning and infinities.
 
 import functools
 import os
+import sys
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
+SEARCHES = "sklearn.model_selection"
 
 
 @functools.cache
@@ -63,8 +65,24 @@ def within_range(call):
                 f"probably too large or too small for floating-point numbers: give inputs and "
                 f"outputs in other units (between 1e-75 and 1e75 nothing can overflow)"
             ) from error
+        except Exception as error:
+            _words_first(error)
+            raise
 
     return checked
+
+
+def _words_first(error):
+    """Have scikit-learn's searches print what an error says before its traceback.
+
+    A search prints the tracebacks of all fits that failed, some twenty lines for each candidate
+    and the words last. Of an error with a cause Python prints the cause first.
+    """
+    frame = sys._getframe(1)
+    while frame is not None and not frame.f_globals.get("__name__", "").startswith(SEARCHES):
+        frame = frame.f_back
+    if frame is not None and error.__cause__ is None:
+        error.__cause__ = type(error)(*error.args)
 
 
 def square_sums(signal):
