@@ -5,10 +5,13 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
+from law_cases import directions
+from scipy.linalg import block_diag
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict, cross_val_score
 
 from sklearn_hd import MOESPRegressor
+from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.model_selection import (
     BlockSplit,
     PeriodBlockSplit,
@@ -161,3 +164,35 @@ def test_the_trim_of_an_array_needs_times_as_the_error_gives_them():
     line = str(raised.value).partition("give it times: ")[2].partition(", y the same")[0]
     frame = eval(line, {"pd": pd, "np": np, "X": X})
     assert all(set(range(24)) <= set(train) for train, _ in split.split(frame))
+
+
+# ---- a law over random systems -----------------------------------------------------------------
+
+
+def random_record(seed, n_rows=800, noise=0.1):
+    """Noisy record of a system of one to five states, whose modes lie apart over the band."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    n_inputs, n_outputs = rng.integers(1, 3, 2)
+    angles = 0.2 + 2.6 * (np.arange(n // 2) + rng.uniform(0.25, 0.75, n // 2)) / max(n // 2, 1)
+    poles = rng.uniform(0.8, 0.97, n // 2) * np.exp(1j * angles)
+    blocks = [[[p.real, p.imag], [-p.imag, p.real]] for p in poles]
+    A = block_diag(*blocks, *[[[rng.uniform(0.5, 0.9)]]] * (n % 2))
+    B, C = directions(rng, n, n_inputs), directions(rng, n, n_outputs).T
+    u = rng.standard_normal((n_rows, n_inputs))
+    y = propagate(A, u @ B.T, np.zeros(n)) @ C.T
+    return n, u, y + noise * y.std(axis=0) * rng.standard_normal(y.shape)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("as_given", [np.asarray, pd.DataFrame])
+@pytest.mark.parametrize("seed", range(20))
+def test_a_search_finds_the_order_of_random_systems(seed, as_given):
+    order, u, y = random_record(seed)
+    search = GridSearchCV(
+        MOESPRegressor(block_rows=10),
+        {"order": range(1, 8)},
+        cv=BlockSplit(5),
+        refit=smallest_within_one_standard_error,
+    ).fit(as_given(u), as_given(y))
+    assert search.best_params_ == {"order": order}
