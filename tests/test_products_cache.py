@@ -17,6 +17,7 @@ from sklearn_hd.algorithms.linalg.double_double import Pair
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, lag_products
 from sklearn_hd.algorithms.subspace.sums import RecordEnds, Sums
+from sklearn_hd.exceptions import CacheWarning
 
 STORED = (LagProducts, Pair, Sums, RecordEnds)
 
@@ -180,7 +181,9 @@ def test_files_that_are_not_what_was_stored_are_made_anew(tmp_path, data, forget
     for file in stored:
         file.write_bytes(spoil(file.read_bytes()))
     forgetful()
-    with pytest.warns(UserWarning, match=r"that were kept there \(.*\): made anew") as warned:
+    with pytest.warns(
+        CacheWarning, match=r"is not what was kept there \(.*\): made anew"
+    ) as warned:
         again = model.fit(*data).model_
     told = " ".join(str(w.message) for w in warned)
     assert len(warned) == 3
@@ -197,7 +200,7 @@ def test_a_file_where_a_folder_should_be_is_told_and_done_without(tmp_path, data
     place = tmp_path.joinpath(*("joblib", "sklearn_hd", "_identify", "products_cache")[:depth])
     place.parent.mkdir(parents=True, exist_ok=True)
     place.write_text("no folder")
-    with pytest.warns(UserWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
+    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
         model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data)
     same_model(model, MOESPRegressor(3, block_rows=6).fit(*data))
     assert place.read_text() == "no folder"
@@ -213,7 +216,7 @@ def test_notes_of_joblibs_that_cannot_be_read_are_told(
     file.write_bytes(notes)
     forgetful()
     joblib.memory._FUNCTION_HASHES.clear()
-    with pytest.warns(UserWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
+    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
         same_model(MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data), model)
 
 

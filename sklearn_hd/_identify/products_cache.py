@@ -19,6 +19,7 @@ from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 from sklearn_hd.algorithms.subspace.sums import correlations, input_matrices_of_sums
+from sklearn_hd.exceptions import CacheWarning
 
 __all__ = ["KeptSums"]
 
@@ -184,13 +185,13 @@ def _from_folder(memory, key, make):
             if wrong is None:
                 return found
             file = os.path.join(shelf.store_backend.location, shelf.func_id, shelf.args_id)
-            warn(f"{file} holds no {key[0]} that were kept there ({wrong}): made anew", UserWarning)
+            warn(f"{file} is not what was kept there ({wrong}): made anew", CacheWarning)
             shelf.clear()
     except (OSError, ValueError) as error:  # the latter of joblib's own notes there
         warn(
             f"the folder memory={memory.location!r} cannot be used ({error}), so that nothing is "
             f"kept; clear it, give another, or None",
-            UserWarning,
+            CacheWarning,
         )
         return make()
     value = make()
