@@ -9,9 +9,11 @@ from law_cases import directions
 from scipy.linalg import block_diag
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict, cross_val_score
+from sklearn.pipeline import make_pipeline
 
-from sklearn_hd import MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.model_selection import (
     BlockSplit,
     PeriodBlockSplit,
@@ -154,6 +156,24 @@ def test_whole_periods_of_arrays_are_on_one_side_too():
         assert np.all(np.diff(train) == 1)
         assert train[0] % 8 == test[0] % 8 == 0
     assert [len(train) for train, _ in split.split(u)] == [56, 24, 56]
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.TimeBaseWarning")
+def test_periods_of_an_array_score_as_those_of_its_frame():
+    """Without noise either side has the model that both have."""
+    data = make_flapping_wing(
+        "ltp", input="3211", width=4, n_periods=120, samples_per_period=16, random_state=0
+    )
+    u, y, step = data.inputs, data.outputs, data.inputs.index[1]
+    pipe = make_pipeline(
+        HarmonicAnalyzer(data.omega, output_harmonics=2, reading="period"),
+        MOESPRegressor(order=2, block_rows=4),
+    )
+    scores = cross_val_score(pipe, u, y, cv=PeriodBlockSplit(5, omega=data.omega))
+    pipe.set_params(harmonicanalyzer__sample_time=step)
+    split = PeriodBlockSplit(5, omega=data.omega, sample_time=step)
+    arrays = cross_val_score(pipe, u.to_numpy(), y.to_numpy(), cv=split)
+    np.testing.assert_allclose(arrays, scores, atol=1e-6)
 
 
 def test_the_trim_of_an_array_needs_times_as_the_error_gives_them():

@@ -72,8 +72,9 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Examples
     --------
     >>> from functools import partial
-    >>> from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
+    >>> from sklearn.model_selection import GridSearchCV
     >>> from sklearn_hd import MOESPRegressor
+    >>> from sklearn_hd.model_selection import BlockSplit
     >>> rng = np.random.default_rng(0)
     >>> u, y = rng.standard_normal((400, 1)), np.zeros((400, 1))
     >>> for k in range(399):
@@ -81,7 +82,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     >>> search = GridSearchCV(
     ...     MOESPRegressor(block_rows=5),
     ...     {"order": [3, 2, 1]},
-    ...     cv=TimeSeriesSplit(4),
+    ...     cv=BlockSplit(4),
     ...     refit=partial(smallest_within_one_standard_error, size="order"),
     ... )
     >>> search.fit(u, y + 0.1 * rng.standard_normal((400, 1))).best_params_
