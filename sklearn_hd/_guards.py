@@ -13,7 +13,6 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
-SEARCHES = "sklearn.model_selection"
 
 
 @functools.cache
@@ -78,11 +77,17 @@ def _words_first(error):
     A search prints the tracebacks of all fits that failed, some twenty lines for each candidate
     and the words last. Of an error with a cause Python prints the cause first.
     """
-    frame = sys._getframe(1)
-    while frame is not None and not frame.f_globals.get("__name__", "").startswith(SEARCHES):
-        frame = frame.f_back
-    if frame is not None and error.__cause__ is None:
+    if error.__cause__ is None and any(searches()):
         error.__cause__ = type(error)(*error.args)
+
+
+def searches():
+    """Frames of the scikit-learn searches and cross-validations that a call is within."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("sklearn.model_selection"):
+            yield frame
+        frame = frame.f_back
 
 
 def square_sums(signal):

@@ -8,7 +8,9 @@ import pandas as pd
 from scipy.sparse import issparse
 
 from sklearn_hd._checks import FIRST, check_positive
-from sklearn_hd._guards import step_extremes
+from sklearn_hd._guards import searches, step_extremes
+from sklearn_hd._warn import warn
+from sklearn_hd.exceptions import TimeBaseWarning
 
 
 def as_container(data, what):
@@ -29,6 +31,8 @@ def as_container(data, what):
                 f"carries no index of times; give {what}.to_pandas() with its times as the index"
             )
         data = _as_array(data, what)
+        if what == "X":
+            _warn_of_joined_rows(data)
         if data.ndim == 1 and what == "X":
             raise ValueError(
                 "Expected 2D array, got 1D array instead. Reshape your data with "
@@ -43,6 +47,25 @@ def as_container(data, what):
     if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
         check_has_signals(data, what)
     return data
+
+
+def _warn_of_joined_rows(data):
+    """Warn where rows without times are the training rows of a fold, and were not consecutive.
+
+    An array does not tell; the cross-validation that has cut it knows.
+    """
+    for frame in searches():
+        train = np.asarray(frame.f_locals.get("train"))
+        if train.shape == data.shape[:1] and train.dtype.kind == "i":
+            seams = np.count_nonzero(np.diff(train) != 1)
+            if seams:
+                warn(
+                    f"the training rows of a fold are joined at {seams} place(s) where others "
+                    f"were left out, for an array carries no times: that is a jump, or no record "
+                    f"at all; split with sklearn_hd.model_selection.BlockSplit, or give "
+                    f"pd.DataFrame(X)",
+                    TimeBaseWarning,
+                )
 
 
 def check_has_signals(data, what):

@@ -8,12 +8,22 @@ import pytest
 from law_cases import directions
 from scipy.linalg import block_diag
 from sklearn.base import clone
-from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict, cross_val_score
+from sklearn.experimental import enable_halving_search_cv  # noqa: F401 - makes the next import work
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    HalvingGridSearchCV,
+    KFold,
+    cross_val_predict,
+    cross_val_score,
+)
 from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import TimeBaseWarning
 from sklearn_hd.model_selection import (
     BlockSplit,
     PeriodBlockSplit,
@@ -72,7 +82,40 @@ def test_the_hole_of_a_fold_is_not_joined(n_rows):
     for inputs in (u, pd.DataFrame(u)):
         assert cross_val_score(TWO_STATES, inputs, y, cv=BlockSplit(5)).min() > 1 - 1e-9
     assert cross_val_score(TWO_STATES, pd.DataFrame(u), y, cv=KFold(5)).min() > 1 - 1e-9
-    assert cross_val_score(TWO_STATES, u, y, cv=KFold(5)).min() < 0.9
+    with pytest.warns(TimeBaseWarning, match="joined at 1 place"):
+        assert cross_val_score(TWO_STATES, u, y, cv=KFold(5)).min() < 0.9
+
+
+SHUFFLED = KFold(3, shuffle=True, random_state=0)
+
+
+@pytest.mark.filterwarnings("ignore:X does not have valid feature names")
+@pytest.mark.parametrize(
+    "validate",
+    [
+        lambda u, y: GridSearchCV(TWO_STATES, {"order": [1, 2]}).fit(u, y),
+        lambda u, y: GridSearchCV(TWO_STATES, {"order": [1]}, cv=3, n_jobs=1).fit(u.tolist(), y),
+        lambda u, y: cross_val_score(make_pipeline(TWO_STATES), u, y, cv=SHUFFLED),
+        lambda u, y: cross_val_predict(
+            TWO_STATES, u, y, cv=GroupKFold(3), groups=np.arange(400) // 99
+        ),
+        lambda u, y: cross_val_score(
+            GridSearchCV(TWO_STATES, {"order": [2]}, cv=BlockSplit(2)), u, y, cv=KFold(3)
+        ),
+        lambda u, y: cross_val_score(
+            make_pipeline(StandardScaler(), TWO_STATES), pd.DataFrame(u), y, cv=KFold(3)
+        ),
+        lambda u, y: HalvingGridSearchCV(
+            TWO_STATES, {"order": [1, 2]}, cv=BlockSplit(2), min_resources=200, random_state=0
+        ).fit(u, y),
+    ],
+    ids=["search", "list", "shuffled", "groups", "nested", "scaler", "halving"],
+)
+def test_arrays_whose_rows_a_fold_joins_are_told(validate):
+    """Frames, and splits of consecutive rows, raise no warning in all the other tests."""
+    u, y = ringing(400)
+    with pytest.warns(TimeBaseWarning, match=r"joined at \d+ place.*or give pd.DataFrame\(X\)"):
+        validate(u, y)
 
 
 @pytest.mark.parametrize("as_given", [np.asarray, pd.DataFrame])
