@@ -7,6 +7,7 @@ Overflow ends in an error of ours, not in a warning and infinities.
 
 import functools
 import os
+import sys
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -63,8 +64,30 @@ def within_range(call):
                 f"probably too large or too small for floating-point numbers: give inputs and "
                 f"outputs in other units (between 1e-75 and 1e75 nothing can overflow)"
             ) from error
+        except Exception as error:
+            _words_first(error)
+            raise
 
     return checked
+
+
+def _words_first(error):
+    """Have scikit-learn's searches print what an error says before its traceback.
+
+    A search prints the tracebacks of all fits that failed, some twenty lines for each candidate
+    and the words last. Of an error with a cause Python prints the cause first.
+    """
+    if error.__cause__ is None and any(searches()):
+        error.__cause__ = type(error)(*error.args)
+
+
+def searches():
+    """Frames of the scikit-learn searches and cross-validations that a call is within."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("sklearn.model_selection"):
+            yield frame
+        frame = frame.f_back
 
 
 def square_sums(signal):

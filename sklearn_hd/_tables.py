@@ -8,7 +8,9 @@ import pandas as pd
 from scipy.sparse import issparse
 
 from sklearn_hd._checks import FIRST, check_positive
-from sklearn_hd._guards import step_extremes
+from sklearn_hd._guards import searches, step_extremes
+from sklearn_hd._warn import warn
+from sklearn_hd.exceptions import TimeBaseWarning
 
 
 def as_container(data, what):
@@ -29,6 +31,8 @@ def as_container(data, what):
                 f"carries no index of times; give {what}.to_pandas() with its times as the index"
             )
         data = _as_array(data, what)
+        if what == "X":
+            _warn_of_joined_rows(data)
         if data.ndim == 1 and what == "X":
             raise ValueError(
                 "Expected 2D array, got 1D array instead. Reshape your data with "
@@ -43,6 +47,25 @@ def as_container(data, what):
     if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
         check_has_signals(data, what)
     return data
+
+
+def _warn_of_joined_rows(data):
+    """Warn where rows without times are the training rows of a fold, and were not consecutive.
+
+    An array does not tell; the cross-validation that has cut it knows.
+    """
+    for frame in searches():
+        train = np.asarray(frame.f_locals.get("train"))
+        if train.shape == data.shape[:1] and train.dtype.kind == "i":
+            seams = np.count_nonzero(np.diff(train) != 1)
+            if seams:
+                warn(
+                    f"the training rows of a fold are joined at {seams} place(s) where others "
+                    f"were left out, for an array carries no times: that is a jump, or no record "
+                    f"at all; split with sklearn_hd.model_selection.BlockSplit, or give "
+                    f"pd.DataFrame(X)",
+                    TimeBaseWarning,
+                )
 
 
 def check_has_signals(data, what):
@@ -278,8 +301,8 @@ def why_short(base):
         return (
             f" (the {n_rows} rows fall into {n_segments} segments: they are {step:.3g} samples of "
             f"{base.sample_time:.6g} s apart in the median; were they drawn at random, as by a "
-            f"shuffled split, or thinned out? split with TimeSeriesSplit, GroupKFold or "
-            f"PeriodBlockSplit, and keep the sample time of the data at fit)"
+            f"shuffled split, or thinned out? split with BlockSplit, PeriodBlockSplit "
+            f"or GroupKFold, and keep the sample time of the data at fit)"
         )
     return ""
 
@@ -302,7 +325,7 @@ def _record_bounds(index):
             f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}): sorted by time, they "
             f"need data.sort_index(), which sorts by record first; drawn at random "
             f"(HalvingGridSearchCV over n_samples, a shuffled split), they have no dynamics: halve "
-            f"over another resource, and split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
+            f"over another resource, and split with BlockSplit, PeriodBlockSplit or GroupKFold"
         )
     return [0, *starts.tolist(), len(index)]
 
@@ -414,7 +437,7 @@ def _check_increasing(seconds, start, stop):
             f"sort the rows, drop duplicates, or give each record its own label in a "
             f"(record, time) MultiIndex. Rows drawn at random (HalvingGridSearchCV over "
             f"n_samples, a shuffled split) have no dynamics: halve over another resource, and "
-            f"split with TimeSeriesSplit, GroupKFold or PeriodBlockSplit"
+            f"split with BlockSplit, PeriodBlockSplit or GroupKFold"
         )
 
 

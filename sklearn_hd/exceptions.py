@@ -33,5 +33,9 @@ class FrequencyMismatchWarning(UserWarning):
     """The data repeat themselves at another frequency than the one given."""
 
 
+class CacheWarning(UserWarning):
+    """A file in the folder given as ``memory``, or the folder, could not be used."""
+
+
 class InstabilityWarning(UserWarning):
     """A model, or the periodic orbit that the data are taken about, is unstable."""

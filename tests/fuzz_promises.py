@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning, NotFittedError
+from sklearn.exceptions import ConvergenceWarning, FitFailedWarning, NotFittedError
 
 import sklearn_hd
 from sklearn_hd import exceptions
@@ -79,7 +79,7 @@ def check_worded(error, documented=DOCUMENTED):
 def check_warnings(said):
     """Raise Violation for a warning that is not the package's own."""
     for warning in said:
-        if not issubclass(warning.category, (*OWN_WARNINGS, ConvergenceWarning)):
+        if not issubclass(warning.category, (*OWN_WARNINGS, ConvergenceWarning, FitFailedWarning)):
             raise Violation(
                 f"{warning.category.__name__} gets out: {warning.message}\nat "
                 f"{warning.filename}:{warning.lineno}"

@@ -27,6 +27,7 @@ from sklearn_hd import (
 from sklearn_hd.algorithms.lti.hinf import h2_norm, hinf_norm
 from sklearn_hd.algorithms.signals.fundamental import estimate_omega
 from sklearn_hd.model_selection import (
+    BlockSplit,
     PeriodBlockSplit,
     fit_percent,
     fit_percent_scorer,
@@ -425,8 +426,12 @@ def draw_function(rng):
     share = one_of(rng, [None, 0.5, 1e300])
     period = one_of(rng, [DT])
 
+    periods = PeriodBlockSplit(**{"omega": omega} | params)
+    rows = BlockSplit(**{name: params[name] for name in ("n_splits", "gap") if name in params})
+    splitter = pick(rng, [periods, rows])
+
     def split_rows(said):
-        for train, test in PeriodBlockSplit(**{"omega": omega} | params).split(X, y):
+        for train, test in splitter.split(X, y):
             if np.intersect1d(train, test).size or not len(test):
                 raise Violation("blocks overlap, or are empty")
         return "done"
@@ -450,8 +455,9 @@ def draw_function(rng):
         return "done"
 
     perform = pick(rng, [split_rows, split_rows, transfer, percent, rule, frequency])
-    told = {"X": _described(X), "y": _described(y), "omega": omega, "split": params, "table": table,
-            "given": given, "N": n_harmonics, "weight": reprlib.repr(weight)}  # fmt: skip
+    told = {"X": _described(X), "y": _described(y), "omega": omega, "split": splitter,
+            "table": table, "given": given, "N": n_harmonics,
+            "weight": reprlib.repr(weight)}  # fmt: skip
     return Call(perform.__name__, perform, (X, y), told)
 
 

@@ -11,6 +11,7 @@ from conftest import heave_pipeline
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.decomposition import PCA
+from sklearn.exceptions import FitFailedWarning
 from sklearn.experimental import enable_halving_search_cv  # noqa: F401 - makes the next import work
 from sklearn.frozen import FrozenEstimator
 from sklearn.metrics import (
@@ -334,16 +335,70 @@ def test_raw_measurements_keep_their_trim_in_every_fold():
         cross_val_score(pipe, data.inputs, data.outputs, cv=without, error_score="raise")
 
 
-@pytest.mark.filterwarnings("ignore::sklearn.exceptions.FitFailedWarning")
 @pytest.mark.filterwarnings("ignore:One or more of the test scores are non-finite")
-def test_the_rule_refuses_where_grid_search_would_not(lti):
-    grid = {"order": [3, 40], "block_rows": [8]}
-    search = GridSearchCV(MOESPRegressor(), grid, cv=PeriodBlockSplit(3, omega=lti.omega))
-    search.fit(lti.inputs, lti.outputs)
-    assert search.best_params_["order"] == 3
-    search.set_params(refit=smallest_within_one_standard_error)
-    with pytest.raises(ValueError, match=r"1 of 2 candidates failed.*'order': 40.* on folds \[0, "):
+def test_one_failing_corner_of_a_grid_does_not_end_a_search(lti):
+    search = GridSearchCV(
+        MOESPRegressor(),
+        {"order": [2, 3, 25], "block_rows": [8, 12]},  # order 25 exceeds what 8 allow
+        cv=PeriodBlockSplit(3, omega=lti.omega),
+        refit=smallest_within_one_standard_error,
+    )
+    with pytest.warns(FitFailedWarning) as told:
         search.fit(lti.inputs, lti.outputs)
+    assert search.best_params_["order"] == 3
+    passed_over = "1 of 6 candidates failed on some fold and are passed over: {'block_rows': 8, '"
+    assert str(told[-1].message).startswith(passed_over)
+
+
+TOO_LARGE = "ValueError: order=40 exceeds the rank bound 21 of block_rows=8 with 3 outputs; lower"
+SPLIT = "fits failed with the following error:\n"
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "prefix"), [(False, "order"), (True, "moespregressor__order")]
+)
+@pytest.mark.filterwarnings("ignore:One or more of the test scores are non-finite")
+def test_a_search_says_why_fits_failed_before_their_tracebacks(lti, pipeline, prefix):
+    model = MOESPRegressor(block_rows=8)
+    model = make_pipeline(FunctionTransformer(), model) if pipeline else model
+    search = GridSearchCV(model, {prefix: [40, 41]}, cv=PeriodBlockSplit(3, omega=lti.omega))
+    with pytest.raises(ValueError, match="All the 6 fits failed") as raised:
+        search.fit(lti.inputs, lti.outputs)
+    first, second = str(raised.value).split(SPLIT)[1:]
+    assert first.startswith(TOO_LARGE)
+    assert second.startswith(TOO_LARGE.replace("40", "41"))
+    assert "in check_rank_bound" in first  # and where, after that
+    search.set_params(param_grid={prefix: [3, 40]})
+    with pytest.warns(FitFailedWarning) as warned:
+        search.fit(lti.inputs, lti.outputs)
+    assert str(warned[0].message).split(SPLIT)[1].startswith(TOO_LARGE)
+
+
+def test_outside_searches_an_error_is_said_once(lti):
+    with pytest.raises(ValueError, match="exceeds the rank bound") as raised:
+        MOESPRegressor(order=40, block_rows=8).fit(lti.inputs, lti.outputs)
+    assert raised.value.__cause__ is None
+
+
+def test_the_grid_of_sliding_windows_in_the_docs_runs():
+    """docs/choosing.md states it in words; with its data, and no warning of a failed fit."""
+    data = make_flapping_wing(
+        "ltp", input="3211", width=4, n_periods=120, samples_per_period=16, snr=20, random_state=0
+    )
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(data.omega, output_harmonics=2)),
+            ("identify", MOESPRegressor()),
+        ]
+    )
+    grid = {"identify__order": [16, 20, 24], "identify__block_rows": [18, 26]}
+    cv = PeriodBlockSplit(5, omega=data.omega)
+    search = GridSearchCV(pipe, grid, cv=cv).fit(data.inputs, data.outputs)
+    assert search.best_score_ > 0.9
+    with pytest.raises(ValueError, match="block_rows=4 must exceed the 8 rows in the analysis win"):
+        search.set_params(param_grid={"identify__block_rows": [4, 6]}).fit(
+            data.inputs, data.outputs
+        )
 
 
 class Growing(MOESPRegressor):

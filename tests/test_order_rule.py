@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sklearn.exceptions import FitFailedWarning
 
 from sklearn_hd.model_selection import smallest_within_one_standard_error
 
@@ -70,14 +71,30 @@ def test_several_metrics_need_one_to_decide_by():
         smallest_within_one_standard_error(only)
 
 
-def test_failed_candidates_are_named_with_their_folds():
+def test_failed_candidates_are_passed_over_and_named_with_their_folds():
     scores = np.array(SCORES)
     scores[0, 2] = np.nan
     scores[3] = np.nan, np.inf, np.nan
-    with pytest.raises(ValueError, match="2 of 4 candidates failed") as raised:
-        smallest_within_one_standard_error(results(scores, order=[1, 2, 3, 4]))
-    assert "{'order': 1} on folds [2]; {'order': 4} on folds [0, 1, 2]" in str(raised.value)
-    assert "error_score='raise'" in str(raised.value)
+    with pytest.warns(FitFailedWarning, match="2 of 4 candidates failed on some fold and") as told:
+        chosen = smallest_within_one_standard_error(results(scores, order=[1, 2, 3, 4]))
+    assert chosen == smallest_within_one_standard_error(results(SCORES[1:3], order=[2, 3])) + 1
+    (told,) = told
+    assert "{'order': 1} on folds [2]; {'order': 4} on folds [0, 1, 2]; " in str(told.message)
+    assert "error_score='raise'" in str(told.message)
+    assert told.filename == __file__
+
+
+@pytest.mark.parametrize("n_candidates", [1, 2, 9])
+def test_where_no_candidate_is_whole_some_that_failed_are_named(n_candidates):
+    scores = np.full((n_candidates, 3), 0.5)
+    scores[:, 1] = np.nan
+    scores[-1, 1] = -np.inf if n_candidates > 1 else np.nan  # the largest is unstable
+    orders = list(range(1, n_candidates + 1))
+    n_failed = max(1, n_candidates - 1)
+    with pytest.raises(ValueError, match=rf"and {n_failed} of {n_candidates} failed") as raised:
+        smallest_within_one_standard_error(results(scores, order=orders))
+    assert str(raised.value).count(" on folds [1]") == min(n_failed, 5)
+    assert ("; …;" in str(raised.value)) == (n_failed > 5)
 
 
 def test_unstable_candidates_are_passed_over():

@@ -61,15 +61,19 @@ def test_period_borders_survive_times_that_are_not_exact():
         assert len(test) == 64 * 6
 
 
-def test_arrays_count_samples_and_timedeltas_are_seconds():
+def test_timedeltas_are_seconds_and_arrays_count_samples():
     data = record(12)
     expected = list(PeriodBlockSplit(3, omega=OMEGA).split(data))
     moments = data.set_axis(pd.to_timedelta(data.index, unit="s"))
-    for X, sample_time in ((data.to_numpy(), 1 / SPP), (moments, None), (data["u"], None)):
-        found = PeriodBlockSplit(3, omega=OMEGA, sample_time=sample_time).split(X)
-        for (train, test), (train_0, test_0) in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(train, train_0)
-            np.testing.assert_array_equal(test, test_0)
+    for X in (moments, data["u"]):
+        for found, fold in zip(PeriodBlockSplit(3, omega=OMEGA).split(X), expected, strict=True):
+            for rows, rows_0 in zip(found, fold, strict=True):
+                np.testing.assert_array_equal(rows, rows_0)
+    counted = PeriodBlockSplit(3, omega=OMEGA, sample_time=1 / SPP).split(data.to_numpy())
+    for (train, test), (train_0, test_0) in zip(counted, expected, strict=True):
+        np.testing.assert_array_equal(test, test_0)
+        sides = np.split(train_0, np.flatnonzero(np.diff(train_0) > 1) + 1)
+        np.testing.assert_array_equal(train, max(sides, key=len))  # one side of the hole
 
 
 def test_dates_count_from_their_origin():

@@ -1,5 +1,6 @@
 """memory=: lag products kept for all orders and many block rows."""
 
+import io
 import os
 import shutil
 from dataclasses import fields
@@ -16,6 +17,7 @@ from sklearn_hd.algorithms.linalg.double_double import Pair
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, lag_products
 from sklearn_hd.algorithms.subspace.sums import RecordEnds, Sums
+from sklearn_hd.exceptions import CacheWarning
 
 STORED = (LagProducts, Pair, Sums, RecordEnds)
 
@@ -128,7 +130,7 @@ def test_the_layout_is_the_one_that_is_numbered():
     """Whoever changes a field raises LAYOUT."""
     kept = {each.__name__: [f.name for f in fields(each)] for each in STORED}
     assert (products_cache.LAYOUT, kept) == (
-        3,
+        4,
         {
             "LagProducts": ["lags", "head", "tail", "exponents", "n_rows", "short"],
             "Pair": ["high", "low"],
@@ -138,28 +140,84 @@ def test_the_layout_is_the_one_that_is_numbered():
     )
 
 
+class Strange:
+    """What a pickle made with another version of a package may do when it is read."""
+
+    def __reduce__(self):
+        return eval, ("1 / 0",)
+
+
+def pickled(value):
+    stream = io.BytesIO()
+    joblib.dump(value, stream)
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
         lambda content: content[: len(content) // 2],
         lambda content: content.replace(b"sklearn_hd", b"sklearn_hx").replace(b"numpy", b"nunpy"),
         lambda content: b"",
+        *(
+            lambda content, value=value: pickled(value)
+            for value in (
+                Strange(),
+                None,
+                {"a": 1},
+                np.full((20, 20), np.nan),
+                np.zeros(2),
+                (np.zeros(3), np.zeros(3)),
+                (("factors", "of others", 6, None), np.zeros((24, 24))),
+            )
+        ),
     ],
-    ids=["truncated", "other version", "empty"],
 )
-def test_files_that_cannot_be_read_are_made_anew(tmp_path, data, forgetful, caplog, spoil):
+def test_files_that_are_not_what_was_stored_are_made_anew(tmp_path, data, forgetful, spoil):
     model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path))
     first = model.fit(*data).model_
     stored = list(tmp_path.rglob("output.pkl"))
     assert len(stored) == 3  # products, factor, correlations
     for file in stored:
         file.write_bytes(spoil(file.read_bytes()))
-    for told in (3, 0):
-        forgetful()
-        caplog.clear()
+    forgetful()
+    with pytest.warns(
+        CacheWarning, match=r"is not what was kept there \(.*\): made anew"
+    ) as warned:
         again = model.fit(*data).model_
-        assert caplog.text.count("Exception while loading results") == told
-        assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in "ABCD")
+    told = " ".join(str(w.message) for w in warned)
+    assert len(warned) == 3
+    assert all(str(file.parent) in told for file in stored)
+    assert {w.filename for w in warned} == {__file__}
+    forgetful()
+    third = model.fit(*data).model_  # without a warning
+    for other in (again, third):
+        assert all(np.array_equal(getattr(first, name), getattr(other, name)) for name in "ABCD")
+
+
+@pytest.mark.parametrize("depth", [1, 2, 3, 4])
+def test_a_file_where_a_folder_should_be_is_told_and_done_without(tmp_path, data, forgetful, depth):
+    place = tmp_path.joinpath(*("joblib", "sklearn_hd", "_identify", "products_cache")[:depth])
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text("no folder")
+    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
+        model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data)
+    same_model(model, MOESPRegressor(3, block_rows=6).fit(*data))
+    assert place.read_text() == "no folder"
+
+
+@pytest.mark.parametrize("notes", [b"\xff", b"# first line: none"])
+def test_notes_of_joblibs_that_cannot_be_read_are_told(
+    tmp_path, data, forgetful, monkeypatch, notes
+):
+    monkeypatch.setattr(joblib.memory, "_FUNCTION_HASHES", {})  # a process that has just begun
+    model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data)
+    (file,) = tmp_path.rglob("func_code.py")
+    file.write_bytes(notes)
+    forgetful()
+    joblib.memory._FUNCTION_HASHES.clear()
+    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
+        same_model(MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data), model)
 
 
 def test_what_is_at_hand_is_not_read_again(tmp_path, data, counted):
@@ -233,6 +291,8 @@ def test_a_folder_that_may_not_be_written_is_named(tmp_path, data, monkeypatch):
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path, data):
     (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ValueError, match=r"file' is a file; give a folder that can be written"):
+        MOESPRegressor(memory=tmp_path / "file").fit(*data)
     with pytest.raises(ValueError, match=r"file.inside' cannot be written"):
         MOESPRegressor(memory=str(tmp_path / "file" / "inside")).fit(*data)
     for method in (MOESPRegressor.fit, MOESPRegressor.partial_fit):

@@ -5,6 +5,7 @@ last it also has at hand, up to some megabytes: reading a file takes longer than
 Records in memory (:mod:`~sklearn_hd._identify.statistics`) ask for them.
 """
 
+import functools
 import hashlib
 import os
 import threading
@@ -13,14 +14,16 @@ from collections import OrderedDict
 import numpy as np
 from sklearn.utils.validation import check_memory
 
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 from sklearn_hd.algorithms.subspace.sums import correlations, input_matrices_of_sums
+from sklearn_hd.exceptions import CacheWarning
 
 __all__ = ["KeptSums"]
 
-LAYOUT = 3  # of what is stored, raised with it: files of another one are not found
+LAYOUT = 4  # of what is stored, raised with it: files of another one are not found
 LEAST_LAGS = 64  # that are kept: 32 block rows of the past, and of the future
 MOST_LAGS = 256  # more are not kept
 AT_HAND = 2**26  # bytes that a process has at hand
@@ -50,39 +53,45 @@ class KeptSums:
             return hankel_factor(inputs, outputs, block_rows, scale)
         records = list(zip(inputs, outputs, strict=True))
 
-        def load():
-            kept = self.memory.cache(_factor, ignore=["records", "memory"])
-            return kept(self._digest(records), block_rows, scale, records, self.memory)
+        def make():
+            return hankel_factor(inputs, outputs, block_rows, scale, self._products)
 
-        return self._at_hand("factor", records, (block_rows, _bytes(scale)), load)
+        return self._kept(records, "factors", block_rows, _bytes(scale), make=make)
+
+    def _products(self, records, n_lags, exact):
+        """Lag products of records, of as many lags as other block rows ask for."""
+        if n_lags > MOST_LAGS:
+            return lag_products(records, n_lags, exact)
+        lags = max(LEAST_LAGS, 1 << (n_lags - 1).bit_length())
+
+        def make():
+            return lag_products(records, lags, exact)
+
+        return self._kept(records, "products", lags, exact, make=make).fewer(n_lags)
 
     def projection(self, inputs, outputs, scale, make, *choices):
         """What ``make`` makes of the factor, which depends on some choices and on nothing else."""
         if self.memory is None:
             return make()
         records = list(zip(inputs, outputs, strict=True))
-        return self._at_hand("projection", records, (_bytes(scale), *choices), make)
+        return self._kept(records, "projection", _bytes(scale), *choices, make=make, stored=False)
 
     def input_matrices(self, A, C, inputs, outputs, feedthrough, scales):
         """:func:`~sklearn_hd.algorithms.subspace.input_matrices.input_matrices`."""
         found = None
         if self.memory is not None and inputs[0].shape[1] > 0:
             records = list(zip(inputs, outputs, strict=True))
-
-            def load():
-                kept = self.memory.cache(_correlations, ignore=["records"])
-                return kept(self._digest(records), records)
-
-            sums = self._at_hand("correlations", records, (), load)
+            sums = self._kept(records, "correlations", make=lambda: correlations(records))
             found = input_matrices_of_sums(A, C, sums, feedthrough, scales)
         if found is not None:
             return found
         return input_matrices(A, C, inputs, outputs, feedthrough, scales=scales)
 
-    def _at_hand(self, what, records, choices, load):
-        """What this process has made of the same data before, or what ``load`` makes now."""
-        key = (str(getattr(self.memory, "location", "")), what, self._digest(records), *choices)
-        return _RECENT.get(key, load)
+    def _kept(self, records, what, *choices, make, stored=True):
+        """What ``make`` makes of records, unless this process, or the folder, has it already."""
+        key = (what, self._digest(records), *choices)
+        load = functools.partial(_from_folder, self.memory, key, make) if stored else make
+        return _RECENT.get((str(getattr(self.memory, "location", "")), *key), load)
 
     def _digest(self, records):
         """What no other records have: their numbers, shapes and order."""
@@ -155,34 +164,54 @@ def _writable(memory):
     except OSError:
         writable = False
     if not writable:
+        wrong = "is a file" if os.path.isfile(memory) else "cannot be written"
         raise ValueError(
-            f"memory={memory!r} cannot be written; give a folder that can, or None to keep nothing"
+            f"memory={memory!r} {wrong}; give a folder that can be written, or None to keep nothing"
         )
     return memory
 
 
-def _factor(digest, block_rows, scale, records, memory):
-    """Triangular factor of records, stored under what they are."""
+def _from_folder(memory, key, make):
+    """What is stored in a folder under a key, else what ``make`` makes, which is stored there.
 
-    def products(records, n_lags, exact):
-        if n_lags > MOST_LAGS:
-            return lag_products(records, n_lags, exact)
-        lags = max(LEAST_LAGS, 1 << (n_lags - 1).bit_length())
-        kept = memory.cache(_products, ignore=["records"])
-        key = str(getattr(memory, "location", "")), "products", digest, lags, exact
-        return _RECENT.get(key, lambda: kept(digest, lags, exact, records)).fewer(n_lags)
+    Its key is stored with it. A file that cannot be read, or has another key, is made anew; a
+    folder that cannot be used is done without.
+    """
+    try:
+        kept = memory.cache(_made, ignore=["make"])
+        if kept.check_call_in_cache(key, make):
+            shelf = kept.call_and_shelve(key, make)
+            found, wrong = _read(shelf, key)
+            if wrong is None:
+                return found
+            file = os.path.join(shelf.store_backend.location, shelf.func_id, shelf.args_id)
+            warn(f"{file} is not what was kept there ({wrong}): made anew", CacheWarning)
+            shelf.clear()
+    except (OSError, ValueError) as error:  # the latter of joblib's own notes there
+        warn(
+            f"the folder memory={memory.location!r} cannot be used ({error}), so that nothing is "
+            f"kept; clear it, give another, or None",
+            CacheWarning,
+        )
+        return make()
+    value = make()
+    return kept(key, lambda: value)[1]
 
-    return hankel_factor(*map(list, zip(*records, strict=True)), block_rows, scale, products)
+
+def _read(shelf, key):
+    """What is on a shelf, or None and why it is not what was put there."""
+    try:
+        origin, value = shelf.get()
+        if origin == key:
+            return value, None
+    except Exception as error:  # reading a pickle can raise anything
+        return None, f"{type(error).__name__}: {error}"
+    return None, "it is of other data or settings"
 
 
-def _products(digest, n_lags, exact, records):
-    """Lag products of records, stored under what they are."""
-    return lag_products(records, n_lags, exact)
-
-
-def _correlations(digest, records):
-    """Products of records with their inputs, stored under what they are."""
-    return correlations(records)
+def _made(key, make):
+    """A key, and what is stored under it."""
+    return key, make()
 
 
 def _by_columns(z):

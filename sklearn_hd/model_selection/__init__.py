@@ -3,8 +3,9 @@
 Rows of a record follow one another in time, so three of scikit-learn's habits
 need a counterpart here:
 
-- folds are blocks of whole periods (:class:`PeriodBlockSplit`), or whole
-  records (``GroupKFold`` on the record level of the index), never random rows;
+- folds are blocks of rows (:class:`BlockSplit`) or of whole periods
+  (:class:`PeriodBlockSplit`), or whole records (``GroupKFold`` on the record level of
+  the index), never random rows;
 - a fold that begins in mid-record does not begin at rest, so that scorers
   simulate from a fitted initial state, as ``score`` of the model steps does
   (:func:`simulation_scorer`, :func:`fit_percent_scorer`);
@@ -15,9 +16,10 @@ need a counterpart here:
 
 from sklearn_hd.model_selection._rule import smallest_within_one_standard_error
 from sklearn_hd.model_selection._scorers import fit_percent, fit_percent_scorer, simulation_scorer
-from sklearn_hd.model_selection._splitter import PeriodBlockSplit
+from sklearn_hd.model_selection._splitter import BlockSplit, PeriodBlockSplit
 
 __all__ = [
+    "BlockSplit",
     "PeriodBlockSplit",
     "fit_percent",
     "fit_percent_scorer",

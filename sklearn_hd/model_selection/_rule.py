@@ -1,9 +1,12 @@
 """The smallest model that is about as good as the best."""
 
 import numpy as np
+from sklearn.exceptions import FitFailedWarning
 
 from sklearn_hd._checks import check_positive
+from sklearn_hd._warn import warn
 
+MOST_NAMED = 5  # of the candidates that failed
 SIZE = ("order", "block_rows")
 
 
@@ -50,9 +53,14 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Raises
     ------
     ValueError
-        If a candidate failed on some fold (its score is NaN or +inf; −inf, that
-        of an unstable model, is a score), none has a finite mean, there are fewer
-        than two folds, or the candidates cannot be told apart by size.
+        If no candidate has a finite mean, there are fewer than two folds, or the
+        candidates cannot be told apart by size.
+
+    Warns
+    -----
+    FitFailedWarning
+        Of candidates that failed on some fold (their score is NaN or +inf; −inf, that of
+        an unstable model, is a score). They are passed over.
 
     References
     ----------
@@ -64,8 +72,9 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Examples
     --------
     >>> from functools import partial
-    >>> from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
+    >>> from sklearn.model_selection import GridSearchCV
     >>> from sklearn_hd import MOESPRegressor
+    >>> from sklearn_hd.model_selection import BlockSplit
     >>> rng = np.random.default_rng(0)
     >>> u, y = rng.standard_normal((400, 1)), np.zeros((400, 1))
     >>> for k in range(399):
@@ -73,16 +82,17 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     >>> search = GridSearchCV(
     ...     MOESPRegressor(block_rows=5),
     ...     {"order": [3, 2, 1]},
-    ...     cv=TimeSeriesSplit(4),
+    ...     cv=BlockSplit(4),
     ...     refit=partial(smallest_within_one_standard_error, size="order"),
     ... )
     >>> search.fit(u, y + 0.1 * rng.standard_normal((400, 1))).best_params_
     {'order': 1}
     """
     scores = fold_scores(cv_results, metric)
-    _check_none_failed(scores, cv_results["params"])
+    whole = _comparable(scores, cv_results["params"])
     sizes = _sizes(cv_results, (size,) if isinstance(size, str) else tuple(size))
-    means = scores.mean(axis=1)
+    means = np.full(len(scores), -np.inf)
+    means[whole] = scores[whole].mean(axis=1)
     best = int(np.argmax(means))
     error = standard_error(scores[best], test_share)
     within = means[best] - means <= error + 1e-10 * abs(means[best])  # rounding
@@ -123,26 +133,36 @@ def fold_scores(cv_results, metric):
     return np.asarray(folds, dtype=float).T
 
 
-def _check_none_failed(scores, candidates):
-    """Raise ValueError where a candidate has no score on some fold, or none a finite one on all."""
+def _comparable(scores, candidates):
+    """Which candidates have a score on every fold, with a warning of those that have not.
+
+    Raises ValueError where none has a finite one on all.
+    """
     bad = np.isnan(scores) | np.isposinf(scores)
-    if not np.any(bad):
-        if np.any(np.all(np.isfinite(scores), axis=1)):
-            return
+    failed, finite = np.any(bad, axis=1), np.all(np.isfinite(scores), axis=1)
+    if not np.any(failed | finite):
         raise ValueError(
             f"all {len(scores)} candidates are unstable on some fold and score -inf; search over "
             f"smaller orders, or drop growing modes (SpuriousModeReducer)"
         )
-    failed = [
-        f"{params} on folds {np.flatnonzero(row).tolist()}"
-        for params, row in zip(candidates, bad, strict=True)
-        if np.any(row)
-    ]
-    raise ValueError(
-        f"{len(failed)} of {len(scores)} candidates failed, so that there is no mean score to "
-        f"compare: {'; '.join(failed)}; take them out of the search, or see why they fail with "
-        f"error_score='raise'"
-    )
+    if np.any(failed):
+        named = [
+            f"{candidates[i]} on folds {np.flatnonzero(bad[i]).tolist()}"
+            for i in np.flatnonzero(failed)
+        ]
+        named = "; ".join([*named[:MOST_NAMED], *["…"] * (len(named) > MOST_NAMED)])
+        if not np.any(finite):
+            raise ValueError(
+                f"no candidate has a finite score on every fold, and {failed.sum()} of "
+                f"{len(scores)} failed: {named}; see why with error_score='raise', or give folds "
+                f"of more rows to train on"
+            )
+        warn(
+            f"{failed.sum()} of {len(scores)} candidates failed on some fold and are passed over: "
+            f"{named}; see why with error_score='raise', or take them out of the search",
+            FitFailedWarning,
+        )
+    return ~failed
 
 
 def _sizes(cv_results, names):

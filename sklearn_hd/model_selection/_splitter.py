@@ -1,9 +1,10 @@
-"""Folds of whole periods."""
+"""Folds of blocks of rows, or of whole periods."""
 
 import numpy as np
+import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
-from sklearn_hd._checks import PERIOD_TOLERANCE, check_count, check_phase, check_span
+from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE, check_count, check_phase, check_span
 from sklearn_hd._records.data import read_azimuth
 from sklearn_hd._tables import as_container, read_time
 from sklearn_hd.algorithms.signals.resampling import unwrap
@@ -11,7 +12,151 @@ from sklearn_hd.algorithms.signals.resampling import unwrap
 SAME_TURN = 1e-6  # of a period
 
 
-class PeriodBlockSplit(BaseCrossValidator):
+class BlockSplit(BaseCrossValidator):
+    """Cut each record into blocks of consecutive rows, and test on one block after another.
+
+    The rows of a record are shared among ``n_splits`` blocks as evenly as they go. Fold k
+    tests block k of every record, so that every row is tested once, and trains on the rest in
+    order of time, without the ``gap`` rows on either side.
+
+    The block held out leaves a hole in the training rows. In a DataFrame the index tells of
+    it: model steps read a gap in time, which starts a new segment. An array carries no times,
+    and rows from both sides would close up to one record with a jump in it. So of arrays each
+    fold trains on one side of the block alone, the longer one (that before it where both are
+    as long). ``pd.DataFrame(u)`` trains on both sides.
+
+    Parameters
+    ----------
+    n_splits : int, default=5
+        Number of blocks, at least 2.
+    gap : int, default=0
+        Rows left out of training on either side of a test block: as many as the noise
+        takes to forget itself.
+
+    See Also
+    --------
+    PeriodBlockSplit : Blocks of whole periods, for data with a fundamental frequency.
+    sklearn.model_selection.TimeSeriesSplit : Trains on the past alone.
+    sklearn.model_selection.GroupKFold : Whole records, by the record level of the index.
+
+    References
+    ----------
+    Burman, Chow, Nolan (1994), A cross-validatory method for dependent data, Biometrika
+    81(2), 351-358 (blocks, and a gap on either side).
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> u = np.zeros((12, 1))
+    >>> for train, test in BlockSplit(3).split(pd.DataFrame(u)):
+    ...     print(train, test)
+    [ 4  5  6  7  8  9 10 11] [0 1 2 3]
+    [ 0  1  2  3  8  9 10 11] [4 5 6 7]
+    [0 1 2 3 4 5 6 7] [ 8  9 10 11]
+    >>> for train, test in BlockSplit(3).split(u):
+    ...     print(train, test)
+    [ 4  5  6  7  8  9 10 11] [0 1 2 3]
+    [0 1 2 3] [4 5 6 7]
+    [0 1 2 3 4 5 6 7] [ 8  9 10 11]
+    """
+
+    _unit = _whole = "row"
+    _size = ""
+
+    def __init__(self, n_splits=5, *, gap=0):
+        self.n_splits = n_splits
+        self.gap = gap
+
+    def get_n_splits(self, X=None, y=None, groups=None):
+        """Number of folds.
+
+        Parameters
+        ----------
+        X, y, groups : ignored
+            Present for the habits of scikit-learn.
+
+        Returns
+        -------
+        n_splits : int
+            As given.
+
+        Raises
+        ------
+        ValueError
+            If ``n_splits`` is no whole number of at least 2.
+        """
+        return check_count("n_splits", self.n_splits, 2, "a single block leaves nothing to train")
+
+    def split(self, X, y=None, groups=None):
+        """Rows to train and to test on, fold by fold, each in order of time.
+
+        Parameters
+        ----------
+        X : DataFrame, Series or ndarray, shape (n_samples, n_features)
+            With times in its index, or a (record, time) MultiIndex; the rows of an array are
+            counted (from ψ = 0, where there are periods).
+        y, groups : ignored
+            Present for the habits of scikit-learn.
+
+        Yields
+        ------
+        train, test : ndarray of int
+            Row numbers.
+
+        Raises
+        ------
+        ValueError
+            If a record has fewer rows, or whole periods, than blocks, or the gap leaves
+            nothing of the records to train on.
+        """
+        n_splits = self.get_n_splits()
+        unit = self._unit
+        gap = check_count("gap", self.gap, 0, f"it counts the {unit}s left out beside a block")
+        if X is None:
+            raise ValueError(
+                f"X is None; {type(self).__name__} reads the times of its rows: give X"
+            )
+        X = as_container(X, "X")
+        base, units, share, always = self._rows_in_units(X)
+        block = np.empty(len(units), dtype=int)
+        for rows, label in _records(base):
+            counted = np.where(always[rows], 0.0, share[rows])
+            block[rows] = self._blocks(units[rows], counted, n_splits, label)
+        for k in range(n_splits):
+            tested = (block == k) & ~always
+            away = ~tested
+            for rows, _ in _records(base):
+                own = units[rows][tested[rows]]
+                away[rows] &= (units[rows] < own[0] - gap) | (units[rows] > own[-1] + gap)
+            if not _has_times(X):
+                away = _longer_side(away)
+            if np.sum(share[away]) < 1.0 - share.max() + SAME_TURN:
+                raise ValueError(
+                    f"gap={gap} leaves no {self._whole} to train on beside block {k} of "
+                    f"n_splits={n_splits}; give longer records, a smaller gap or more blocks"
+                )
+            yield np.flatnonzero(away | always), np.flatnonzero(tested)
+
+    def _rows_in_units(self, X):
+        """Time base; of each row: number of its unit, share of one, whether always trained on."""
+        base, n_rows = read_time(X, time_origin=FIRST), len(X)
+        return base, np.arange(n_rows), np.ones(n_rows), np.zeros(n_rows, dtype=bool)
+
+    def _blocks(self, units, share, n_splits, label):
+        """Block of each row of one record, of which each holds some share of a unit."""
+        numbers, own = np.unique(units, return_inverse=True)
+        held, rows = np.bincount(own, share), np.bincount(own, share > 0.0)
+        whole = numbers[held * (rows + 1.0) > rows + PERIOD_TOLERANCE]  # a row short is incomplete
+        if len(whole) < n_splits:
+            raise ValueError(
+                f"record {label!r} has {len(whole)} {self._whole}(s){self._size}, too few for "
+                f"n_splits={n_splits} blocks; give longer records or fewer blocks"
+            )
+        borders = [part[0] for part in np.array_split(whole, n_splits)[1:]]
+        return np.searchsorted(borders, units, side="right")
+
+
+class PeriodBlockSplit(BlockSplit):
     """Cut each record into blocks of whole periods, and test on one block after another.
 
     Period p holds the rows with 2πp ≤ ψ < 2π(p + 1), ψ being ωt or a measured
@@ -21,7 +166,8 @@ class PeriodBlockSplit(BaseCrossValidator):
     on the rest in order of time, without the ``gap`` periods on either side:
     there the outputs still move with what the tested inputs, or their window,
     left behind. Model steps read the hole as a gap in time, which starts a new
-    segment.
+    segment; of arrays, which carry no times, each fold trains on the longer side of its
+    block alone (:class:`BlockSplit` says why).
 
     Parameters
     ----------
@@ -49,6 +195,7 @@ class PeriodBlockSplit(BaseCrossValidator):
 
     See Also
     --------
+    BlockSplit : Blocks of rows, for data without a fundamental frequency.
     sklearn.model_selection.TimeSeriesSplit : Trains on the past alone.
     sklearn.model_selection.GroupKFold : Whole records, by the record level of the index.
 
@@ -88,75 +235,17 @@ class PeriodBlockSplit(BaseCrossValidator):
         self.azimuth = azimuth
         self.time_origin = time_origin
 
-    def get_n_splits(self, X=None, y=None, groups=None):
-        """Number of folds.
+    _unit, _whole = "period", "whole period"
 
-        Parameters
-        ----------
-        X, y, groups : ignored
-            Present for the habits of scikit-learn.
+    @property
+    def _size(self):
+        return f" of {self.azimuth or f'omega={self.omega:.6g} rad/s'}"
 
-        Returns
-        -------
-        n_splits : int
-            As given.
-
-        Raises
-        ------
-        ValueError
-            If ``n_splits`` is no whole number of at least 2.
-        """
-        return check_count("n_splits", self.n_splits, 2, "a single block leaves nothing to train")
-
-    def split(self, X, y=None, groups=None):
-        """Rows to train and to test on, fold by fold, each in order of time.
-
-        Parameters
-        ----------
-        X : DataFrame, Series or ndarray, shape (n_samples, n_features)
-            With times in its index, or a (record, time) MultiIndex; rows of
-            an array are counted from ψ = 0.
-        y, groups : ignored
-            Present for the habits of scikit-learn.
-
-        Yields
-        ------
-        train, test : ndarray of int
-            Row numbers.
-
-        Raises
-        ------
-        ValueError
-            If a record has fewer whole periods than blocks, or the gap leaves
-            nothing of the records to train on.
-        """
-        n_splits = self.get_n_splits()
-        gap = check_count("gap", self.gap, 0, "it counts the periods left out beside a block")
-        if X is None:
-            raise ValueError("X is None; PeriodBlockSplit reads the times of its rows: give X")
+    def _rows_in_units(self, X):
         origin = check_phase(self.omega, self.azimuth, self.time_origin)
-        X = as_container(X, "X")
         base = read_time(X, self.sample_time, origin)
         turns, share = self._turns(X, base)
-        periods = np.floor(turns).astype(int)
-        always = self._always_trained(base)
-        block = np.empty(len(periods), dtype=int)
-        for rows, label in _records(base):
-            counted = np.where(always[rows], 0.0, share[rows])
-            block[rows] = self._blocks(periods[rows], counted, n_splits, label)
-        for k in range(n_splits):
-            tested = (block == k) & ~always
-            near = np.zeros_like(tested)
-            for rows, _ in _records(base):
-                own = periods[rows][tested[rows]]
-                near[rows] = (periods[rows] >= own[0] - gap) & (periods[rows] <= own[-1] + gap)
-            train = np.flatnonzero((~near & ~tested) | always)
-            if np.sum(share[~near]) < 1.0 - share.max() + SAME_TURN:
-                raise ValueError(
-                    f"gap={gap} leaves no whole period to train on beside block {k} of "
-                    f"n_splits={n_splits}; give longer records, a smaller gap or more blocks"
-                )
-            yield train, np.flatnonzero(tested)
+        return base, np.floor(turns).astype(int), share, self._always_trained(X, base)
 
     def _turns(self, X, base):
         """Turns made at each row, a row just short of ψ = 0 on it, and turns from row to row."""
@@ -191,27 +280,32 @@ class PeriodBlockSplit(BaseCrossValidator):
             share[segment] = np.append(steps, steps[-1:] if len(steps) else 0.0)
         return turns + SAME_TURN, share
 
-    def _always_trained(self, base):
+    def _always_trained(self, X, base):
         """Rows of the trim span."""
         if self.trim_span is None:
             return np.zeros(len(base.time), dtype=bool)
         start, stop = check_span("trim_span", self.trim_span)
+        if not _has_times(X):
+            raise ValueError(
+                f"trim_span={self.trim_span} is trained on whichever block is held out, but X is "
+                f"an array, whose rows would close up over the hole between them; give it times: "
+                f"pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), y the same"
+            )
         tolerance = 0.5 * base.sample_time
         return (base.time >= start - tolerance) & (base.time < stop - tolerance)
 
-    def _blocks(self, periods, share, n_splits, label):
-        """Block of each row of one record, of which each holds some share of a period."""
-        numbers, own = np.unique(periods, return_inverse=True)
-        held, rows = np.bincount(own, share), np.bincount(own, share > 0.0)
-        whole = numbers[held * (rows + 1.0) > rows + PERIOD_TOLERANCE]  # a row short is incomplete
-        if len(whole) < n_splits:
-            given = f"omega={self.omega:.6g} rad/s" if self.azimuth is None else self.azimuth
-            raise ValueError(
-                f"record {label!r} has {len(whole)} whole period(s) of {given}, too few for "
-                f"n_splits={n_splits} blocks; give longer records or fewer blocks"
-            )
-        borders = [part[0] for part in np.array_split(whole, n_splits)[1:]]
-        return np.searchsorted(borders, periods, side="right")
+
+def _has_times(X):
+    """Whether rows taken out of X leave a hole that model steps can see."""
+    return isinstance(X, pd.DataFrame | pd.Series)
+
+
+def _longer_side(away):
+    """Of rows on both sides of a hole, those on the longer one."""
+    first, last = np.flatnonzero(~away)[[0, -1]]
+    before = first >= len(away) - 1 - last
+    row = np.arange(len(away))
+    return row < first if before else row > last
 
 
 def _records(base):
