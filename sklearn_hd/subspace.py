@@ -64,11 +64,11 @@ class MOESPRegressor(ModelStep):
         periods; with ``feedthrough=True``, of earlier rows).
     feedthrough : bool or "auto", default="auto"
         Whether D is free, else zero. ``"auto"`` simulates both on plain data in memory and
-        takes the one of the lower Bayesian information criterion. With ``weighting="pbsid"``,
-        in chunks and with dask, D is free if the inputs explain outputs of their own row and
-        past outputs do not explain the inputs, which would be a feedback.
-        ``feedthrough_reason_`` has the figures. Through a sliding window ``"auto"`` is zero;
-        period by period D always is free, for inputs act within their period.
+        takes the one of the lower Bayesian information criterion; in chunks and with dask, D is
+        free if the inputs explain what the rows before leave of the outputs of their own row.
+        ``feedthrough_reason_`` has the figures. With ``weighting="pbsid"``, ``"auto"`` is zero,
+        for a feedback within the row looks the same; a warning says so. Through a sliding window
+        it is zero; period by period D always is free, for inputs act within their period.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
         (on plain data or ``reading="period"``); with ``weighting="pbsid"`` it always is.
@@ -134,8 +134,8 @@ class MOESPRegressor(ModelStep):
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
-        If an output rests at a value other than zero, or with ``weighting="pbsid"`` a
-        feedthrough and a feedback within the row look alike.
+        If an output rests at a value other than zero, or with ``weighting="pbsid"`` there is a
+        feedthrough, or a feedback within the row, and D is zero.
     FrequencyMismatchWarning
         If the data repeat themselves at another frequency than ``omega``; it
         says at which.
@@ -150,7 +150,6 @@ class MOESPRegressor(ModelStep):
     Van Overschee, De Moor (1996), Subspace Identification for Linear Systems (N4SID, CVA).
     Chiuso (2007), Automatica 43(6), 1034-1048 (optimised PBSID).
     Schwarz (1978), Annals of Statistics 6(2), 461-464 (Bayesian information criterion).
-    Granger (1969), Econometrica 37(3), 424-438 (feedback).
     Jongeneel, Sutter, Kuhn (2023), IEEE Transactions on Automatic Control 68(5), 2790-2804
     (the nearest stable matrix).
 

@@ -18,7 +18,7 @@ from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.order import Comparison, order_by_wide_gap, runs_away
-from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once, share_fed_back
+from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
@@ -106,16 +106,13 @@ class Choice:
             self._settle(False, "there are no inputs")
         elif self.settings.predictor or not self.simulates:
             R, columns = self.data.factor(i, size), n_hankel_columns(self.data.lengths, i)
-            now, fed_back = (share(R, i, m, columns) for share in (share_at_once, share_fed_back))
-            words = (
-                f"inputs explain {now:.2%} of what the rows before leave of the outputs, and past "
-                f"outputs {fed_back:.2%} of what inputs do anew"
-            )
-            self._settle(now > 0.0 and fed_back == 0.0, words)
-            if now > NOTABLE and fed_back > 0.0:
+            share, free = share_at_once(R, i, m, columns), not self.settings.predictor
+            words = f"inputs explain {share:.2%} of what the rows before leave of the outputs"
+            self._settle(free and share > 0.0, words)
+            if share > NOTABLE and not free:
                 warn(
-                    f"{words}: a feedback within the row, or a feedthrough, and D is zero; if the "
-                    f"outputs answer to the inputs at once, use feedthrough=True",
+                    f"{words}: a feedthrough, or a feedback within the row, which look alike, and "
+                    f"D is zero; if no feedback acts within a row, use feedthrough=True",
                     IdentifiabilityWarning,
                 )
         return self.settings

@@ -23,7 +23,7 @@ from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.stability import is_stable, nearest_stable
 from sklearn_hd.algorithms.subspace.innovations import gain_of_covariances
 
-__all__ = ["PredictorSubspace", "rows_remembered", "share_at_once", "share_fed_back"]
+__all__ = ["PredictorSubspace", "rows_remembered", "share_at_once"]
 
 DRAWS = 20  # of coefficients that are noise
 
@@ -189,38 +189,15 @@ def share_at_once(R, block_rows, n_inputs, n_columns):
         From 0 to 1; 0 where the Bayesian information criterion takes it for chance.
     """
     rows, now = _rows_back(R, block_rows, n_inputs)
-    return _explained(R, np.concatenate(rows), now[:n_inputs], now[n_inputs:], n_columns)
-
-
-def share_fed_back(R, block_rows, n_inputs, n_columns):
-    """Share of what inputs do anew that past outputs explain: that of a feedback (Granger, 1969).
-
-    Feedback of a row's own outputs shows too, for past outputs foretell them.
-
-    Parameters
-    ----------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-    block_rows, n_inputs, n_columns : int
-
-    Returns
-    -------
-    share : float
-        From 0 to 1; 0 where the Bayesian information criterion takes it for chance.
-    """
-    rows, now = _rows_back(R, block_rows, n_inputs)
-    rows = np.array(rows)
-    inputs, outputs = rows[:, :n_inputs].ravel(), rows[:, n_inputs:].ravel()
-    return _explained(R, inputs, outputs, now[:n_inputs], n_columns)
-
-
-def _explained(R, given, more, target, n_columns):
-    """Share of what some data leave of others that more data explain; 0 if that may be chance."""
-    T = triangle(R[:, np.concatenate([given, more, target])])[:, -len(target) :]
-    least = DEPENDENT * np.linalg.norm(T)
-    without = np.maximum(linalg.svdvals(T[len(given) :]), least)
-    left = np.maximum(linalg.svdvals(T[len(given) + len(more) :]), least)
+    T = triangle(R[:, np.concatenate([*rows, now])])
+    first, n_outputs = len(T) - len(now), len(now) - n_inputs
+    target = T[:, -n_outputs:]
+    least = DEPENDENT * np.linalg.norm(target)
+    without, left = (
+        np.maximum(linalg.svdvals(target[k:]), least) for k in (first, first + n_inputs)
+    )
     gain = 2.0 * n_columns * np.sum(np.log(without / left))
-    if gain <= len(more) * len(target) * np.log(n_columns):
+    if gain <= n_inputs * n_outputs * np.log(n_columns):
         return 0.0
     return float(1.0 - np.sum(left**2) / np.sum(without**2))
 

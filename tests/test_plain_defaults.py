@@ -1,0 +1,180 @@
+"""What MOESPRegressor chooses on plain data: order, feedthrough, stability."""
+
+import numpy as np
+import pytest
+from conftest import random_stable
+from scipy.signal import lfilter
+
+from sklearn_hd import MOESPRegressor
+from sklearn_hd.algorithms.lti.simulation import simulate
+from sklearn_hd.datasets import load_cd_player_arm, load_robot_arm, load_slicot_example
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+
+WEIGHTINGS = ("moesp", "n4sid", "cva", "pbsid")
+RECORDS = (load_robot_arm, load_cd_player_arm, load_slicot_example)
+
+
+def noisy(seed, direct, n_rows=1500, noise=0.05):
+    """A stable system with coloured inputs; D is as large as the response, or zero."""
+    rng = np.random.default_rng(seed)
+    A, B, C = random_stable(rng, 3, 2, 2)
+    u = lfilter([1.0], [1.0, -0.7], rng.standard_normal((n_rows, 2)), axis=0)
+    y = simulate(A, B, C, np.zeros((2, 2)), u, np.zeros(3))
+    if direct:
+        y = y + u * (np.std(y) / np.std(u))
+    return u, y + noise * np.std(y, axis=0) * rng.standard_normal(y.shape)
+
+
+def validated(model, u, y):
+    """100 (1 − √(1 − R²)) of rows that the model has not seen."""
+    return 100.0 * (1.0 - np.sqrt(1.0 - model.score(u, y)))
+
+
+# ---- measured records ------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore:inputs explain")
+@pytest.mark.parametrize("load", RECORDS)
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_a_measured_record_has_a_stable_model(load, weighting):
+    """The suite makes warnings errors: of an unstable one there would be one."""
+    data = load()
+    u, y = data.inputs - data.inputs.mean(), data.outputs - data.outputs.mean()
+    model = MOESPRegressor(weighting=weighting).fit(u, y)
+    assert np.all(np.abs(model.eigenvalues_) < 1.0)
+    left = y.to_numpy() - np.asarray(model.predict(u, x0=model.x0_[0]))
+    assert np.all(left.var(axis=0) < 0.1 * y.to_numpy().var(axis=0))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:inputs explain")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+@pytest.mark.parametrize("load", RECORDS)
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_the_order_chosen_foretells_as_well_as_the_best(load, weighting):
+    """Within 3 points of the best of 18 orders, chosen by the very rows that validate it."""
+    data = load()
+    n = int(0.6 * len(data.inputs))
+    u, y = (table - table.iloc[:n].mean() for table in (data.inputs, data.outputs))
+    first, rest = (u.iloc[:n], y.iloc[:n]), (u.iloc[n:], y.iloc[n:])
+    chosen = validated(MOESPRegressor(weighting=weighting).fit(*first), *rest)
+    for order in range(1, 15 if y.shape[1] == 1 else 19):
+        for feedthrough in (False, True):
+            other = MOESPRegressor(order, weighting=weighting, feedthrough=feedthrough)
+            if np.isfinite(other.fit(*first).score(*rest)):
+                assert chosen > validated(other, *rest) - 3.0
+
+
+# ---- feedthrough -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", ["moesp", "n4sid", "cva"])
+@pytest.mark.parametrize("direct", [False, True])
+def test_d_is_free_where_outputs_answer_at_once(weighting, direct):
+    for seed in range(10):
+        model = MOESPRegressor(weighting=weighting).fit(*noisy(seed, direct))
+        assert model.feedthrough_ == direct == bool(np.any(model.model_.D))
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_d_in_chunks_is_decided_without_simulations(direct):
+    u, y = noisy(0, direct)
+    model = MOESPRegressor(3, block_rows=8)
+    for rows in np.split(np.arange(1500), 3):
+        model.partial_fit(u[rows], y[rows])
+    assert model.feedthrough_ == direct
+    assert model.feedthrough_reason_.startswith("inputs explain")
+
+
+def test_a_feedthrough_that_a_predictor_leaves_out_is_warned_of():
+    with pytest.warns(IdentifiabilityWarning, match="which look alike, and D is zero"):
+        assert not MOESPRegressor(3, weighting="pbsid").fit(*noisy(0, True)).feedthrough_
+    assert not MOESPRegressor(3, weighting="pbsid").fit(*noisy(0, False)).feedthrough_
+
+
+def test_without_noise_no_d_comes_of_rounding(rng):
+    A, B, C = random_stable(rng, 4, 1, 2)
+    u = rng.standard_normal((400, 1))
+    y = simulate(A, B, C, np.zeros((2, 1)), u, rng.standard_normal(4))
+    for weighting in WEIGHTINGS:
+        model = MOESPRegressor(weighting=weighting).fit(u, y)
+        assert (model.order_, model.feedthrough_) == (4, False)
+
+
+def test_feedback_within_the_row_is_no_feedthrough():
+    rng, u, y = np.random.default_rng(0), np.zeros((4000, 1)), np.zeros((4000, 1))
+    x = np.zeros(1)
+    for k in range(4000):
+        y[k] = x + 0.5 * rng.standard_normal()
+        u[k] = -0.4 * y[k] + rng.standard_normal()
+        x = 0.9 * x + u[k]
+    with pytest.warns(IdentifiabilityWarning, match=r"explain [3-8].*% .* a feedback within the row"):
+        model = MOESPRegressor(1, weighting="pbsid").fit(u, y)
+    assert not model.feedthrough_
+    assert model.eigenvalues_[0].real == pytest.approx(0.9, abs=0.02)
+    assert (model.model_.C @ model.model_.B).item() == pytest.approx(1.0, abs=0.05)
+    biased = MOESPRegressor(1, weighting="pbsid", feedthrough=True).fit(u, y)
+    assert abs(biased.model_.D.item()) > 0.1  # what "auto" has kept out
+
+
+def test_reasons_are_given(rng):
+    u, y = noisy(0, True)
+    reasons = {
+        "feedthrough=False was asked for": MOESPRegressor(3, feedthrough=False).fit(u, y),
+        "there are no inputs": MOESPRegressor(1).fit(None, np.cos(np.arange(80.0))[:, None]),
+        "lower with D free": MOESPRegressor(3).fit(u, y),
+    }
+    for reason, model in reasons.items():
+        assert model.feedthrough_reason_.endswith(reason)
+
+
+# ---- order -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_what_the_search_says_is_left_is_left(weighting):
+    u, y = noisy(1, False)
+    model = MOESPRegressor(weighting=weighting).fit(u, y)
+    found = model.order_search_
+    at = list(found["order"]).index(model.order_)
+    left = y - model.predict(u, x0=model.x0_[0])
+    share = np.sqrt(np.mean(np.sum(left**2, axis=0) / np.sum(y**2, axis=0)))
+    assert found["share"][at] == pytest.approx(share, rel=0.01)
+    assert found["stable"][at]
+    assert found["bic"][at] == np.min(found["bic"][found["stable"]])
+
+
+def test_units_change_no_choice():
+    u, y = noisy(2, True)
+    for weighting in ("moesp", "n4sid", "cva"):
+        model = MOESPRegressor(weighting=weighting).fit(u, y)
+        other = MOESPRegressor(weighting=weighting).fit(u * [1e-6, 1e3], y * [1e5, 1e-4])
+        assert (model.order_, model.feedthrough_) == (other.order_, other.feedthrough_)
+
+
+# ---- stability -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_a_stable_model_is_given_where_asked_for(weighting):
+    """Of a growing record, which without it has an unstable model, and a warning."""
+    rng = np.random.default_rng(0)
+    A, B, C = np.diag([1.02, 0.6]), np.ones((2, 1)), np.ones((1, 2))
+    u = rng.standard_normal((200, 1))
+    y = simulate(A, B, C, np.zeros((1, 1)), u, np.zeros(2)) + 0.05 * rng.standard_normal((200, 1))
+    settings = {"order": 2, "block_rows": 8, "weighting": weighting, "disturbance_model": True}
+    with pytest.warns(InstabilityWarning, match=r"the model is unstable: .* use stable=True"):
+        free = MOESPRegressor(**settings).fit(u, y)
+    model = MOESPRegressor(stable=True, **settings).fit(u, y)
+    mirrored = np.sort(np.minimum(np.abs(free.eigenvalues_), 1.0 / np.abs(free.eigenvalues_)))
+    np.testing.assert_allclose(np.sort(np.abs(model.eigenvalues_)), mirrored, rtol=1e-6)
+    predictor = model.model_.A - model.kalman_gain_ @ model.model_.C
+    assert np.max(np.abs(np.linalg.eigvals(predictor))) < 1.0
+    assert np.all(np.isfinite(model.predict(np.ones((20_000, 1)))))
+
+
+def test_a_stable_model_is_the_same_with_and_without():
+    u, y = noisy(3, False)
+    one, other = (MOESPRegressor(3, stable=stable).fit(u, y) for stable in (False, True))
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(one.model_, name), getattr(other.model_, name))
