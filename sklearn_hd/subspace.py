@@ -90,7 +90,8 @@ class MOESPRegressor(ModelStep):
         Folder in which lag products of the data are kept: one for all orders and for all
         block rows up to 32, 64 or 128, so that a search over both goes through each of its
         folds once (twice without noise: exactly, too). Up to 64 MB of what a process asked for
-        last stay in its memory, and as much of the data, by which it knows them again.
+        last stay in its memory, and as much of the data, by which it knows them again. Reading
+        its files can run code: give folders alone that nobody else writes.
 
     Attributes
     ----------
@@ -130,6 +131,8 @@ class MOESPRegressor(ModelStep):
 
     Warns
     -----
+    CacheWarning
+        If files in the folder ``memory`` are not what was stored; they are made anew.
     ExcitationWarning
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
