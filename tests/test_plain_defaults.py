@@ -178,3 +178,18 @@ def test_a_stable_model_is_the_same_with_and_without():
     one, other = (MOESPRegressor(3, stable=stable).fit(u, y) for stable in (False, True))
     for name in "ABCD":
         np.testing.assert_array_equal(getattr(one.model_, name), getattr(other.model_, name))
+
+
+@pytest.mark.filterwarnings("ignore:the model is unstable")  # of the first rows
+@pytest.mark.parametrize("weighting", ["n4sid", "cva"])
+def test_in_chunks_all_weightings_have_the_order_of_the_plain_projection(weighting):
+    """N4SID's noise floor lay above all singular values of the arm: order 1."""
+    arm = load_robot_arm()
+    u, y = arm.inputs.to_numpy(), arm.outputs.to_numpy()
+    orders = []
+    for name in (weighting, "moesp"):
+        model = MOESPRegressor(weighting=name, block_rows=15)
+        for rows in np.array_split(np.arange(len(u)), 4):
+            model.partial_fit(u[rows], y[rows])
+        orders.append(model.order_)
+    assert orders[0] == orders[1] > 1

@@ -213,6 +213,7 @@ def test_there_is_no_model_before_there_are_rows_enough(rng):
 
 
 @pytest.mark.filterwarnings("ignore:the model is unstable")
+@pytest.mark.filterwarnings("ignore:inputs explain")
 @pytest.mark.parametrize("weighting", ["moesp", "pbsid"])
 def test_there_is_no_model_before_there_are_rows_enough_for_its_order(rng, weighting):
     """Default block rows shrink with few rows, and so does the rank that they allow."""

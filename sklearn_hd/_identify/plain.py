@@ -123,8 +123,10 @@ class Choice:
     def order(self, found, bound):
         """By a gap of decades, else by what simulations leave, else by any gap."""
         wide = order_by_wide_gap(found.singular_values, found.floor, bound)
-        if wide is not None or not self.simulates:
-            return by_gap(found, bound)
+        if wide is not None:
+            return wide
+        if not self.simulates:  # weights amplify noise along some directions, MOESP's do not
+            return by_gap(found if self.settings.predictor else found.unweighted(), bound)
         m, n_outputs = self.data.n_inputs, self.data.n_outputs
         most = (sum(self.data.lengths) // 2 - m) * n_outputs // (m + n_outputs + 1)
         comparison = self._compared(found)

@@ -182,6 +182,10 @@ class Projection:
         """Number of outputs, l."""
         return len(self.R) // (2 * self.block_rows) - self.n_inputs
 
+    def unweighted(self):
+        """The projection of the same data with the weighting "moesp"."""
+        return self.of(self.R, self.block_rows, self.n_inputs, self.n_columns, "moesp")
+
     def state_matrices(self, order, stable=False):
         """A and C of some order (Eq. 13); with ``stable``, A is."""
         return state_matrices(self.directions, self.singular_values, order, self.n_outputs, stable)
