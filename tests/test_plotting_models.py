@@ -37,6 +37,19 @@ def points(line):
 # ---- singular values --------------------------------------------------------------------------
 
 
+def test_what_simulations_left_is_drawn_where_they_decided(rng):
+    """Instead of a floor and a gap, which did not."""
+    u, y = rng.standard_normal((300, 1)), np.zeros((300, 1))
+    for k in range(299):
+        y[k + 1] = 0.8 * y[k] + u[k]
+    model = MOESPRegressor(block_rows=5).fit(u, y + 0.1 * rng.standard_normal((300, 1)))
+    display = SingularValueDisplay.from_estimator(model)
+    search, stable = model.order_search_, model.order_search_["stable"]
+    np.testing.assert_array_equal(display.left_.get_ydata(), search["share"][stable])
+    assert display.floor_ is None
+    assert display.gap_.get_label() == "order chosen"
+
+
 def test_singular_values_are_those_of_the_model():
     model = cases.sliding(20)["identify"]
     display = SingularValueDisplay.from_estimator(cases.sliding(20), count=20)

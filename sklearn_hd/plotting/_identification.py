@@ -31,7 +31,8 @@ class SingularValueDisplay(Display):
     """Singular values that the order of a model is read from.
 
     An exact record of a system of order n leaves n values above the noise floor; the
-    widest gap σ_n / σ_n+1 is where ``order="auto"`` cuts.
+    widest gap σ_n / σ_n+1 is where ``order="auto"`` cuts. Where simulations decided instead
+    (plain data without a gap), what they left of the outputs is drawn beside.
 
     Parameters
     ----------
@@ -41,6 +42,8 @@ class SingularValueDisplay(Display):
         The order chosen.
     noise_floor : float, optional
         Largest value that rounding or white noise would give.
+    search : dict of ndarray, optional
+        ``order_search_`` of a MOESPRegressor: ``order``, ``share``, ``stable``.
 
     Attributes
     ----------
@@ -49,6 +52,9 @@ class SingularValueDisplay(Display):
     kept_, left_out_ : Line2D
         The values up to the order chosen, and beyond.
     floor_ : Line2D or None
+        None where simulations decided.
+    left_ : Line2D or None
+        What the simulations of stable models left of the outputs, on an axis of its own.
     gap_ : Line2D
         After the order chosen; its label says how wide the gap is.
     marks_ : dict of Line2D
@@ -75,6 +81,7 @@ class SingularValueDisplay(Display):
     singular_values: np.ndarray
     order: int
     noise_floor: float | None = None
+    search: dict | None = None
 
     def __post_init__(self):
         self.singular_values = np.asarray(self.singular_values, dtype=float)
@@ -98,7 +105,8 @@ class SingularValueDisplay(Display):
             If the record was too short for singular values (a static gain).
         """
         step = fitted_step(estimator, MOESPRegressor, cls.__name__)
-        display = cls(step.singular_values_, step.order_, step.noise_floor_)
+        search = step.order_search_ if len(step.order_search_["order"]) else None
+        display = cls(step.singular_values_, step.order_, step.noise_floor_, search)
         return display.plot(count=count, marks=marks, ax=ax)
 
     def plot(self, ax=None, *, count=30, marks=None):
@@ -126,8 +134,10 @@ class SingularValueDisplay(Display):
         (self.left_out_,) = ax.semilogy(
             n[outside], values[outside], "o", color=GREY, mfc="white", label="left out", **style
         )
-        self.floor_ = None
-        if self.noise_floor is not None and self.noise_floor > 0.0:
+        self.floor_ = self.left_ = None
+        if self.search is not None:
+            self._draw_left(ax.twinx())
+        elif self.noise_floor is not None and self.noise_floor > 0.0:
             floor = {"color": RED, "ls": "--", "lw": 1.2, "label": "noise floor"}
             self.floor_ = ax.axhline(self.noise_floor, **floor)
         self.gap_ = ax.axvline(self.order + 0.5, color=BLUE, lw=1, label=self._gap(values))
@@ -137,11 +147,23 @@ class SingularValueDisplay(Display):
         }
         dress(ax, x="number (–)", y="singular value (scaled outputs)")
         ax.set_xlim(0, len(values) + 1)
-        ax.legend(loc="upper right", **LEGEND)
+        handles = [*ax.get_legend_handles_labels()[0], *([self.left_] if self.left_ else [])]
+        ax.legend(handles=handles, loc="upper right", **LEGEND)
         return self
+
+    def _draw_left(self, ax):
+        stable = np.asarray(self.search["stable"])
+        order, share = (np.asarray(self.search[name])[stable] for name in ("order", "share"))
+        style = {"color": ORANGE, "lw": 1.3, "ms": 5, "label": "left by simulations"}
+        (self.left_,) = ax.semilogy(order, share, "s-", **style)
+        for format_of in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+            format_of("{x:.3g}")
+        ax.set_ylabel("share of the outputs left (–)")
 
     def _gap(self, values):
         """Width of the gap, in words."""
+        if self.search is not None:
+            return "order chosen"
         if not 0 < self.order < len(values) or values[self.order] <= 0.0:
             return "order chosen"
         return f"gap ×{number(values[self.order - 1] / values[self.order])}"
