@@ -133,6 +133,7 @@ def _culprit(data):
 
 STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
 ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
+STANDARD_ERRORS = 4.0  # by which a sample time may be off
 REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
@@ -168,6 +169,18 @@ class TimeBase:
     counted: bool
     jitter: tuple = (0.0, 0.0)
     uncertainty: float = 0.0
+
+    def rows_of_records(self):
+        """Rows and label of each record, whatever gaps are in it."""
+        segments, time = self.segments, self.time
+        starts = [0]
+        for i in range(1, len(segments)):
+            again = time[segments[i].start] <= time[segments[i].start - 1]  # time begins anew
+            if again or self.records[i] != self.records[i - 1]:
+                starts.append(i)
+        for first, following in itertools.pairwise([*starts, len(segments)]):
+            rows = slice(segments[first].start, segments[following - 1].stop)
+            yield rows, self.records[first]
 
 
 def read_time(data, sample_time=None, time_origin=None):
@@ -261,7 +274,7 @@ def _alike(seconds, bounds):
 
 def _check_sample_time(given, found, uncertainty):
     """Raise ValueError if a sample time is not that of the index."""
-    if abs(found - given) > STEP_TOLERANCE * given + 4.0 * uncertainty:
+    if abs(found - given) > STEP_TOLERANCE * given + STANDARD_ERRORS * uncertainty:
         raise ValueError(
             f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; "
             f"leave sample_time at None, or resample the data (to the sample time of the data "
@@ -433,7 +446,7 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
     n samples are uncertain by n times its (four) standard errors.
     """
     step = np.diff(seconds[start:stop]) / sample_time
-    tolerance = 2.0 * JITTER_LIMIT + 4.0 * uncertainty / sample_time * step
+    tolerance = 2.0 * JITTER_LIMIT + STANDARD_ERRORS * uncertainty / sample_time * step
     odd = np.abs(step - np.maximum(np.rint(step), 1.0)) > tolerance
     if np.any(odd):
         row = start + int(np.argmax(odd)) + 1
@@ -447,12 +460,38 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-def even(places, step):
+def resolution(time):
+    """Seconds from one float to the next at the largest time (2.4e-7 in Unix seconds)."""
+    return float(np.spacing(np.max(np.abs(time))))
+
+
+def even(places, step, rounding):
     """Whether neighbours are one step apart, so that nothing need be resampled."""
     if len(places) < 2:
         return True
     least, most = step_extremes(places)
-    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step)
+    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step + rounding)
+
+
+def straightened(places, base, step):
+    """Places of evenly spaced rows, each segment on its line: their rounding would be noise.
+
+    The line is ``step`` a row where the slope is that to four of its standard errors.
+    """
+    if base.jitter[1] > 0.0 or base.uncertainty == 0.0:
+        return places
+    for segment in base.segments:
+        own = places[segment]
+        n, middle = len(own), own.mean()
+        rows = np.arange(n) - 0.5 * (n - 1)
+        spread = max(rows @ rows, 1.0)
+        slope = rows @ own / spread
+        off = own - middle - slope * rows
+        if np.max(np.abs(off)) <= STEP_TOLERANCE * step + resolution(base.time):
+            error = np.sqrt(off @ off / max(n - 2, 1) / spread)
+            slope = step if abs(slope - step) <= STANDARD_ERRORS * error else slope
+            places[segment] = middle + slope * rows
+    return places
 
 
 def _mean_step(seconds, segments, found):
@@ -476,6 +515,7 @@ def _mean_step(seconds, segments, found):
     uncertainty = float(np.sqrt(off @ off / freedom / spread))
     if abs(slope - found) <= ROUNDED * found:
         slope = found
-    if all(even(seconds[segment], slope) for segment in segments):
+    rounding = resolution(seconds)
+    if all(even(seconds[segment], slope, rounding) for segment in segments):
         return slope, (0.0, 0.0), uncertainty
     return slope, (float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(off)))), uncertainty

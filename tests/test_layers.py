@@ -34,8 +34,8 @@ STEPS = {"harmonics", "subspace", "reduction", "matching"}  # they never import 
 PARTS = {"_identify": "subspace", "_reduce": "reduction", "_match": "matching"}  # nor do these
 ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "joblib", "sklearn_hd"}
 STANDARD = {
-    "collections", "contextlib", "dataclasses", "functools", "itertools", "math", "numbers",
-    "threading", "typing", "warnings",
+    "collections", "contextlib", "dataclasses", "fractions", "functools", "itertools", "math",
+    "numbers", "threading", "typing", "warnings",
 }  # fmt: skip
 FILES = sorted(ROOT.rglob("*.py"))
 

@@ -141,13 +141,13 @@ class PeriodBlockSplit(BaseCrossValidator):
         periods = np.floor(turns).astype(int)
         always = self._always_trained(base)
         block = np.empty(len(periods), dtype=int)
-        for rows, label in _records(base):
+        for rows, label in base.rows_of_records():
             counted = np.where(always[rows], 0.0, share[rows])
             block[rows] = self._blocks(periods[rows], counted, n_splits, label)
         for k in range(n_splits):
             tested = (block == k) & ~always
             near = np.zeros_like(tested)
-            for rows, _ in _records(base):
+            for rows, _ in base.rows_of_records():
                 own = periods[rows][tested[rows]]
                 near[rows] = (periods[rows] >= own[0] - gap) & (periods[rows] <= own[-1] + gap)
             train = np.flatnonzero((~near & ~tested) | always)
@@ -176,7 +176,7 @@ class PeriodBlockSplit(BaseCrossValidator):
     def _turns_measured(self, X, base):
         psi = read_azimuth(X, base, self.azimuth)
         turns, share = np.empty(len(psi)), np.empty(len(psi))
-        for rows, label in _records(base):
+        for rows, label in base.rows_of_records():
             known = np.isfinite(psi[rows])
             if known.sum() < 2:
                 raise ValueError(
@@ -212,15 +212,3 @@ class PeriodBlockSplit(BaseCrossValidator):
             )
         borders = [part[0] for part in np.array_split(whole, n_splits)[1:]]
         return np.searchsorted(borders, periods, side="right")
-
-
-def _records(base):
-    """Rows and label of each record, whatever gaps are in it."""
-    segments, time = base.segments, base.time
-    starts = [0]
-    for i in range(1, len(segments)):
-        again = time[segments[i].start] <= time[segments[i].start - 1]  # time begins anew
-        if again or base.records[i] != base.records[i - 1]:
-            starts.append(i)
-    for first, following in zip(starts, [*starts[1:], len(segments)], strict=True):
-        yield slice(segments[first].start, segments[following - 1].stop), base.records[first]

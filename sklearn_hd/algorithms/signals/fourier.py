@@ -10,8 +10,11 @@ S_0 = s_0 and S_{±k} = (s_kc ∓ j s_ks) / 2. The analyzer, its readings and al
 need them.
 """
 
+from fractions import Fraction
+
 import numpy as np
 
+TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding
 
@@ -49,6 +52,24 @@ def harmonic_functions(psi, harmonics):
     for k in harmonics:
         columns += [np.ones_like(psi)] if k == 0 else [np.cos(k * psi), np.sin(k * psi)]
     return np.stack(columns, axis=-1) if columns else np.empty((*psi.shape, 0))
+
+
+def seconds_from_zero_phase(time, omega):
+    """Seconds to an instant from the nearest at which ψ = ωt is a whole number of turns.
+
+    Exact, however far from zero the time is: the product ωt would be rounded by as much as
+    the time is large (3e-5 rad in Unix seconds at 165 rad/s).
+
+    Examples
+    --------
+    >>> seconds_from_zero_phase(0.25, 2 * np.pi)
+    0.25
+    >>> round(seconds_from_zero_phase(1.7e9 + 0.25, 2 * np.pi), 12)  # the float 2π is too small
+    0.249999933731
+    """
+    turns = Fraction(float(time)) * Fraction(float(omega)) / TWO_PI
+    whole = round(turns)
+    return float(time) if whole == 0 else float((turns - whole) * TWO_PI) / float(omega)
 
 
 def recompose(coefficients, psi, harmonics):
