@@ -8,6 +8,7 @@ import pandas as pd
 from scipy.sparse import issparse
 
 from sklearn_hd._checks import FIRST, check_positive
+from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
 from sklearn_hd._guards import step_extremes
 
 
@@ -17,16 +18,17 @@ def as_container(data, what):
         raise TypeError(
             f"{what} is sparse, which is not supported: signals are dense; give {what}.toarray()"
         )
-    if not isinstance(data, pd.DataFrame | pd.Series):
+    data = from_elsewhere(data, what)
+    if not is_pandas(data):
         if hasattr(data, "__dask_graph__"):
             raise TypeError(
                 f"{what} is a dask {type(data).__name__}, which MOESPRegressor.fit alone reads; "
                 f"give one record, or one span, at a time in memory: {what}.partitions[0].compute()"
             )
-        if hasattr(data, "__dataframe__") or hasattr(data, "to_pandas"):
+        if hasattr(data, "__dataframe__"):
             raise TypeError(
                 f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
-                f"carries no index of times; give {what}.to_pandas() with its times as the index"
+                f"carries no index of times; give a frame of pandas with its times as the index"
             )
         data = _as_array(data, what)
         if data.ndim == 1 and what == "X":
@@ -35,9 +37,15 @@ def as_container(data, what):
                 "X.reshape(-1, 1) if it is one signal, X.reshape(1, -1) if it is one sample"
             )
     if data.ndim > 2 or data.ndim == 0:
+        records = ", or one record below the other: pd.concat("
+        records += f"[pd.DataFrame(record) for record in {what}], "
+        records += f'keys=range(len({what})), names=["record"])'
         raise ValueError(
             f"{what} has {data.ndim} dimensions; give (n_samples, n_signals) or (n_samples,)"
+            f"{records if data.ndim == 3 else ''}"
         )
+    if isinstance(data, pd.DataFrame):
+        check_no_clock(data, what)
     if len(data) == 0:
         raise ValueError(f"{what} has no rows: 0 sample(s), while at least 1 is required")
     if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
@@ -75,6 +83,8 @@ def without_inputs(y):
 
 def _as_array(data, what):
     """An array of anything that has rows, NaN where it is masked."""
+    if isinstance(data, dict | list | tuple):
+        check_no_records(data, what)
     if data is None or isinstance(data, str | bytes | dict):
         way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
         if data is None and what == "X":

@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_checks", "_guards", "_tables", "_warn"},
+    {"exceptions", "_checks", "_containers", "_guards", "_tables", "_warn"},
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},

@@ -16,6 +16,7 @@ from sklearn_hd._checks import (
     check_wrap,
     signal_names,
 )
+from sklearn_hd._containers import is_pandas
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
 from sklearn_hd._records.sampling import Sampling, lay_grid
@@ -124,7 +125,10 @@ def read_azimuth(X, base, name):
 
 def read_values(y, X, base, timing):
     """Float values and names of outputs sampled at the times of the inputs."""
-    y = as_container(y, "y")
+    given, y = y, as_container(y, "y")
+    lost = is_pandas(y) and not is_pandas(given) and isinstance(y.index, pd.RangeIndex)
+    if lost and is_pandas(X) and len(X) == len(y):  # of polars, which keeps none
+        y = y.set_axis(X.index)
     check_same_rows(X, y)
     names = signal_names(y, "y")
     values = to_float(y, "y")
@@ -240,12 +244,12 @@ def as_frame(X):
     """X as a HarmonicFrame; plain data get neither basis nor model."""
     if isinstance(X, HarmonicFrame) and X.is_laden:
         return X
+    X = X if is_pandas(X) else as_container(X, "X")
     if isinstance(X, pd.DataFrame):
         _refuse_lost_basis(X)
         return HarmonicFrame(X)
     if isinstance(X, pd.Series):
         return HarmonicFrame(X.to_frame())
-    X = as_container(X, "X")
     return HarmonicFrame(X, columns=[f"x{i}" for i in range(X.shape[1])])
 
 
