@@ -110,7 +110,8 @@ class MOESPRegressor(ModelStep):
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
-        If an output rests at a value other than zero.
+        If an output rests at a value other than zero, or records begin with inputs that do,
+        and outputs that rest at zero.
     FrequencyMismatchWarning
         If the data repeat themselves at another frequency than ``omega``; it
         says at which.
