@@ -15,6 +15,7 @@ from fractions import Fraction
 import numpy as np
 
 TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
+RESOLVED = 1e-9  # of a step, to which floats tell times well enough
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding
 
@@ -70,6 +71,32 @@ def seconds_from_zero_phase(time, omega):
     turns = Fraction(float(time)) * Fraction(float(omega)) / TWO_PI
     whole = round(turns)
     return float(time) if whole == 0 else float((turns - whole) * TWO_PI) / float(omega)
+
+
+def times_near_zero_phase(time, omega):
+    """Increasing times that floats resolve poorly, as they count from the ψ = 0 nearest the first.
+
+    Evenly spaced ones lie on a line, whole samples to the period where floats tell no other.
+    Times of which floats resolve a billionth of a step are as they are.
+
+    Examples
+    --------
+    >>> t = 1.7e9 + np.arange(5) / 100
+    >>> np.diff(t).round(9).tolist()
+    [0.00999999, 0.00999999, 0.00999999, 0.00999999]
+    >>> np.diff(times_near_zero_phase(t, 2 * np.pi)).round(9).tolist()
+    [0.01, 0.01, 0.01, 0.01]
+    """
+    since, rows, rounding = time - time[0], np.arange(len(time)), np.spacing(np.abs(time).max())
+    step = since[-1] / max(rows[-1], 1)
+    if len(time) < 2 or rounding <= RESOLVED * step:
+        return time
+    near = seconds_from_zero_phase(time[0], omega)
+    period = 2.0 * np.pi / omega
+    whole = period / max(round(period / step), 1)
+    if abs(whole - step) * rows[-1] <= rounding:
+        step = whole
+    return near + (step * rows if np.abs(since - step * rows).max() <= rounding else since)
 
 
 def recompose(coefficients, psi, harmonics):
