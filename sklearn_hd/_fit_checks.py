@@ -20,12 +20,14 @@ __all__ = [
     "warn_of_growing_data",
     "warn_of_growth",
     "warn_of_mismatch",
+    "warn_of_offset",
 ]
 
 DUST = 1e-13  # share of a signal's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 INTEGRATED = 0.01  # e-folds over a record that do not tell growth from an integrator
+DEVIATIONS = 4.0  # standard errors within which a mean is zero
 CALM = 1e6  # times growth that leaves most of them
 
 
@@ -59,6 +61,52 @@ def warn_of_mismatch(experiment):
         f"{abs(off) * periods:.2g} periods; set omega={estimate.omega:.7g}, or check the clock",
         FrequencyMismatchWarning,
     )
+
+
+def warn_of_offset(experiment):
+    """Warn if records begin with inputs that rest, but not at zero, and outputs that rest at zero.
+
+    Long enough for a response to show: as many rows as a score fits an initial state on.
+    """
+    heads = [_head(u, experiment.basis.warmup_samples) for u in experiment.inputs]
+    rests = [
+        (u[0], np.max(np.abs(u), axis=0), y[:n])
+        for u, y, n in zip(experiment.inputs, experiment.outputs, heads, strict=True)
+        if n > 0
+    ]
+    trim = experiment.basis.input_trim
+    trim = 0.0 if trim is None else np.max(np.abs(trim), axis=0)  # which leaves rounding
+    off = [np.abs(rest) > DUST * (size + trim) for rest, size, _ in rests]
+    if not rests or not np.any(off) or not all(_is_zero(y) for _, _, y in rests):
+        return
+    names = experiment.basis.input_signals or experiment.basis.drive_labels
+    which = np.flatnonzero(np.any(off, axis=0))
+    found = ", ".join(
+        f"{names[i]!r} at {max((r[i] for r, _, _ in rests), key=abs):.3g}" for i in which
+    )
+    warn(
+        f"records begin with outputs that rest at zero and inputs that do not ({found}), while a "
+        f"linear model rests where its inputs are zero: subtract what they rest at, and scale "
+        f"inputs without shifting them (StandardScaler(with_mean=False), MaxAbsScaler), or give "
+        f"HarmonicAnalyzer a trim_span of rows at rest",
+        IdentifiabilityWarning,
+    )
+
+
+def _head(inputs, least):
+    """Rows at the start of a segment in which inputs are constant; 0 where they are too few."""
+    moves = np.any(inputs != inputs[:1], axis=1)
+    n = int(np.argmax(moves)) if moves.any() else 0
+    return n if n >= least else 0
+
+
+def _is_zero(outputs):
+    """Whether some rows are zero, or noise about it: neighbours are not alike."""
+    n, size = len(outputs), np.maximum(np.std(outputs, axis=0), np.finfo(float).tiny)
+    mean, alike = outputs.mean(axis=0), np.mean(outputs[1:] * outputs[:-1], axis=0)
+    within = DEVIATIONS / np.sqrt(n)
+    noise = (np.abs(mean) <= within * size) & (np.abs(alike / size) <= within * size)
+    return bool(np.all(noise | ~outputs.any(axis=0)))
 
 
 def warn_of_growing_data(experiment):

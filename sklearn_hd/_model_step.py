@@ -13,6 +13,7 @@ from sklearn_hd._checks import (
     check_positive,
     signal_names,
 )
+from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import extremes, one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
@@ -417,7 +418,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
     def _mirror(self, values, X):
         """Predictions in the container, with the columns and the index, of y at fit."""
-        index = X.index if isinstance(X, pd.DataFrame | pd.Series) else None
+        X = from_elsewhere(X, "X")
+        index = X.index if is_pandas(X) else None
         types = self.target_dtypes_
         with np.errstate(over="ignore"):  # beyond float32 is infinity, as NumPy has it
             if self.target_kind_ == "frame":

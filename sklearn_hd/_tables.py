@@ -8,6 +8,7 @@ import pandas as pd
 from scipy.sparse import issparse
 
 from sklearn_hd._checks import FIRST, check_positive
+from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
 from sklearn_hd._guards import searches, step_extremes
 from sklearn_hd._warn import warn
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -19,16 +20,17 @@ def as_container(data, what):
         raise TypeError(
             f"{what} is sparse, which is not supported: signals are dense; give {what}.toarray()"
         )
-    if not isinstance(data, pd.DataFrame | pd.Series):
+    data = from_elsewhere(data, what)
+    if not is_pandas(data):
         if hasattr(data, "__dask_graph__"):
             raise TypeError(
                 f"{what} is a dask {type(data).__name__}, which MOESPRegressor.fit alone reads; "
                 f"give one record, or one span, at a time in memory: {what}.partitions[0].compute()"
             )
-        if hasattr(data, "__dataframe__") or hasattr(data, "to_pandas"):
+        if hasattr(data, "__dataframe__"):
             raise TypeError(
                 f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
-                f"carries no index of times; give {what}.to_pandas() with its times as the index"
+                f"carries no index of times; give a frame of pandas with its times as the index"
             )
         data = _as_array(data, what)
         if what == "X":
@@ -39,9 +41,15 @@ def as_container(data, what):
                 "X.reshape(-1, 1) if it is one signal, X.reshape(1, -1) if it is one sample"
             )
     if data.ndim > 2 or data.ndim == 0:
+        records = ", or one record below the other: pd.concat("
+        records += f"[pd.DataFrame(record) for record in {what}], "
+        records += f'keys=range(len({what})), names=["record"])'
         raise ValueError(
             f"{what} has {data.ndim} dimensions; give (n_samples, n_signals) or (n_samples,)"
+            f"{records if data.ndim == 3 else ''}"
         )
+    if isinstance(data, pd.DataFrame):
+        check_no_clock(data, what)
     if len(data) == 0:
         raise ValueError(f"{what} has no rows: 0 sample(s), while at least 1 is required")
     if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
@@ -98,6 +106,8 @@ def without_inputs(y):
 
 def _as_array(data, what):
     """An array of anything that has rows, NaN where it is masked."""
+    if isinstance(data, dict | list | tuple):
+        check_no_records(data, what)
     if data is None or isinstance(data, str | bytes | dict):
         way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
         if data is None and what == "X":
@@ -156,6 +166,7 @@ def _culprit(data):
 
 STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
 ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
+STANDARD_ERRORS = 4.0  # by which a sample time may be off
 REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
@@ -191,6 +202,18 @@ class TimeBase:
     counted: bool
     jitter: tuple = (0.0, 0.0)
     uncertainty: float = 0.0
+
+    def rows_of_records(self):
+        """Rows and label of each record, whatever gaps are in it."""
+        segments, time = self.segments, self.time
+        starts = [0]
+        for i in range(1, len(segments)):
+            again = time[segments[i].start] <= time[segments[i].start - 1]  # time begins anew
+            if again or self.records[i] != self.records[i - 1]:
+                starts.append(i)
+        for first, following in itertools.pairwise([*starts, len(segments)]):
+            rows = slice(segments[first].start, segments[following - 1].stop)
+            yield rows, self.records[first]
 
 
 def read_time(data, sample_time=None, time_origin=None):
@@ -284,7 +307,7 @@ def _alike(seconds, bounds):
 
 def _check_sample_time(given, found, uncertainty):
     """Raise ValueError if a sample time is not that of the index."""
-    if abs(found - given) > STEP_TOLERANCE * given + 4.0 * uncertainty:
+    if abs(found - given) > STEP_TOLERANCE * given + STANDARD_ERRORS * uncertainty:
         raise ValueError(
             f"sample_time={given:.6g} s, but the rows of the index are {found:.6g} s apart; "
             f"leave sample_time at None, or resample the data (to the sample time of the data "
@@ -456,7 +479,7 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
     n samples are uncertain by n times its (four) standard errors.
     """
     step = np.diff(seconds[start:stop]) / sample_time
-    tolerance = 2.0 * JITTER_LIMIT + 4.0 * uncertainty / sample_time * step
+    tolerance = 2.0 * JITTER_LIMIT + STANDARD_ERRORS * uncertainty / sample_time * step
     odd = np.abs(step - np.maximum(np.rint(step), 1.0)) > tolerance
     if np.any(odd):
         row = start + int(np.argmax(odd)) + 1
@@ -470,12 +493,38 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-def even(places, step):
+def resolution(time):
+    """Seconds from one float to the next at the largest time (2.4e-7 in Unix seconds)."""
+    return float(np.spacing(np.max(np.abs(time))))
+
+
+def even(places, step, rounding):
     """Whether neighbours are one step apart, so that nothing need be resampled."""
     if len(places) < 2:
         return True
     least, most = step_extremes(places)
-    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step)
+    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step + rounding)
+
+
+def straightened(places, base, step):
+    """Places of evenly spaced rows, each segment on its line: their rounding would be noise.
+
+    The line is ``step`` a row where the slope is that to four of its standard errors.
+    """
+    if base.jitter[1] > 0.0 or base.uncertainty == 0.0:
+        return places
+    for segment in base.segments:
+        own = places[segment]
+        n, middle = len(own), own.mean()
+        rows = np.arange(n) - 0.5 * (n - 1)
+        spread = max(rows @ rows, 1.0)
+        slope = rows @ own / spread
+        off = own - middle - slope * rows
+        if np.max(np.abs(off)) <= STEP_TOLERANCE * step + resolution(base.time):
+            error = np.sqrt(off @ off / max(n - 2, 1) / spread)
+            slope = step if abs(slope - step) <= STANDARD_ERRORS * error else slope
+            places[segment] = middle + slope * rows
+    return places
 
 
 def _mean_step(seconds, segments, found):
@@ -499,6 +548,7 @@ def _mean_step(seconds, segments, found):
     uncertainty = float(np.sqrt(off @ off / freedom / spread))
     if abs(slope - found) <= ROUNDED * found:
         slope = found
-    if all(even(seconds[segment], slope) for segment in segments):
+    rounding = resolution(seconds)
+    if all(even(seconds[segment], slope, rounding) for segment in segments):
         return slope, (0.0, 0.0), uncertainty
     return slope, (float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(off)))), uncertainty

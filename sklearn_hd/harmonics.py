@@ -35,7 +35,7 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._tables import check_has_signals, check_upright, why_short
+from sklearn_hd._tables import STANDARD_ERRORS, check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -332,8 +332,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             spp = round(samples) if near else self._samples_on_grid(samples, highest)
             return omega, spp, 2.0 * np.pi / omega / spp, True
         spp = round(samples)
-        uneven = base.jitter[1] > 0.0  # then resampled, to fit the period exactly
-        return omega, spp, 2.0 * np.pi / omega / spp if uneven else base.sample_time, False
+        step = 2.0 * np.pi / omega / spp
+        told = abs(step - base.sample_time) > STANDARD_ERRORS * base.uncertainty
+        even = base.jitter[1] == 0.0  # else resampled, to fit the period exactly
+        return omega, spp, base.sample_time if even and told else step, False
 
     def _samples_on_grid(self, samples, highest):
         """Samples in a period of the grid: those given, rounded up to whole hops."""
@@ -470,7 +472,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"X lacks the azimuth column {azimuth[0]!r}; give a frame as transform returns it"
             )
         given = read_signals(X[[*basis.drive_labels, *azimuth]], "x", "X", basis.timing)
-        places = given.places(basis.omega)
+        places = given.places(basis.omega, basis.sample_time)
         trim = 0.0
         if basis.input_trim is not None:
             present = np.isfinite(given.data).all(axis=1) & np.isfinite(places)

@@ -137,8 +137,9 @@ class MOESPRegressor(ModelStep):
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
-        If an output rests at a value other than zero, or with ``weighting="pbsid"`` there is a
-        feedthrough, or a feedback within the row, and D is zero.
+        If an output rests at a value other than zero, records begin with inputs that do and
+        outputs that rest at zero, or with ``weighting="pbsid"`` there is a feedthrough, or a
+        feedback within the row, and D is zero.
     FrequencyMismatchWarning
         If the data repeat themselves at another frequency than ``omega``; it
         says at which.

@@ -170,6 +170,15 @@ def test_every_kind_of_time(rng, index):
     assert_same_model(*both(X, y, [100, 500]))
 
 
+def test_partitions_of_unix_seconds_follow_on_one_another(rng):
+    """Floats there are 1.2 % of this step apart."""
+    X, y = response(rng, 900)
+    X.index = y.index = 1.7e9 + 2e-5 * np.arange(900)
+    found, expected = both(X, y, [100, 500])
+    np.testing.assert_allclose(found.model_.A, expected.model_.A, atol=1e-10)
+    assert found.model_.dt == pytest.approx(2e-5, rel=1e-6)
+
+
 def test_what_pandas_and_dask_make_of_parquet(rng, tmp_path):
     X, y = in_records(*response(rng, 1000), [400, 350, 250])
     for label, record in X.join(y).groupby("record"):

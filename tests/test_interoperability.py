@@ -23,7 +23,7 @@ from sklearn.model_selection import (
     validation_curve,
 )
 from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import FunctionTransformer, StandardScaler
+from sklearn.preprocessing import FunctionTransformer, MinMaxScaler, StandardScaler
 
 from sklearn_hd import (
     HarmonicAnalyzer,
@@ -67,6 +67,32 @@ def test_scalers_and_functions_before_the_analyzer(short, fitted):
         assert pipe.score(short.inputs, short.outputs) == pytest.approx(
             fitted.score(short.inputs, short.outputs), abs=1e-9
         )
+
+
+@pytest.mark.parametrize("shift", [0.5, -1e-3, 0.0])
+@pytest.mark.parametrize("analyzed", [True, False])
+def test_inputs_that_were_shifted_from_rest_are_told(short, analyzed, shift):
+    """A linear model rests where its inputs are zero: R² fell from 0.996 to 0.845."""
+    u, y = short.inputs, short.outputs
+    steps = [("shift", FunctionTransformer(lambda u: u + shift * np.ptp(short.inputs)))]
+    if analyzed:
+        steps += [("harmonics", HarmonicAnalyzer(short.omega, reading="period"))]
+    pipe = Pipeline([*steps, ("identify", MOESPRegressor(order=2))])
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        pipe.fit(u, y)
+    told = [str(w.message) for w in told if "begin with outputs that rest" in str(w.message)]
+    assert len(told) == (shift != 0.0)
+    assert all("('U' at " in text for text in told)
+
+
+def test_a_trim_span_takes_away_what_a_scaler_shifts(short):
+    u, y = short.inputs, short.outputs
+    analyzer = HarmonicAnalyzer(short.omega, reading="period", trim_span=short.trim_span)
+    scaler = MinMaxScaler().set_output(transform="pandas")
+    scaled = Pipeline([("a", scaler), ("b", clone(analyzer)), ("c", MOESPRegressor(order=2))])
+    plain = Pipeline([("b", analyzer), ("c", MOESPRegressor(order=2))])
+    assert scaled.fit(u, y).score(u, y) == pytest.approx(plain.fit(u, y).score(u, y), abs=1e-4)
 
 
 def test_a_scaler_behind_the_analyzer_is_refused(short):

@@ -9,7 +9,7 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_checks", "_guards", "_tables", "_warn"},
+    {"exceptions", "_checks", "_containers", "_guards", "_tables", "_warn"},
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},
@@ -34,8 +34,8 @@ STEPS = {"harmonics", "subspace", "reduction", "matching"}  # they never import 
 PARTS = {"_identify": "subspace", "_reduce": "reduction", "_match": "matching"}  # nor do these
 ALGORITHM_LIBRARIES = {"numpy", "scipy", "slycot", "joblib", "sklearn_hd"}
 STANDARD = {
-    "collections", "contextlib", "dataclasses", "functools", "itertools", "math", "numbers",
-    "threading", "typing", "warnings",
+    "collections", "contextlib", "dataclasses", "fractions", "functools", "itertools", "math",
+    "numbers", "threading", "typing", "warnings",
 }  # fmt: skip
 FILES = sorted(ROOT.rglob("*.py"))
 

@@ -108,9 +108,7 @@ def test_feedback_within_the_row_is_no_feedthrough():
         y[k] = x + 0.5 * rng.standard_normal()
         u[k] = -0.4 * y[k] + rng.standard_normal()
         x = 0.9 * x + u[k]
-    with pytest.warns(
-        IdentifiabilityWarning, match=r"explain [3-8].*% .* feedback within"
-    ):
+    with pytest.warns(IdentifiabilityWarning, match=r"explain [3-8].*% .* feedback within"):
         model = MOESPRegressor(1, weighting="pbsid").fit(u, y)
     assert not model.feedthrough_
     assert model.eigenvalues_[0].real == pytest.approx(0.9, abs=0.02)

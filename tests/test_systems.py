@@ -4,6 +4,7 @@ import pickle
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import linalg
 from scipy.integrate import solve_ivp
@@ -11,7 +12,13 @@ from scipy.integrate import solve_ivp
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import TrimError
-from sklearn_hd.systems import FourierMatrix, LTPSystem, PeriodicSystem, flapping_wing
+from sklearn_hd.systems import (
+    FourierMatrix,
+    LTPSystem,
+    PeriodicSystem,
+    estimate_harmonic_transfer_function,
+    flapping_wing,
+)
 
 # Aerospace 2024, 11(11), 875, Eq. 25, as printed: the digits are truncated, not rounded.
 EQ_25_A = [
@@ -582,3 +589,36 @@ def test_a_mode_that_does_not_move_a_state_has_no_share_in_it():
     system = LTPSystem(np.diag([-1.0, -2.0]), [[1.0], [1.0]], [[1.0, 1.0]], omega=1.0)
     shares = system.modal_participation(1).groupby("state").sum()
     np.testing.assert_allclose(np.sort(shares.to_numpy(), axis=None), [0.0, 0.0, 1.0, 1.0])
+
+
+def test_responses_do_not_depend_on_the_origin_of_time(rng):
+    """At 1.7e9 s the intervals of a period were not resolved: ωt was rounded to 3e-5 rad."""
+    omega = 165.0
+    ltp = LTPSystem(FourierMatrix([[[-20.0]], [[5.0]], [[3.0]]]), np.ones((1, 1)), omega=omega)
+    machine = PeriodicSystem(
+        lambda x, u, t: (-20.0 + 5.0 * np.cos(omega * t) + 3.0 * np.sin(omega * t)) * x + u,
+        period=2 * np.pi / omega,
+        state_names=["x"],
+        input_names=["u"],
+    )
+    t = 2 * np.pi / omega / 64 * np.arange(640)
+    late = t + round(1.7e9 * omega / 2 / np.pi) * 2 * np.pi / omega
+    u = rng.standard_normal((640, 1))
+    expected = ltp.simulate(u, t)
+    for system in (ltp, machine):
+        np.testing.assert_allclose(system.simulate(u, t), expected, atol=1e-11)
+        np.testing.assert_allclose(
+            system.simulate(u, late), expected, atol=1e-4 * np.abs(expected).max()
+        )
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1.7e9])
+def test_transfer_functions_are_estimated_from_any_origin_of_time(rng, seconds):
+    """A modulator: what ωt rounds away at 1.7e9 s would be a floor of 2e-5."""
+    omega = 165.0
+    t = 1e-3 * np.arange(6000) + round(seconds * omega / 2 / np.pi) * 2 * np.pi / omega
+    u = pd.Series(rng.standard_normal(6000), t, name="u")
+    y = (np.cos(omega * 1e-3 * np.arange(6000)) * u).rename("y")
+    estimate = estimate_harmonic_transfer_function(u, y, omega, 1)
+    np.testing.assert_allclose(np.abs(estimate.harmonic(1)), 0.5, atol=2e-6)
+    np.testing.assert_allclose(estimate.harmonic(0), 0.0, atol=2e-6)

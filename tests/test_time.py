@@ -3,10 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import KEPT
+from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd._tables import read_time, why_short
-from sklearn_hd.exceptions import JitterWarning
+from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import JitterWarning, ResamplingWarning
+from sklearn_hd.model_selection import PeriodBlockSplit
 
 DT = 2 * np.pi / (2 * np.pi * 26.3) / 64  # 64 samples a wingbeat of the hawkmoth
 
@@ -165,3 +169,128 @@ def test_predictions_are_held_beyond_the_first_and_last_sample_of_the_grid(rng):
     inside = predicted.iloc[2:-2]
     assert predicted.iloc[:2].between(inside.min(), inside.max()).all()
     assert predicted.iloc[-2:].between(inside.min(), inside.max()).all()
+
+
+# ---- any origin of time --------------------------------------------------------------------------
+
+UNIX = 1.7e9  # seconds: floats are 2.4e-7 s apart, 3e-5 rad of a wingbeat and 4e-4 of a sample
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return make_flapping_wing("ltp", n_records=4, n_periods=60, start=5, random_state=0)
+
+
+def moved(data, seconds, period=None):
+    """The same rows at later times, later by whole periods."""
+    seconds = seconds if period is None else round(seconds / period) * period
+    if isinstance(data.index, pd.MultiIndex):
+        times = data.index.get_level_values("time") + seconds
+        records = data.index.get_level_values("record")
+        return data.set_axis(pd.MultiIndex.from_arrays([records, times], names=data.index.names))
+    return data.set_axis(data.index + seconds)
+
+
+def two_steps(omega, **params):
+    analyzer = HarmonicAnalyzer(omega, output_harmonics=KEPT, **params)
+    return Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
+
+
+@pytest.mark.parametrize("reading", ["sliding", "period"])
+@pytest.mark.parametrize("seconds", [1.0, -1e4, UNIX])
+def test_models_do_not_depend_on_the_origin_of_time(flown, seconds, reading):
+    """At 1.7e9 s a score of 0.961 fell, down to -29943, for phases of ωt that were rounded."""
+    u, y, period = flown.inputs, flown.outputs, 2 * np.pi / flown.omega
+    pipe = two_steps(flown.omega, reading=reading).fit(u, y)
+    later = moved(u, seconds, period), moved(y, seconds, period)
+    other = two_steps(flown.omega, reading=reading).fit(*later)
+    assert other["identify"].order_ == pipe["identify"].order_
+    assert other.score(*later) == pytest.approx(pipe.score(u, y), abs=1e-6)
+    assert pipe.score(*later) == pytest.approx(pipe.score(u, y), abs=1e-5)  # a far record
+    size = np.abs(y.to_numpy()).max()
+    predicted = pipe.predict(later[0].iloc[300:2000]), pipe.predict(u.iloc[300:2000])
+    np.testing.assert_allclose(*predicted, atol=1e-4 * size)  # 2e-5 rad are left of rounded times
+
+
+@pytest.mark.parametrize("digits", [7, 8, 9])
+def test_digits_that_were_rounded_off_are_no_noise(flown, digits):
+    """Eight decimals, 1e-5 of a sample, took a score of 0.961 to -3e22 with an order of 30."""
+    u, y = flown.inputs, flown.outputs
+    pipe = two_steps(flown.omega).fit(u, y)
+    rounded = [
+        data.set_axis(data.index.set_levels(data.index.levels[1].to_numpy().round(digits), level=1))
+        for data in (u, y)
+    ]
+    other = two_steps(flown.omega).fit(*rounded)
+    assert other["identify"].order_ == pipe["identify"].order_
+    assert other.score(*rounded) == pytest.approx(pipe.score(u, y), abs=1e-6)
+
+
+def test_chunks_far_from_the_origin_are_one_record(flown):
+    one = flown.inputs.loc[0], flown.outputs.loc[0]
+    u, y = (moved(data, UNIX, 2 * np.pi / flown.omega) for data in one)
+    frame = HarmonicAnalyzer(flown.omega, output_harmonics=KEPT).fit(u, y).transform(u)
+    chunked = MOESPRegressor(order=8)
+    for k in range(0, len(u), 777):
+        chunked.partial_fit(frame.iloc[k : k + 777], y.iloc[k : k + 777])
+    whole = MOESPRegressor(order=8).fit(frame, y)
+    assert chunked.score(frame, y) == pytest.approx(whole.score(frame, y), abs=1e-7)
+    with pytest.raises(ValueError, match=r"begins at t = 1\.7e\+09 s, before the end of the last"):
+        chunked.partial_fit(frame.iloc[:777], y.iloc[:777])
+
+
+def test_blocks_and_trim_far_from_the_origin(flown):
+    period = 2 * np.pi / flown.omega
+    u = flown.inputs.loc[0]
+    late = moved(u, UNIX, period)
+    folds = PeriodBlockSplit(4, omega=flown.omega).split(u)
+    for here, there in zip(folds, PeriodBlockSplit(4, omega=flown.omega).split(late), strict=True):
+        assert [a.tolist() for a in here] == [a.tolist() for a in there]
+    trims = []
+    for data in (u, late):
+        span = (data.index[0], data.index[0] + 5 * period)
+        analyzer = HarmonicAnalyzer(flown.omega, trim_span=span)
+        trims.append(analyzer.fit(data).basis_.input_trim)
+    np.testing.assert_array_equal(*trims)
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 2e-5])
+def test_rounding_of_late_times_is_no_jitter(rng, step):
+    """Steps of 20 μs take turns to be 19.8 and 20.0, 1.2 % apart: neither said nor resampled."""
+    late = pd.DataFrame({"u": rng.standard_normal(1280)}, index=UNIX + step * np.arange(1280))
+    assert read_time(late).jitter == (0.0, 0.0)
+    y = late["u"].rename("y")
+    model = MOESPRegressor(order=1, feedthrough=True).fit(late, y)
+    np.testing.assert_allclose(model.predict(late), y, atol=1e-10)
+    omega = 2 * np.pi / (64 * step)
+    frame = HarmonicAnalyzer(omega, input_harmonics=1).fit_transform(late)
+    assert frame.basis.samples_per_period == 64
+    early = late.set_axis(step * np.arange(1280))
+    other = HarmonicAnalyzer(omega, input_harmonics=1).fit_transform(early)
+    sizes = [np.hypot(each["u_1c"], each["u_1s"]).to_numpy() for each in (frame, other)]
+    np.testing.assert_allclose(*sizes, atol=1e-9)
+
+
+def test_resampling_does_not_depend_on_the_origin_of_time():
+    step, omega = 1e-4, 2 * np.pi / 64.3e-4
+    t = pd.Index(step * np.arange(2000))
+    X = pd.DataFrame({"u": np.cos(omega * t)}, index=t)
+    found = []
+    for data in (X, moved(X, UNIX, 2 * np.pi / omega)):
+        with pytest.warns(ResamplingWarning, match="Interpolation errs by .* 2e-07 of 'u'"):
+            found.append(HarmonicAnalyzer(omega, input_harmonics=1).fit_transform(data).to_numpy())
+    np.testing.assert_allclose(*found, atol=3e-4)  # the first time is rounded: 1e-4 rad
+
+
+def test_dates_far_from_their_origin(flown):
+    """Dates are whole nanoseconds; seconds since 1970 of them are floats again."""
+    u, y = flown.inputs.loc[0], flown.outputs.loc[0]
+    dates = pd.to_datetime("2026-05-01") + pd.to_timedelta(u.index, unit="s")
+    scores = [
+        two_steps(flown.omega, time_origin=origin)
+        .fit(u.set_axis(dates), y.set_axis(dates))
+        .score(u.set_axis(dates), y.set_axis(dates))
+        for origin in ("2026-05-01", "1970-01-01")
+    ]
+    assert scores[0] > 0.9
+    assert scores[1] > 0.9

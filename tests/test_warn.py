@@ -4,10 +4,18 @@ import linecache
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
+from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
+from sklearn.pipeline import make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MatrixStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, TimeBaseWarning
+from sklearn_hd.exceptions import (
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    ResamplingWarning,
+    TimeBaseWarning,
+)
 
 
 def sine(n=400):
@@ -41,3 +49,22 @@ def test_warnings_name_the_line_that_called(category, call):
     own = [warning for warning in told if warning.category is category]
     assert {warning.filename for warning in own} == {__file__}
     assert all("lambda" in linecache.getline(__file__, warning.lineno) for warning in own)
+
+
+@pytest.mark.parametrize(("action", "times"), [("default", 1), ("always", 7), ("ignore", 0)])
+def test_a_search_says_a_thing_once_at_the_line_that_called(rng, action, times):
+    """Seven fits, each with filters of scikit-learn's own, which make Python forget."""
+    t = pd.Index(0.1 * np.arange(1200))
+    u = pd.DataFrame({"u": np.sign(np.sin(np.arange(1200) ** 1.1))}, index=t)
+    y = pd.Series(np.convolve(u["u"], 0.8 ** np.arange(30))[:1200], index=t)
+    pipe = make_pipeline(HarmonicAnalyzer(2 * np.pi / 6.43), MOESPRegressor(order=2))
+    search = GridSearchCV(pipe, {"moespregressor__order": [1, 2]}, cv=TimeSeriesSplit(3))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings(action, category=ResamplingWarning)
+        warnings.filterwarnings("default", "another text", ResamplingWarning)
+        warnings.filterwarnings("default", module="another_module")
+        search.fit(u, y)
+    assert len(told) == times
+    assert {warning.filename for warning in told} <= {__file__}
+    assert all("search.fit" in linecache.getline(__file__, w.lineno) for w in told)

@@ -22,7 +22,7 @@ from sklearn_hd._identify.modulation import (
 from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd._tables import STEP_TOLERANCE
+from sklearn_hd._tables import STEP_TOLERANCE, resolution
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
@@ -42,6 +42,8 @@ class OpenRecord:
     time, inputs, outputs : ndarray, shapes (n_carried,), (n_carried, m), (n_carried, l)
     read_until : float
         Time of the last row added to the statistics.
+    ahead : float
+        Seconds by which the index is ahead of ``time``, which counts from a ψ = 0 nearby.
     """
 
     label: object
@@ -49,11 +51,13 @@ class OpenRecord:
     inputs: np.ndarray
     outputs: np.ndarray
     read_until: float = -np.inf
+    ahead: float = 0.0
 
     def extended(self, *rows):
         """With more rows of time, inputs and outputs."""
-        old = self.time, self.inputs, self.outputs
-        return OpenRecord(self.label, *map(np.concatenate, zip(old, rows, strict=True)))
+        old = {"time": self.time, "inputs": self.inputs, "outputs": self.outputs}
+        longer = map(np.concatenate, zip(old.values(), rows, strict=True))
+        return replace(self, **dict(zip(old, longer, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -125,16 +129,22 @@ class Stream:
         """
         self._check_alike(experiment)
         base, stream = experiment.base, self
+        clock = experiment.sampling.clock
+        rounding = resolution(clock)
         for s, (time, label) in enumerate(zip(experiment.times(), base.records, strict=True)):
+            start, ahead = clock[base.segments[s].start], clock[base.segments[s].start] - time[0]
             rows = time, experiment.inputs[s], experiment.outputs[s]
-            if s == 0 and base.counted and stream._counts_on(time, label):
+            if s == 0 and base.counted and stream._counts_on(start, label):
                 rows = stream._continued(*rows)
+            elif stream.record is not None and stream.record.label == label:
+                rows = stream._brought(time, ahead, rounding), *rows[1:]
+                ahead = stream.record.ahead
             goes_on = stream._goes_on(rows[0], label)
             if not goes_on:
-                empty = OpenRecord(label, *(z[:0] for z in rows))
+                empty = OpenRecord(label, *(z[:0] for z in rows), ahead=ahead)
                 stream = replace(stream, record=empty)
             stream = stream._with_rows(rows, goes_on)
-        return replace(stream, last=float(stream.record.time[-1]))
+        return replace(stream, last=float(stream.record.time[-1] + stream.record.ahead))
 
     def _check_alike(self, experiment):
         """Raise ValueError unless a chunk is sampled and analysed as those before it."""
@@ -170,9 +180,19 @@ class Stream:
                 f"{self.sample_time:.6g} s; resample the chunk"
             )
 
-    def _counts_on(self, time, label):
+    def _counts_on(self, start, label):
         """Whether rows are counted from 0 where a record goes on."""
-        return self.record is not None and self.record.label == label and time[0] <= 0.0
+        return self.record is not None and self.record.label == label and start <= 0.0
+
+    def _brought(self, time, ahead, rounding):
+        """Times counted from another ψ = 0 as those of the open record are.
+
+        Rows that follow on it to the resolution of their times go on along its line.
+        """
+        period = 2.0 * np.pi / self.basis.omega if self.basis.harmonic else self.sample_time
+        time = time + round((ahead - self.record.ahead) / period) * period
+        off = time[0] - self.record.time[-1] - self.sample_time
+        return time - off if abs(off) <= rounding else time
 
     def _continued(self, time, *signals):
         """Rows counted from 0 as they go on where the last chunk ended, trim and all."""
@@ -193,9 +213,10 @@ class Stream:
         step = (time[0] - self.record.time[-1]) / self.sample_time
         if step < 0.5:
             raise ValueError(
-                f"this chunk begins at t = {time[0]:.6g} s, before the end of the last one "
-                f"(t = {self.record.time[-1]:.6g} s) in the same record; give chunks in order, or "
-                f"rows of other records a label of their own in a (record, time) MultiIndex"
+                f"this chunk begins at t = {time[0] + self.record.ahead:.6g} s, before the end of "
+                f"the last one (t = {self.record.time[-1] + self.record.ahead:.6g} s) in the same "
+                f"record; give chunks in order, or rows of other records a label of their own in "
+                f"a (record, time) MultiIndex"
             )
         return step < 1.5
 
@@ -204,9 +225,10 @@ class Stream:
         if self.basis.harmonic:
             return self._with_complete_rows(rows, joined)
         time, inputs, outputs = rows
-        last = OpenRecord(self.record.label, time[-1:], inputs[-1:], outputs[-1:])
+        last = {"time": time[-1:], "inputs": inputs[-1:], "outputs": outputs[-1:]}
         rows = np.hstack([inputs, outputs])
-        return replace(self._with_read(rows, ends_of(rows), outputs, joined), record=last)
+        stream = self._with_read(rows, ends_of(rows), outputs, joined)
+        return replace(stream, record=replace(self.record, **last))
 
     def _with_read(self, rows, ends, measured, joined):
         """The stream with rows read added to its statistics."""
@@ -221,8 +243,7 @@ class Stream:
 
     def _with_complete_rows(self, rows, joined):
         """The stream with what the rows carried over and those that came have complete."""
-        basis, read_until = self.basis, self.record.read_until
-        record = replace(self.record.extended(*rows), read_until=read_until)
+        basis, record = self.basis, self.record.extended(*rows)
         complete = len(record.time)
         if any(orders != (0,) for _, orders in basis.inputs):  # coefficients of whole periods
             complete -= (basis.phase_index(record.time)[-1] + 1) % basis.samples_per_period
@@ -260,8 +281,8 @@ class Stream:
         starts = np.flatnonzero(basis.phase_index(record.time) == 0)
         starts = starts[starts <= needed]
         keep = slice(int(starts[-1]) if len(starts) else 0, None)
-        kept = (z[keep] for z in (record.time, record.inputs, record.outputs))
-        return OpenRecord(record.label, *kept, record.read_until)
+        names = "time", "inputs", "outputs"
+        return replace(record, **{name: getattr(record, name)[keep] for name in names})
 
     # ---- what a model is made of -------------------------------------------------------------
 

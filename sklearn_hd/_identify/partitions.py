@@ -24,7 +24,7 @@ from sklearn_hd._identify.modulation import (
 from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, first_difference
 from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
-from sklearn_hd._tables import STEP_TOLERANCE, read_time
+from sklearn_hd._tables import STEP_TOLERANCE, read_time, resolution
 
 __all__ = ["Partitions", "is_partitioned"]
 
@@ -303,7 +303,8 @@ def _follows(here, later, steps, windowed):
         return False
     place = f"partition {later.partition} starts at t = {_worded(later.time)}"
     apart = later.time - here.time
-    apart = apart.total_seconds() if hasattr(apart, "total_seconds") else float(apart)
+    dated = hasattr(apart, "total_seconds")
+    apart, rounding = (apart.total_seconds(), 0.0) if dated else (apart, resolution(later.time))
     if apart <= 0.0:
         raise ValueError(
             f"time must increase within a record: {place}, and the one before it ends at t = "
@@ -317,15 +318,15 @@ def _follows(here, later, steps, windowed):
             f"{place}, after one of a single row, which tells no sample time; give fewer, larger "
             f"partitions: X.repartition(npartitions=...)"
         )
-    samples = apart / step
-    if abs(samples - 1.0) <= STEP_TOLERANCE and not windowed:
+    samples, tolerance = apart / step, STEP_TOLERANCE + rounding / step
+    if abs(samples - 1.0) <= tolerance and not windowed:
         return True
     if windowed and samples < 1.5:
         raise ValueError(
             f"{place}, where record {here.record!r} goes on: rows read through a window depend on "
             f"those before; give whole records to each partition"
         )
-    if round(samples) < 2 or abs(samples - round(samples)) > STEP_TOLERANCE * samples:
+    if round(samples) < 2 or abs(samples - round(samples)) > tolerance * samples:
         raise ValueError(
             f"{place}, {samples:.5g} samples of {step:.6g} s after the end of the one before it: "
             f"neither the next sample nor a gap of a whole number of them; resample the data "

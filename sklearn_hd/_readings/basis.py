@@ -143,7 +143,8 @@ class HarmonicBasis:
 
     def grid(self, signals):
         """Step of the grid, fewest rows of a piece, and places of some signals on it."""
-        return self.sample_time, len(self.weights), signals.places(self.omega)
+        places = signals.places(self.omega, self.sample_time)
+        return self.sample_time, len(self.weights), places
 
     def azimuth(self, time):
         """ψ = ωt in radians."""

@@ -16,11 +16,21 @@ from sklearn_hd._checks import (
     check_wrap,
     signal_names,
 )
+from sklearn_hd._containers import is_pandas
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
 from sklearn_hd._records.sampling import Sampling, lay_grid
-from sklearn_hd._tables import TimeBase, as_container, read_time, to_float, without_inputs
+from sklearn_hd._tables import (
+    TimeBase,
+    as_container,
+    read_time,
+    resolution,
+    straightened,
+    to_float,
+    without_inputs,
+)
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.signals.fourier import seconds_from_zero_phase
 from sklearn_hd.algorithms.signals.lifting import lift
 from sklearn_hd.algorithms.signals.resampling import bridge, unwrap
 from sklearn_hd.exceptions import JitterWarning
@@ -47,9 +57,21 @@ class Signals:
     base: TimeBase
     azimuth: np.ndarray | None = None
 
-    def places(self, omega):
-        """Where the rows lie in the time that is analysed, seconds."""
-        return self.base.time if self.azimuth is None else self.azimuth / omega
+    def places(self, omega, step):
+        """Where the rows lie in the time that is analysed, seconds from a ψ = 0 near each record.
+
+        Rows that are evenly spaced lie on a line, whatever their times were rounded to: one of
+        ``step`` a row, the grid's, where that is their sample time for all they tell.
+        """
+        if self.azimuth is not None:
+            return self.azimuth / omega
+        places = self.base.time.copy()
+        for record, _ in self.base.rows_of_records():
+            first = places[record.start]
+            near = seconds_from_zero_phase(first, omega)
+            if near != first:
+                places[record] = places[record] - first + near
+        return straightened(places, self.base, step)
 
     def without(self, name):
         """The signals but for one that is the azimuth."""
@@ -103,7 +125,10 @@ def read_azimuth(X, base, name):
 
 def read_values(y, X, base, timing):
     """Float values and names of outputs sampled at the times of the inputs."""
-    y = as_container(y, "y")
+    given, y = y, as_container(y, "y")
+    lost = is_pandas(y) and not is_pandas(given) and isinstance(y.index, pd.RangeIndex)
+    if lost and is_pandas(X) and len(X) == len(y):  # of polars, which keeps none
+        y = y.set_axis(X.index)
     check_same_rows(X, y)
     names = signal_names(y, "y")
     values = to_float(y, "y")
@@ -219,12 +244,12 @@ def as_frame(X):
     """X as a HarmonicFrame; plain data get neither basis nor model."""
     if isinstance(X, HarmonicFrame) and X.is_laden:
         return X
+    X = X if is_pandas(X) else as_container(X, "X")
     if isinstance(X, pd.DataFrame):
         _refuse_lost_basis(X)
         return HarmonicFrame(X)
     if isinstance(X, pd.Series):
         return HarmonicFrame(X.to_frame())
-    X = as_container(X, "X")
     return HarmonicFrame(X, columns=[f"x{i}" for i in range(X.shape[1])])
 
 
@@ -286,7 +311,7 @@ def mean_waveforms(sampling, blocks, basis, start, stop):
     """Phase-averaged waveforms over the trim span, pooled over records."""
     spp, dt = basis.samples_per_period, basis.sample_time
     sums, counts = np.zeros((spp, blocks[0].shape[1])), np.zeros(spp)
-    tolerance = 1e-6 * dt
+    tolerance = max(1e-6 * dt, resolution(sampling.clock))
     inside = (sampling.clock >= start - tolerance) & (sampling.clock < stop - tolerance)
     for segment, values in zip(sampling.base.segments, blocks, strict=True):
         rows = np.flatnonzero(inside[segment])

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import RAISE
-from sklearn_hd._tables import TimeBase, even
+from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,
@@ -147,11 +147,13 @@ def lay_grid(base, places, present, step, timing, shortest=1):
     sampling : Sampling
     """
     pieces, records = [], []
-    as_read = places is base.time and step == base.sample_time and base.jitter[1] == 0.0
+    rounding = resolution(base.time)
+    moved = timing.azimuth or timing.resampled
+    as_read = not moved and step == base.sample_time and base.jitter[1] == 0.0
     for segment, record in zip(base.segments, base.records, strict=True):
         for rows in _runs_of(present, segment):
             own = places[rows]
-            uniform = not (timing.azimuth or timing.resampled) and (as_read or even(own, step))
+            uniform = not moved and (as_read or even(own, step, rounding))
             grid = own if uniform else uniform_grid(own[0], own[-1], step)
             if len(grid) >= shortest or timing.missing == RAISE:
                 pieces.append(Piece(rows, own, grid, step))
@@ -229,7 +231,8 @@ def _resampling_error(basis, inputs, outputs):
     values = values - np.nanmean(values, axis=0)
     values[np.isnan(values)] = 0.0
     size = np.sqrt(np.mean(values**2, axis=0))
-    shares = interpolation_error(values, inputs.base.time[rows]) / np.where(size > 0.0, size, 1.0)
+    places = inputs.places(basis.omega, basis.sample_time)[rows]
+    shares = interpolation_error(values, places) / np.where(size > 0.0, size, 1.0)
     listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
     return (
         f"Interpolation errs by at most (rms, in parts of each signal's) {listed}; standard "

@@ -119,13 +119,13 @@ class BlockSplit(BaseCrossValidator):
         X = as_container(X, "X")
         base, units, share, always = self._rows_in_units(X)
         block = np.empty(len(units), dtype=int)
-        for rows, label in _records(base):
+        for rows, label in base.rows_of_records():
             counted = np.where(always[rows], 0.0, share[rows])
             block[rows] = self._blocks(units[rows], counted, n_splits, label)
         for k in range(n_splits):
             tested = (block == k) & ~always
             away = ~tested
-            for rows, _ in _records(base):
+            for rows, _ in base.rows_of_records():
                 own = units[rows][tested[rows]]
                 away[rows] &= (units[rows] < own[0] - gap) | (units[rows] > own[-1] + gap)
             if not _has_times(X):
@@ -265,7 +265,7 @@ class PeriodBlockSplit(BlockSplit):
     def _turns_measured(self, X, base):
         psi = read_azimuth(X, base, self.azimuth)
         turns, share = np.empty(len(psi)), np.empty(len(psi))
-        for rows, label in _records(base):
+        for rows, label in base.rows_of_records():
             known = np.isfinite(psi[rows])
             if known.sum() < 2:
                 raise ValueError(
@@ -306,15 +306,3 @@ def _longer_side(away):
     before = first >= len(away) - 1 - last
     row = np.arange(len(away))
     return row < first if before else row > last
-
-
-def _records(base):
-    """Rows and label of each record, whatever gaps are in it."""
-    segments, time = base.segments, base.time
-    starts = [0]
-    for i in range(1, len(segments)):
-        again = time[segments[i].start] <= time[segments[i].start - 1]  # time begins anew
-        if again or base.records[i] != base.records[i - 1]:
-            starts.append(i)
-    for first, following in zip(starts, [*starts[1:], len(segments)], strict=True):
-        yield slice(segments[first].start, segments[following - 1].stop), base.records[first]

@@ -33,6 +33,7 @@ from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     held_harmonic_transfer,
     segment_plan,
 )
+from sklearn_hd.algorithms.signals.fourier import times_near_zero_phase
 from sklearn_hd.systems.arguments import matrix_coefficients, precision
 
 
@@ -376,7 +377,7 @@ def estimate_harmonic_transfer_function(
     frequencies, response, std, coherence, n_averages = estimate_harmonic_transfer(
         [inputs[segment] for segment in base.segments],
         [outputs[segment] for segment in base.segments],
-        [base.time[segment] for segment in base.segments],
+        [times_near_zero_phase(base.time[segment], omega) for segment in base.segments],
         omega,
         N,
         n_segment,

@@ -10,7 +10,7 @@ from sklearn_hd._guards import within_range
 from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
 from sklearn_hd.algorithms.periodic.floquet import floquet_exponents
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels, times_near_zero_phase
 from sklearn_hd.systems.arguments import (
     NamedSignals,
     check_inputs,
@@ -396,7 +396,7 @@ class LTPSystem(NamedSignals):
         t = check_times(t)
         u = check_inputs(u, len(t), self.input_names)
         x0 = check_state(x0, u.shape[:-2], self.state_names)
-        psi = self.omega * t
+        psi = self.omega * times_near_zero_phase(t, self.omega)
         intervals = psi[: _intervals_of_a_period(psi) + 1]
         tolerance = max(1e-14, precision(self.F, self.G))
         Phi, Gamma = floquet.transition_matrices(

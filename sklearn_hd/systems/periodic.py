@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import (
     solve_harmonic_balance,
 )
 from sklearn_hd.algorithms.periodic.integration import integrate, solve_shooting
-from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics, times_near_zero_phase
 from sklearn_hd.systems.arguments import (
     NamedSignals,
     check_inputs,
@@ -373,7 +373,7 @@ class PeriodicSystem(NamedSignals):
         check_flag("return_states", return_states)
         check_numbers("positive", "1e-12 is usual", rtol=rtol)
         check_numbers("nonnegative", "1e-13 is usual, in the units of the states", atol=atol)
-        t = check_times(t)
+        t = times_near_zero_phase(check_times(t), self.omega)
         u = check_inputs(u, len(t), self.input_names, batch=False)
         x0 = check_state(x0, (), self.state_names)
         first_step = self.period / STEPS_PER_PERIOD

@@ -10,8 +10,12 @@ S_0 = s_0 and S_{±k} = (s_kc ∓ j s_ks) / 2. The analyzer, its readings and al
 need them.
 """
 
+from fractions import Fraction
+
 import numpy as np
 
+TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
+RESOLVED = 1e-9  # of a step, to which floats tell times well enough
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding
 
@@ -49,6 +53,50 @@ def harmonic_functions(psi, harmonics):
     for k in harmonics:
         columns += [np.ones_like(psi)] if k == 0 else [np.cos(k * psi), np.sin(k * psi)]
     return np.stack(columns, axis=-1) if columns else np.empty((*psi.shape, 0))
+
+
+def seconds_from_zero_phase(time, omega):
+    """Seconds to an instant from the nearest at which ψ = ωt is a whole number of turns.
+
+    Exact, however far from zero the time is: the product ωt would be rounded by as much as
+    the time is large (3e-5 rad in Unix seconds at 165 rad/s).
+
+    Examples
+    --------
+    >>> seconds_from_zero_phase(0.25, 2 * np.pi)
+    0.25
+    >>> round(seconds_from_zero_phase(1.7e9 + 0.25, 2 * np.pi), 12)  # the float 2π is too small
+    0.249999933731
+    """
+    turns = Fraction(float(time)) * Fraction(float(omega)) / TWO_PI
+    whole = round(turns)
+    return float(time) if whole == 0 else float((turns - whole) * TWO_PI) / float(omega)
+
+
+def times_near_zero_phase(time, omega):
+    """Increasing times that floats resolve poorly, as they count from the ψ = 0 nearest the first.
+
+    Evenly spaced ones lie on a line, whole samples to the period where floats tell no other.
+    Times of which floats resolve a billionth of a step are as they are.
+
+    Examples
+    --------
+    >>> t = 1.7e9 + np.arange(5) / 100
+    >>> np.diff(t).round(9).tolist()
+    [0.00999999, 0.00999999, 0.00999999, 0.00999999]
+    >>> np.diff(times_near_zero_phase(t, 2 * np.pi)).round(9).tolist()
+    [0.01, 0.01, 0.01, 0.01]
+    """
+    since, rows, rounding = time - time[0], np.arange(len(time)), np.spacing(np.abs(time).max())
+    step = since[-1] / max(rows[-1], 1)
+    if len(time) < 2 or rounding <= RESOLVED * step:
+        return time
+    near = seconds_from_zero_phase(time[0], omega)
+    period = 2.0 * np.pi / omega
+    whole = period / max(round(period / step), 1)
+    if abs(whole - step) * rows[-1] <= rounding:
+        step = whole
+    return near + (step * rows if np.abs(since - step * rows).max() <= rounding else since)
 
 
 def recompose(coefficients, psi, harmonics):

@@ -1,5 +1,7 @@
 """Laws of the Fourier kernels."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from sklearn_hd.algorithms.signals.fourier import (
     harmonic_functions,
     harmonic_labels,
     recompose,
+    seconds_from_zero_phase,
     window_weights,
     windowed_coefficients,
 )
@@ -102,3 +105,18 @@ def test_long_signals_are_cut_into_blocks_without_a_seam():
     every = windowed_coefficients(signal, psi, [0, 1], weights, rows)
     some = windowed_coefficients(signal, psi, [0, 1], weights, rows[::977])
     np.testing.assert_array_equal(every[::977], some)
+
+
+def arctan_of_inverse(n):
+    """Arctan 1/n to sixty digits, by its series."""
+    return sum(Fraction((-1) ** k, (2 * k + 1) * n ** (2 * k + 1)) for k in range(45))
+
+
+@given(time=st.floats(-1e12, 1e12), omega=st.floats(1e-3, 1e5))
+def test_phase_is_exact_from_any_origin(time, omega):
+    """What is left of the floats given is whole turns off, with π by Machin's formula."""
+    turn = 8 * (4 * arctan_of_inverse(5) - arctan_of_inverse(239))
+    left = seconds_from_zero_phase(time, omega)
+    turns = (Fraction(time) - Fraction(left)) * Fraction(omega) / turn
+    assert abs(turns - round(turns)) < 1e-15
+    assert abs(Fraction(left) * Fraction(omega)) <= turn / 2 * (1 + Fraction("1e-15"))

@@ -1,0 +1,120 @@
+"""Tables as they come: of other libraries, lists of records, with a clock among their signals."""
+
+import re
+
+import numpy as np
+import pandas as pd
+
+__all__ = ["check_no_clock", "check_no_records", "from_elsewhere", "is_pandas"]
+
+Table = pd.DataFrame | pd.Series
+CLOCK = re.compile(
+    r"(t|(?i:time|timestamp|datetime|date))([ _]?[\[(].*[\])]|[ _](s|sec|seconds|ms|us|ns))?"
+)
+RECORD = 8  # rows, at least, between the restarts of a clock
+
+
+def is_pandas(data):
+    """Whether it is a frame or a Series of pandas."""
+    return isinstance(data, Table)
+
+
+def from_elsewhere(data, what):
+    """A table of another library as pandas has it; any other thing as it is.
+
+    Frames that keep no index (polars, pyarrow) get that of their column of times, behind their
+    column ``record``, where they have them.
+    """
+    if hasattr(data, "to_dataframe") and hasattr(data, "dims"):
+        raise TypeError(_of_xarray(data, what))
+    if is_pandas(data) or hasattr(data, "__dask_graph__") or not hasattr(data, "to_pandas"):
+        return data
+    if hasattr(data, "index"):
+        return data.to_pandas()
+    names = list(getattr(data, "column_names", getattr(data, "columns", ())))
+    if not names:
+        return pd.Series(data.to_numpy(), name=getattr(data, "name", None))
+    frame = pd.DataFrame({name: data[name].to_numpy() for name in names})
+    clocks = [name for name in names if CLOCK.fullmatch(name)][:1]
+    if not clocks:
+        return frame
+    return frame.set_index([name for name in ("record", *clocks) if name in names])
+
+
+def _of_xarray(data, what):
+    """The line that makes a frame of data of xarray, worded for messages."""
+    dims = sorted(map(str, data.dims), key=lambda dim: CLOCK.fullmatch(dim) is not None)
+    if hasattr(data, "data_vars"):
+        way = f"{what}.to_dataframe(dim_order={dims})"
+    elif len(dims) == 1:
+        way = f"{what}.to_pandas()"
+    else:
+        signals = [dim for dim in dims[:-1] if dim != "record"][-1:] or dims[:1]
+        order = [dim for dim in dims if dim not in signals]
+        signals = signals[0]
+        way = f"{what}.to_dataset(dim={signals!r}).to_dataframe(dim_order={order})"
+        if len(dims) == 2:
+            way += f", or {what}.to_series() if {signals!r} are the records of one signal"
+    return (
+        f"{what} is an xarray {type(data).__name__} of the dimensions {list(data.dims)}; make a "
+        f"frame of it, one column a signal, with the times as the last level of its index: {way}"
+    )
+
+
+def check_no_records(data, what):
+    """Raise TypeError for several tables in a list or a dict: they are the records of one frame."""
+    parts = list(data.values() if isinstance(data, dict) else data)
+    named, given = isinstance(data, dict), what
+    if not any(isinstance(part, pd.DataFrame if named else Table) for part in parts):
+        if named or not any(isinstance(part, np.ndarray) and part.ndim == 2 for part in parts):
+            return
+        given = f"[pd.DataFrame(record) for record in {what}]"
+    keys = "" if named else f"keys=range({len(parts)}), "
+    raise TypeError(
+        f"{what} is a {type(data).__name__} of {len(parts)} tables; make one frame of them, whose "
+        f'index says which record each row is of: pd.concat({given}, {keys}names=["record"])'
+    )
+
+
+def check_no_clock(data, what):
+    """Raise ValueError if a column of a frame is named as a clock, and runs as one."""
+    for name in data.columns:
+        if not CLOCK.fullmatch(str(name)) or data[name].ndim > 1:
+            continue
+        starts = _starts(data[name])
+        if starts > 1 and starts * RECORD > len(data):
+            continue
+        raise ValueError(
+            f"column {str(name)!r} of {what} is a clock, and would count as a signal; "
+            f"{_way(data, name, what, starts)}"
+        )
+
+
+def _starts(column):
+    """How often a column begins to grow anew, row by row; 1 for a clock of one record."""
+    kind = getattr(column.dtype, "kind", "O")
+    if kind not in "iufmM":
+        return len(column) if kind in "bc" else 1  # of texts
+    floats = {} if kind in "mM" else {"dtype": float, "na_value": np.nan}
+    values = column.to_numpy(**floats)
+    return max(2 - len(values), 0) + 1 + int(np.sum(~(values[1:] > values[:-1])))
+
+
+def _way(data, name, what, starts):
+    """How a clock becomes the index, worded for messages."""
+    index, key = data.index, repr(name)
+    counts = pd.api.types.is_integer_dtype(index.get_level_values(-1).dtype)
+    if index.is_unique and not counts:
+        return f"the index holds times already: {what}.drop(columns={key})"
+    if not index.is_unique:  # the records alone
+        way = f"{what}.set_index({key}, append=True)"
+    elif isinstance(index, pd.MultiIndex):
+        way = f"{what}.droplevel(-1).set_index({key}, append=True)"
+    elif starts > 1:
+        way = f"{what}.set_index([record, {key}]), with the name of the column of records"
+    elif getattr(data[name].dtype, "kind", "O") in "iufmM":
+        way = f"{what}.set_index({key})"
+    else:
+        way = f"{what}.drop(columns={key}).set_axis(pd.to_datetime({what}[{key}]))"
+    beside = "" if what == "y" else f", and y = y.set_axis({what}.index)"
+    return f"make it the index, in seconds or as dates: {what} = {way}{beside}"
