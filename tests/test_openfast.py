@@ -1,9 +1,13 @@
 """OpenFAST's .lin files, and multi-blade coordinates: laws, names, refusals."""
 
 import pickle
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from sklearn_hd.algorithms.periodic.multiblade import (
     Frame,
@@ -260,34 +264,182 @@ def test_numbers_too_small_for_two_digits_of_exponent_are_read(tmp_path):
     assert read_openfast_lin(path).A[0, 0] == -1.5e-103
 
 
-def test_matrices_must_be_finite(tmp_path):
+@pytest.mark.parametrize("number", ["1.5E+01", "1.5D+01", "15", "15.", ".15e2", "+1.5d1"])
+def test_numbers_of_c_and_of_fortran(tmp_path, number):
     path, _ = lin_file(tmp_path / "a.lin", 0.0)
+    path.write_text(path.read_text().replace("8.0 m/s", f"{number} m/s"))
+    assert read_openfast_lin(path).wind_speed == 15.0
+
+
+@pytest.mark.parametrize(
+    ("stated", "name", "value"),
+    [
+        ("Rotor Speed:   7 rpm", "rotor_speed", 7 * np.pi / 30),
+        ("Rotor Speed:   7 RPM", "rotor_speed", 7 * np.pi / 30),
+        ("Rotor Speed:   42.0 deg/s", "rotor_speed", 42 * np.pi / 180),
+        ("Azimuth:   90 deg", "azimuth", np.pi / 2),
+    ],
+)
+def test_units_are_read(tmp_path, stated, name, value):
+    path, _ = lin_file(tmp_path / "a.lin", 0.0)
+    label = stated.partition(":")[0]
     lines = path.read_text().splitlines()
-    k = lines.index("B: 8 x 3") + 1
-    lines[k] = "NaN 0.0 0.0"
+    lines = [f"   {stated}" if line.strip().startswith(label) else line for line in lines]
     path.write_text("\n".join(lines))
-    with pytest.raises(ValueError, match=r"B holds NaN or infinity; give a \.lin file"):
-        read_openfast_lin(path)
+    assert getattr(read_openfast_lin(path), name) == pytest.approx(value, rel=1e-15)
 
 
 # ---- refusals ------------------------------------------------------------------------------------
 
 
+ROW = "  1  1.000E-01   F   2   ED 1st"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("Azimuth:", "Angle:", "does not say 'Azimuth'"),
-        ("A: 8 x 8", "E: 8 x 8", "holds no state matrix A"),
-        ("A: 8 x 8", "A: 9 x 8", "A has fewer entries than 9 x 8"),
-        ("B: 8 x 3", "B: 7 x 3", "B is 7 x 3, but the file lists 8 states, 3 inputs"),
-        ("  1  1.000E-01   F   2   ED 1st", "  1  high   F   2   ED 1st", "lists no signal"),
+        ("Azimuth:", "Angle:", "the header does not say 'Azimuth'"),
+        ("0.7 rad/s", "NaN rad/s", "'Rotor Speed' holds 'NaN', which is no finite number"),
+        ("0.7 rad/s", "******** rad/s", r"'Rotor Speed' holds '\*+', which is no finite"),
+        ("0.7 rad/s", "1e999 rad/s", "'Rotor Speed' holds '1e999', which is no finite"),
+        ("0.7 rad/s", "0_7 rad/s", "'Rotor Speed' holds '0_7', which is no finite"),
+        ("0.7 rad/s", "0.7 Hz", "the unit 'hz'; it must be rad/s or deg/s or rpm"),
+        ("0.7 rad/s", "0.7", "the unit ''; it must be rad/s"),
+        ("8.0 m/s", "8.0 knots", "'Wind Speed' has the unit 'knots'; it must be m/s"),
+        (
+            "0.7 rad/s",
+            "0.7 rad/s\n  Number of inputs:  4",
+            "says '4', but 'Order of inputs' lists 3",
+        ),
+        ("Wind Speed", "\0Wind Speed", "this is no text"),
+        ("A: 8 x 8", "E: 8 x 8", "there is no matrix A"),
+        ("D: 3 x 3", "E: 3 x 3", "there is no matrix D"),
+        ("A: 8 x 8", "A: 9 x 8", "A is '9 x 8', but the file lists 8 states, 3 inputs"),
+        ("A: 8 x 8", "A: 8 x 99999999999", "A is '8 x 99999999999', but the file lists 8"),
+        ("A: 8 x 8", "A: eight x 8", "A is 'eight x 8', but the file lists 8"),
+        ("B: 8 x 3", "A: 8 x 8", "A stands there twice"),
+        ("B: 8 x 3", "B: 8 x 3\n", "row 1 of B has 0 entries instead of 3"),
+        ("B: 8 x 3", "B: 8 x 3\nNaN 0.0 0.0", "row 1 of B holds 'NaN', which is no finite"),
+        ("B: 8 x 3", "B: 8 x 3\n1.0 0,5 0.0", "row 1 of B holds '0,5', which is no finite"),
+        ("Order of inputs", "Order of outputs", "'Order of outputs' stands there twice"),
+        ("   -------", "", "'Order of continuous states' has no heading with a rule below it"),
+        (ROW, ROW.replace("1.000E-01", "high"), "row 1 of a table holds 'high', which is no"),
+        (ROW, ROW.replace("  1 ", "  2 "), "lists no signal"),
+        (ROW, ROW.replace("F", "f"), "lists no signal"),
+        (ROW, ROW.replace("1.000E-01", ""), "lists no signal"),
     ],
 )
 def test_broken_files_are_refused(tmp_path, old, new, message):
     path, _ = lin_file(tmp_path / "a.lin", 0.0)
-    path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(ValueError, match=message):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=message) as refusal:
         read_openfast_lin(path)
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert str(refusal.value).endswith("; give a .lin file that OpenFAST wrote")
+
+
+@pytest.mark.parametrize("rows", [0, 2])
+def test_a_file_that_breaks_off_is_refused(tmp_path, rows):
+    path, _ = lin_file(tmp_path / "a.lin", 0.0)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[: lines.index("D: 3 x 3") + 1 + rows]))
+    with pytest.raises(ValueError, match=f"D ends after {rows} of 3 rows"):
+        read_openfast_lin(path)
+
+
+@pytest.mark.parametrize("name", ["none.lin", "."])
+def test_no_file_and_a_folder(tmp_path, name):
+    with pytest.raises(OSError, match=f"(No such file|Is a directory|denied).*{tmp_path.name}"):
+        read_openfast_lin(tmp_path / name)
+
+
+@pytest.mark.parametrize("path", [None, 3, b"a.lin", "a\0.lin"])
+def test_no_path(path):
+    with pytest.raises(ValueError, match=r"is no path; give that of a \.lin file"):
+        read_openfast_lin(path)
+
+
+def test_a_binary_file_is_refused(tmp_path):
+    path = tmp_path / "a.outb"
+    path.write_bytes(np.random.default_rng(0).bytes(100_000))
+    with pytest.raises(ValueError, match=r"a\.outb: this is no text; give a \.lin file"):
+        read_openfast_lin(path)
+
+
+def outcome(path):
+    """The linearization that a file holds, or the words in which it is refused."""
+    try:
+        return read_openfast_lin(path)
+    except ValueError as refusal:
+        return str(refusal)
+
+
+LONG = 300_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (ROW, ROW.replace("   F", " " * LONG + "G")),
+        (ROW, f"  1  {'1 ' * LONG}"),
+        (ROW, f"  1  {'1' * LONG}x  F  2  ED 1st"),
+        ("DOF_TFA1), m", "DOF_" * LONG),
+        ("DOF_TFA1), m", f"DOF_{'1' * LONG}"),
+        ("A: 8 x 8", f"A: {'8' * LONG} x {' ' * LONG}"),
+        ("A: 8 x 8", "A: 8 x 8\n" * (LONG // 10)),
+        ("A: 8 x 8", f"A: 8 x 8\n{'1' * LONG}e"),
+        ("0.7 rad/s", f"0.7{' ' * LONG}rad/s x"),
+        ("0.7 rad/s", f"{'7' * LONG}x rad/s"),
+        ("Order of inputs:", "Order of inputs:\n" * (LONG // 20)),
+    ],
+)
+def test_reading_takes_time_in_proportion_to_the_text(tmp_path, old, new):
+    """300 000 characters where a pattern that tries every split would take hours."""
+    path, _ = lin_file(tmp_path / "a.lin", 0.0)
+    path.write_text(path.read_text().replace(old, new, 1))
+    start = time.process_time()
+    assert len(str(outcome(path))) < 1000
+    assert time.process_time() - start < 5.0
+
+
+def test_a_long_table_without_its_matrix_takes_no_memory_for_it(tmp_path):
+    states = [(f"ED state {k}, -", "F") for k in range(20_000)]
+    lines = lin_file(tmp_path / "a.lin", 0.0)[0].read_text().splitlines()
+    head = lines[: lines.index("Order of continuous states:")]
+    path = tmp_path / "b.lin"
+    path.write_text("\n".join([*head, *section("continuous states", states)]))
+    with pytest.raises(ValueError, match="there is no matrix A"):
+        read_openfast_lin(path)
+
+
+SHIPPED = Path(load_wind_turbine().filenames[0]).read_text(encoding="utf-8")
+JUNK = ["", "\n", " " * 50, "NaN", "-", "1e400", "9" * 30, "T", "A: 3 x 3\n", "\0", ":"]
+PIECES = st.one_of(st.text(max_size=8), st.sampled_from(JUNK))
+
+
+@given(data=st.data())
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_spoilt_file_gives_a_model_or_a_refusal_that_names_it(tmp_path, data):
+    """Law: whatever is cut out, put in or moved, all that comes back is finite, and fits."""
+    text = data.draw(st.sampled_from([SHIPPED, lin_file(tmp_path / "a.lin", 0.3)[0].read_text()]))
+    for _ in range(data.draw(st.integers(1, 4))):
+        first = data.draw(st.integers(0, len(text)))
+        last = first + data.draw(st.sampled_from([0, 1, 3, 40, 2000, len(text)]))
+        text = text[:first] + data.draw(PIECES) + text[last:]
+    path = tmp_path / "spoilt.lin"
+    path.write_bytes(text.encode("utf-8", errors="surrogatepass"))
+    file = outcome(path)
+    if isinstance(file, str):
+        assert file.startswith(f"{path}: ")
+        return
+    n, m, n_outputs = len(file.states), len(file.inputs), len(file.outputs)
+    assert [M.shape for M in (file.A, file.B, file.C, file.D)] == [
+        (n, n), (n, m), (n_outputs, n), (n_outputs, m),
+    ]  # fmt: skip
+    numbers = [file.A, file.B, file.C, file.D, file.rotor_speed, file.azimuth, file.wind_speed]
+    assert all(np.all(np.isfinite(value)) for value in numbers)
 
 
 @pytest.mark.parametrize(

@@ -200,3 +200,48 @@ def test_too_few_periods_are_counted():
     with pytest.raises(ValueError, match=message):
         pipe.fit(X, y)
     assert pipe.set_params(identify__block_rows=3).fit(X, y)["identify"].order_ == 2
+
+
+# ---- is it the orbit that is unstable? -----------------------------------------------------------
+
+
+def random_system(seed, slowest):
+    """2 to 4 states, F(ψ) of four harmonics; the slowest Floquet exponent as given, in 1/period."""
+    rng = np.random.default_rng([5, seed])
+    n = int(rng.integers(2, 5))
+    sizes = np.repeat(0.3 / np.sqrt(n) * 0.5 ** np.arange(4), 2)[:, None, None]
+    F = np.concatenate([rng.standard_normal((1, n, n)), sizes * rng.standard_normal((8, n, n))])
+    G = rng.standard_normal((3, n, 1)) * np.array([1.0, 0.5, 0.5])[:, None, None]
+    F[0] -= LTPSystem(F * OMEGA, G, omega=OMEGA).floquet_exponents().real.max() / OMEGA * np.eye(n)
+    F[0] += slowest / (2.0 * np.pi) * np.eye(n)
+    return LTPSystem(F * OMEGA, G, omega=OMEGA)
+
+
+def alarms(slowest, n_periods=60, samples=16):
+    """Seeds of which a fit of 5 % noise, 16 samples a period, says that the orbit is unstable."""
+    found = []
+    for seed in range(20):
+        system = random_system(seed, slowest)
+        t = np.arange(n_periods * samples) / samples
+        u = np.zeros((len(t), 1))
+        u[2 * samples : 8 * samples], u[8 * samples : 14 * samples] = 1.0, -1.0
+        y, rng = system.simulate(u, t), np.random.default_rng(seed)
+        y = y + 0.05 * y.std(axis=0) * rng.standard_normal(y.shape)
+        index = pd.Index(t, name="time")
+        analyzer = HarmonicAnalyzer(OMEGA, reading="period", output_harmonics=2)
+        pipe = Pipeline([("h", analyzer), ("i", MOESPRegressor())])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            pipe.fit(pd.DataFrame(u, index), pd.DataFrame(y, index))
+        if any(issubclass(w.category, InstabilityWarning) for w in caught):
+            found.append(seed)
+    return found
+
+
+def test_modes_that_noise_makes_grow_are_no_false_alarm():
+    """What a period forgets is seen by noise alone from period to period."""
+    assert alarms(slowest=-0.2) == []
+
+
+def test_orbits_that_are_unstable_are_said_to_be():
+    assert alarms(slowest=0.1) == list(range(20))

@@ -11,6 +11,7 @@ from scipy import linalg
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import (
     check_motion,
+    longest_span,
     warn_of_growing_data,
     warn_of_growth,
     warn_of_mismatch,
@@ -20,7 +21,7 @@ from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspac
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.multipliers import order_by_residual
+from sklearn_hd.algorithms.periodic.multipliers import order_by_residual, without_noise_growth
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
@@ -66,6 +67,11 @@ def identify(data, settings, experiment):
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
     if settings.predictor:
         matrices = _driven_by_means(matrices, data, scales[0])
+    elif noise is None and _grows(matrices[0], experiment):
+        A, _, C, _ = matrices
+        A = without_noise_growth(A, data.excitation, _raw_periods(experiment))
+        B, D, x0 = data.input_matrices(A, C, True, scales)
+        matrices = A, B, C, D
     fitted = matrices, noise, x0
     reason = "inputs act within the period that they belong to: D is free"
     fit = subspace_fit(
@@ -110,8 +116,7 @@ def _order(found, bound, experiment, data, settings):
     # a predictor's feedback would be cut by a simulation
     if wide is not None or settings.predictor:
         return by_gap(found, bound)
-    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
-    lifted = [y.reshape(len(y), -1) for y in lifted]
+    lifted = _raw_periods(experiment)
     # half as many as the periods left once the inputs' directions are projected out
     left = sum(map(len, lifted)) - data.n_inputs
     most = min(bound, MOST_STATES, left // 2)
@@ -119,6 +124,18 @@ def _order(found, bound, experiment, data, settings):
         return by_gap(found, bound)
     candidates = [found.state_matrices(n + 1, settings.stable)[0] for n in range(most)]
     return len(order_by_residual(candidates, data.excitation, lifted))
+
+
+def _raw_periods(experiment):
+    """Every sample of the outputs, one row a period, in like units."""
+    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
+    return [y.reshape(len(y), -1) for y in lifted]
+
+
+def _grows(A, experiment):
+    """Whether a mode grows e-fold within the longest segment."""
+    n_periods = longest_span(experiment) * experiment.basis.omega / (2.0 * np.pi)
+    return np.max(np.abs(linalg.eigvals(A)), initial=0.0) > np.exp(1.0 / n_periods)
 
 
 def _driven_by_means(matrices, data, u_scale):

@@ -8,6 +8,7 @@ from sklearn_hd.systems.harmonic_transfer import (
 )
 from sklearn_hd.systems.held_feedback import HeldFeedback
 from sklearn_hd.systems.ltp import LTPSystem
+from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 from sklearn_hd.systems.textbook import (
     bittanti_colaneri,
@@ -18,12 +19,7 @@ from sklearn_hd.systems.textbook import (
     meissner,
     vinograd,
 )
-from sklearn_hd.systems.turbines import (
-    OpenFASTLinearization,
-    multiblade_model,
-    read_openfast_lin,
-    rotor_system,
-)
+from sklearn_hd.systems.turbines import multiblade_model, rotor_system
 
 __all__ = [
     "FourierMatrix",

@@ -24,7 +24,7 @@ NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 
 
-def refine_multipliers(Phi, directions, lifted):
+def refine_multipliers(Phi, directions, lifted, largest=None):
     """Φ whose multipliers explain the lifted outputs best, whatever else is.
 
     Every sample of the period answers to one Φ: with all else (how inputs and initial
@@ -42,6 +42,9 @@ def refine_multipliers(Phi, directions, lifted):
         Inputs, from :func:`~sklearn_hd.algorithms.signals.lifting.input_directions`.
     lifted : list of ndarray, shapes (n_periods_s, q)
         Outputs of whole periods, in like units.
+    largest : float, optional
+        Size that multipliers may have; by default what a record can show, and a start
+        beyond that is left as it is.
 
     Returns
     -------
@@ -53,15 +56,18 @@ def refine_multipliers(Phi, directions, lifted):
     n_periods = sum(len(block) for block in lifted)
     size = np.max(np.abs(multipliers))
     gaps = np.abs(multipliers[:, None] - multipliers) + np.eye(n) * size
-    largest = min(1e3 ** (1.0 / n_periods) + 0.5, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
+    seen = min(1e3 ** (1.0 / n_periods) + 0.5, LARGEST_RESPONSE ** (1.0 / max(map(len, lifted))))
     few = 2 * (r + n * (r + len(lifted))) > n_periods
-    if few or size >= largest or not np.all(gaps > SEPARATION * size):
+    wild = largest is None and size >= seen
+    if few or wild or not np.all(gaps > SEPARATION * size):
         return Phi
+    largest = seen if largest is None else min(largest, seen)
     basis, blocks = invariant_blocks(Phi)
     edges = np.cumsum([len(block) for block in blocks])[:-1]
     elimination = _Elimination(edges, Modes(directions), compact(np.vstack(lifted)), largest)
     best = None
-    for wanted in (size, *SMALLER) if size > 1.0 else (size,):
+    starts = (size, *SMALLER) if size > 1.0 else (size,)
+    for wanted in starts[int(size >= largest) :]:
         start = np.concatenate([characteristic(block * (wanted / size)) for block in blocks])
         found = least_squares(
             lambda c: elimination.factor(c)[:, -1],
@@ -76,6 +82,34 @@ def refine_multipliers(Phi, directions, lifted):
         best = found if best is None or found.cost < best.cost else best
     moved = map(with_characteristic, blocks, np.split(best.x, edges))
     return basis @ linalg.block_diag(*moved) @ linalg.inv(basis)
+
+
+def without_noise_growth(Phi, directions, lifted):
+    """Φ refined, with multipliers beyond 1 only where the lifted outputs tell that there are any.
+
+    Growth is one parameter more, and has to pay for it by the Bayesian information criterion:
+    among modes that a period forgets, noise makes one that grows as well as any other.
+
+    Parameters
+    ----------
+    Phi, directions, lifted
+        As for :func:`refine_multipliers`.
+
+    Returns
+    -------
+    Phi : ndarray, shape (n, n)
+    """
+    free = refine_multipliers(Phi, directions, lifted)
+    if np.max(np.abs(linalg.eigvals(free))) <= 1.0:
+        return free
+    held = refine_multipliers(Phi, directions, lifted, 1.0)
+    target = compact(np.vstack(lifted))
+    n_free = (len(target) - directions[0].shape[1]) * lifted[0].shape[1]
+    least = EXACT**2 * float(np.sum(target**2))
+    with_growth, without = (
+        max(float(np.sum(_left_by(M, directions, target) ** 2)), least) for M in (free, held)
+    )
+    return free if n_free * np.log(without / with_growth) > np.log(n_free) else held
 
 
 class Modes:

@@ -10,6 +10,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     characteristic,
     invariant_blocks,
     with_characteristic,
+    without_noise_growth,
 )
 
 
@@ -82,3 +83,24 @@ def test_a_block_takes_the_polynomial_asked_for(block, coefficients):
     """Of the kind it had, of the other one, and far beyond what it was."""
     found = with_characteristic(np.array(block), coefficients)
     np.testing.assert_allclose(characteristic(found), coefficients, rtol=1e-12)
+
+
+@pytest.mark.parametrize("start", [0.3, 1.2, 2.5, 40.0])
+def test_a_start_that_outgrows_numbers_finds_back(rng, start):
+    """A period of 12 samples tells a multiplier of 0.04 that noise has made any number."""
+    w = [rng.standard_normal((60, 1))]
+    Phi, true = np.diag([0.7, start]), np.diag([0.7, 0.04])
+    states = propagate(true, w[0] @ [[1.0, 2.0]], np.zeros(2))
+    lifted = [states @ rng.standard_normal((2, 12))]
+    found = np.linalg.eigvals(without_noise_growth(Phi, w, lifted))
+    np.testing.assert_allclose(np.sort(found), [0.04, 0.7], atol=1e-6)
+
+
+@pytest.mark.parametrize("growth", [1.05, 2.6])
+def test_growth_that_the_record_shows_is_kept(rng, growth):
+    w = [rng.standard_normal((40, 1))]
+    true = np.diag([growth, 0.4])
+    states = propagate(true, w[0] @ [[1.0, 2.0]], np.zeros(2))
+    lifted = [states @ rng.standard_normal((2, 12)) + 1e-3 * rng.standard_normal((40, 12))]
+    found = np.linalg.eigvals(without_noise_growth(true + 0.01 * np.eye(2), w, lifted))
+    np.testing.assert_allclose(np.max(found), growth, rtol=0.01)
