@@ -29,7 +29,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 
-PIECE = 8_000_000  # numbers in the sensitivities of one piece, 64 MB
+PIECE = 1_000_000  # numbers in the sensitivities of one piece, 8 MB: a cache
 TILE = 64  # samples of a time-invariant system that make a period
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
 
