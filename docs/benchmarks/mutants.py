@@ -6,9 +6,9 @@
 Cosmic Ray makes the mutants; here they are drawn with a seed, each as likely as any other, and
 run, in a copy of the checkout, against the tests that are about them: the module's examples and
 mirrored file, then the topic's folder and files that name the module, then the laws, then the
-paper and the steps. What survives is printed as a diff; whether it is equivalent is for the reader to judge. Operators that mostly
-make nonsense (a | b for a + b, which any test catches) are left out, so that the share
-caught means something.
+paper and the steps. What survives is printed as a diff; whether it is equivalent is for the
+reader to judge. Operators that mostly make nonsense (a | b for a + b, which any test catches)
+are left out, so that the share caught means something.
 """
 
 import argparse
@@ -64,7 +64,7 @@ def tests_of(module):
     return [[str(module), *mirrored], near, LAWS, STEPS]
 
 
-def caught_by(module, code, folder):
+def caught_by(module, code, folder, stages):
     """The stage that fails with some code in place of the module's, or None."""
     environment = os.environ | {"PYTHONPATH": folder, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     target = Path(folder) / module
@@ -72,7 +72,7 @@ def caught_by(module, code, folder):
     target.write_text(code, "utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     try:
-        for stage, files in enumerate(filter(None, tests_of(module)), 1):
+        for stage, files in enumerate(filter(None, tests_of(module)[:stages]), 1):
             run = subprocess.run(
                 [*command, *files],
                 cwd=folder,
@@ -94,6 +94,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--sample", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--stages", type=int, default=4, help="2: only the tests nearby")
     parser.add_argument("--only", default="", help="modules whose path holds this")
     arguments = parser.parse_args()
     mutants = [m for m in all_mutants() if arguments.only in str(m[0])]
@@ -106,7 +107,7 @@ def main():
             module, name, occurrence = mutants[place]
             code = (ROOT / module).read_text("utf-8")
             mutant = mutate_code(code, get_operator(name)(), occurrence)
-            caught.append(caught_by(module, mutant, folder))
+            caught.append(caught_by(module, mutant, folder, arguments.stages))
             print(f"{place} {module.stem} {name[5:]} {occurrence}: {caught[-1] or 'SURVIVED'}")
             if caught[-1] is None:
                 lines = difflib.unified_diff(code.split("\n"), mutant.split("\n"), n=2, lineterm="")

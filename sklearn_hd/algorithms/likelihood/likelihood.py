@@ -481,9 +481,8 @@ def is_white(left, lags):
     (True, False)
     """
     n = len(left)
-    spectrum = np.abs(np.fft.rfft(left, 2 * n, axis=0)) ** 2
-    covariance = np.fft.irfft(spectrum, axis=0)[: lags + 1]
-    if not covariance[0].all():
+    products = [np.sum(left[k:] * left[: n - k], axis=0) for k in range(min(lags, n - 1) + 1)]
+    if not products[0].all():
         return False
-    statistic = n * np.sum((covariance[1:] / covariance[0]) ** 2, axis=0)
+    statistic = n * np.sum((np.array(products[1:]) / products[0]) ** 2, axis=0)
     return bool(np.all(statistic <= lags + 4.0 * np.sqrt(2.0 * lags)))
