@@ -319,6 +319,38 @@ def test_coherence_falls_with_noise_as_it_should():
     assert harmonics.coherence.shape == (len(harmonics.frequencies), 3, 1)
 
 
+def coloured_gains(seed):
+    """y = (G + G₁ cos ψ) u + e of two inputs, one slow and one fast, and two sizes of noise."""
+    rng = np.random.default_rng(seed)
+    slow, fast = rng.standard_normal((2, 100_001))
+    u = np.column_stack([slow[1:] + 0.9 * slow[:-1], 0.1 * (fast[1:] - 0.9 * fast[:-1])])
+    G, G1 = np.array([[1.0, -2.0], [0.5, 3.0]]), np.array([[0.4, 1.0], [-0.6, 0.2]])
+    modulation = np.cos(0.4 * np.arange(len(u)))[:, None]
+    noise = rng.standard_normal(u.shape) * [0.1, 5.0]
+    return u, u @ G.T + modulation * (u @ G1.T) + noise, np.stack([0.5 * G1, G, 0.5 * G1])
+
+
+def test_each_entry_errs_by_its_own_standard_deviation():
+    """Of every harmonic, output and input, where inputs are strong and where they are weak."""
+    u, y, true = coloured_gains(8)
+    estimate = estimate_harmonic_transfer_function(u, y, 0.4, 1, periods_per_segment=40)
+    share = (np.abs(estimate.response - true) / estimate.std) ** 2
+    for band in np.array_split(share, 2):
+        np.testing.assert_allclose(np.mean(band, axis=0), 1.0, atol=0.3)
+
+
+def test_units_of_a_signal_scale_the_entries_that_it_is_part_of():
+    u, y, _ = coloured_gains(9)
+    plain, scaled = (
+        estimate_harmonic_transfer_function(a, b, 0.4, 1, periods_per_segment=10)
+        for a, b in ((u, y), (u * [1e3, 0.2], y * [7.0, 1e-2]))
+    )
+    ratio = np.outer([7.0, 1e-2], [1e-3, 5.0])
+    np.testing.assert_allclose(scaled.response, plain.response * ratio, rtol=1e-8)
+    np.testing.assert_allclose(scaled.std, plain.std * ratio, rtol=1e-8)
+    np.testing.assert_allclose(scaled.coherence, plain.coherence, rtol=1e-8)
+
+
 def test_input_that_does_not_move_is_not_known():
     rng = np.random.default_rng(7)
     u = np.column_stack([rng.standard_normal(20000), np.zeros(20000)])

@@ -1,6 +1,7 @@
 """The paper's Table 1 by the pipeline of ``examples/reproduce_paper.py``: what it must reach."""
 
 import importlib
+import re
 import sys
 from dataclasses import replace
 from functools import lru_cache
@@ -13,7 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from sklearn_hd.datasets import make_flapping_wing
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+ROOT = Path(__file__).parent.parent
+EXAMPLES, PAGE = ROOT / "examples", (ROOT / "docs" / "reproduce_paper.md").read_text("utf-8")
 sys.path.insert(0, str(EXAMPLES))
 paper = importlib.import_module("reproduce_paper")
 cases = importlib.import_module("_paper_cases")
@@ -42,39 +44,65 @@ def one_thread():
         yield
 
 
+def published(route, data, doublet):
+    """e in percent as docs/reproduce_paper.md has it: guards and page cannot drift apart."""
+    first, second = PAGE.split("## The second route")
+    rows = re.findall(r"^\| (.+?) \| (.+?) \| (\S+) \|", first if route == 1 else second, re.M)
+    (figure,) = (float(e) for name, size, e in rows if (name, size) == (data, doublet))
+    return figure
+
+
 @pytest.mark.parametrize(
-    ("case", "limit"),
+    ("case", "row"),
     [
-        (cases.LTI, 1e-9),
-        (cases.LTI_SIGNAL, 1e-6),
-        (replace(cases.LTI_SIGNAL, rows_per_period=8), 1e-6),
-        (cases.LTP, 0.7),
-        (cases.NLTP_SMALL, 1.5),
-        (cases.FLAP, 1e-6),
+        (cases.LTI_SIGNAL, (1, "LTI signal + analyzer", "2 %")),
+        (cases.FLAP, (1, "flap subsystem (LTI signal)", "2 % in $U_{1c}$")),
+        (cases.LTP, (1, "LTP", "2 %")),
+        (cases.NLTP, (1, "NLTP", "2 %")),
+        (cases.NLTP_SMALL, (1, "NLTP", "0.5 %")),
+        (cases.SYNC_LTP, (2, "LTP", "2 %")),
+        (cases.SYNC_NLTP, (2, "NLTP", "2 %")),
+        (replace(cases.SYNC_NLTP, amplitude=0.005), (2, "NLTP", "0.5 %")),
+        (cases.SYNC_PAIR, (2, "NLTP, pair of records", "± 2 %")),
+        (replace(cases.SYNC_PAIR, amplitude=0.005), (2, "NLTP, pair of records", "± 0.5 %")),
     ],
-    ids=["lti", "lti-signal", "lti-signal, 8 rows", "ltp", "nltp 0.5 %", "flap"],
+    ids=lambda value: " ".join(map(str, value[1:])) if isinstance(value, tuple) else "",
 )
-def test_error_of_the_state_matrix_without_noise(case, limit):
+def test_rows_without_noise_stay_within_twice_their_figure(case, row):
     found = run(case)
-    assert found.e_percent <= limit
+    assert found.e_percent <= 2.0 * published(*row)
+    if case.route == "synchronous":
+        assert found.model["identify"].order_ == 2
+    else:
+        assert found.model["reduce"].n_states_ == 3
+
+
+def test_perfect_coefficients_leave_rounding_alone():
+    """Processors differ by twice already: ten times the figure."""
+    found = run(cases.LTI)
+    assert found.e_percent <= 10.0 * published(1, "LTI", "2 %")
     assert found.model["reduce"].n_states_ == 3
 
 
+def test_rows_read_twice_as_often_change_nothing():
+    twice = run(replace(cases.LTI_SIGNAL, rows_per_period=8))
+    assert twice.e_percent <= 4.0 * published(1, "LTI signal + analyzer", "2 %")
+    assert twice.model["reduce"].n_states_ == 3
+
+
 @pytest.mark.parametrize(
-    ("case", "limit"),
+    ("case", "n_seeds", "row"),
     [
-        (cases.SYNC_LTP, 1e-4),
-        (cases.SYNC_NLTP, 1.2),
-        (replace(cases.SYNC_NLTP, amplitude=0.005), 0.3),
-        (cases.SYNC_PAIR, 0.06),
-        (replace(cases.SYNC_PAIR, amplitude=0.005), 0.004),
+        (cases.LTI_NOISE, 3, (1, "LTI + noise", "2 %")),
+        (cases.LTI_SIGNAL_NOISE, 3, (1, "LTI signal + analyzer + noise", "2 %")),
+        (cases.LTP_NOISE, 1, (1, "LTP + noise", "2 %")),
+        (cases.SYNC_LTP_NOISE, 3, (2, "LTP + noise, median of 20", "2 %")),
     ],
-    ids=["ltp", "nltp 2 %", "nltp 0.5 %", "pair 2 %", "pair 0.5 %"],
+    ids=["lti", "lti-signal", "ltp", "synchronous ltp"],
 )
-def test_error_of_the_synchronous_route_without_noise(case, limit):
-    found = run(case)
-    assert found.e_percent <= limit
-    assert found.model["identify"].order_ == 2
+def test_the_first_noisy_records_stay_within_twice_the_median_of_twenty(case, n_seeds, row):
+    errors = [run(case, seed).e_percent for seed in range(n_seeds)]
+    assert np.median(errors) <= 2.0 * published(*row)
 
 
 def test_noise_on_the_synchronous_route_costs_little_more_than_it_must():
@@ -91,7 +119,7 @@ def test_nonlinear_data_at_two_percent_beat_the_paper():
 
 def test_both_subsystems_give_the_six_by_six_matrix():
     row = paper.full_row(run(cases.LTI_SIGNAL), run(cases.FLAP), seconds=0.0)
-    assert row["e_percent"] <= 1e-6
+    assert row["e_percent"] <= 2.0 * published(1, "full 6 × 6 (LTI signals)", "2 %")
     assert row["states_kept"] == 6
 
 
@@ -104,14 +132,14 @@ def test_input_matrices_come_from_the_raw_record():
 
 
 @pytest.mark.parametrize(
-    ("case", "floor"),
-    [(cases.LTP, 0.99), (cases.NLTP, 0.98), (cases.NLTP_SMALL, 0.98)],
-    ids=["ltp", "nltp 2 %", "nltp 0.5 %"],
+    "case", [cases.LTP, cases.NLTP, cases.NLTP_SMALL], ids=["ltp", "nltp 2 %", "nltp 0.5 %"]
 )
-def test_prediction_of_a_doublet_not_used_for_identification(case, floor):
+def test_prediction_of_a_doublet_not_used_for_identification(case):
+    """R² of 0.9994 and 0.9976 (docs/reproduce_paper.md): at most twice as much unexplained."""
     r2 = paper.validate(run(case))[3]
     assert set(r2) == {"w", "phi_dot"}
-    assert min(r2.values()) >= floor
+    assert 1.0 - r2["w"] <= 2.0 * 0.0006
+    assert 1.0 - r2["phi_dot"] <= 2.0 * 0.0024
 
 
 @pytest.mark.parametrize(
@@ -152,17 +180,16 @@ def test_warnings_of_other_packages_pass_through_the_fit():
 @pytest.mark.parametrize(
     ("case", "noise_on", "largest_median"),
     [
-        (cases.LTI_NOISE, "outputs", 1.5),
-        (cases.LTI_NOISE, "both", 1.5),
-        (cases.LTI_SIGNAL_NOISE, "outputs", 3.0),
-        (cases.LTI_SIGNAL_NOISE, "both", 25.0),
-        (cases.LTP_NOISE, "outputs", 3.0),
-        (cases.LTP_NOISE, "both", 25.0),
+        (cases.LTI_NOISE, "outputs", 2.0 * 0.61),
+        (cases.LTI_NOISE, "both", 2.0 * 1.27),
+        (cases.LTI_SIGNAL_NOISE, "outputs", 2.0 * 1.46),
+        (cases.LTI_SIGNAL_NOISE, "both", 2.0 * 18.0),
+        (cases.LTP_NOISE, "outputs", 2.0 * 1.00),
+        (cases.LTP_NOISE, "both", 2.0 * 15.0),
     ],
 )
 def test_noise_rows_over_twenty_seeds(case, noise_on, largest_median):
-    # no target but what was measured: medians of 0.6 to 1.3 % from coefficients, 1.0 and 1.5 %
-    # refined on the raw record, 15 to 18 % through the window where inputs are noisy too
+    # twice the medians of docs/reproduce_paper.md; 18 % of LTI signals is not on that page
     runs = paper.run_noisy(case, 20, noise_on)
     row = paper.noise_row(runs, noise_on)
     assert row["median_e_percent"] <= largest_median

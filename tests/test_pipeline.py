@@ -1,6 +1,7 @@
 """The literal flat Pipeline: what composes, what rides, what comes out."""
 
 import pickle
+import tracemalloc
 import warnings
 
 import control
@@ -424,3 +425,22 @@ def test_harmonics_that_are_rounding_are_no_signals(trim):
     pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())]).fit(X, y)
     assert pipe.score(X, y) > 1.0 - 1e-12
     np.testing.assert_allclose(pipe[-1].eigenvalues_, [0.75 + 0.2598j, 0.75 - 0.2598j], atol=1e-4)
+
+
+@pytest.mark.parametrize("snr", [None, 20])
+def test_a_sliding_fit_takes_little_memory_beside_its_record(snr):
+    """51 200 rows of three signals are 1.2 MB; what stands beside them does not grow with them."""
+    data = make_flapping_wing("lti-signal", n_periods=800, start=5, snr=snr, random_state=0)
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(data.omega, output_harmonics=KEPT, reading="sliding")),
+            ("identify", MOESPRegressor()),
+            ("reduce", SpuriousModeReducer()),
+        ]
+    )
+    tracemalloc.start()
+    pipe.fit(data.inputs, data.outputs)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert pipe["reduce"].n_states_ == 3
+    assert peak < 25e6

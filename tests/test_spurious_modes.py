@@ -59,7 +59,7 @@ def test_inputs_by_phase_hold_all_that_inputs_do_within_a_hop():
     experiment = read_for_fit(analyzer.fit(trial.u, trial.y).transform(trial.u), trial.y)
     basis, time = experiment.basis, experiment.times()[0]
     r, hop = basis.rows_per_period, basis.hop
-    choices = inputs_by_phase(experiment)
+    choices = list(inputs_by_phase(experiment))
     m = trial.u.shape[1]
     assert [choice[0].shape[1] for choice in choices] == [d * r for d in range(hop * m, m - 1, -1)]
     rows = basis.rows_read(time)

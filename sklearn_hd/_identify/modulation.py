@@ -112,9 +112,9 @@ def modulated_inputs(experiment, lengths):
 def inputs_by_phase(experiment):
     """Inputs of each hop in the directions they move in, at each phase an input of its own.
 
-    Returns
-    -------
-    choices : list of list of ndarray, shapes (n_rows_s, d r)
+    Yields
+    ------
+    choice : list of ndarray, shapes (n_rows_s, d r)
         For d = all directions, then fewer, down to one for each input: smooth inputs move
         little but in their means. r is the rows in a period.
     """
@@ -125,14 +125,12 @@ def inputs_by_phase(experiment):
         hops.append(_hops(drive, basis, rows))
         phases.append(basis.phase_index(time)[rows] // basis.hop)
     directions, n_all, _ = input_directions(hops)
-    choices = []
     for count in range(n_all, min(n_all, experiment.drive[0].shape[1]) - 1, -1):
         choice = []
         for w, phase in zip(directions, phases, strict=True):
             marks = np.eye(basis.rows_per_period)[phase]
             choice.append((w[:, :count, None] * marks[:, None, :]).reshape(len(w), -1))
-        choices.append(unit_size(choice))
-    return choices
+        yield unit_size(choice)
 
 
 def _hops(drive, basis, rows):

@@ -29,7 +29,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 
-PIECE = 8_000_000  # numbers in the sensitivities of one piece, 64 MB
+PIECE = 1_000_000  # numbers in the sensitivities of one piece, 8 MB: a cache
 TILE = 64  # samples of a time-invariant system that make a period
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
 
@@ -158,28 +158,34 @@ def output_sensitivities(response, record, x0, *, free_x0=True):
     Out = _rolled(response.Out, record.first_phase)
     n, columns = response.n_states, n_columns(response, free_x0=free_x0)
     n0 = n if free_x0 else 0
-    moves = response.dOut is not None and response.dOut.any()
+    acting, seen = _nonzero(response.dPsi), _nonzero(response.dOut)
+    moving = np.concatenate([np.arange(n0), n0 + acting])  # columns that the states depend on
     z = np.concatenate([simulate(response, record, x0)[0], record.inputs], axis=1)
-    carried = np.zeros((columns, n))
+    carried = np.zeros((len(moving), n))
     carried[:n0] = np.eye(n)[:n0]
     n_phases = max(len(response.Psi), len(Out))
+    Phi = _rolled(response.Phi, record.first_phase)
+    dPsi = _rolled(response.dPsi[acting], record.first_phase) if len(acting) else None
+    dOut = _rolled(response.dOut[seen], record.first_phase) if len(seen) else None
     for start, stop in _pieces(len(z), n_phases, columns + 1, n, Out.shape[1]):
-        dx = _state_sensitivities(response, record.first_phase, z[start : stop + 1], carried)
+        now = z[start : stop + 1]
+        forcing = np.zeros((len(moving), len(now), n))
+        if dPsi is not None:
+            forcing[n0:] = _by_phase(dPsi, now)
+        dx = _propagate(Phi, forcing, carried)
         carried, dx = dx[:, -1], dx[:, : stop - start]
-        dy = _by_phase(Out[:, :, :n], dx)
-        if moves:
-            dy[n0:] += _by_phase(_rolled(response.dOut, record.first_phase), z[start:stop])
+        dy = np.zeros((columns, stop - start, Out.shape[1]))
+        dy[moving] = _by_phase(Out[:, :, :n], dx)
+        if dOut is not None:
+            dy[n0 + seen] += _by_phase(dOut, z[start:stop])
         yield start, stop, np.where(record.present[start:stop], dy, 0.0)
 
 
-def _state_sensitivities(response, first_phase, z, start):
-    """∂x at each sample of a piece that begins at ∂x = start, (n0 + k, n_samples, n)."""
-    Phi = _rolled(response.Phi, first_phase)
-    forcing = np.zeros((len(start), *z[:, : response.n_states].shape))
-    if response.dPsi is not None:
-        n0 = len(start) - len(response.dPsi)
-        forcing[n0:] = _by_phase(_rolled(response.dPsi, first_phase), z)
-    return _propagate(Phi, forcing, start)
+def _nonzero(derivatives):
+    """Parameters that move something: those of the outputs alone leave states where they are."""
+    if derivatives is None:
+        return np.zeros(0, dtype=int)
+    return np.flatnonzero(derivatives.any(axis=(1, 2, 3)))
 
 
 def _pieces(n_samples, n_phases, columns, n_states, n_outputs):
@@ -475,9 +481,8 @@ def is_white(left, lags):
     (True, False)
     """
     n = len(left)
-    spectrum = np.abs(np.fft.rfft(left, 2 * n, axis=0)) ** 2
-    covariance = np.fft.irfft(spectrum, axis=0)[: lags + 1]
-    if not covariance[0].all():
+    products = [np.sum(left[k:] * left[: n - k], axis=0) for k in range(min(lags, n - 1) + 1)]
+    if not products[0].all():
         return False
-    statistic = n * np.sum((covariance[1:] / covariance[0]) ** 2, axis=0)
+    statistic = n * np.sum((np.array(products[1:]) / products[0]) ** 2, axis=0)
     return bool(np.all(statistic <= lags + 4.0 * np.sqrt(2.0 * lags)))

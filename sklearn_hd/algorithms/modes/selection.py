@@ -14,16 +14,18 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.triangular import triangle
 
 __all__ = ["best_modes", "mode_regressors", "residual", "unit_regressors"]
 
+PIECE = 250_000  # numbers in the responses of some samples: 2 MB
 MAX_SUBSETS = 2_000
 FEW_SUBSETS, MANY = 100, 16  # of more states, more sets than these are not searched through
 WIDE = 8_000  # columns of all units times states of those searched through
 WIDE_SUBSETS = 400_000  # columns of all units times sets, each of which is a fit of its own
 
 
-def mode_regressors(exponent, shape, drive, dt, observe=None):
+def mode_regressors(exponent, shape, drive, dt, observe=None, state=None):
     """Measured response to one mode, for each input and for its initial amplitude.
 
     Parameters
@@ -37,22 +39,25 @@ def mode_regressors(exponent, shape, drive, dt, observe=None):
         Sample time, seconds.
     observe : ndarray, shape (n_samples, n_outputs, n_coefficients), optional
         What is measured of the coefficients at each sample.
+    state : complex ndarray, shape (m + 1,), optional
+        What the samples before have left: the last of their ``state``. Of none by default.
 
     Returns
     -------
     regressors : ndarray, shape (n_samples, n_outputs, m + 1 or 2 (m + 1))
+    state : complex ndarray, shape (m + 1,)
+        Amplitudes one sample after the last.
     """
     z = np.exp(exponent * dt)
-    impulse = np.zeros((len(drive), 1))
-    impulse[0] = 1.0
-    free = lfilter([1.0], [1.0, -z], impulse, axis=0)
-    forced = lfilter([0.0, 1.0], [1.0, -z], drive, axis=0)
-    amplitudes = np.hstack([forced, free])
+    forcing = np.pad(drive, ((0, 0), (0, 1)))
+    if state is None:
+        state = np.eye(forcing.shape[1], dtype=complex)[-1]
+    amplitudes, state = lfilter([0.0, 1.0], [1.0, -z], forcing, axis=0, zi=state[None])
     measured = shape[None, :] if observe is None else observe @ shape
     response = measured[:, :, None] * amplitudes[:, None, :]
     if exponent.imag == 0.0:
-        return response.real
-    return np.concatenate([response.real, response.imag], axis=-1)
+        return response.real, state[0]
+    return np.concatenate([response.real, response.imag], axis=-1), state[0]
 
 
 def unit_regressors(units, exponents, shapes, inputs, outputs, dt, observe):
@@ -83,23 +88,32 @@ def unit_regressors(units, exponents, shapes, inputs, outputs, dt, observe):
     n_states = sum(len(unit) for unit in units)
     total = int(edges[-1]) + (len(inputs) - 1) * n_states
     columns = [list(range(a, b)) for a, b in itertools.pairwise(edges)]
-    R = np.zeros((0, total + 1))
-    following = int(edges[-1])
+    R, following = np.zeros((0, total + 1)), int(edges[-1])
+    length = max(4 * (total + 1), PIECE // (total + 1))  # of rows, one an output
     for s, (u, y) in enumerate(zip(inputs, outputs, strict=True)):
-        rows = np.zeros((y.size, total + 1))
-        for k, unit in enumerate(units):
-            exponent = exponents[unit[0]]
-            exponent = exponent if len(unit) == 2 else complex(exponent.real)
-            response = mode_regressors(exponent, shapes[unit[0]], u, dt, observe[s])
-            response = response.reshape(y.size, len(unit), width)
-            rows[:, edges[k] : edges[k + 1]] = response.reshape(y.size, -1)
-            if s:  # the initial amplitudes move to columns of this segment's own
-                rows[:, edges[k] + np.arange(len(unit)) * width + width - 1] = 0.0
-                rows[:, following : following + len(unit)] = response[:, :, -1]
+        states = [None] * len(units)
+        some = max(1, length // y.shape[1])
+        for start in range(0, len(u), some):
+            piece, at = slice(start, start + some), following
+            rows = np.zeros((y[piece].size, total + 1))
+            for k, unit in enumerate(units):
+                exponent = exponents[unit[0]]
+                exponent = exponent if len(unit) == 2 else complex(exponent.real)
+                response, states[k] = mode_regressors(
+                    exponent, shapes[unit[0]], u[piece], dt, observe[s][piece], states[k]
+                )
+                response = response.reshape(len(rows), len(unit), width)
+                rows[:, edges[k] : edges[k + 1]] = response.reshape(len(rows), -1)
+                if s:  # the initial amplitudes move to columns of this segment's own
+                    rows[:, edges[k] + np.arange(len(unit)) * width + width - 1] = 0.0
+                    rows[:, at : at + len(unit)] = response[:, :, -1]
+                    at += len(unit)
+            rows[:, -1] = y[piece].reshape(-1)
+            R = triangle(rows, R)
+        if s:
+            for k, unit in enumerate(units):
                 columns[k] += range(following, following + len(unit))
                 following += len(unit)
-        rows[:, -1] = y.reshape(-1)
-        R = linalg.qr(np.vstack([R, rows]), mode="r", overwrite_a=True)[0][: total + 1]
     return R, [np.array(column) for column in columns]
 
 

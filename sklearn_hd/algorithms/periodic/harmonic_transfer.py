@@ -20,6 +20,7 @@ import numpy as np
 import slycot
 from scipy import signal
 
+from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.signals.fourier import complex_transformation
 
@@ -187,19 +188,20 @@ def estimate_harmonic_transfer(
     top = np.pi / dt - n_harmonics * omega
     frequencies = all_frequencies[all_frequencies < top * (1.0 - 1e-9)]
     m, l = inputs[0].shape[1], outputs[0].shape[1]  # noqa: E741 (the field's letter)
+    unit = column_sizes(np.vstack(inputs))  # or a strong input hides one in larger units
     spectra, n_averages, count = 0.0, 0.0, 0
     for u, y, t in zip(inputs, outputs, times, strict=True):
-        starts = np.arange(0, len(t) - n_segment + 1, step)
+        scaled, starts = u / unit, np.arange(0, len(t) - n_segment + 1, step)
         for some in np.split(starts, range(64, len(starts), 64)):  # bounds the memory
             rows = some[:, None] + np.arange(n_segment)
             Z = _shifted_transforms(
-                u[rows], y[rows], t[rows], omega, n_harmonics, weights, len(frequencies)
+                scaled[rows], y[rows], t[rows], omega, n_harmonics, weights, len(frequencies)
             )
             spectra = spectra + np.einsum("kfi,kfj->fij", np.conj(Z), Z, optimize=True)
         n_averages += effective_averages(weights, step, len(starts))
         count += len(starts)
     values, std, coherence = _regress(spectra / count, n_averages, n_harmonics, m, l)
-    return frequencies, values, std, coherence, n_averages
+    return frequencies, values / unit, std / unit, coherence, n_averages
 
 
 def segment_plan(n_segment, window, overlap):

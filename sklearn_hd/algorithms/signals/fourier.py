@@ -227,7 +227,7 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
     products = functions * (gains * np.asarray(signal, dtype=float)[:, None])
     windows = np.lib.stride_tricks.sliding_window_view(products, n_window, axis=0)
     result = np.empty((len(rows), len(gains)))
-    block = max(1, 4_000_000 // max(1, n_window * len(gains)))
+    block = max(1, 250_000 // max(1, n_window * len(gains)))  # numbers: 2 MB
     for start in range(0, len(rows), block):
         some = rows[start : start + block] - n_window + 1
         result[start : start + block] = windows[some] @ weights

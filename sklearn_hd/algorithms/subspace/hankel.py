@@ -139,7 +139,7 @@ def _orthogonal_factor(records, block_rows):
     """R factor by blocked QR factorisations."""
     width = 2 * block_rows * sum(signal.shape[1] for signal in records[0])
     R = np.zeros((0, width))
-    chunk = max(4 * width, 512)
+    chunk = max(width, 512)  # four times as many take a third less time, and twice the memory
     for u, y in records:
         n_columns = len(u) - 2 * block_rows + 1
         for start in range(0, n_columns, chunk):

@@ -330,3 +330,15 @@ def test_errors_say_what_is_needed(oscillator, rng):
     with pytest.raises(ValueError, match=r"the response at theta0 overflows \(spectral radius"):
         output_error(structure, [(np.ones((9000, 1)), np.ones((9000, 1)), 0)], OMEGA, N_PHASES,
                      [90.0, 0.0, 0.0, 90.0, 4.0, 0.0])  # fmt: skip
+
+
+def test_each_step_counts_once_and_goes_down(oscillator, rng):
+    structure, theta = oscillator
+    segments, _ = recorded(structure, theta, rng, noise=0.05)
+    results = [
+        output_error(structure, segments, OMEGA, N_PHASES, 1.2 * theta, max_iter=k)
+        for k in (1, 2, 3)
+    ]
+    assert [result.n_iter for result in results] == [1, 2, 3]
+    costs = [result.cost for result in results]
+    assert costs[0] > costs[1] > costs[2]

@@ -7,7 +7,12 @@ import pytest
 
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes import selection as kernel
-from sklearn_hd.algorithms.modes.selection import best_modes, mode_regressors, residual
+from sklearn_hd.algorithms.modes.selection import (
+    best_modes,
+    mode_regressors,
+    residual,
+    unit_regressors,
+)
 
 
 @pytest.mark.parametrize("exponent", [-0.7 + 0j, -0.4 + 3.0j])
@@ -20,9 +25,40 @@ def test_regressors_span_the_response_of_the_mode(rng, exponent):
     C = np.column_stack([shape.real, shape.imag]) if exponent.imag else shape.real[:, None]
     x = propagate(A, u @ rng.standard_normal((2, len(A))), rng.standard_normal(len(A)))
     y = (x @ C.T).reshape(-1)
-    X = mode_regressors(exponent, shape, u, dt).reshape(len(y), -1)
+    X = mode_regressors(exponent, shape, u, dt)[0].reshape(len(y), -1)
     solution = np.linalg.lstsq(X, y, rcond=None)[0]
     np.testing.assert_allclose(X @ solution, y, atol=1e-9)
+
+
+def test_pieces_of_a_record_give_the_factor_of_the_whole(rng, monkeypatch):
+    """Of segments with initial amplitudes of their own, which no other segment's columns see."""
+    units, exponents = [(0,), (1, 2)], np.array([-0.7, -0.4 + 3.0j, -0.4 - 3.0j])
+    shapes = rng.standard_normal((3, 2)) + 0j
+    inputs = [rng.standard_normal((n, 1)) for n in (300, 7, 200)]
+    outputs, observe = ([rng.standard_normal((len(u), 2, *w)) for u in inputs] for w in ((), (2,)))
+    given = units, exponents, shapes, inputs, outputs, 0.05, observe
+    whole, columns = unit_regressors(*given)
+    monkeypatch.setattr(kernel, "PIECE", 0)
+    pieces, same = unit_regressors(*given)
+    assert [c.tolist() for c in columns] == [c.tolist() for c in same]
+    np.testing.assert_allclose(pieces.T @ pieces, whole.T @ whole, rtol=1e-9, atol=1e-9)
+    responses = [
+        [mode_regressors(exponents[unit[0]], shapes[unit[0]], u, 0.05, o)[0] for u, o in each]
+        for unit in units
+        for each in [list(zip(inputs, observe, strict=True))]
+    ]
+    X = np.zeros((2 * 507, whole.shape[1]))
+    first = np.cumsum([0, 600, 14, 400])
+    for k, parts in enumerate(responses):
+        for s, part in enumerate(parts):
+            rows = slice(first[s], first[s + 1])
+            own = columns[k][: part.shape[-1]].copy()
+            if s:
+                wide = len(units[k])
+                own[1::2] = columns[k][part.shape[-1] + (s - 1) * wide :][:wide]
+            X[rows, own] = part.reshape(-1, part.shape[-1])
+    X[:, -1] = np.concatenate([y.reshape(-1) for y in outputs])
+    np.testing.assert_allclose(whole.T @ whole, X.T @ X, rtol=1e-9, atol=1e-9)
 
 
 def test_best_set_is_the_best_of_all(rng):

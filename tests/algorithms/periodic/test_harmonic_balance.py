@@ -1,5 +1,7 @@
 """Periodic solutions: harmonic balance, shooting, and the integrator below it."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,19 @@ def test_too_few_iterations_are_said():
         solve_harmonic_balance(
             cubic, cubic_jacobian, OMEGA, np.zeros((9, 1)), np.array([0.7]), max_iterations=1
         )
+
+
+def test_the_residual_named_is_the_last_one():
+    """More iterations leave less, and a tolerance just above it is met by as many."""
+    problem = cubic, cubic_jacobian, OMEGA, np.zeros((9, 1)), np.array([0.7])
+    named = []
+    for k in (1, 2, 3):
+        with pytest.raises(TrimError) as error:
+            solve_harmonic_balance(*problem, max_iterations=k)
+        named.append(float(re.search(r"relative residual of (\S+)", str(error.value))[1]))
+        reached = solve_harmonic_balance(*problem, max_iterations=k, tolerance=1.01 * named[-1])[2]
+        assert reached == pytest.approx(named[-1], rel=0.01)
+    assert named[0] > named[1] > named[2]
 
 
 def test_shooting_says_that_an_orbit_diverges():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.periodic import multipliers
 from sklearn_hd.algorithms.periodic.multipliers import (
     Modes,
     _Elimination,
@@ -104,3 +105,56 @@ def test_growth_that_the_record_shows_is_kept(rng, growth):
     lifted = [states @ rng.standard_normal((2, 12)) + 1e-3 * rng.standard_normal((40, 12))]
     found = np.linalg.eigvals(without_noise_growth(true + 0.01 * np.eye(2), w, lifted))
     np.testing.assert_allclose(np.max(found), growth, rtol=0.01)
+
+
+@pytest.mark.parametrize("block", [[[-0.3, 0.8], [0.2, -1.1]], [[-0.2, 1.0], [-1.4, -0.3]]])
+def test_a_block_that_stays_of_its_kind_keeps_its_eigenvectors(block):
+    block = np.array(block)
+    given = characteristic(block)
+    np.testing.assert_allclose(with_characteristic(block, given), block, atol=1e-14)
+    root = 0.25 * given[0] ** 2 - given[1]  # of a pair 1 ± √root: as far apart as before, times 3
+    moved = with_characteristic(block, (2.0, 1.0 - 9.0 * root))
+    np.testing.assert_allclose(moved @ block, block @ moved, atol=1e-13)
+
+
+@pytest.mark.parametrize("block", [[[0, 1], [-1, 0]], [[0, -1], [1, 0]], [[-1, 4], [2, 3]]])
+@pytest.mark.parametrize("root", [-9.0, -0.25, 0.25, 9.0])
+def test_of_a_block_and_its_opposite_of_the_same_polynomial_the_nearer_is_taken(block, root):
+    """s/2 I ± N have the same one."""
+    block = np.array(block, dtype=float)
+    trace = np.trace(block)
+    moved = with_characteristic(block, (trace, 0.25 * trace**2 - root))
+    opposite = trace * np.eye(2) - moved
+    assert np.linalg.norm(moved - block) <= np.linalg.norm(opposite - block)
+
+
+@pytest.mark.parametrize("kind", [1.0, -1.0])
+@pytest.mark.parametrize("angle", [0.0, 0.4, 1.3, -1.1])
+@pytest.mark.parametrize("lower", [False, True])
+def test_a_pair_moves_little_through_the_double_eigenvalue(kind, angle, lower):
+    """From s/2 ± e to s/2 ± j e, or back: by e² where the block itself is of size one."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    for e in (1e-2, 1e-4):
+        N = np.array([[0.0, -1.0], [-kind * e**2, 0.0]])
+        block = 0.7 * np.eye(2) + turn @ (N.T if lower else N) @ turn.T
+        moved = with_characteristic(block, (1.4, 0.49 + kind * e**2))
+        np.testing.assert_allclose(moved, block, atol=2.1 * e**2)
+        np.testing.assert_allclose(characteristic(moved), (1.4, 0.49 + kind * e**2), rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(200, 30), (30, 200), (80, 80)])
+def test_the_strongest_direction_of_white_noise_has_the_law_of_tracy_and_widom(
+    shape, rng, monkeypatch
+):
+    """Quantiles of Bejan (2005), β = 1. The noise's size, from the same data, takes some of the
+    spread away (Nadler, 2011): tails hold less."""
+    draws = 1e-3 * rng.standard_normal((1500, *shape))
+    for quantile, least, most in (
+        (-3.1808, 0.01, 0.05),
+        (-1.2686, 0.43, 0.57),
+        (0.9793, 0.95, 0.985),
+    ):
+        monkeypatch.setattr(multipliers, "TRACY_WIDOM", quantile)
+        found = np.mean([multipliers._is_noise(rest, *shape) for rest in draws])
+        assert least <= found <= most

@@ -124,6 +124,13 @@ def test_gain_without_noise_leaves_a_stable_model_alone_and_mirrors_an_unstable_
         assert K.item() == pytest.approx(expected, abs=1e-9)
 
 
+def test_outputs_that_are_zero_have_no_gain():
+    """Neither noise nor a size to compare it with: no 0 / 0."""
+    K, E = gain_of_covariances(np.diag([0.5, 2.0]), np.zeros((1, 2)), np.zeros((3, 3)), np.zeros(1))
+    assert K.tolist() == [[0.0], [0.0]]
+    assert E.tolist() == [[0.0]]
+
+
 def test_integrator_that_nothing_drives_is_no_obstacle():
     K, E = gain_of_covariances(np.eye(1), np.eye(1), np.diag([0.0, 1.0]), np.ones(1))
     assert 0.0 <= K.item() < 1e-3
