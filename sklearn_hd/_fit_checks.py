@@ -26,7 +26,7 @@ __all__ = [
 DUST = 1e-13  # share of a signal's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
-INTEGRATED = 0.01  # e-folds over a record that do not tell growth from an integrator
+INTEGRATED = 0.1  # e-folds over a record that do not tell growth from an integrator
 DEVIATIONS = 4.0  # standard errors within which a mean is zero
 CALM = 1e6  # times growth that leaves most of them
 
