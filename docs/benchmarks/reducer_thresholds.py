@@ -15,7 +15,6 @@ from sklearn.pipeline import Pipeline
 import sklearn_hd._reduce.choice as choice
 import sklearn_hd._reduce.reduction as reduction
 import sklearn_hd.algorithms.periodic.periodic_realization as periodic_realization
-import sklearn_hd.algorithms.subspace.projections as moesp
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing
 
@@ -25,9 +24,9 @@ THRESHOLDS = [
     (choice, "WINDOW_DECAY"),
     (choice, "MATERIAL_SHARE"),
     (periodic_realization, "SHAPE_CONDITION"),
-    (moesp, "GAP_REACH"),
-    (moesp, "CLEAR_GAP"),
-    (moesp, "WIDE_GAP"),
+    (gaps, "GAP_REACH"),
+    (gaps, "CLEAR_GAP"),
+    (gaps, "WIDE_GAP"),
 ]
 
 
