@@ -23,6 +23,11 @@ NO_TIMES = (
 RAISE, GAP = "raise", "gap"  # what becomes of missing samples
 
 
+def at(time):
+    """A time worded for messages, to six digits, or to the millisecond (Unix seconds)."""
+    return f"{time:.3f} s" if 1e5 <= abs(time) < 1e12 else f"{time:.6g} s"
+
+
 def check_positive(name, value, unit, hint):
     """Return a float if it is a positive finite number."""
     return _check_number(name, value, "positive", f" in {unit}", hint)
@@ -145,7 +150,7 @@ def check_finite(values, names, time, what, missing=RAISE):
         column = int(np.argmax(bad[row]))
         kind = "NaN" if np.isnan(values[row, column]) else "infinity"
         raise ValueError(
-            f"{what} contains {kind}: column {names[column]!r}, first at t = {time[row]:.6g} s "
+            f"{what} contains {kind}: column {names[column]!r}, first at t = {at(time[row])} "
             f"(row {row}); drop those rows (a gap starts a new segment), fill them, or set them "
             f"to NaN and give HarmonicAnalyzer missing='gap', or the longest run of NaN to bridge "
             f"in seconds"
@@ -268,7 +273,7 @@ def check_azimuth(psi, time, name):
     if np.any(steps <= 0.0):
         row = known[int(np.argmax(steps <= 0.0)) + 1]
         raise ValueError(
-            f"azimuth column {name!r} must grow with time: it does not at t = {time[row]:.6g} s, "
+            f"azimuth column {name!r} must grow with time: it does not at t = {at(time[row])}, "
             f"where ψ = {psi[row]:.6g} rad; drop the rows at which the rotor stands or turns "
             f"back (its sign is yours to choose)"
         )

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import issparse
 
-from sklearn_hd._checks import FIRST, check_positive
+from sklearn_hd._checks import FIRST, at, check_positive
 from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
 from sklearn_hd._guards import searches, step_extremes
 from sklearn_hd._warn import warn
@@ -456,7 +456,7 @@ def _check_increasing(seconds, start, stop):
         row = start + int(np.argmax(step <= 0)) + 1
         word = "repeated" if step[row - start - 1] == 0 else "smaller than the one before it"
         raise ValueError(
-            f"time must increase within a record: t = {seconds[row]:.6g} s (row {row}) is {word}; "
+            f"time must increase within a record: t = {at(seconds[row])} (row {row}) is {word}; "
             f"sort the rows, drop duplicates, or give each record its own label in a "
             f"(record, time) MultiIndex. Rows drawn at random (HalvingGridSearchCV over "
             f"n_samples, a shuffled split) have no dynamics: halve over another resource, and "
@@ -484,7 +484,7 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
     if np.any(odd):
         row = start + int(np.argmax(odd)) + 1
         raise ValueError(
-            f"the step to t = {seconds[row]:.6g} s (row {row}) is {step[row - start - 1]:.4g} "
+            f"the step to t = {at(seconds[row])} (row {row}) is {step[row - start - 1]:.4g} "
             f"samples of {sample_time:.6g} s: too uneven for jitter (0.6 to 1.4 samples) and not "
             f"a whole number, as a gap would be; resample the data, drop the stray rows, or give "
             f"parts with clocks of their own a label each in a (record, time) MultiIndex"

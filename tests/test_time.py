@@ -235,7 +235,9 @@ def test_chunks_far_from_the_origin_are_one_record(flown):
         chunked.partial_fit(frame.iloc[k : k + 777], y.iloc[k : k + 777])
     whole = MOESPRegressor(order=8).fit(frame, y)
     assert chunked.score(frame, y) == pytest.approx(whole.score(frame, y), abs=1e-7)
-    with pytest.raises(ValueError, match=r"begins at t = 1\.7e\+09 s, before the end of the last"):
+    with pytest.raises(
+        ValueError, match=r"begins at t = \d{10}\.\d{3} s, .* \(t = \d{10}\.\d{3} s\)"
+    ):
         chunked.partial_fit(frame.iloc[:777], y.iloc[:777])
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd._checks import FIRST, RAISE, at
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
 from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.modulation import (
@@ -213,8 +213,8 @@ class Stream:
         step = (time[0] - self.record.time[-1]) / self.sample_time
         if step < 0.5:
             raise ValueError(
-                f"this chunk begins at t = {time[0] + self.record.ahead:.6g} s, before the end of "
-                f"the last one (t = {self.record.time[-1] + self.record.ahead:.6g} s) in the same "
+                f"this chunk begins at t = {at(time[0] + self.record.ahead)}, before the end of "
+                f"the last one (t = {at(self.record.time[-1] + self.record.ahead)}) in the same "
                 f"record; give chunks in order, or rows of other records a label of their own in "
                 f"a (record, time) MultiIndex"
             )
@@ -300,7 +300,7 @@ class Stream:
             basis,
             self.output_names,
             self.sample_time,
-            f"rows from t = {self.first:.6g} s to {self.last:.6g} s",
+            f"rows from t = {at(self.first)} to {at(self.last)}",
         )
         return stream.statistics.data(facts, highest)
 

@@ -13,7 +13,7 @@ from functools import cached_property, partial, reduce
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._checks import FIRST
+from sklearn_hd._checks import FIRST, at
 from sklearn_hd._guards import one_blas_thread
 from sklearn_hd._identify.modulation import (
     largest_changes,
@@ -262,7 +262,7 @@ def _merged(*neighbours):
 
 def _worded(time):
     """A time of an index as messages have it."""
-    return f"{time:.6g} s" if isinstance(time, float) else str(time)
+    return at(time) if isinstance(time, float) else str(time)
 
 
 def _median_step(steps):

@@ -9,6 +9,7 @@ from sklearn.utils.validation import validate_data
 from sklearn_hd._checks import (
     GAP,
     RAISE,
+    at,
     check_azimuth,
     check_output_names,
     check_same_rows,
@@ -237,7 +238,7 @@ class Experiment:
     def span(self):
         """First and last time, worded for messages."""
         clock = self.sampling.clock
-        return f"rows from t = {clock[0]:.6g} s to {clock[-1]:.6g} s"
+        return f"rows from t = {at(clock[0])} to {at(clock[-1])}"
 
 
 def as_frame(X):

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd._checks import RAISE
+from sklearn_hd._checks import RAISE, at
 from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.resampling import (
@@ -160,8 +160,8 @@ def lay_grid(base, places, present, step, timing, shortest=1):
                 records.append(record)
     if not pieces:
         raise ValueError(
-            f"no {shortest} consecutive rows without missing samples are left between t = "
-            f"{base.time[0]:.6g} s and {base.time[-1]:.6g} s, and the analysis window needs as "
+            f"no {shortest} consecutive rows without missing samples are left between "
+            f"t = {at(base.time[0])} and {at(base.time[-1])}, and the analysis window needs as "
             f"many; bridge longer runs of NaN (missing, in seconds), or use a shorter window"
         )
     edges = np.cumsum([0, *(len(piece.grid) for piece in pieces)])
