@@ -1,4 +1,4 @@
-"""Warnings that point at the user's line, however deep they arise, and are shown there once."""
+"""Warnings that point at the user's line, however deep they arise."""
 
 import os
 import sys
@@ -13,6 +13,7 @@ __all__ = ["warn"]
 BETWEEN = tuple(
     str(Path(file).parent) + os.sep for file in (__file__, sklearn.__file__, joblib.__file__)
 )
+SEARCHES = "sklearn.model_selection"
 ONCE = ("default", "module", "once")
 
 
@@ -20,8 +21,8 @@ def warn(message, category):
     """Warn of something, at the nearest line outside this package, scikit-learn and joblib.
 
     Python shows a warning once for each line and text, but forgets so wherever filters change,
-    as in each fit of a search: here it is remembered, unless the filters say "always". Texts
-    count up to the first colon: what follows are figures, in which folds differ.
+    as in each fit of a search. There it is remembered here, unless the filters say "always", and
+    texts count up to the first colon: what follows are figures, in which folds differ.
 
     Parameters
     ----------
@@ -29,17 +30,20 @@ def warn(message, category):
     category : type
         Of warning.
     """
-    frame = sys._getframe(1)
+    frame, searched = sys._getframe(1), False
     while frame.f_back is not None and frame.f_code.co_filename.startswith(BETWEEN):
+        searched = searched or frame.f_globals.get("__name__", "").startswith(SEARCHES)
         frame = frame.f_back
-    module = frame.f_globals.get("__name__", "<unknown>")
-    told = frame.f_globals.setdefault("__warningregistry__", {})
-    key = message.partition(": ")[0], category, frame.f_lineno
-    once = _action(message, category, module, frame.f_lineno) in ONCE
-    if once and told.get(key):
-        return
-    warnings.warn_explicit(message, category, frame.f_code.co_filename, frame.f_lineno, module)
-    if once:
+    module, line = frame.f_globals.get("__name__", "<unknown>"), frame.f_lineno
+    told, key = frame.f_globals.setdefault("__warningregistry__", {}), None
+    if searched and _action(message, category, module, line) in ONCE:
+        key = "in a search", message.partition(": ")[0], category, line
+        if told.get(key):
+            return
+    registry = None if searched else told
+    filename = frame.f_code.co_filename
+    warnings.warn_explicit(message, category, filename, line, module, registry)
+    if key is not None:
         told[key] = 1
 
 

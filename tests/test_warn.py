@@ -68,3 +68,12 @@ def test_a_search_says_a_thing_once_at_the_line_that_called(rng, action, times):
     assert len(told) == times
     assert {warning.filename for warning in told} <= {__file__}
     assert all("search.fit" in linecache.getline(__file__, w.lineno) for w in told)
+
+
+def test_each_fit_of_a_loop_has_a_warning_of_its_own():
+    """Their figures differ: none of the models after the first goes by without a word."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        for n in (300, 400):
+            MOESPRegressor(order=2, block_rows=8).fit(*sine(n))
+    assert len(told) == 2
