@@ -88,9 +88,13 @@ def modulated(basis, drive, time, rows, highest):
     modulated : ndarray, shape (n_rows, m (2 highest + 1))
     """
     psi = 2.0 * np.pi * basis.phase_index(time) / basis.samples_per_period
-    waves = harmonic_functions(psi, range(highest + 1))
-    products = (drive[:, :, None] * waves[:, None, :]).reshape(len(drive), -1)
-    return basis.held_drive(products, rows)
+    seen = []
+    for k in range(highest + 1):  # one at a time, which bounds the memory
+        waves = harmonic_functions(psi, [k])
+        products = (drive[:, :, None] * waves[:, None, :]).reshape(len(drive), -1)
+        held = basis.held_drive(products, rows)
+        seen.append(held.reshape(len(rows), drive.shape[1], waves.shape[1]))
+    return np.concatenate(seen, axis=2).reshape(len(rows), -1)
 
 
 def modulated_inputs(experiment, lengths):
