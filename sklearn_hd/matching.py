@@ -120,7 +120,8 @@ class StructuredMatcher(ModelStep):
     ValueError
         At ``fit``, if there is no model, or the structure does not fit it.
     UnstableModelError
-        If the model is unstable: its response has no H∞ norm.
+        If the model is unstable: its response has no H∞ norm. If the periodic model of a
+        HarmonicStructure, matched in a norm, explains less of its own record than nothing.
 
     Warns
     -----

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import (
@@ -15,7 +16,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import InstabilityWarning
+from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 from sklearn_hd.systems import LTPSystem
 
 OMEGA, SPP = 2 * np.pi, 32
@@ -217,22 +218,27 @@ def random_system(seed, slowest):
     return LTPSystem(F * OMEGA, G, omega=OMEGA)
 
 
-def alarms(slowest, n_periods=60, samples=16):
+def noisy_record(system, seed, noise, n_periods=60, samples=16):
+    """A doublet of 6 + 6 periods, 16 samples a period, and the response with white noise."""
+    t = np.arange(n_periods * samples) / samples
+    u = np.zeros((len(t), 1))
+    u[2 * samples : 8 * samples], u[8 * samples : 14 * samples] = 1.0, -1.0
+    y, rng = system.simulate(u, t), np.random.default_rng(seed)
+    y = y + noise * y.std(axis=0) * rng.standard_normal(y.shape)
+    index = pd.Index(t, name="time")
+    return pd.DataFrame(u, index, ["u"]), pd.DataFrame(y, index)
+
+
+def alarms(slowest):
     """Seeds of which a fit of 5 % noise, 16 samples a period, says that the orbit is unstable."""
     found = []
     for seed in range(20):
-        system = random_system(seed, slowest)
-        t = np.arange(n_periods * samples) / samples
-        u = np.zeros((len(t), 1))
-        u[2 * samples : 8 * samples], u[8 * samples : 14 * samples] = 1.0, -1.0
-        y, rng = system.simulate(u, t), np.random.default_rng(seed)
-        y = y + 0.05 * y.std(axis=0) * rng.standard_normal(y.shape)
-        index = pd.Index(t, name="time")
+        u, y = noisy_record(random_system(seed, slowest), seed, 0.05)
         analyzer = HarmonicAnalyzer(OMEGA, reading="period", output_harmonics=2)
         pipe = Pipeline([("h", analyzer), ("i", MOESPRegressor())])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            pipe.fit(pd.DataFrame(u, index), pd.DataFrame(y, index))
+            pipe.fit(u, y)
         if any(issubclass(w.category, InstabilityWarning) for w in caught):
             found.append(seed)
     return found
@@ -245,3 +251,31 @@ def test_modes_that_noise_makes_grow_are_no_false_alarm():
 
 def test_orbits_that_are_unstable_are_said_to_be():
     assert alarms(slowest=0.1) == list(range(20))
+
+
+# ---- a match that is near the model, and its periodic system that is not -------------------------
+
+
+def harmonic_match(seed, **match):
+    """The sliding pipeline with a HarmonicStructure behind it, and its training record."""
+    u, y = noisy_record(random_system(seed, -0.2), seed, 0.0)
+    matcher = StructuredMatcher(structure=HarmonicStructure(), n_starts=0, **match)
+    return Pipeline([*pipeline(1, "auto").steps, ("match", matcher)]), u, y
+
+
+@pytest.mark.parametrize("criterion", ["hinf", "least_squares"])
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+def test_a_match_that_explodes_on_its_own_record_is_no_model(criterion):
+    pipe, u, y = harmonic_match(7, criterion=criterion)
+    with pytest.raises(UnstableModelError, match=r"times what there is .* own training record"):
+        pipe.fit(u, y)
+    with pytest.raises(NotFittedError):
+        pipe[-1].predict(u)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+def test_the_ways_out_of_a_match_that_explodes():
+    pipe, u, y = harmonic_match(7)
+    assert pipe.set_params(match__structure=None).fit(u, y).score(u, y) > 0.9
+    lifted = {"harmonics__reading": "period", "match__structure": HarmonicStructure()}
+    assert pipe.set_params(**lifted).fit(u, y).score(u, y) > 0.999

@@ -11,16 +11,19 @@ from numbers import Real
 
 import numpy as np
 import pandas as pd
+from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._match.match import Match, PeriodicModel, periodic_match
+from sklearn_hd._match.match import Match, PeriodicModel, PeriodicSimulator, periodic_match
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 from sklearn_hd.structures import HarmonicStructure
 
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
@@ -141,7 +144,35 @@ def _match_decomposition(model, experiment, structure, settings):
     else:
         resolved, theta = full.restricted(seen), found.theta
     periodic = replace(periodic, coefficients=resolved.coefficients(theta))
+    if settings.criterion != "output_error":  # which goes on from here
+        _check_record(periodic, experiment, found.relative_error)
     return periodic_match(resolved, theta, periodic, model, basis, found)
+
+
+def _check_record(periodic, experiment, error):
+    """Raise ValueError if a periodic model explains less of the record than nothing at all."""
+    basis, left, there = experiment.basis, 0.0, 0.0
+    response = periodic.sampled(basis.samples_per_period)
+    parts = zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True)
+    for u, y, time in parts:
+        simulator = PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
+        forced = simulator.outputs(np.zeros(periodic.n_states))
+        free = simulator.free(len(y)).reshape(periodic.n_states, -1).T
+        size = column_sizes(free)
+        rest = (y - forced).ravel()
+        rest = rest - free / size @ linalg.lstsq(free / size, rest, cond=EXACT)[0]
+        left = left + np.sum(rest.reshape(y.shape) ** 2, axis=0)
+        there = there + np.sum(y**2, axis=0)
+    share = np.max(left[there > 0.0] / there[there > 0.0], initial=0.0)
+    if share > 1.0:
+        raise UnstableModelError(
+            f"the periodic model matched leaves {share:.3g} times what there is of an output in "
+            f"its own training record, from the best initial state (largest Floquet multiplier "
+            f"{response.spectral_radius:.3g}), though its harmonic decomposition is within "
+            f"{error:.2g} of the model identified: too few harmonics are kept to tell one by the "
+            f"other; identify with HarmonicAnalyzer(reading='period'), fit to the record itself "
+            f"(criterion='output_error'), or keep the model as it is (structure=None)"
+        )
 
 
 def read_weights(name, given, channels):

@@ -20,6 +20,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import (
+    is_possible,
     leaves_white_noise,
     refine_multipliers,
     told_apart,
@@ -350,21 +351,25 @@ def _simulated(A, C, inputs, directions, lifted, seen):
         free = free_decays(inputs)
         decays = [lifted[s][rows] for s, rows in free]
         if sum(map(len, decays)) > LEAST_DECAY * n and told_apart(Phi, decays):
-            lifted, seen = ([blocks[s][rows] for s, rows in free] for blocks in (lifted, seen))
-            directions = [np.zeros((len(block), 0)) for block in lifted]
-            Phi = refine_multipliers(Phi, directions, lifted)
-            n_periods = sum(map(len, lifted))
+            at_rest = [np.zeros((len(block), 0)) for block in decays]
+            decaying = refine_multipliers(Phi, at_rest, decays)
+            if is_possible(decaying, max(map(len, decays))):
+                Phi, directions, lifted = decaying, at_rest, decays
+                seen = [seen[s][rows] for s, rows in free]
+                n_periods = sum(map(len, lifted))
     response = state_response(Phi, C, directions, lifted, seen)
     return Phi, response, n_periods - directions[0].shape[1] - n
 
 
 def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
-    """The refined map, or the identified one where that leaves a tenth less of the record.
+    """The refined map, or a possible one identified that leaves a tenth less of the record.
 
     Multipliers are refined with every mode free to answer in its own way to each direction of
     the inputs. Many modes that last but a period or two can then stand for each other, and noise
     decides; with one B for all that is seen they cannot.
     """
+    if not is_possible(identified, max(map(len, lifted))):
+        return refined
     left, others = (
         np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
     )

@@ -87,8 +87,8 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
 def without_noise_growth(Phi, directions, lifted):
     """Φ refined, with multipliers beyond 1 only where the lifted outputs tell that there are any.
 
-    Growth is one parameter more, and has to pay for it by the Bayesian information criterion:
-    among modes that a period forgets, noise makes one that grows as well as any other.
+    A mode that grows has to pay for what a state costs in the Bayesian information criterion: of
+    modes that a period forgets noise makes what it will, growth too.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def without_noise_growth(Phi, directions, lifted):
         return free
     held = refine_multipliers(Phi, directions, lifted, 1.0)
     target = compact(np.vstack(lifted))
-    n_free = (len(target) - directions[0].shape[1]) * lifted[0].shape[1]
+    n_free, price = _cost_of_a_state(directions, lifted)
     least = EXACT**2 * float(np.sum(target**2))
     with_growth, without = (
         max(float(np.sum(_left_by(M, directions, target) ** 2)), least) for M in (free, held)
     )
-    return free if n_free * np.log(without / with_growth) > np.log(n_free) else held
+    return free if n_free * np.log(without / with_growth) > price else held
 
 
 class Modes:
@@ -371,17 +371,16 @@ def order_by_residual(candidates, directions, lifted):
     """
     n_columns, r = lifted[0].shape[1], directions[0].shape[1]
     target = compact(np.vstack(lifted))
-    n_free = (len(target) - r) * n_columns
-    per_state = n_columns + r + len(lifted)  # its column of O, its row of B, initial states
+    n_free, price = _cost_of_a_state(directions, lifted)
     left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
         refined = refine_multipliers(Phi, directions, lifted)
-        left.append(target)
+        left.append(left[-1])
         bic.append(np.inf)
-        if _is_possible(refined, max(map(len, lifted))):
+        if is_possible(refined, max(map(len, lifted))):
             left[-1] = _left_by(refined, directions, target)
             rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
-            bic[-1] = n_free * np.log(rss / n_free) + len(Phi) * per_state * np.log(n_free)
+            bic[-1] = n_free * np.log(rss / n_free) + len(Phi) * price
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
@@ -395,12 +394,21 @@ def order_by_residual(candidates, directions, lifted):
     return candidates[max(best, 1) - 1]
 
 
-def _is_possible(Phi, n_periods):
-    """Whether a periodic system may have this map: one state alone cannot change sign from period
-    to period, and what outgrows numbers within a record was not recorded."""
-    if Phi.size == 1 and Phi.item() < 0.0:
+def _cost_of_a_state(directions, lifted):
+    """Numbers that inputs leave free, and what a state costs in the Bayesian criterion."""
+    n_columns, r = lifted[0].shape[1], directions[0].shape[1]
+    n_free = (sum(map(len, lifted)) - r) * n_columns
+    # its column of O, its row of B, initial states
+    return n_free, (n_columns + r + len(lifted)) * np.log(n_free)
+
+
+def is_possible(Phi, n_periods):
+    """Whether a periodic system may have this map: its determinant is e^{∫ tr F dt} (Liouville),
+    and what outgrows numbers within a record was not recorded."""
+    multipliers = linalg.eigvals(Phi)
+    if np.sum((multipliers.imag == 0.0) & (multipliers.real < 0.0)) % 2:
         return False
-    largest = np.max(np.abs(linalg.eigvals(Phi)))
+    largest = np.max(np.abs(multipliers))
     return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
 
 

@@ -160,6 +160,7 @@ def recorded(Phi, rng, *, lengths=(40, 25), n_directions=2, n_columns=12, noise=
 
 
 PHI = similar(linalg.block_diag([[0.5, 0.6], [-0.6, 0.5]], -0.4), seed=3)
+ORBIT = similar(linalg.block_diag([[0.5, 0.6], [-0.6, 0.5]], 0.4), seed=3)  # det > 0 (Liouville)
 
 
 def same_spectrum(A, B, atol):
@@ -209,7 +210,9 @@ def test_every_sample_sees_the_state(lengths, rng):
 def candidates(rng, most=6):
     """Φ of each order: what is there, and modes that are not."""
     return [
-        linalg.block_diag(PHI[:n, :n] if n < 3 else PHI, *(0.7 * rng.uniform(-1, 1, max(0, n - 3))))
+        linalg.block_diag(
+            ORBIT[:n, :n] if n < 3 else ORBIT, *(0.7 * rng.uniform(-1, 1, max(0, n - 3)))
+        )
         for n in range(1, most)
     ]
 
@@ -218,14 +221,24 @@ def candidates(rng, most=6):
 @pytest.mark.parametrize("n_directions", [1, 12])
 def test_order_of_least_information_criterion(noise, n_directions, rng):
     directions, lifted, _ = recorded(
-        PHI, rng, lengths=(60, 60), n_directions=n_directions, n_columns=40, noise=noise
+        ORBIT, rng, lengths=(60, 60), n_directions=n_directions, n_columns=40, noise=noise
     )
     assert len(order_by_residual(candidates(rng), directions, lifted)) == 3
 
 
+def test_an_order_that_no_periodic_system_has_is_not_chosen(rng):
+    """A rest that changes sign from period to period: det Φ < 0 with one state for it."""
+    directions, lifted, _ = recorded(ORBIT, rng, lengths=(60, 60), n_columns=40)
+    for y in lifted:
+        y += 0.1 * np.outer((-0.8) ** np.arange(60), np.linspace(-1, 1, 40) ** 3)
+    more = linalg.block_diag(ORBIT, -0.8)
+    maps = [*(ORBIT[:n, :n] for n in range(1, 4)), more, linalg.block_diag(more, 0.1)]
+    assert len(order_by_residual(maps, directions, lifted)) == 3
+
+
 def test_systematic_errors_are_no_states(rng):
     """A rest that is not white: the last order that halves the sum of squares by far."""
-    directions, lifted, _ = recorded(PHI, rng, lengths=(120,), n_columns=40)
+    directions, lifted, _ = recorded(ORBIT, rng, lengths=(120,), n_columns=40)
     k = np.arange(120)[:, None]
     lifted[0] += 0.05 * np.sin(k**1.5) * np.linspace(-1, 1, 40) ** 3
     assert len(order_by_residual(candidates(rng), directions, lifted)) == 3
