@@ -128,19 +128,19 @@ def test_multipliers_are_found_from_a_step(seed):
     np.testing.assert_allclose(np.sort(linalg.eigvals(found).real), [-0.3, 0.6], atol=0.02)
 
 
-@pytest.mark.parametrize(("faint", "n_states"), [(0.7, 2), (0.0, 1)])
+@pytest.mark.parametrize(("faint", "n_states"), [(1.0, 2), (0.0, 1)])
 def test_a_state_that_stands_out_of_the_noise_counts(faint, n_states):
-    """Though Schwarz's criterion, for its 64 entries of O, takes it in half of these."""
-    candidates = [np.diag([0.6, -0.3, 0.2, 0.8][:n]) for n in range(1, 5)]
+    """Though Schwarz's criterion, for its 64 entries of O, takes it in three of these ten."""
+    candidates = [np.diag([0.6, 0.3, 0.2, 0.8][:n]) for n in range(1, 5)]
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        directions, lifted = answers_to_a_step(np.diag([0.6, -0.3]), rng, noise=0.3, faint=faint)
+        directions, lifted = answers_to_a_step(np.diag([0.6, 0.3]), rng, noise=0.3, faint=faint)
         assert len(order_by_residual(candidates, directions, lifted)) == n_states
 
 
 def test_candidates_that_outgrow_numbers_are_passed_over(rng):
-    directions, lifted = answers_to_a_step(np.diag([0.6, -0.3]), rng, noise=1e-2)
-    candidates = [np.diag([0.6, -0.3, 400.0, 2.0][:n]) for n in range(1, 5)]
+    directions, lifted = answers_to_a_step(np.diag([0.6, 0.3]), rng, noise=1e-2)
+    candidates = [np.diag([0.6, 0.3, 400.0, 2.0][:n]) for n in range(1, 5)]
     with np.errstate(all="raise", under="ignore"):
         assert len(order_by_residual(candidates, directions, lifted)) == 2
 

@@ -22,9 +22,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from cosmic_ray.ast import ast_nodes, get_ast_from_path
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator
 
 ROOT = Path(__file__).resolve().parents[2]
 ARITHMETIC = ["Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "FloorDiv_Mul", "Mod_Add", "Pow_Mul"]
@@ -43,6 +40,9 @@ SECONDS = 300  # of one run of tests; a mutant that takes longer hangs, and is c
 
 def all_mutants():
     """(module, operator, occurrence) of every mutant of the algorithms."""
+    from cosmic_ray.ast import ast_nodes, get_ast_from_path
+    from cosmic_ray.plugins import get_operator
+
     found = []
     for path in sorted((ROOT / "sklearn_hd" / "algorithms").glob("*/*.py")):
         nodes = list(ast_nodes(get_ast_from_path(path)))
@@ -91,6 +91,9 @@ def caught_by(module, code, folder, stages):
 
 
 def main():
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator
+
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--sample", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)

@@ -94,7 +94,7 @@ def modulated(basis, drive, time, rows, highest):
         products = (drive[:, :, None] * waves[:, None, :]).reshape(len(drive), -1)
         held = basis.held_drive(products, rows)
         seen.append(held.reshape(len(rows), drive.shape[1], waves.shape[1]))
-    return np.concatenate(seen, axis=2).reshape(len(rows), -1)
+    return np.concatenate(seen, axis=2).reshape(len(rows), drive.shape[1] * (2 * highest + 1))
 
 
 def modulated_inputs(experiment, lengths):

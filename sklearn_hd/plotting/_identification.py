@@ -42,7 +42,7 @@ class SingularValueDisplay(Display):
         The order chosen.
     noise_floor : float, optional
         Largest value that rounding or white noise would give.
-    search : dict of ndarray, optional
+    search : dict of ndarray, shape (n_simulated,), optional
         ``order_search_`` of a MOESPRegressor: ``order``, ``share``, ``stable``.
 
     Attributes

@@ -85,7 +85,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
 
 
 def without_noise_growth(Phi, directions, lifted):
-    """Φ refined, with multipliers beyond 1 only where the lifted outputs tell that there are any.
+    """Φ as given where the lifted outputs tell that multipliers are beyond 1, else refined within.
 
     A mode that grows has to pay for what a state costs in the Bayesian information criterion: of
     modes that a period forgets noise makes what it will, growth too.
@@ -109,7 +109,7 @@ def without_noise_growth(Phi, directions, lifted):
     with_growth, without = (
         max(float(np.sum(_left_by(M, directions, target) ** 2)), least) for M in (free, held)
     )
-    return free if n_free * np.log(without / with_growth) > price else held
+    return Phi if n_free * np.log(without / with_growth) > price else held
 
 
 class Modes:
