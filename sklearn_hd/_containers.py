@@ -9,8 +9,9 @@ __all__ = ["check_no_clock", "check_no_records", "from_elsewhere", "is_pandas"]
 
 Table = pd.DataFrame | pd.Series
 CLOCK = re.compile(
-    r"(t|(?i:time|timestamp|datetime|date))([ _]?[\[(].*[\])]|[ _](s|sec|seconds|ms|us|ns))?"
+    r"(t|(?i:time|timestamp|datetime|date))([ _]?[\[(](?P<unit>.*)[\])]|[ _](?P<tail>\w+))?"
 )
+IN_A_SECOND = {"": 1, "s": 1, "sec": 1, "seconds": 1, "ms": 1000, "us": 1e6, "µs": 1e6, "ns": 1e9}
 RECORD = 8  # rows, at least, between the restarts of a clock
 
 
@@ -27,6 +28,8 @@ def from_elsewhere(data, what):
     """
     if hasattr(data, "to_dataframe") and hasattr(data, "dims"):
         raise TypeError(_of_xarray(data, what))
+    if hasattr(data, "collect") and not hasattr(data, "to_pandas"):
+        raise TypeError(f"{what} is a {type(data).__name__}, not read yet; give {what}.collect()")
     if is_pandas(data) or hasattr(data, "__dask_graph__") or not hasattr(data, "to_pandas"):
         return data
     if hasattr(data, "index"):
@@ -35,15 +38,32 @@ def from_elsewhere(data, what):
     if not names:
         return pd.Series(data.to_numpy(), name=getattr(data, "name", None))
     frame = pd.DataFrame({name: data[name].to_numpy() for name in names})
-    clocks = [name for name in names if CLOCK.fullmatch(name)][:1]
+    clocks = [name for name in names if _is_clock(frame, name)][:1]
     if not clocks:
         return frame
+    unit = _in_a_second(clocks[0])
+    if unit != 1 and getattr(frame[clocks[0]].dtype, "kind", "O") in "iuf":
+        frame[clocks[0]] = frame[clocks[0]] / unit
     return frame.set_index([name for name in ("record", *clocks) if name in names])
+
+
+def _in_a_second(name):
+    """How many of a clock's units make a second, by its name; None of what is no clock's."""
+    found = CLOCK.fullmatch(str(name))
+    return found and IN_A_SECOND.get(found["unit"] or found["tail"] or "")
+
+
+def _is_clock(frame, name):
+    """Whether a column is named as a clock, and runs as one."""
+    if _in_a_second(name) is None or frame[name].ndim > 1:
+        return False
+    starts = _starts(frame[name])
+    return starts == 1 or starts * RECORD <= len(frame)
 
 
 def _of_xarray(data, what):
     """The line that makes a frame of data of xarray, worded for messages."""
-    dims = sorted(map(str, data.dims), key=lambda dim: CLOCK.fullmatch(dim) is not None)
+    dims = sorted(map(str, data.dims), key=lambda dim: _in_a_second(dim) is not None)
     if hasattr(data, "data_vars"):
         way = f"{what}.to_dataframe(dim_order={dims})"
     elif len(dims) == 1:
@@ -79,14 +99,12 @@ def check_no_records(data, what):
 def check_no_clock(data, what):
     """Raise ValueError if a column of a frame is named as a clock, and runs as one."""
     for name in data.columns:
-        if not CLOCK.fullmatch(str(name)) or data[name].ndim > 1:
-            continue
-        starts = _starts(data[name])
-        if starts > 1 and starts * RECORD > len(data):
+        few = len(data) < RECORD and getattr(data.dtypes.get(name), "kind", "O") in "iuf"
+        if few or not _is_clock(data, name):
             continue
         raise ValueError(
-            f"column {str(name)!r} of {what} is a clock, and would count as a signal; "
-            f"{_way(data, name, what, starts)}"
+            f"column {str(name)!r} of {what} is a clock, and would count as a signal "
+            f"(rename it if it is one); {_way(data, name, what, _starts(data[name]))}"
         )
 
 
@@ -102,18 +120,19 @@ def _starts(column):
 
 def _way(data, name, what, starts):
     """How a clock becomes the index, worded for messages."""
-    index, key = data.index, repr(name)
+    index, key, unit = data.index, repr(name), _in_a_second(name)
+    seconds = key if unit == 1 else f"{what}.pop({key}) / {unit:g}"
     counts = pd.api.types.is_integer_dtype(index.get_level_values(-1).dtype)
     if index.is_unique and not counts:
         return f"the index holds times already: {what}.drop(columns={key})"
     if not index.is_unique:  # the records alone
-        way = f"{what}.set_index({key}, append=True)"
+        way = f"{what}.set_index({seconds}, append=True)"
     elif isinstance(index, pd.MultiIndex):
-        way = f"{what}.droplevel(-1).set_index({key}, append=True)"
+        way = f"{what}.droplevel(-1).set_index({seconds}, append=True)"
     elif starts > 1:
-        way = f"{what}.set_index([record, {key}]), with the name of the column of records"
+        way = f"{what}.set_index([record, {seconds}]), with the name of the column of records"
     elif getattr(data[name].dtype, "kind", "O") in "iufmM":
-        way = f"{what}.set_index({key})"
+        way = f"{what}.set_index({seconds})"
     else:
         way = f"{what}.drop(columns={key}).set_axis(pd.to_datetime({what}[{key}]))"
     beside = "" if what == "y" else f", and y = y.set_axis({what}.index)"

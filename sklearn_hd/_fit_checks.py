@@ -4,6 +4,7 @@ import numpy as np
 
 from sklearn_hd._checks import SMALLEST
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
@@ -26,7 +27,6 @@ __all__ = [
 DUST = 1e-13  # share of a signal's size that is rounding
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
-INTEGRATED = 0.1  # e-folds over a record that do not tell growth from an integrator
 DEVIATIONS = 4.0  # standard errors within which a mean is zero
 CALM = 1e6  # times growth that leaves most of them
 
@@ -167,7 +167,7 @@ def warn_of_growth(model, experiment):
 def warn_of_unstable(model, n_rows):
     """Warn if a model of plain data has a mode that grows over its longest segment."""
     folds = growth_rate(model) * model.dt
-    if folds * n_rows < INTEGRATED:
+    if folds * n_rows < GROWN:  # as it may by the error of an integrator
         return
     warn(
         f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, by which it "

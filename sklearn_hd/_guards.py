@@ -77,7 +77,8 @@ def _words_first(error):
     A search prints the tracebacks of all fits that failed, some twenty lines for each candidate
     and the words last. Of an error with a cause Python prints the cause first.
     """
-    if error.__cause__ is None and any(searches()):
+    ours = type(error).__module__.partition(".")[0] in ("builtins", "sklearn_hd")
+    if ours and error.__cause__ is None and any(searches()):
         error.__cause__ = type(error)(*error.args)
 
 

@@ -20,7 +20,7 @@ def as_container(data, what):
         raise TypeError(
             f"{what} is sparse, which is not supported: signals are dense; give {what}.toarray()"
         )
-    data = from_elsewhere(data, what)
+    given, data = data, from_elsewhere(data, what)
     if not is_pandas(data):
         if hasattr(data, "__dask_graph__"):
             raise TypeError(
@@ -33,8 +33,6 @@ def as_container(data, what):
                 f"carries no index of times; give a frame of pandas with its times as the index"
             )
         data = _as_array(data, what)
-        if what == "X":
-            _warn_of_joined_rows(data)
         if data.ndim == 1 and what == "X":
             raise ValueError(
                 "Expected 2D array, got 1D array instead. Reshape your data with "
@@ -50,11 +48,18 @@ def as_container(data, what):
         )
     if isinstance(data, pd.DataFrame):
         check_no_clock(data, what)
+    if what == "X" and not keeps_times(given, data):
+        _warn_of_joined_rows(data)
     if len(data) == 0:
         raise ValueError(f"{what} has no rows: 0 sample(s), while at least 1 is required")
     if what != "X" or not isinstance(data, pd.DataFrame):  # of outputs alone, on its index
         check_has_signals(data, what)
     return data
+
+
+def keeps_times(given, data):
+    """Whether rows taken out of what was given leave a hole, in the index that it is read with."""
+    return is_pandas(given) or (is_pandas(data) and not isinstance(data.index, pd.RangeIndex))
 
 
 def _warn_of_joined_rows(data):
@@ -71,7 +76,8 @@ def _warn_of_joined_rows(data):
                     f"the training rows of a fold are joined at {seams} place(s) where others "
                     f"were left out, for an array carries no times: that is a jump, or no record "
                     f"at all; split with sklearn_hd.model_selection.BlockSplit, or give "
-                    f"pd.DataFrame(X)",
+                    f"pd.DataFrame(X), whose index steps before this one must keep "
+                    f"(set_output(transform='pandas'))",
                     TimeBaseWarning,
                 )
 

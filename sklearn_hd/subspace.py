@@ -46,10 +46,10 @@ class MOESPRegressor(ModelStep):
         Number of states. ``"auto"`` takes a gap of decades between singular values, as exact
         data leave it. Where plain data in memory have none, models of rising order are
         simulated over the record, and the Bayesian information criterion of what they leave
-        decides (``order_search_``); an unstable one must leave less than half of what the best
-        stable one leaves. Else (frames of an analyzer, chunks, dask, outputs alone) the widest
-        gap that reaches down to the noise floor; 0, a static gain, on plain data too short for
-        any dynamics.
+        decides (``order_search_``); one that grows e-fold over the longest segment must halve
+        the outputs' variance that the best other one leaves, beyond what its order does. Else
+        (frames of an analyzer, chunks, dask, outputs alone) the widest gap that reaches down to
+        the noise floor; 0, a static gain, on plain data too short for any dynamics.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows
         in the analysis window, plus two; 15 on plain data (fewer where the
@@ -112,9 +112,9 @@ class MOESPRegressor(ModelStep):
     feedthrough_reason_ : str
         Why, with the figures that decided.
     order_search_ : dict of ndarray, shape (n_simulated,)
-        Of each model simulated: ``order``, ``feedthrough``, ``stable``, ``share`` of the
-        outputs that is left (root mean square), ``variance`` left, ``bic``. Empty where
-        singular values told the order, or it was given together with the feedthrough.
+        Of each model simulated: ``order``, ``feedthrough``, ``stable`` (no mode grows e-fold),
+        ``share`` of the outputs that is left (root mean square), ``variance`` left (geometric
+        mean over outputs), ``bic``. Empty where none was simulated.
     kalman_gain_ : ndarray, shape (order, n_outputs)
         Where identified.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)

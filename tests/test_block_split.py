@@ -261,3 +261,15 @@ def test_a_search_finds_the_order_of_random_systems(seed, as_given):
         refit=smallest_within_one_standard_error,
     ).fit(as_given(u), as_given(y))
     assert search.best_params_ == {"order": order}
+
+
+def test_a_table_without_times_is_cut_as_an_array_is():
+    """Polars keeps no index: rows from both sides of a block would close up."""
+    polars = pytest.importorskip("polars")
+    u, y = ringing(300)
+    X, Y = polars.DataFrame(u, schema=["u"]), polars.DataFrame(y, schema=["y"])
+    folds = zip(BlockSplit(3).split(X), BlockSplit(3).split(u), strict=True)
+    for (train, _), (as_array, _) in folds:
+        np.testing.assert_array_equal(train, as_array)
+    with pytest.warns(TimeBaseWarning, match=r"joined at 1 place\(s\)"):
+        cross_val_score(TWO_STATES, X, Y, cv=KFold(3))

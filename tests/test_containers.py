@@ -146,14 +146,16 @@ def test_a_forgotten_clock_is_recognised(step, name):
     """The index counts rows, and the times stand among the signals."""
     u, y = U.rename_axis(name), Y.rename_axis(name)
     X, target = u.reset_index(), y.reset_index(drop=True)
+    unit = 1000.0 if "ms" in name else 1.0
+    u, y = u.set_axis(u.index / unit), y.set_axis(y.index / unit)
     with pytest.raises(ValueError, match=r"of X is a clock, .*: X = X.set_index") as e:
         step.fit(X, target)
     done = run(e, X=X, y=target)
     pd.testing.assert_frame_equal(done["X"], u)
     step.fit(done["X"], done["y"])
     with pytest.raises(ValueError, match=r"of y is a clock, .*: y = y.set_index") as e:
-        step.fit(u, y.reset_index())
-    pd.testing.assert_frame_equal(run(e, y=y.reset_index())["y"], y)
+        step.fit(u, Y.rename_axis(name).reset_index())
+    pd.testing.assert_frame_equal(run(e, y=Y.rename_axis(name).reset_index())["y"], y)
 
 
 def test_clocks_of_records_dates_and_beside_an_index():
@@ -187,6 +189,23 @@ def test_clocks_of_records_dates_and_beside_an_index():
 def test_a_ramp_of_another_name_is_an_input(name):
     frame = HarmonicAnalyzer(OMEGA).fit_transform(pd.DataFrame({name: TIME**1.1}, index=TIME))
     assert frame.columns[0] == name
+
+
+def test_milliseconds_of_polars_are_seconds():
+    polars = pytest.importorskip("polars")
+    X, y = (
+        polars.DataFrame({"time_ms": 1000.0 * TIME.to_numpy(), name: frame[name].to_numpy()})
+        for name, frame in (("u", U), ("w", Y))
+    )
+    assert MOESPRegressor(order=1).fit(X, y).model_.dt == pytest.approx(TIME[1] - TIME[0])
+
+
+def test_a_few_rows_of_a_signal_named_t_are_no_clock():
+    """They grow now and then, as those of any signal."""
+    X, y = U.rename(columns={"u": "t"}), Y
+    model = MOESPRegressor(order=1).fit(X, y)
+    for k in range(100):
+        assert len(model.predict(X.iloc[k : k + 3])) == 3
 
 
 def test_a_signal_named_t_that_is_no_clock_is_one():

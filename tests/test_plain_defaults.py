@@ -1,6 +1,7 @@
 """What MOESPRegressor chooses on plain data: order, feedthrough, stability."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import random_stable
 from scipy.signal import lfilter
@@ -33,7 +34,7 @@ def validated(model, u, y):
 # ---- measured records ------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore:inputs explain")
+@pytest.mark.filterwarnings("ignore:inputs explain outputs of their own row")
 @pytest.mark.parametrize("load", RECORDS)
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 def test_a_measured_record_has_a_stable_model(load, weighting):
@@ -47,7 +48,7 @@ def test_a_measured_record_has_a_stable_model(load, weighting):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:inputs explain")
+@pytest.mark.filterwarnings("ignore:inputs explain outputs of their own row")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
 @pytest.mark.parametrize("load", RECORDS)
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
@@ -83,7 +84,8 @@ def test_d_in_chunks_is_decided_without_simulations(direct):
     for rows in np.split(np.arange(1500), 3):
         model.partial_fit(u[rows], y[rows])
     assert model.feedthrough_ == direct
-    assert model.feedthrough_reason_.startswith("inputs explain")
+    words = "inputs explain outputs of their own row: " if direct else "no input acts at once: "
+    assert model.feedthrough_reason_.startswith(words)
 
 
 def test_a_feedthrough_that_a_predictor_leaves_out_is_warned_of():
@@ -108,7 +110,7 @@ def test_feedback_within_the_row_is_no_feedthrough():
         y[k] = x + 0.5 * rng.standard_normal()
         u[k] = -0.4 * y[k] + rng.standard_normal()
         x = 0.9 * x + u[k]
-    with pytest.warns(IdentifiabilityWarning, match=r"explain [3-8].*% .* feedback within"):
+    with pytest.warns(IdentifiabilityWarning, match=r"own row: [3-8].*% .* feedback within"):
         model = MOESPRegressor(1, weighting="pbsid").fit(u, y)
     assert not model.feedthrough_
     assert model.eigenvalues_[0].real == pytest.approx(0.9, abs=0.02)
@@ -141,7 +143,8 @@ def test_what_the_search_says_is_left_is_left(weighting):
     share = np.sqrt(np.mean(np.sum(left**2, axis=0) / np.sum(y**2, axis=0)))
     assert found["share"][at] == pytest.approx(share, rel=0.01)
     assert found["stable"][at]
-    assert found["bic"][at] == np.min(found["bic"][found["stable"]])
+    compared = found["feedthrough"] == found["feedthrough"][0]
+    assert found["bic"][at] == np.min(found["bic"][compared & found["stable"]])
 
 
 def test_units_change_no_choice():
@@ -193,3 +196,24 @@ def test_in_chunks_all_weightings_have_the_order_of_the_plain_projection(weighti
             model.partial_fit(u[rows], y[rows])
         orders.append(model.order_)
     assert orders[0] == orders[1] > 1
+
+
+def test_outputs_ahead_of_their_inputs_are_told():
+    """No simulation explains them: neither order nor D is decided by what is not a number."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(60), 20)[:, None]
+    y = np.append(np.diff(u[:, 0]), 0.0) + 0.01 * rng.standard_normal(1200)
+    with (
+        pytest.warns(IdentifiabilityWarning, match="no model explains the outputs"),
+        pytest.warns(InstabilityWarning),
+    ):
+        model = MOESPRegressor(weighting="n4sid").fit(u, y)
+    assert "nan" not in model.feedthrough_reason_
+
+
+def test_records_with_many_gaps_keep_their_order():
+    u, y = noisy(4, False, 6000, 0.1)
+    rows = np.sort(np.random.default_rng(0).choice(6000, 5600, replace=False))
+    X, Y = (pd.DataFrame(z, index=0.01 * np.arange(6000)).iloc[rows] for z in (u, y))
+    with_gaps = MOESPRegressor(block_rows=6).fit(X.add_prefix("u"), Y.add_prefix("y"))
+    assert with_gaps.order_ == MOESPRegressor(block_rows=6).fit(u, y).order_ == 3

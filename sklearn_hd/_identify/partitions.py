@@ -33,7 +33,7 @@ FAN_IN = 8  # neighbours merged at a time
 
 def is_partitioned(data):
     """Whether it is a collection of dask's, told without importing dask."""
-    return hasattr(data, "__dask_graph__")
+    return hasattr(data, "__dask_graph__") and not hasattr(data, "dims")  # xarray's has both
 
 
 class Partitions:

@@ -61,7 +61,7 @@ def identify(data, settings, experiment=None):
     choice = Choice(data, settings, scales, experiment is not None)
     settings = choice.before(i, size)
     decomposition = decompose(data, i, size, settings, choice.order)
-    free = choice.feedthrough(decomposition)
+    free = choice.feedthrough(decomposition, size)
     fitted = fit_matrices(data, decomposition, size, scales, settings, free)
     fit = subspace_fit(
         decomposition,
@@ -93,29 +93,41 @@ class Choice:
     def __init__(self, data, settings, scales, in_memory):
         self.data, self.settings, self.scales = data, settings, scales
         self.simulates = in_memory and data.n_inputs > 0
-        self.reason, self.tried, self._comparison = "", (), None
+        self.reason, self._comparison = "", None
+
+    @property
+    def tried(self):
+        """All models simulated."""
+        return () if self._comparison is None else self._comparison.tried
 
     def before(self, block_rows, size):
         """The settings, with the feedthrough where simulations will not tell: from what rows
         before leave of the outputs.
         """
-        asked, i, m = self.settings.feedthrough, block_rows, self.data.n_inputs
+        asked, i = self.settings.feedthrough, block_rows
         if asked != "auto":
             self.reason = f"feedthrough={asked} was asked for"
-        elif m == 0:
+        elif self.data.n_inputs == 0:
             self._settle(False, "there are no inputs")
         elif self.settings.predictor or not self.simulates:
-            R, columns = self.data.factor(i, size), n_hankel_columns(self.data.lengths, i)
-            share, free = share_at_once(R, i, m, columns), not self.settings.predictor
-            words = f"inputs explain {share:.2%} of what the rows before leave of the outputs"
-            self._settle(free and share > 0.0, words)
-            if share > NOTABLE and not free:
+            share, words = self._at_once(i, size)
+            self._settle(share > 0.0 and not self.settings.predictor, words)
+            if share > NOTABLE and self.settings.predictor:
                 warn(
-                    f"{words}: a feedthrough, or a feedback within the row, which look alike, and "
+                    f"{words}; a feedthrough, or a feedback within the row, which look alike, and "
                     f"D is zero; if no feedback acts within a row, use feedthrough=True",
                     IdentifiabilityWarning,
                 )
         return self.settings
+
+    def _at_once(self, i, size):
+        """Share of the innovations that inputs of their row explain, and the same in words."""
+        R, columns = self.data.factor(i, size), n_hankel_columns(self.data.lengths, i)
+        share = share_at_once(R, i, self.data.n_inputs, columns)
+        words = (
+            "inputs explain outputs of their own row" if share > 0.0 else "no input acts at once"
+        )
+        return share, f"{words}: {share:.2%} of what the rows before leave of the outputs"
 
     def _settle(self, free, reason):
         self.settings, self.reason = replace(self.settings, feedthrough=free), reason
@@ -131,15 +143,26 @@ class Choice:
         most = (sum(self.data.lengths) // 2 - m) * n_outputs // (m + n_outputs + 1)
         comparison = self._compared(found)
         order = comparison.order(max(1, min(bound, most)), bool(self.settings.feedthrough))
-        self.tried = comparison.tried
-        return by_gap(found, bound) if order is None else order
+        if order is not None:
+            return order
+        warn(
+            f"no model explains the outputs: simulations of all orders up to "
+            f"{len(comparison.tried)} leave more than there is; the order is that of the singular "
+            f"values; do outputs follow inputs, with positive delays, and inputs hold still "
+            f"between rows?",
+            IdentifiabilityWarning,
+        )
+        return by_gap(found, bound)
 
-    def feedthrough(self, decomposition):
+    def feedthrough(self, decomposition, size):
         """Whether D is free."""
         if self.settings.feedthrough != "auto":
             return self.settings.feedthrough
         comparison, order = self._compared(decomposition.found), decomposition.order
         free, zero = (comparison.simulated(order, D) for D in (True, False))
+        if min(free.variance, zero.variance) >= 1.0:
+            share, self.reason = self._at_once(decomposition.block_rows, size)
+            return share > 0.0
         gain = zero.bic - free.bic
         self.reason = (
             f"simulations leave {free.share:.4g} of the outputs with D free, {zero.share:.4g} "
@@ -157,12 +180,12 @@ class Choice:
 
             def model(order, feedthrough):
                 if self.settings.predictor:
-                    return found.model(order, stable)[:4]
+                    return *found.model(order, stable)[:4], None
                 A, C = found.state_matrices(order, stable)
                 if runs_away(A, max(data.lengths)):
                     return None
-                B, D, _ = input_matrices(A, C, inputs, outputs, feedthrough)
-                return A, B, C, D
+                B, D, x0 = input_matrices(A, C, inputs, outputs, feedthrough)
+                return A, B, C, D, x0
 
             self._comparison = Comparison(model, inputs, outputs, self.settings.predictor)
         return self._comparison

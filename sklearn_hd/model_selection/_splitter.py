@@ -6,7 +6,7 @@ from sklearn.model_selection import BaseCrossValidator
 
 from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE, check_count, check_phase, check_span
 from sklearn_hd._records.data import read_azimuth
-from sklearn_hd._tables import as_container, read_time
+from sklearn_hd._tables import as_container, keeps_times, read_time
 from sklearn_hd.algorithms.signals.resampling import unwrap
 
 SAME_TURN = 1e-6  # of a period
@@ -116,7 +116,9 @@ class BlockSplit(BaseCrossValidator):
             raise ValueError(
                 f"X is None; {type(self).__name__} reads the times of its rows: give X"
             )
-        X = as_container(X, "X")
+        given, X = X, as_container(X, "X")
+        if not keeps_times(given, X):
+            X = np.asarray(X)  # of a table without times, too
         base, units, share, always = self._rows_in_units(X)
         block = np.empty(len(units), dtype=int)
         for rows, label in base.rows_of_records():

@@ -43,7 +43,7 @@ class SingularValueDisplay(Display):
     noise_floor : float, optional
         Largest value that rounding or white noise would give.
     search : dict of ndarray, shape (n_simulated,), optional
-        ``order_search_`` of a MOESPRegressor: ``order``, ``share``, ``stable``.
+        ``order_search_`` of a MOESPRegressor.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class SingularValueDisplay(Display):
             If the record was too short for singular values (a static gain).
         """
         step = fitted_step(estimator, MOESPRegressor, cls.__name__)
-        search = step.order_search_ if len(step.order_search_["order"]) else None
+        search = step.order_search_ if len(set(step.order_search_["order"])) > 1 else None
         display = cls(step.singular_values_, step.order_, step.noise_floor_, search)
         return display.plot(count=count, marks=marks, ax=ax)
 
@@ -152,8 +152,9 @@ class SingularValueDisplay(Display):
         return self
 
     def _draw_left(self, ax):
-        stable = np.asarray(self.search["stable"])
-        order, share = (np.asarray(self.search[name])[stable] for name in ("order", "share"))
+        search = {name: np.asarray(values) for name, values in self.search.items()}
+        drawn = search["stable"] & (search["feedthrough"] == search["feedthrough"][0])
+        order, share = search["order"][drawn], search["share"][drawn]
         style = {"color": ORANGE, "lw": 1.3, "ms": 5, "label": "left by simulations"}
         (self.left_,) = ax.semilogy(order, share, "s-", **style)
         for format_of in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):

@@ -14,16 +14,22 @@ needs it.
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, TINY
 
-__all__ = ["is_stable", "nearest_stable"]
+__all__ = ["GROWN", "growth", "is_stable", "nearest_stable"]
 
+GROWN = 1.0  # e-folds over a segment; fewer may be the error of an integrator's pole
 ON_THE_CIRCLE = 1.0 + DEPENDENT  # of an integrator, to within rounding
+
+
+def growth(A):
+    """E-folds a row by which the fastest mode of x[k+1] = A x[k] grows; negative if none does."""
+    return float(np.log(max(np.max(np.abs(linalg.eigvals(A)), initial=0.0), TINY)))
 
 
 def is_stable(A):
     """Whether no mode of x[k+1] = A x[k] grows, beyond rounding."""
-    return bool(np.max(np.abs(linalg.eigvals(A)), initial=0.0) <= ON_THE_CIRCLE)
+    return growth(A) <= np.log(ON_THE_CIRCLE)
 
 
 def nearest_stable(A, weights):
@@ -52,8 +58,10 @@ def nearest_stable(A, weights):
     if is_stable(A):
         return A
     T, Q, n_unstable = linalg.schur(A.T, sort=lambda re, im: np.hypot(re, im) > ON_THE_CIRCLE)
-    V, inverse = Q[:, :n_unstable].T, linalg.inv(T[:n_unstable, :n_unstable].T)
+    V, own = Q[:, :n_unstable].T, T[:n_unstable, :n_unstable].T
     push = V.T / np.maximum(weights, EPS * np.max(weights))[:, None]
-    reach = V @ push
-    X = linalg.solve_discrete_lyapunov(inverse, inverse @ reach @ inverse.T)
-    return A - push @ linalg.solve(X + reach, V @ A, assume_a="pos")
+    # Z = X + V W⁻¹ Vᵀ in A_u Z − Z A_u⁻ᵀ = A_u V W⁻¹ Vᵀ; near-integrators make it badly scaled
+    Z = linalg.solve_sylvester(own, -linalg.inv(own).T, own @ V @ push)
+    size = np.sqrt(np.diagonal(Z))
+    pull = linalg.solve(Z / np.outer(size, size), (V @ A) / size[:, None], assume_a="pos")
+    return A - (push / size) @ pull

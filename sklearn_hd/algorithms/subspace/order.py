@@ -6,7 +6,8 @@ the record, and compared by the Bayesian information criterion of what they leav
 
     BIC(n) = N Σ_j log(Σ_k e_j[k]² / N) + p log N,   e = y − ŷ
 
-with p = n (m + l) + l m free entries, and n more for each initial state. Each output counts by
+with p = n (m + l) + l m free entries; each initial state costs n times the logarithm of its own
+segment's rows. Each output counts by
 what is left of it, whatever its unit, also where outputs are sums of others. The criterion asks
 nothing of how states were found, so that one rule serves all weightings. Plain data need it
 (:mod:`sklearn_hd._identify.plain`); :mod:`~sklearn_hd.algorithms.periodic.multipliers` has the
@@ -17,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, TINY
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.lti.simulation import simulate
-from sklearn_hd.algorithms.lti.stability import is_stable
+from sklearn_hd.algorithms.lti.stability import GROWN, growth
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
 
 __all__ = ["Comparison", "Simulated", "order_by_gap", "order_by_wide_gap", "runs_away"]
@@ -87,6 +88,7 @@ class Simulated:
     feedthrough : bool
         Whether D is free.
     stable : bool
+        Whether no mode grows e-fold over the longest segment.
     share : float
         Of the outputs, root mean square, that is left.
     variance : float
@@ -108,8 +110,8 @@ class Comparison:
     Parameters
     ----------
     model : callable
-        ``model(order, feedthrough)`` gives A, B, C, D; None where it runs away
-        (:func:`runs_away`).
+        ``model(order, feedthrough)`` gives A, B, C, D and the initial state of each segment, or
+        None for these; None where it runs away (:func:`runs_away`).
     inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
         Of each segment.
     fed_back : bool, default=False
@@ -125,7 +127,7 @@ class Comparison:
         self._simulated = {}
 
     def order(self, most, feedthrough):
-        """The order that leaves least, up to some; None if no simulation stays finite.
+        """The order that leaves least, up to some; None if all leave more than there is.
 
         Parameters
         ----------
@@ -143,7 +145,7 @@ class Comparison:
             best = self._best(tried)
             if best.order <= n - PATIENCE:
                 break
-        return best.order if np.isfinite(best.bic) else None
+        return best.order if best.variance < 1.0 else None
 
     def _best(self, tried):
         """The one of the least criterion; an unstable one only where it leaves far less."""
@@ -170,43 +172,48 @@ class Comparison:
         model = self.model(order, feedthrough)
         if model is None:
             return Simulated(order, feedthrough, False, np.inf, np.inf, np.inf)
-        A, B, C, D = model
+        A, B, C, D, starts = model
         (n, m), n_outputs = B.shape, len(C)
         lengths = [len(y) for y in self.outputs]
-        pieces = [(s, slice(None)) for s in range(len(lengths))]
+        pieces = [(s, slice(0, length)) for s, length in enumerate(lengths)]
         if self.fed_back:
             pieces = pieces_of(A, lengths)[0]
+        if starts is None or growth(A) > 0.0:
+            starts = [None] * len(pieces)
         C, D = C / self.size[:, None], D / self.size[:, None]
-        records = ((self.inputs[s][k], self.outputs[s][k] / self.size) for s, k in pieces)
+        records = [
+            (self.inputs[s][rows], self.outputs[s][rows] / self.size, x0)
+            for (s, rows), x0 in zip(pieces, starts, strict=True)
+        ]
         with np.errstate(over="ignore", invalid="ignore"):
             shares = sum(np.sum(_left(A, B, C, D, *record) ** 2, axis=0) for record in records)
         if not np.all(np.isfinite(shares)):
             return Simulated(order, feedthrough, False, np.inf, np.inf, np.inf)
         logs = np.log(shares + EPS)  # of exact data rounding is left, which tells nothing
         n_rows = sum(lengths)
-        n_free = n * (m + n_outputs) + feedthrough * m * n_outputs + n * len(pieces)
+        n_free = n * (m + n_outputs) + feedthrough * m * n_outputs
         bic = n_rows * np.sum(logs) + n_free * np.log(n_rows)
+        bic += n * sum(np.log(len(y)) for _, y, _ in records)
         share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
-        return Simulated(order, feedthrough, is_stable(A), *map(float, (share, variance, bic)))
+        stable = max(lengths) * growth(A) < GROWN
+        return Simulated(order, feedthrough, stable, *map(float, (share, variance, bic)))
 
 
 def runs_away(A, n_rows):
     """Whether a mode of A grows over some rows beyond what outputs in open loop could do."""
-    return n_rows * np.log(_radius(A)) > FARTHEST
+    return n_rows * growth(A) > FARTHEST
 
 
-def _radius(A):
-    return max(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0), TINY)
-
-
-def _left(A, B, C, D, u, y):
-    """What a simulation from the initial state that fits best leaves of a piece."""
+def _left(A, B, C, D, u, y, x0):
+    """What a simulation leaves of a piece, from the initial state that fits best or is given."""
+    if x0 is not None:
+        return y - simulate(A, B, C, D, u, x0)
     rest = y - simulate(A, B, C, D, u, np.zeros(len(A)))
     if not np.all(np.isfinite(rest)):
         return np.full_like(rest, np.inf)
-    rows, radius = len(y), _radius(A)
-    if radius < 1.0:  # after which the initial state is forgotten
-        rows = min(rows, int(len(A) + np.log(DEPENDENT) / np.log(radius)) + 1)
+    rows, rate = len(y), growth(A)
+    if rate < 0.0:  # after some rows the initial state is forgotten
+        rows = min(rows, int(len(A) + np.log(DEPENDENT) / rate) + 1)
     none = u[:rows, :0]
     x0 = input_matrices(A, C, [none], [rest[:rows]], False)[2][0]
     rest[:rows] -= simulate(A, B[:, :0], C, D[:, :0], none, x0)

@@ -5,7 +5,7 @@ import pytest
 from conftest import random_stable, same_poles
 from scipy.linalg import solve_discrete_lyapunov
 
-from sklearn_hd.algorithms.lti.stability import is_stable, nearest_stable
+from sklearn_hd.algorithms.lti.stability import growth, is_stable, nearest_stable
 
 
 def unstable(rng, n, radius=1.3):
@@ -58,6 +58,13 @@ def test_of_all_stable_matrices_it_changes_states_least(rng):
         other = best + 1e-3 * rng.standard_normal((3, 3))
         if is_stable(other):
             assert change(other) >= least * (1.0 - 1e-9)
+
+
+def test_double_integrators_that_grow_are_mirrored_without_a_warning():
+    """The suite makes SciPy's, of ill-conditioned equations, errors."""
+    for rate in (1e-3, 1e-6, 1e-9):
+        A = np.array([[1.0 + rate, 1.0], [0.0, 1.0 + rate]])
+        assert growth(nearest_stable(A, np.ones(2))) <= 1e-7
 
 
 def test_an_integrator_is_stable():

@@ -9,7 +9,7 @@ from sklearn_hd.algorithms.subspace.order import PATIENCE, Comparison
 
 def comparison(models, u, y, **fed_back):
     """Of given models, A, B, C, D by order."""
-    return Comparison(lambda order, feedthrough: models[order], [u], [y], **fed_back)
+    return Comparison(lambda order, feedthrough: (*models[order], None), [u], [y], **fed_back)
 
 
 def nested(rng, n_orders, true_order, noise):
@@ -99,3 +99,29 @@ def test_nothing_finite_is_no_order(rng):
     u, one = rng.standard_normal((4000, 1)), np.ones((1, 1))
     wild = {1: (2.0 * one, one, one, 0.0 * one)}
     assert comparison(wild, u, u).order(1, False) is None
+
+
+def test_many_initial_states_do_not_outweigh_an_order(rng):
+    """Each costs what its own segment's rows can tell: 60 of these have two states or four."""
+    models, u, y = nested(rng, 6, 4, 0.1)
+    parts = [slice(k, k + 13) for k in range(0, 780, 13)]
+    found = Comparison(
+        lambda order, feedthrough: (*models[order], None),
+        [u[rows] for rows in parts],
+        [y[rows] for rows in parts],
+    )
+    assert found.order(6, False) == 4
+
+
+def test_an_integrator_is_taken_for_stable_whatever_side_its_pole_is_on(rng):
+    """Its growth over the record is below e-fold; order 1 leaves but little more."""
+    models, u, y = nested(rng, 2, 2, 0.1)
+    A, B, C, D = models[2]
+    integrator = np.array([[1.0004]]), np.ones((1, 2)), 0.1 * np.ones((2, 1))
+    with_it = (np.diag([*np.diagonal(A), 1.0004]), np.vstack([B, integrator[1]]), None, D)
+    C = np.hstack([C, integrator[2]])
+    models = {1: models[1], 2: models[2], 3: (*with_it[:2], C, D)}
+    y = simulate(*models[3], u, np.zeros(3)) + 0.1 * rng.standard_normal(y.shape)
+    found = comparison(models, u, y)
+    assert found.order(3, False) == 3
+    assert found.simulated(3, False).stable
