@@ -47,7 +47,8 @@ class MOESPRegressor(ModelStep):
         data leave it. Where plain data in memory have none, models of rising order are
         simulated over the record, and the Bayesian information criterion of what they leave
         decides (``order_search_``); one that grows e-fold over the longest segment must halve
-        the outputs' variance that the best other one leaves, beyond what its order does. Else
+        the outputs' variance that the best other one leaves, beyond what its order does. Of those
+        that leave alike, to a hundredth of that variance, the smallest is taken. Else
         (frames of an analyzer, chunks, dask, outputs alone) the widest gap that reaches down to
         the noise floor; 0, a static gain, on plain data too short for any dynamics.
     block_rows : int or None, default=None
@@ -63,12 +64,13 @@ class MOESPRegressor(ModelStep):
         (predictor-based; on plain data, or ``reading="period"`` where the feedback is of earlier
         periods; with ``feedthrough=True``, of earlier rows).
     feedthrough : bool or "auto", default="auto"
-        Whether D is free, else zero. ``"auto"`` simulates both on plain data in memory and
-        takes the one of the lower Bayesian information criterion; in chunks and with dask, D is
-        free if the inputs explain what the rows before leave of the outputs of their own row.
-        ``feedthrough_reason_`` has the figures. With ``weighting="pbsid"``, ``"auto"`` is zero,
-        for a feedback within the row looks the same; a warning says so. Through a sliding window
-        it is zero; period by period D always is free, for inputs act within their period.
+        Whether D is free, else zero. ``"auto"`` simulates both on plain data in memory and takes
+        D free where that lowers the criterion, and what is left by a hundredth; in chunks and
+        with dask, D is free if the inputs explain what the rows before leave of the outputs of
+        their own row. ``feedthrough_reason_`` has the figures. With ``weighting="pbsid"``,
+        ``"auto"`` is zero, for a feedback within the row looks the same; a warning says so.
+        Through a sliding window it is zero; period by period D always is free, for inputs act
+        within their period.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
         (on plain data or ``reading="period"``); with ``weighting="pbsid"`` it always is.

@@ -17,7 +17,12 @@ from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
-from sklearn_hd.algorithms.subspace.order import Comparison, order_by_wide_gap, runs_away
+from sklearn_hd.algorithms.subspace.order import (
+    Comparison,
+    differ,
+    order_by_wide_gap,
+    runs_away,
+)
 from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
@@ -163,13 +168,15 @@ class Choice:
         if min(free.variance, zero.variance) >= 1.0:
             share, self.reason = self._at_once(decomposition.block_rows, size)
             return share > 0.0
-        gain = zero.bic - free.bic
+        gain, alike = zero.bic - free.bic, not differ(zero, free)
         self.reason = (
             f"simulations leave {free.share:.4g} of the outputs with D free, {zero.share:.4g} "
             f"with D = 0: the Bayesian information criterion is {abs(gain):.3g} lower with "
             f"{'D free' if gain > 0.0 else 'D = 0'}"
         )
-        return bool(gain > 0.0)
+        if gain > 0.0 and alike:
+            self.reason += ", but what is left is alike to a hundredth: D is zero"
+        return bool(gain > 0.0 and not alike)
 
     def _compared(self, found):
         """Simulations of models of one decomposition, in the units that it was made in."""

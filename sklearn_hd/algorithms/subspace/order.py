@@ -7,9 +7,9 @@ the record, and compared by the Bayesian information criterion of what they leav
     BIC(n) = N Σ_j log(Σ_k e_j[k]² / N) + p log N,   e = y − ŷ
 
 with p = n (m + l) + l m free entries; each initial state costs n times the logarithm of its own
-segment's rows. Each output counts by
-what is left of it, whatever its unit, also where outputs are sums of others. The criterion asks
-nothing of how states were found, so that one rule serves all weightings. Plain data need it
+segment's rows. Of models that leave alike, to a hundredth, the smallest is taken. Each output
+counts by what is left of it, whatever its unit, also where outputs are sums of others. The
+criterion asks nothing of how states were found: one rule serves all weightings. Plain data need it
 (:mod:`sklearn_hd._identify.plain`); :mod:`~sklearn_hd.algorithms.periodic.multipliers` has the
 like for Poincaré maps.
 """
@@ -23,11 +23,12 @@ from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.algorithms.lti.stability import GROWN, growth
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
 
-__all__ = ["Comparison", "Simulated", "order_by_gap", "order_by_wide_gap", "runs_away"]
+__all__ = ["Comparison", "Simulated", "differ", "order_by_gap", "order_by_wide_gap", "runs_away"]
 
 GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie
 CLEAR_GAP = 2.0  # below which ratios scatter by noise
 WIDE_GAP = 1e3  # that decides by itself
+MATERIAL = 1.01  # ratio of variances left, from which on a smaller model is worse
 PATIENCE = 8  # orders that may pass without a better one: four pairs of modes
 FARTHEST = 300.0  # e-folds, beyond which squares of outputs overflow
 UNSTABLE_GAIN = 2.0  # by which an unstable model must lower variances, beyond what its order does
@@ -145,7 +146,10 @@ class Comparison:
             best = self._best(tried)
             if best.order <= n - PATIENCE:
                 break
-        return best.order if best.variance < 1.0 else None
+        if best.variance >= 1.0:
+            return None
+        alike = (m.order for m in tried if m.stable >= best.stable and not differ(m, best))
+        return min(alike)
 
     def _best(self, tried):
         """The one of the least criterion; an unstable one only where it leaves far less."""
@@ -197,6 +201,15 @@ class Comparison:
         share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
         stable = max(lengths) * growth(A) < GROWN
         return Simulated(order, feedthrough, stable, *map(float, (share, variance, bic)))
+
+
+def differ(simpler, other):
+    """Whether a simpler model leaves materially more than another.
+
+    A and C are not those of least squares. Long records let a criterion see what further states,
+    or D, mend of their error: parts in a thousand of what noise leaves.
+    """
+    return simpler.variance > MATERIAL * other.variance
 
 
 def runs_away(A, n_rows):

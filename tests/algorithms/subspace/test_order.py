@@ -125,3 +125,16 @@ def test_an_integrator_is_taken_for_stable_whatever_side_its_pole_is_on(rng):
     found = comparison(models, u, y)
     assert found.order(3, False) == 3
     assert found.simulated(3, False).stable
+
+
+def test_what_makes_no_material_difference_is_left_out(rng):
+    """A state that outputs see by a thousandth of the noise, over rows enough to tell it."""
+    models, u, _ = nested(rng, 3, 2, 0.1)
+    u = rng.standard_normal((200_000, 2))
+    A, B, C, D = models[3]
+    C = C * np.array([1.0, 1.0, 90.0])  # 0.9 % of what the others are
+    models[3] = A, B, C, D
+    y = simulate(A, B, C, D, u, np.zeros(3)) + 0.5 * rng.standard_normal((200_000, 2))
+    found = comparison(models, u, y)
+    assert found.order(3, False) == 2
+    assert found.simulated(3, False).bic < found.simulated(2, False).bic
