@@ -26,7 +26,9 @@ def lag_record(seed, noise=0.1, n_samples=400):
 
 def matched_lag(u, y, **options):
     options = {"structure": LAG, "criterion": "output_error"} | options
-    return StructuredMatcher(MOESPRegressor(order=1, feedthrough=False, block_rows=5), **options).fit(u, y)
+    return StructuredMatcher(
+        MOESPRegressor(order=1, feedthrough=False, block_rows=5), **options
+    ).fit(u, y)
 
 
 @pytest.mark.parametrize("seed", range(3))
