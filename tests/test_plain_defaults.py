@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from sklearn_hd import MOESPRegressor
 from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.datasets import load_cd_player_arm, load_robot_arm, load_slicot_example
-from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
 
 WEIGHTINGS = ("moesp", "n4sid", "cva", "pbsid")
 RECORDS = (load_robot_arm, load_cd_player_arm, load_slicot_example)
@@ -126,6 +126,8 @@ def test_reasons_are_given(rng):
         "there are no inputs": MOESPRegressor(1).fit(None, np.cos(np.arange(80.0))[:, None]),
         "lower with D free": MOESPRegressor(3).fit(u, y),
     }
+    with pytest.warns(ExcitationWarning, match="a static gain is fitted"):
+        reasons["D is all there is"] = MOESPRegressor().fit(u[:3], y[:3])
     for reason, model in reasons.items():
         assert model.feedthrough_reason_.endswith(reason)
 

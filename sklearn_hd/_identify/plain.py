@@ -238,4 +238,5 @@ def static_gain(facts, experiment, settings, block_rows):
         feedthrough=True,
         **noise,
     )
-    return SubspaceFit(model, x0, block_rows, 0)
+    reason = "the record is too short for dynamics: D is all there is"
+    return SubspaceFit(model, x0, block_rows, 0, feedthrough_reason=reason)
