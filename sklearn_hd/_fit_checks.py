@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_hd._checks import SMALLEST
+from sklearn_hd._guards import searches
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
@@ -165,9 +166,15 @@ def warn_of_growth(model, experiment):
 
 
 def warn_of_unstable(model, n_rows):
-    """Warn if a model of plain data has a mode that grows over its longest segment."""
+    """Warn if a model of plain data has a mode that grows over its longest segment.
+
+    Not of the candidates of a search: their scores tell, and the model that it ends with is fitted
+    outside.
+    """
     folds = growth_rate(model) * model.dt
     if folds * n_rows < GROWN:  # as it may by the error of an integrator
+        return
+    if any(frame.f_code.co_name == "_fit_and_score" for frame in searches()):
         return
     warn(
         f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, by which it "

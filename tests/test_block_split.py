@@ -33,8 +33,6 @@ from sklearn_hd.model_selection import (
 SLOW = 0.998 * np.array([[np.cos(0.05), -np.sin(0.05)], [np.sin(0.05), np.cos(0.05)]])
 TWO_STATES = MOESPRegressor(order=2, block_rows=6)
 
-pytestmark = pytest.mark.filterwarnings("ignore:the model is unstable")  # of candidates
-
 
 def ringing(n_rows, noise=0.0, seed=0):
     """Inputs and outputs of an oscillation that outlasts a fold: a joined record jumps."""

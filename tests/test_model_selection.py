@@ -336,7 +336,6 @@ def test_raw_measurements_keep_their_trim_in_every_fold():
 
 
 @pytest.mark.filterwarnings("ignore:One or more of the test scores are non-finite")
-@pytest.mark.filterwarnings("ignore:the model is unstable")
 def test_one_failing_corner_of_a_grid_does_not_end_a_search(lti):
     search = GridSearchCV(
         MOESPRegressor(),

@@ -5,11 +5,13 @@ import pandas as pd
 import pytest
 from conftest import random_stable
 from scipy.signal import lfilter
+from sklearn.model_selection import GridSearchCV
 
 from sklearn_hd import MOESPRegressor
 from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.datasets import load_cd_player_arm, load_robot_arm, load_slicot_example
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.model_selection import BlockSplit
 
 WEIGHTINGS = ("moesp", "n4sid", "cva", "pbsid")
 RECORDS = (load_robot_arm, load_cd_player_arm, load_slicot_example)
@@ -221,3 +223,17 @@ def test_records_with_many_gaps_keep_their_order():
     X, Y = (pd.DataFrame(z, index=0.01 * np.arange(6000)).iloc[rows] for z in (u, y))
     with_gaps = MOESPRegressor(block_rows=6).fit(X.add_prefix("u"), Y.add_prefix("y"))
     assert with_gaps.order_ == MOESPRegressor(block_rows=6).fit(u, y).order_ == 3
+
+
+def test_of_a_search_only_the_model_that_it_ends_with_is_warned_of():
+    """Orders too high are unstable on some folds: their scores tell."""
+    u, y = noisy(5, False, 300, 0.3)
+    orders = {"order": [2, 3, 12, 16]}
+    GridSearchCV(MOESPRegressor(block_rows=10), orders, cv=BlockSplit(4), error_score="raise").fit(
+        pd.DataFrame(u).add_prefix("u"), pd.DataFrame(y).add_prefix("y")
+    )
+    growing = np.cumsum(1.03 ** np.arange(200.0))[:, None]
+    with pytest.warns(InstabilityWarning, match="the model is unstable"):
+        GridSearchCV(MOESPRegressor(block_rows=10), {"order": [1]}, cv=BlockSplit(2)).fit(
+            u[:200], growing + np.cumsum(u[:200], axis=0)[:, :1]
+        )
