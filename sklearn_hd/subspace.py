@@ -146,9 +146,10 @@ class MOESPRegressor(ModelStep):
         If the data repeat themselves at another frequency than ``omega``; it
         says at which.
     InstabilityWarning
-        If the model of plain data is unstable, the outputs grow beyond what rounding lets see
-        beside them, or a Floquet exponent is positive (``reading="period"``; through a sliding
-        window :class:`SpuriousModeReducer` warns of it).
+        If the model of plain data grows e-fold over the longest segment (but for candidates of a
+        search), the outputs grow beyond what rounding lets see beside them, or a Floquet exponent
+        is positive (``reading="period"``; through a sliding window :class:`SpuriousModeReducer`
+        warns of it).
 
     References
     ----------
