@@ -61,6 +61,13 @@ def test_singular_values_are_those_of_the_model():
     assert display.ax_.get_yscale() == "log"
 
 
+def test_a_search_that_lacks_something_is_refused():
+    with pytest.raises(
+        ValueError, match=r"search lacks \['feedthrough', 'share', 'stable'\]; give"
+    ):
+        SingularValueDisplay([3.0, 2.0], 1, search={"order": [1, 2]})
+
+
 def test_the_gap_is_told_and_further_orders_are_marked():
     display = SingularValueDisplay([100.0, 20.0, 0.5, 0.4], 2, 0.6).plot(marks={"guess": 1})
     assert display.gap_.get_label() == "gap ×40"

@@ -60,6 +60,11 @@ class SingularValueDisplay(Display):
     marks_ : dict of Line2D
         Further orders marked, by label.
 
+    Raises
+    ------
+    ValueError
+        If the search lacks an entry.
+
     References
     ----------
     Verhaegen (1994), Automatica 30(1), 61-74.
@@ -85,6 +90,11 @@ class SingularValueDisplay(Display):
 
     def __post_init__(self):
         self.singular_values = np.asarray(self.singular_values, dtype=float)
+        missing = {"order", "feedthrough", "stable", "share"} - set(self.search or ())
+        if self.search is not None and missing:
+            raise ValueError(
+                f"search lacks {sorted(missing)}; give order_search_ of a MOESPRegressor, or None"
+            )
 
     @classmethod
     def from_estimator(cls, estimator, *, count=30, marks=None, ax=None):
