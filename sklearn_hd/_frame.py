@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 from sklearn.base import TransformerMixin
 
+from sklearn_hd.algorithms.linalg.rounding import TINY
+
 __all__ = ["FrameTransformer", "HarmonicFrame", "LTIModel"]
 
 
@@ -52,6 +54,15 @@ class LTIModel:
     def n_states(self):
         """Number of states."""
         return len(self.A)
+
+    def eigenvalues(self):
+        """Of A."""
+        return np.linalg.eigvals(self.A)
+
+    def exponents(self):
+        """Eigenvalues in continuous time, 1/s."""
+        z = self.eigenvalues().astype(complex)
+        return np.log(np.where(z == 0.0, TINY, z)) / self.dt if self.dt else z
 
     def in_continuous_time(self, A, B, C, D, **changes):
         """The continuous-time model of some matrices between the same signals."""

@@ -27,9 +27,11 @@ from sklearn_hd._records.data import (
 )
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states
+from sklearn_hd._sample_model import SampleModel, SampleSimulator
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
+from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
 WARMUP_SHARE = 0.25
@@ -96,6 +98,12 @@ class SegmentSimulator:
         if self.rows is not None:
             self.drive = basis.held_drive(drive, self.rows)
 
+    @property
+    def form(self):
+        """The innovation form of the model."""
+        model = self.model
+        return InnovationForm(model.A, model.B, model.C, model.D, model.kalman_gain)
+
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
         time = self.time[:n_samples]
@@ -132,6 +140,12 @@ class SegmentSimulator:
         if len(rows) == 0:
             return np.zeros((*Y.shape[:-2], n_samples, Y.shape[-1]))
         return self.basis.between_rows(Y, rows, n_samples)
+
+
+def sample_simulators(model, experiment):
+    """Simulators of a model of samples at their azimuths, one a segment."""
+    parts = zip(experiment.drive, experiment.times(), experiment.phases, strict=True)
+    return [SampleSimulator(model, experiment.basis, *part) for part in parts]
 
 
 class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
@@ -410,6 +424,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             )
 
     def _simulators(self, experiment):
+        if isinstance(self.model_, SampleModel):
+            return sample_simulators(self.model_, experiment)
         dt = experiment.base.sample_time
         return [
             SegmentSimulator(self.model_, experiment.basis, drive, time, dt)

@@ -13,6 +13,7 @@ from sklearn_hd._checks import (
     PERIOD_TOLERANCE,
     RAISE,
     check_choice,
+    check_count,
     check_harmonics,
     check_missing,
     check_period,
@@ -43,6 +44,7 @@ from sklearn_hd.exceptions import TimeBaseWarning
 __all__ = ["HarmonicAnalyzer"]
 
 ROWS_PER_PERIOD = 8
+ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 
 NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 SMALL_SIGNAL = ("odd", "extrapolate")
@@ -64,24 +66,34 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     ----------
     omega : float or None, default=None
         Fundamental frequency in rad/s, constant. Give this or ``azimuth``.
-    input_harmonics : int or dict, default=0
-        Harmonics kept of the inputs: N for 0 … N, or such as ``{"U": [0, 1]}``.
-    output_harmonics : int or dict, default=1
-        The same for the outputs.
+    input_harmonics : int, dict or None, default=None
+        Harmonics kept of the inputs: N for 0 … N, or such as ``{"U": [0, 1]}``; None is 0. With
+        ``reading="sample"`` the most harmonics that B(ψ) and D(ψ) may have; None is no bound of
+        their own.
+    output_harmonics : int, dict or None, default=None
+        The same for the outputs; None is 1. With ``reading="sample"`` the most harmonics that
+        the coefficients of the predictor may have (0: a time-invariant model); None is 3.
+    load_harmonics : int or None, default=None
+        With ``reading="sample"``, the highest harmonic of the forced periodic response (trim,
+        loads at n per turn), which is identified together with the dynamics; None is as many as
+        the samples tell apart, 12 at most.
     window : str, default="boxcar"
         ``"boxcar"`` (one period), ``"triangle"`` or ``"hann"`` (two periods)
         end at the row that they are for, as a causal analyzer must;
         ``"centred-boxcar"``, ``"centred-triangle"`` and ``"centred-hann"``
         are centred on it.
-    reading : {"sliding", "period"}, default="sliding"
+    reading : {"sliding", "period", "sample"}, default="sliding"
         How model steps read the record. ``"sliding"`` is the paper's: coefficients through
         the window, every ``hop`` samples. ``"period"`` decomposes whole periods, one after
         another (the blockwise Fourier transform), whatever the window: sampled once a period,
-        a periodic system is time-invariant.
+        a periodic system is time-invariant. ``"sample"`` takes each row as a sample with its
+        azimuth, for records in service: inputs that always move, loads at every turn,
+        turbulence, any number of samples in a turn; nothing is decomposed.
     hop : int or None, default=None
-        Samples from one row read by the model steps to the next, a divisor of the samples in
-        a period, where ``reading="sliding"``; None reads at least eight rows a period, and
-        three more than twice the highest harmonic.
+        Samples from one row read by the model steps to the next. With ``reading="sliding"`` a
+        divisor of the samples in a period; None reads at least eight rows a period, and
+        three more than twice the highest harmonic. With ``reading="sample"`` any number; None
+        keeps 24 rows a turn or more (``basis_.hop`` says it), inputs averaged in between.
     trim_span : (float, float) or None, default=None
         Index times, in seconds within each record (dates: since
         ``time_origin``), between which the machine is in periodic trim. The
@@ -199,8 +211,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         self,
         omega=None,
         *,
-        input_harmonics=0,
-        output_harmonics=1,
+        input_harmonics=None,
+        output_harmonics=None,
+        load_harmonics=None,
         window="boxcar",
         reading="sliding",
         hop=None,
@@ -214,6 +227,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         self.omega = omega
         self.input_harmonics = input_harmonics
         self.output_harmonics = output_harmonics
+        self.load_harmonics = load_harmonics
         self.window = window
         self.reading = reading
         self.hop = hop
@@ -259,13 +273,29 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
-        kept_in = check_harmonics("input_harmonics", self.input_harmonics, inputs.names)
-        kept_out = ()
-        if outputs is not None:
-            kept_out = check_harmonics("output_harmonics", self.output_harmonics, output_names)
+        basis = self._basis(inputs, output_names, timing)
+        self.basis_ = self._with_trim(basis, inputs, outputs)
+        if basis.timing.resampled:
+            warn_of_resampling(self.basis_, inputs, outputs)
+        return self
+
+    def _basis(self, inputs, output_names, timing):
+        """How signals are analysed, trim aside."""
+        if self.reading == "sample":
+            return self._sample_basis(inputs, output_names, timing)
+        if self.load_harmonics is not None:
+            raise ValueError(
+                f"load_harmonics={self.load_harmonics!r} with reading={self.reading!r}: loads are "
+                f"identified with reading='sample' alone; leave load_harmonics=None, and give "
+                f"trim_span"
+            )
+        asked = 0 if self.input_harmonics is None else self.input_harmonics
+        kept_in = check_harmonics("input_harmonics", asked, inputs.names)
+        asked = 1 if self.output_harmonics is None else self.output_harmonics
+        kept_out = check_harmonics("output_harmonics", asked, output_names) if output_names else ()
         highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
         omega, spp, step, timing = self._grid(inputs, highest, timing)
-        basis = READINGS[self.reading](
+        return READINGS[self.reading](
             omega=omega,
             sample_time=step,
             samples_per_period=spp,
@@ -276,10 +306,42 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             timing=timing,
             small_signal=self.small_signal,
         )
-        self.basis_ = self._with_trim(basis, inputs, outputs)
-        if timing.resampled:
-            warn_of_resampling(self.basis_, inputs, outputs)
-        return self
+
+    def _sample_basis(self, inputs, output_names, timing):
+        """The basis of samples with their azimuths."""
+        if self.small_signal is not None:
+            raise ValueError(
+                f"small_signal={self.small_signal!r} combines records at the same phases, which "
+                f"reading='sample' does not ask for; use reading='period', or small_signal=None"
+            )
+        named = ("output_harmonics", "input_harmonics", "load_harmonics")
+        asked = {name: getattr(self, name) for name in named}
+        for name, count in asked.items():
+            if count is not None:
+                hint = "with reading='sample' it is one number for all signals, None chooses it"
+                check_count(name, count, 0, hint)
+        step = inputs.base.sample_time
+        omega = float(self.omega) if self.azimuth is None else self._mean_speed(inputs)[1]
+        samples = 2.0 * np.pi / omega / step
+        hop = max(1, int(samples / ROWS_PER_TURN)) if self.hop is None else self.hop
+        hop = check_count("hop", hop, 1, "1 reads every sample")
+        highest = max((count for count in asked.values() if count is not None), default=1)
+        words = f"omega={omega:.6g} rad/s and a sample time of {step:.4g} s give {samples:.4g}"
+        thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g},"
+        check_rate(samples / hop, highest, f"{words} samples a turn{thinned}")
+        return READINGS["sample"](
+            omega=omega,
+            sample_time=step * hop,
+            samples_per_period=samples / hop,
+            window=self.window,
+            hop=hop,
+            inputs=tuple((name, (0,)) for name in inputs.names),
+            outputs=tuple((name, (0,)) for name in output_names),
+            timing=timing,
+            n_harmonics=asked["output_harmonics"],
+            n_input_harmonics=asked["input_harmonics"],
+            n_load_harmonics=asked["load_harmonics"],
+        )
 
     def _checked_timing(self):
         """When rows were sampled, as the parameters say; ValueError if one is not understood."""
@@ -348,6 +410,17 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
     def _varying_speed(self, inputs, highest):
         """Mean ω, samples on the grid in a turn, and their distance in seconds."""
+        samples, omega = self._mean_speed(inputs)
+        check_rate(
+            samples,
+            highest,
+            f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
+        )
+        spp = self._samples_on_grid(samples, highest)
+        return omega, spp, 2.0 * np.pi / omega / spp
+
+    def _mean_speed(self, inputs):
+        """Samples in a turn, and ω, in the mean over the rows."""
         turned, passed, steps = 0.0, 0.0, 0
         for segment in inputs.base.segments:
             known = np.flatnonzero(np.isfinite(inputs.azimuth[segment])) + segment.start
@@ -361,15 +434,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"azimuth column {self.azimuth!r} shows no motion: no segment has two rows at "
                 f"which it is known; give a longer record"
             )
-        samples = 2.0 * np.pi * steps / turned
-        check_rate(
-            samples,
-            highest,
-            f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
-        )
-        spp = self._samples_on_grid(samples, highest)
-        omega = float(turned / passed)
-        return omega, spp, 2.0 * np.pi / omega / spp
+        return 2.0 * np.pi * steps / turned, float(turned / passed)
 
     def _with_trim(self, basis, inputs, outputs):
         """The basis with the waveforms of inputs and outputs in trim, where asked for."""
@@ -377,10 +442,12 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             return basis
         start, stop = check_span("trim_span", self.trim_span)
         sampling, values, _ = sample(inputs, basis)
-        waveforms = {"input_trim": mean_waveforms(sampling, values, basis, start, stop)}
+        phases = basis.phases(sampling, inputs)
+        waveforms = {"input_trim": mean_waveforms(sampling, values, phases, basis, start, stop)}
         if outputs is not None:
             sampling, _, values = sample(inputs, basis, outputs)
-            waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
+            phases = basis.phases(sampling, inputs)
+            waveforms["output_trim"] = mean_waveforms(sampling, values, phases, basis, start, stop)
         return replace(basis, **waveforms)
 
     @within_range
@@ -416,20 +483,21 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"of the analysis window{why_short(signals.base)}; drop it, or use a window of "
                 f"fewer periods"
             )
-        if self.azimuth is None:
+        if self.azimuth is None or not basis.gridded_by_azimuth:
             warn_of_jitter(signals.base, basis.sample_time)
-        times = [piece.grid for piece in sampling.pieces]
-        inputs = without_trim(inputs, times, basis, basis.input_trim)
-        coefficients = sampling.back(
-            [
-                basis.coefficients(values, time, basis.inputs, np.arange(len(time)))
-                for values, time in zip(inputs, times, strict=True)
-            ]
-        )
         columns = dict(zip(signals.names, signals.data.T, strict=True))
         if basis.timing.azimuth is not None:
             columns[basis.timing.azimuth] = signals.azimuth
-        columns |= dict(zip(basis.drive_labels, coefficients.T, strict=True))
+        if basis.coefficient_labels:
+            times = [piece.grid for piece in sampling.pieces]
+            inputs = without_trim(inputs, times, basis, basis.input_trim)
+            coefficients = sampling.back(
+                [
+                    basis.coefficients(values, time, basis.inputs, np.arange(len(time)))
+                    for values, time in zip(inputs, times, strict=True)
+                ]
+            )
+            columns |= dict(zip(basis.coefficient_labels, coefficients.T, strict=True))
         index = X.index if isinstance(X, pd.DataFrame | pd.Series) else pd.RangeIndex(len(X))
         return HarmonicFrame.attach(pd.DataFrame(columns, index=index), basis, None)
 
@@ -460,6 +528,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         """
         check_is_fitted(self)
         basis = self.basis_
+        if not basis.coefficient_labels:
+            raise ValueError(
+                f"reading={basis.reading!r} decomposes nothing, so there are no coefficients to "
+                f"put together; the signals are in the frame as they were given"
+            )
         missing = [name for name in basis.drive_labels if name not in getattr(X, "columns", ())]
         if missing:
             raise ValueError(
@@ -476,7 +549,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         trim = 0.0
         if basis.input_trim is not None:
             present = np.isfinite(given.data).all(axis=1) & np.isfinite(places)
-            sampling = lay_grid(given.base, places, present, basis.sample_time, basis.timing)
+            timing = basis.timing
+            moved = bool(timing.azimuth) or timing.resampled
+            sampling = lay_grid(given.base, places, present, basis.sample_time, timing, moved=moved)
             times = [piece.grid for piece in sampling.pieces]
             trim = sampling.back([basis.input_trim[basis.phase_index(time)] for time in times])
         columns, start = {}, 0
@@ -508,7 +583,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             Before ``fit``.
         """
         check_is_fitted(self)
-        return np.asarray([*self.basis_.measured, *self.basis_.drive_labels], dtype=object)
+        names = [*self.basis_.measured, *self.basis_.coefficient_labels]
+        return np.asarray(names, dtype=object)
 
 
 def _check_raw(X):

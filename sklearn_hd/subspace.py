@@ -3,6 +3,7 @@
 from dataclasses import fields
 
 import numpy as np
+import pandas as pd
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
@@ -16,7 +17,9 @@ from sklearn_hd._identify.prediction import predicted_ahead
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import check_features
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._tables import without_inputs
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.algorithms.subspace.order import Simulated
 
 __all__ = ["MOESPRegressor"]
@@ -314,7 +317,36 @@ class MOESPRegressor(ModelStep):
     def eigenvalues_(self):
         """Eigenvalues of the discrete A."""
         check_is_fitted(self)
-        return np.linalg.eigvals(self.model_.A)
+        return self.model_.eigenvalues()
+
+    @property
+    def n_harmonics_(self):
+        """Harmonics of A, B, C, D and K of a model of samples."""
+        return self._of_samples("n_harmonics_").n_harmonics
+
+    @property
+    def loads_(self):
+        """Fourier coefficients of the outputs' forced periodic response, as a DataFrame."""
+        model = self._of_samples("loads_")
+        n_harmonics = max(1, self.basis_.most_loads)
+        labels = pd.Index(harmonic_labels(range(n_harmonics + 1)), name="coefficient")
+        values = model.forced_response(n_harmonics)
+        return pd.DataFrame(values, labels, list(self.model_.output_names))
+
+    @property
+    def ltp_(self):
+        """The linear time-periodic system behind samples, in continuous time: an LTPSystem."""
+        self._of_samples("ltp_")
+        return self.model_.to_ltp()
+
+    def _of_samples(self, what):
+        check_is_fitted(self)
+        if not isinstance(self.model_, SampleModel):
+            raise AttributeError(
+                f"{what} is that of a model of samples; fit behind HarmonicAnalyzer("
+                f"reading='sample'), or use StructuredMatcher(structure=HarmonicStructure())"
+            )
+        return self.model_.innovations
 
     @property
     def feedthrough_(self):

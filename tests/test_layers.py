@@ -13,7 +13,7 @@ LAYERS = [
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},
-    {"_frame"},
+    {"_frame", "_sample_model"},
     {"_records"},
     {"_continuous", "_fit_checks"},
     {"_model_step", "_identify", "_reduce", "_match"},

@@ -348,7 +348,7 @@ def test_more_block_rows_than_the_first_chunk_was_read_with_are_refused(rng):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"reading": "period"}, "not period by period"),
+        ({"reading": "period"}, "reading='period'"),
         ({"hop": 8, "missing": "gap"}, "no missing samples"),
         ({"hop": 8, "small_signal": "odd"}, "combines whole records"),
     ],

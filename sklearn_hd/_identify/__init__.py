@@ -4,8 +4,7 @@
 arrays in memory, sums over chunks, dask's partitions) and settings, and gives a ``SubspaceFit``.
 """
 
-from sklearn_hd._fit_checks import warn_of_offset
-from sklearn_hd._identify import period, plain, sliding
+from sklearn_hd._identify import period, plain, sample, sliding
 from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 
@@ -18,12 +17,11 @@ __all__ = [
     "most_block_rows",
 ]
 
-MODULES = {"plain": plain, "sliding": sliding, "period": period}
+MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
 
 
 def identify_record(experiment, settings):
     """Identify a model from an experiment in memory, as its reading says."""
-    warn_of_offset(experiment)
     module = MODULES[experiment.basis.reading]
     return module.identify(module.read(experiment, settings), settings, experiment)
 

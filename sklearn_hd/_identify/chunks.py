@@ -370,11 +370,11 @@ def read_chunk(X, y, stream=None):
         X, y, plain=PlainReading(timing=Timing(time_origin=origin or FIRST))
     )
     basis = experiment.basis
-    if basis.reading == "period":
+    if basis.reading in ("period", "sample"):
         raise ValueError(
-            "partial_fit reads rows one by one or through a sliding window, not period by period "
-            "(reading='period'), where a model depends on which directions inputs take over the "
-            "whole record; use fit, or an analyzer with reading='sliding'"
+            f"partial_fit reads plain rows or a sliding window, not reading={basis.reading!r}, "
+            f"where a model depends on the record as a whole; use fit, or an analyzer with "
+            f"reading='sliding'"
         )
     if basis.small_signal is not None:
         raise ValueError(

@@ -145,10 +145,11 @@ def _basis_of(X):
         If it is of an analysis that partitions are not read through.
     """
     basis = getattr(getattr(X, "_meta", None), "basis", None) or PlainReading()
-    if basis.reading == "period" or basis.small_signal is not None:
+    whole = basis.reading in ("period", "sample")
+    if whole or basis.small_signal is not None:
         what = f"small_signal={basis.small_signal!r}"
-        if basis.reading == "period":
-            what = "reading='period'"
+        if whole:
+            what = f"reading={basis.reading!r}"
         raise ValueError(
             f"X was analysed with {what}, which looks at all records at once; give frames in "
             f"memory, X.compute() and y.compute()"

@@ -15,6 +15,7 @@ from sklearn_hd._fit_checks import (
     warn_of_growing_data,
     warn_of_growth,
     warn_of_mismatch,
+    warn_of_offset,
 )
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
@@ -36,6 +37,7 @@ WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block
 
 def read(experiment, settings):
     """Data of an experiment: its periods, and the directions that inputs move in within them."""
+    warn_of_offset(experiment)
     warn_of_mismatch(experiment)
     warn_of_growing_data(experiment)
     inputs, outputs = rows_read(experiment)

@@ -1,7 +1,5 @@
 """Outputs predicted from the outputs before them, where a model has a Kalman gain."""
 
-from sklearn_hd.algorithms.subspace.innovations import InnovationForm
-
 __all__ = ["predicted_ahead"]
 
 
@@ -26,8 +24,7 @@ def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompos
     -------
     predicted : ndarray, shape (n_samples, n_outputs)
     """
-    model, u, basis = simulator.model, simulator.drive, simulator.basis
-    form = InnovationForm(model.A, model.B, model.C, model.D, model.kalman_gain)
+    model, u, basis, form = simulator.model, simulator.drive, simulator.basis, simulator.form
     Y, seen = basis.outputs_read(outputs, simulator.time), None
     if rows is not None:
         seen = max(1, basis.n_read_within(simulator.time, rows.stop))

@@ -7,7 +7,12 @@ Block rows must exceed the window, whose memory is else mistaken for dynamics.
 
 import numpy as np
 
-from sklearn_hd._fit_checks import check_motion, warn_of_growing_data, warn_of_mismatch
+from sklearn_hd._fit_checks import (
+    check_motion,
+    warn_of_growing_data,
+    warn_of_mismatch,
+    warn_of_offset,
+)
 from sklearn_hd._identify.checks import allowed_block_rows
 from sklearn_hd._identify.modulation import (
     changes_at_one_phase,
@@ -29,6 +34,7 @@ EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model m
 
 def read(experiment, settings):
     """Data of an experiment: windowed coefficients, and the inputs as the window sees them."""
+    warn_of_offset(experiment)
     warn_of_mismatch(experiment)
     warn_of_growing_data(experiment)
     inputs, outputs = rows_read(experiment)

@@ -13,6 +13,7 @@ from sklearn_hd._readings.basis import (
 )
 from sklearn_hd._readings.period import PeriodBasis
 from sklearn_hd._readings.plain import PlainReading
+from sklearn_hd._readings.sample import SampleBasis
 from sklearn_hd._readings.sliding import SlidingBasis
 
-READINGS = {kind.reading: kind for kind in (SlidingBasis, PeriodBasis)}
+READINGS = {kind.reading: kind for kind in (SlidingBasis, PeriodBasis, SampleBasis)}

@@ -87,6 +87,8 @@ class HarmonicBasis:
     small_signal: str | None = None
 
     harmonic = True
+    nothing_spurious = None  # why models hold no modes but the machine's
+    gridded_by_azimuth = True  # where there is one, rows are laid evenly along it
 
     @property
     def rows_per_period(self):
@@ -128,9 +130,14 @@ class HarmonicBasis:
         """
         return coefficient_names(self.inputs)
 
+    @property
+    def coefficient_labels(self):
+        """Names of the columns that the analyzer adds."""
+        return self.drive_labels
+
     def select(self, frame):
         """The columns of X that are read; ValueError if a step has changed them."""
-        found, made = [str(c) for c in frame.columns], [*self.measured, *self.drive_labels]
+        found, made = [str(c) for c in frame.columns], [*self.measured, *self.coefficient_labels]
         missing = [name for name in made if name not in found]
         extra = [name for name in found if name not in made]
         if missing or extra:
@@ -145,6 +152,24 @@ class HarmonicBasis:
         """Step of the grid, fewest rows of a piece, and places of some signals on it."""
         places = signals.places(self.omega, self.sample_time)
         return self.sample_time, len(self.weights), places
+
+    def phases(self, sampling, signals):
+        """Where the rows of each segment lie in the period: their times."""
+        return [piece.grid for piece in sampling.pieces]
+
+    def waveform(self, trim, phase):
+        """A periodic waveform at the rows of one segment."""
+        return trim[self.phase_index(phase)]
+
+    def mean_waveforms(self, pieces):
+        """Periodic waveforms of (values, phases) of some rows; None if a phase is missing."""
+        spp = self.samples_per_period
+        sums, counts = np.zeros((spp, pieces[0][0].shape[1])), np.zeros(spp)
+        for values, phases in pieces:
+            index = self.phase_index(phases)
+            np.add.at(sums, index, values)
+            np.add.at(counts, index, 1)
+        return sums / counts[:, None] if counts.all() else None
 
     def azimuth(self, time):
         """ψ = ωt in radians."""

@@ -18,6 +18,7 @@ class PeriodBasis(HarmonicBasis):
     """Coefficients of whole periods, one row a period."""
 
     reading = "period"
+    nothing_spurious = "period-synchronous"
     window_rows = 1
     lead = 0
 

@@ -174,7 +174,8 @@ def _combined(experiment, records, combinations):
     )
     sampling = Sampling(base, pieces, len(base.time), np.concatenate(clock))
     measured = np.vstack(values["outputs"])  # trim subtracted: one row of the user's a row of grid
-    return replace(experiment, base=base, sampling=sampling, measured=measured, **values)
+    changed = {"base": base, "sampling": sampling, "measured": measured, "phases": tuple(grids)}
+    return replace(experiment, **changed, **values)
 
 
 def _clocks(experiment):

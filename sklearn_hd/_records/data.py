@@ -66,6 +66,10 @@ class Signals:
         """
         if self.azimuth is not None:
             return self.azimuth / omega
+        return self.in_time(omega, step)
+
+    def in_time(self, omega, step):
+        """The same, by the clock alone."""
         places = self.base.time.copy()
         for record, _ in self.base.rows_of_records():
             first = places[record.start]
@@ -197,6 +201,8 @@ class Experiment:
         Measured inputs on the grid, trim subtracted.
     sampling : Sampling
         How the user's rows lie on the grid.
+    phases : tuple of ndarray, shapes (n_samples_s,)
+        Where the rows lie in the period: ψ in radians with ``reading="sample"``, else times.
     outputs : list of ndarray, shapes (n_samples_s, n_outputs), or None
         Measured outputs on the grid, trim subtracted.
     measured : ndarray, shape (n_rows, n_outputs), or None
@@ -210,6 +216,7 @@ class Experiment:
     drive: list
     inputs: list
     sampling: Sampling
+    phases: tuple
     outputs: list | None = None
     measured: np.ndarray | None = None
     output_names: tuple = ()
@@ -233,7 +240,7 @@ class Experiment:
         basis = self.basis
         if basis.output_trim is None:
             return None
-        return [basis.output_trim[basis.phase_index(time)] for time in self.times()]
+        return [basis.waveform(basis.output_trim, phase) for phase in self.phases]
 
     def span(self):
         """First and last time, worded for messages."""
@@ -291,7 +298,8 @@ def sample(signals, basis, outputs=None):
         given = [z.reshape(len(z), -1) for z in columns if z is not None]
         present = np.logical_and.reduce([np.isfinite(z).all(axis=1) for z in given])
     step, shortest, places = basis.grid(signals)
-    sampling = lay_grid(base, places, present, step, timing, shortest)
+    moved = bool(basis.gridded_by_azimuth and timing.azimuth) or timing.resampled
+    sampling = lay_grid(base, places, present, step, timing, shortest, moved=moved)
     return (
         sampling,
         sampling.onto_grid(inputs, held),
@@ -299,34 +307,33 @@ def sample(signals, basis, outputs=None):
     )
 
 
-def without_trim(blocks, times, basis, trim):
+def without_trim(blocks, phases, basis, trim):
     """Signals on the grid less their periodic waveforms, one array a segment."""
     if trim is None:
         return blocks
     return [
-        block - trim[basis.phase_index(time)] for block, time in zip(blocks, times, strict=True)
+        block - basis.waveform(trim, phase) for block, phase in zip(blocks, phases, strict=True)
     ]
 
 
-def mean_waveforms(sampling, blocks, basis, start, stop):
-    """Phase-averaged waveforms over the trim span, pooled over records."""
+def mean_waveforms(sampling, blocks, phases, basis, start, stop):
+    """Periodic waveforms over the trim span, pooled over records."""
     spp, dt = basis.samples_per_period, basis.sample_time
-    sums, counts = np.zeros((spp, blocks[0].shape[1])), np.zeros(spp)
     tolerance = max(1e-6 * dt, resolution(sampling.clock))
     inside = (sampling.clock >= start - tolerance) & (sampling.clock < stop - tolerance)
-    for segment, values in zip(sampling.base.segments, blocks, strict=True):
+    kept = []
+    for segment, values, phase in zip(sampling.base.segments, blocks, phases, strict=True):
         rows = np.flatnonzero(inside[segment])
-        rows = rows[: len(rows) // spp * spp]  # whole periods: each phase counts alike
-        phase = basis.phase_index(sampling.base.time[segment][rows])
-        np.add.at(sums, phase, values[rows])
-        np.add.at(counts, phase, 1)
-    if not counts.all():
+        rows = rows[: int(len(rows) // spp * spp)]  # whole periods: each phase counts alike
+        kept.append((values[rows], phase[rows]))
+    waveforms = basis.mean_waveforms(kept)
+    if waveforms is None:
         raise ValueError(
             f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
             f"({spp * dt:.4g} s) of any record; widen it, or, where a fold of a cross-validation "
             f"leaves it out, keep it in all of them: PeriodBlockSplit(..., trim_span=...)"
         )
-    return sums / counts[:, None]
+    return waveforms
 
 
 def is_decomposed(y):
@@ -363,12 +370,13 @@ def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
         warn_of_jitter(signals.base, sampling.base.sample_time)
         basis = replace(basis, drive_labels=signals.names, output_labels=output_names)
     times = [sampling.base.time[segment] for segment in sampling.base.segments]
-    inputs = without_trim(values, times, basis, basis.input_trim)
+    phases = tuple(basis.phases(sampling, signals))
+    inputs = without_trim(values, phases, basis, basis.input_trim)
     drive = [basis.drive(u, time) for u, time in zip(inputs, times, strict=True)]
     if outputs is not None:
-        outputs = without_trim(outputs, times, basis, basis.output_trim)
+        outputs = without_trim(outputs, phases, basis, basis.output_trim)
     return Experiment(
-        sampling.base, basis, drive, inputs, sampling, outputs, measured, output_names
+        sampling.base, basis, drive, inputs, sampling, phases, outputs, measured, output_names
     )
 
 

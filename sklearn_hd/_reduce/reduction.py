@@ -24,7 +24,6 @@ from sklearn_hd._reduce.choice import (
 )
 from sklearn_hd._reduce.refinement import harmonic_form, refined_modes
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.linalg.rounding import TINY
 from sklearn_hd.algorithms.lti.residualization import residualize
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.modes.families import family_exponents, invariant_pair
@@ -72,8 +71,9 @@ def reduced(model, experiment, method, n_states=None):
     -------
     reduction : Reduction
     """
-    if model.dt == 0.0 or experiment.basis.reading == "period":
-        return _passed(model, n_states)
+    reason = "already continuous" if model.dt == 0.0 else experiment.basis.nothing_spurious
+    if reason is not None:
+        return _passed(model, n_states, reason)
     modes = identified_modes(model, experiment)
     if n_states is None and not modes.omega:
         found = _all_convertible(model, experiment, modes)
@@ -83,9 +83,8 @@ def reduced(model, experiment, method, n_states=None):
     return found
 
 
-def _passed(model, n_states):
+def _passed(model, n_states, reason):
     """A model with nothing spurious, as it is."""
-    reason = "period-synchronous" if model.dt else "already continuous"
     if n_states not in (None, model.n_states):
         way = f"MOESPRegressor(order={n_states})" if model.dt else "one reducer only"
         raise ValueError(
@@ -93,9 +92,7 @@ def _passed(model, n_states):
             f"spurious, and passes with its {model.n_states} states; use {way}, or leave "
             f"n_states=None"
         )
-    z = np.linalg.eigvals(model.A).astype(complex)
-    exponents = np.log(np.where(z == 0.0, TINY, z)) / model.dt if model.dt else z
-    return Reduction(model, _all_genuine(exponents, reason))
+    return Reduction(model, _all_genuine(model.exponents(), reason))
 
 
 def _all_genuine(exponents, reason):

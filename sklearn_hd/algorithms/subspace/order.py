@@ -23,7 +23,15 @@ from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.algorithms.lti.stability import GROWN, growth
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
 
-__all__ = ["Comparison", "Simulated", "differ", "order_by_gap", "order_by_wide_gap", "runs_away"]
+__all__ = [
+    "Comparison",
+    "Simulated",
+    "best_of",
+    "differ",
+    "order_by_gap",
+    "order_by_wide_gap",
+    "runs_away",
+]
 
 GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie
 CLEAR_GAP = 2.0  # below which ratios scatter by noise
@@ -95,6 +103,8 @@ class Simulated:
     variance : float
         Geometric mean of the shares of the outputs' variances that are left.
     bic : float
+    n_harmonics : int
+        Of the coefficients of a periodic model.
     """
 
     order: int
@@ -103,6 +113,7 @@ class Simulated:
     share: float
     variance: float
     bic: float
+    n_harmonics: int = 0
 
 
 class Comparison:
@@ -143,22 +154,13 @@ class Comparison:
         tried = []
         for n in range(1, most + 1):
             tried.append(self.simulated(n, feedthrough))
-            best = self._best(tried)
+            best = best_of(tried, sum(y.size for y in self.outputs))
             if best.order <= n - PATIENCE:
                 break
         if best.variance >= 1.0:
             return None
         alike = (m.order for m in tried if m.stable >= best.stable and not differ(m, best))
         return min(alike)
-
-    def _best(self, tried):
-        """The one of the least criterion; an unstable one only where it leaves far less."""
-        best = min(tried, key=lambda each: each.bic)
-        stable = min(
-            (each for each in tried if each.stable), key=lambda each: each.bic, default=best
-        )
-        n_values = sum(y.size for y in self.outputs)
-        return best if best.bic + n_values * np.log(UNSTABLE_GAIN) < stable.bic else stable
 
     @property
     def tried(self):
@@ -201,6 +203,20 @@ class Comparison:
         share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
         stable = max(lengths) * growth(A) < GROWN
         return Simulated(order, feedthrough, stable, *map(float, (share, variance, bic)))
+
+
+def best_of(tried, n_values):
+    """The one of the least criterion; an unstable one only where it leaves far less.
+
+    Parameters
+    ----------
+    tried : list of Simulated
+    n_values : int
+        Rows times outputs that were simulated.
+    """
+    best = min(tried, key=lambda each: each.bic)
+    stable = min((each for each in tried if each.stable), key=lambda each: each.bic, default=best)
+    return best if best.bic + n_values * np.log(UNSTABLE_GAIN) < stable.bic else stable
 
 
 def differ(simpler, other):

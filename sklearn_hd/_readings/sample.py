@@ -1,0 +1,142 @@
+"""``reading="sample"``: rows as they were sampled, each at its azimuth.
+
+Models of them are periodic innovations models: no window, no whole number of samples in a
+period, no span at rest.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd._readings.basis import HALF, WARMUP_PERIODS, HarmonicBasis
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+__all__ = ["SampleBasis"]
+
+MOST_LOADS = 12  # harmonics of the forced response, where the samples tell more
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBasis(HarmonicBasis):
+    """Samples with their azimuths.
+
+    Attributes
+    ----------
+    sample_time : float
+        Seconds from one row that models read to the next, ``hop`` samples of the record.
+    samples_per_period : float
+        Rows that models read in a turn, the mean where the speed varies.
+    input_trim, output_trim : ndarray, shapes (2 L + 1, n_signals), or None
+        Fourier coefficients of the waveforms subtracted.
+    n_harmonics, n_input_harmonics : int or None
+        The most harmonics that coefficients may have, and those of inputs; None lets the data
+        choose.
+    n_load_harmonics : int or None
+        Highest harmonic of the forced periodic response.
+    """
+
+    n_harmonics: int | None = None
+    n_input_harmonics: int | None = None
+    n_load_harmonics: int | None = None
+
+    reading = "sample"
+    nothing_spurious = "at the sensors' clock, without a window"
+    window_rows = 0
+    lead = 0
+    gridded_by_azimuth = False
+    coefficient_labels = ()
+
+    @property
+    def weights(self):
+        """The window: a sample."""
+        return np.ones(1)
+
+    @property
+    def drive_labels(self):
+        """Names of the inputs."""
+        return self.input_signals
+
+    @property
+    def output_labels(self):
+        """Names of the outputs."""
+        return tuple(signal for signal, _ in self.outputs)
+
+    @property
+    def drive_signals(self):
+        """The measured signal of each input."""
+        return self.input_signals
+
+    def grid(self, signals):
+        """Step of the grid, fewest rows of a piece, and places of some signals on it."""
+        return self.sample_time, 1, signals.in_time(self.omega, self.sample_time / self.hop)
+
+    def phases(self, sampling, signals):
+        """ψ of the rows of each segment, radians."""
+        if signals.azimuth is None:
+            return [self.omega * piece.grid for piece in sampling.pieces]
+        return [
+            piece.onto_grid(signals.azimuth[:, None], np.zeros(1, dtype=bool))[:, 0]
+            for piece in sampling.pieces
+        ]
+
+    def waveform(self, trim, phase):
+        """A periodic waveform at the rows of one segment."""
+        return evaluate_harmonics(trim, phase)
+
+    def mean_waveforms(self, pieces):
+        """Fourier coefficients of (values, phases) of some rows; None of less than a turn."""
+        if sum(len(values) for values, _ in pieces) < int(self.samples_per_period):
+            return None
+        functions = [harmonic_functions(phase, range(self.most_loads + 1)) for _, phase in pieces]
+        values = [values for values, _ in pieces]
+        return np.linalg.lstsq(np.vstack(functions), np.vstack(values))[0]
+
+    @property
+    def most_harmonics(self):
+        """Highest harmonic that the samples of a turn tell from others."""
+        return max(0, math.ceil(0.5 * self.samples_per_period * (1.0 - HALF)) - 1)
+
+    @property
+    def most_loads(self):
+        """Highest harmonic of the forced response."""
+        asked = self.n_load_harmonics
+        return min(MOST_LOADS, self.most_harmonics) if asked is None else asked
+
+    def drive(self, values, time):
+        """What drives the model at every sample."""
+        return values
+
+    def held_drive(self, drive, rows):
+        """The same."""
+        return drive
+
+    def outputs_read(self, outputs, time):
+        """Outputs of one segment at the rows that models are made of."""
+        return outputs
+
+    def read(self, drive, outputs, time):
+        """Inputs and outputs of one segment at the rows that models are made of."""
+        return drive, outputs
+
+    def n_read_within(self, time, stop):
+        """Rows read whose samples all lie before some sample."""
+        return stop
+
+    def rows_read(self, time, whole_windows=True):
+        """Rows of one segment that models are made of: all."""
+        return np.arange(len(time))
+
+    def recomposed(self, Y, time):
+        """Measured outputs of the model's: the same."""
+        return Y
+
+    def scored_rows(self, time):
+        """First and last of the rows of one segment that count in a score."""
+        return 0, len(time)
+
+    @property
+    def warmup_samples(self):
+        """Samples on which a score fits the initial state, by default."""
+        return round(WARMUP_PERIODS * self.samples_per_period)

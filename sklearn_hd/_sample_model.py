@@ -1,0 +1,144 @@
+"""The model of samples at their azimuths, as a value that rides on a frame, and its simulation."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import control
+import numpy as np
+
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations, Rows
+from sklearn_hd.exceptions import UnstableModelError
+
+__all__ = ["SampleModel", "SampleSimulator"]
+
+OVERFLOW = 1e150  # squares of anything larger overflow
+
+
+@dataclass(frozen=True, eq=False)
+class SampleModel:
+    """A periodic innovations model between named signals.
+
+    Attributes
+    ----------
+    innovations : PeriodicInnovations
+        In the units of the signals, forced response included.
+    omega : float
+        rad/s.
+    dt : float
+        Seconds from row to row.
+    input_names, output_names : tuple of str
+    feedthrough : bool
+        Whether D is free.
+    """
+
+    innovations: PeriodicInnovations
+    omega: float
+    dt: float
+    input_names: tuple
+    output_names: tuple
+    feedthrough: bool = False
+
+    state_names = None
+    windowed = False
+    closed_loop = True  # its predictor holds, feedback or none
+
+    @property
+    def n_states(self):
+        """Number of states."""
+        return self.innovations.n_states
+
+    @property
+    def time_invariant(self):
+        """Whether A, B, C, D and K are constant."""
+        return self.innovations.n_harmonics == 0
+
+    @property
+    def kalman_gain(self):
+        """K, or its Fourier coefficients where it varies."""
+        gain = self.innovations.gain
+        return gain[0] if self.time_invariant else gain
+
+    @property
+    def innovations_covariance(self):
+        """Covariance of the innovations."""
+        return self.innovations.covariance
+
+    def eigenvalues(self):
+        """Of A where it is constant; else the Floquet multipliers."""
+        if self.time_invariant:
+            return np.linalg.eigvals(self.innovations.matrices()[0][0])
+        return self.innovations.multipliers()
+
+    def exponents(self):
+        """Eigenvalues in continuous time, 1/s; Floquet exponents where A varies."""
+        if self.time_invariant:
+            z = self.eigenvalues().astype(complex)
+            return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / self.dt
+        return self.innovations.multiplier_logarithms() * self.omega / (2.0 * np.pi)
+
+    def to_control(self):
+        """The discrete model as a control.StateSpace, without its forced response."""
+        if not self.time_invariant:
+            raise AttributeError(
+                f"the model has coefficients of up to {self.innovations.n_harmonics} harmonic(s) "
+                f"of the turn, and no time-invariant system_; use ltp_, "
+                f"ltp_.harmonic_decomposition(n_harmonics), or output_harmonics=0"
+            )
+        A, B, C, D = (M[0] for M in self.innovations.matrices())
+        return control.StateSpace(
+            A,
+            B,
+            C,
+            D,
+            self.dt,
+            inputs=list(self.input_names),
+            outputs=list(self.output_names),
+            name="identified",
+            remove_useless_states=False,
+        )
+
+
+class SampleSimulator:
+    """Free simulation of such a model over one segment, affine in its initial state.
+
+    Parameters
+    ----------
+    model : SampleModel
+    basis : SampleBasis
+    drive : ndarray, shape (n_samples, m)
+    time, psi : ndarray, shape (n_samples,)
+    """
+
+    def __init__(self, model, basis, drive, time, psi):
+        self.model, self.basis, self.drive, self.time, self.psi = model, basis, drive, time, psi
+
+    @cached_property
+    def form(self):
+        """The model at the samples of the segment."""
+        return self.model.innovations.rows(self.psi)
+
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, trim not added, of all samples or the first of them."""
+        return self._checked(self._first(n_samples).simulated(self.drive[:n_samples], x0))
+
+    def free(self, n_samples):
+        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
+        return self._first(n_samples).free()
+
+    def observe(self, Y, time, recompose=True):
+        """The same: outputs of the model are what is measured."""
+        return Y
+
+    def _first(self, n_samples):
+        form = self.form
+        return Rows(form.states[:n_samples], form.outputs[:n_samples], form.gain[:n_samples])
+
+    def _checked(self, Y):
+        if not np.max(np.abs(Y), initial=0.0) < OVERFLOW:
+            radius = np.max(np.abs(self.model.innovations.multipliers()))
+            raise UnstableModelError(
+                f"the simulation overflows: the largest Floquet multiplier is {radius:.4g} (1 is "
+                f"the bound of stability); use predict_ahead, fit with stable=True or another "
+                f"order, or simulate a shorter span"
+            )
+        return Y

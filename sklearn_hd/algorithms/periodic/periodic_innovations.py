@@ -1,0 +1,342 @@
+"""Discrete periodic innovations models: simulation, prediction, multipliers, continuous time.
+
+    x[k+1] = A(ψ_k) x + B(ψ_k) u + a(ψ_k) + K(ψ_k) e,    y[k] = C(ψ_k) x + D(ψ_k) u + c(ψ_k) + e[k]
+
+with ψ_{k+1} = ψ_k + δ, any δ. The Floquet multipliers are the eigenvalues of the product of A over
+a turn. Where a turn holds no whole number of samples, each step is made a little longer, to one of
+2π/q with whole q: what it passes beyond its end is a small power of the transition there. Over a
+turn every azimuth is passed once, so the error is of second order in that little.
+
+The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.periodic.floquet import product_logarithms
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
+
+__all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
+
+WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
+OVERFLOW = 1e150  # squares of anything larger overflow
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicInnovations:
+    """A discrete periodic innovations model by its Fourier coefficients.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (2 H + 1, n + l, n + m + 1)
+        Of [A B a; C D c](ψ), in the order 0, 1c, 1s, ….
+    gain : ndarray, shape (2 H + 1, n, l)
+        Of K(ψ).
+    covariance : ndarray, shape (l, l)
+        Of the innovations.
+    step : float
+        δ, radians from sample to sample.
+    start : float
+        ψ of a sample that the model was made from.
+    """
+
+    coefficients: np.ndarray
+    gain: np.ndarray
+    covariance: np.ndarray
+    step: float
+    start: float = 0.0
+
+    @property
+    def n_states(self):
+        """Number of states."""
+        return self.gain.shape[1]
+
+    @property
+    def n_outputs(self):
+        """Number of outputs."""
+        return self.gain.shape[2]
+
+    @property
+    def n_inputs(self):
+        """Number of inputs."""
+        return self.coefficients.shape[2] - self.n_states - 1
+
+    @property
+    def n_harmonics(self):
+        """Highest harmonic of A, B, C, D and K that is not zero; a and c may have more."""
+        parts = [self.coefficients[..., :-1], self.gain]
+        moving = [np.flatnonzero(np.any(part != 0.0, axis=(1, 2))) for part in parts]
+        return max((int(each[-1]) + 1) // 2 for each in moving if len(each))
+
+    def matrices(self):
+        """Fourier coefficients of A, B, C and D."""
+        M, n = self.coefficients, self.n_states
+        return M[:, :n, :n], M[:, :n, n:-1], M[:, n:, :n], M[:, n:, n:-1]
+
+    def rows(self, psi):
+        """The model at the samples of one segment."""
+        sampled, K = evaluate_harmonics(self.coefficients, psi), evaluate_harmonics(self.gain, psi)
+        n = self.n_states
+        return Rows(sampled[:, :n], sampled[:, n:], K)
+
+    def about(self, input_mean, output_mean):
+        """The model of signals about whose periodic means this one is.
+
+        Parameters
+        ----------
+        input_mean, output_mean : ndarray, shapes (2 L + 1, m), (2 L + 1, l)
+            Fourier coefficients.
+        """
+        n, L = self.n_states, len(input_mean) // 2
+        H = len(self.coefficients) // 2 + L
+        psi = 2.0 * np.pi * np.arange(2 * H + 1) / (2 * H + 1)
+        values = evaluate_harmonics(self.coefficients, psi)
+        u, y = evaluate_harmonics(input_mean, psi), evaluate_harmonics(output_mean, psi)
+        values[:, :, -1] -= np.einsum("tij,tj->ti", values[:, :, n:-1], u)
+        values[:, n:, -1] += y
+        whole = np.zeros((2 * H + 1, *self.coefficients.shape[1:]))
+        whole[: len(self.coefficients)] = self.coefficients
+        whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
+        gain = np.zeros((2 * H + 1, *self.gain.shape[1:]))
+        gain[: len(self.gain)] = self.gain
+        return replace(self, coefficients=whole, gain=gain)
+
+    def in_units(self, u_scale, y_scale):
+        """The model between signals that were divided by some scales."""
+        coefficients, n = self.coefficients.copy(), self.n_states
+        coefficients[:, n:] *= y_scale[:, None]
+        coefficients[:, :, n:-1] /= u_scale
+        covariance = self.covariance * y_scale[:, None] * y_scale
+        return replace(
+            self, coefficients=coefficients, gain=self.gain / y_scale, covariance=covariance
+        )
+
+    @property
+    def samples_per_period(self):
+        """Samples in a turn, whole or not."""
+        return 2.0 * np.pi / self.step
+
+    def whole_turn(self):
+        """The model with a whole number of samples in a turn, without innovations.
+
+        Where δ is no whole part of a turn, each step is made longer by the power
+        ε = 2π/(δ q) − 1 of the transition about its own end, q the whole samples in a turn.
+
+        Returns
+        -------
+        psi : ndarray, shape (q,)
+        states : ndarray, shape (q, n, n + m + 1)
+            [A B a] of steps of 2π/q.
+        outputs : ndarray, shape (q, l, n + m + 1)
+        """
+        q = max(1, int(np.floor(self.samples_per_period * (1.0 + WHOLE))))
+        longer = self.samples_per_period / q - 1.0
+        psi = self.start + 2.0 * np.pi * np.arange(q) / q
+        rows = self.rows(psi)
+        states = rows.states
+        if abs(longer) > WHOLE:
+            middle = self.rows(psi + np.pi / q).states
+            rest = np.array([_power(step, longer) for step in middle])
+            n = self.n_states
+            states = rest[..., :n] @ states
+            states[..., n:] += rest[..., n:]
+        return psi, states, rows.outputs
+
+    def multiplier_logarithms(self):
+        """Logarithms of the Floquet multipliers, complex, shape (n,); the slowest first."""
+        _, states, _ = self.whole_turn()
+        found = product_logarithms(states[..., : self.n_states])
+        return found[np.lexsort((found.imag, -found.real))]
+
+    def growth(self):
+        """Of the fastest growing mode, e-folds a sample; −inf if every mode dies at once."""
+        found = np.max(self.multiplier_logarithms().real, initial=-np.inf)
+        return float(found / self.samples_per_period)
+
+    def multipliers(self):
+        """Eigenvalues of the transition over one turn, complex, shape (n,)."""
+        return np.exp(self.multiplier_logarithms())
+
+    def forced_response(self, n_harmonics):
+        """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l).
+
+        x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), collocated at equally spaced azimuths.
+        """
+        n, K = self.n_states, n_harmonics
+        psi = 2.0 * np.pi * np.arange(4 * K + 4) / (4 * K + 4)
+        rows = self.rows(psi)
+        now, later = (harmonic_functions(psi + d, range(K + 1)) for d in (0.0, self.step))
+        moved = np.einsum("tij,tk->tikj", rows.states[..., :n], now)
+        kept = np.einsum("tk,ij->tikj", later, np.eye(n))
+        design = (kept - moved).reshape(len(psi) * n, -1)
+        x = linalg.lstsq(design, rows.states[..., -1].ravel())[0].reshape(2 * K + 1, n)
+        outputs = np.einsum("tij,tj->ti", rows.outputs[..., :n], now @ x) + rows.outputs[..., -1]
+        return sampled_harmonics(outputs, K)
+
+
+def _power(step, exponent):
+    """[A B]^ε of x ↦ A x + B v with v held."""
+    n, width = step.shape
+    whole = np.eye(width)
+    whole[:n] = step
+    with np.errstate(all="ignore"):
+        found = linalg.fractional_matrix_power(whole, exponent)
+    return np.real(found)[:n]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A periodic innovations model at the samples of one segment.
+
+    Attributes
+    ----------
+    states : ndarray, shape (n_samples, n, n + m + 1)
+        [A B a].
+    outputs : ndarray, shape (n_samples, l, n + m + 1)
+        [C D c].
+    gain : ndarray, shape (n_samples, n, l)
+    """
+
+    states: np.ndarray
+    outputs: np.ndarray
+    gain: np.ndarray
+
+    @property
+    def n_states(self):
+        return self.states.shape[1]
+
+    def simulated(self, inputs, x0):
+        """Outputs from an initial state, shape (n_samples, l); not finite where they overflow."""
+        n, u = self.n_states, _with_one(inputs)
+        forcing = np.einsum("tij,tj->ti", self.states[..., n:], u)
+        x = propagate_varying(self.states[..., :n], forcing[..., None], np.asarray(x0)[:, None])
+        return np.einsum("tij,tj->ti", self.outputs, np.hstack([x[..., 0], u]))
+
+    def free(self):
+        """Outputs of each unit initial state, without inputs and loads, (n, n_samples, l)."""
+        n = self.n_states
+        x = propagate_varying(self.states[..., :n], None, np.eye(n))
+        return (self.outputs[..., :n] @ x).transpose(2, 0, 1)
+
+    def left(self, inputs, outputs):
+        """What a simulation leaves, from the initial state that fits best; None if it overflows."""
+        n, u = self.n_states, _with_one(inputs)
+        forcing = np.zeros((len(u), n, n + 1))
+        forcing[..., 0] = np.einsum("tij,tj->ti", self.states[..., n:], u)
+        start = np.hstack([np.zeros((n, 1)), np.eye(n)])
+        x = propagate_varying(self.states[..., :n], forcing, start)
+        rest = outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x[..., 0], u]))
+        free = (self.outputs[..., :n] @ x[..., 1:]).reshape(-1, n)
+        if not max(np.max(np.abs(rest), initial=0.0), np.max(np.abs(free), initial=0.0)) < OVERFLOW:
+            return None
+        return rest - (free @ _fitted(free, rest.ravel())).reshape(rest.shape)
+
+    def ahead(self, inputs, outputs, x0, horizon):
+        """Outputs predicted some rows ahead; those of the first rows from the initial state.
+
+        Parameters
+        ----------
+        inputs, outputs : ndarray, shapes (n_samples, m), (n_samples, l)
+        x0 : ndarray, shape (n,)
+        horizon : int
+            Rows from the last output known to the one predicted, at least 1.
+        """
+        n, u = self.n_states, _with_one(inputs)
+        stable, forcing = self._predictor(u, outputs)
+        start = np.asarray(x0, dtype=float)[:, None]
+        x = propagate_varying(stable, forcing[..., None], start)[..., 0]
+        steps = min(horizon, len(x)) - 1
+        if steps > 0:  # rows later, without another innovation
+            pushed = np.einsum("tij,tj->ti", self.states[..., n:], u)
+            begun = propagate_varying(self.states[:steps, :, :n], pushed[:steps, :, None], start)[
+                ..., 0
+            ]
+            with np.errstate(over="ignore", invalid="ignore"):
+                for s in range(steps):
+                    rows = slice(s, len(pushed) - steps + s)
+                    x = np.einsum("tij,tj->ti", self.states[rows, :, :n], x[: len(pushed) - steps])
+                    x = x + pushed[rows]
+            x = np.concatenate([begun, x])
+        return np.einsum("tij,tj->ti", self.outputs, np.hstack([x, u]))
+
+    def initial_state(self, inputs, outputs, covariance):
+        """The state that leaves the least innovations over some first rows."""
+        n, u = self.n_states, _with_one(inputs)
+        first = Rows(self.states[: len(u)], self.outputs[: len(u)], self.gain[: len(u)])
+        stable, forcing = first._predictor(u, outputs)
+        both = np.concatenate([forcing[..., None], np.zeros((*forcing.shape, n))], axis=-1)
+        x = propagate_varying(stable, both, np.hstack([np.zeros((n, 1)), np.eye(n)]))
+        left = outputs - np.einsum("tij,tj->ti", first.outputs, np.hstack([x[..., 0], u]))
+        free = first.outputs[..., :n] @ x[..., 1:]
+        size = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
+        return _fitted((free / size[:, None]).reshape(-1, n), (left / size).ravel())
+
+    def _predictor(self, u, outputs):
+        """A − K C, and what inputs and outputs push x by."""
+        n = self.n_states
+        stable = self.states[..., :n] - self.gain @ self.outputs[..., :n]
+        direct = self.states[..., n:] - self.gain @ self.outputs[..., n:]
+        forcing = np.einsum("tij,tj->ti", direct, u)
+        return stable, forcing + np.einsum("tij,tj->ti", self.gain, outputs)
+
+
+def _fitted(free, rest):
+    """Least squares on columns of any size."""
+    size = np.linalg.norm(free, axis=0)
+    size[size == 0.0] = 1.0
+    return linalg.lstsq(free / size, rest, cond=HALF)[0] / size
+
+
+def _with_one(inputs):
+    """Inputs beside a constant one, which drives the forced response."""
+    return np.hstack([inputs, np.ones((len(inputs), 1))])
+
+
+def propagate_varying(A, forcing, start):
+    """States of x[k+1] = A[k] x[k] + v[k], several columns at once.
+
+    In pieces of about √N samples, all pieces at once, joined by their transition matrices.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n_samples, n, n)
+    forcing : ndarray, shape (n_samples, n, r), or None
+        v; the last row is not used.
+    start : ndarray, shape (n, r)
+
+    Returns
+    -------
+    states : ndarray, shape (n_samples, n, r)
+
+    Examples
+    --------
+    >>> A = np.array([0.5, 2.0, 0.5, 2.0, 0.5])[:, None, None]
+    >>> propagate_varying(A, np.ones((5, 1, 1)), np.zeros((1, 1))).ravel().tolist()
+    [0.0, 1.0, 3.0, 2.5, 6.0]
+    """
+    n_samples, n, _ = A.shape
+    r = start.shape[1]
+    length = max(1, int(np.sqrt(n_samples)))
+    n_pieces = -(-n_samples // length)
+    spare = n_pieces * length - n_samples
+    A = np.concatenate([A, np.broadcast_to(np.eye(n), (spare, n, n))]).reshape(-1, length, n, n)
+    Phi = np.empty((n_pieces, length + 1, n, n))
+    Phi[:, 0] = np.eye(n)
+    forced = np.zeros((n_pieces, length + 1, n, r))
+    if forcing is not None:
+        v = np.concatenate([forcing, np.zeros((spare, n, r))]).reshape(-1, length, n, r)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(length):
+            Phi[:, k + 1] = A[:, k] @ Phi[:, k]
+            if forcing is not None:
+                forced[:, k + 1] = A[:, k] @ forced[:, k] + v[:, k]
+        starts, x = np.empty((n_pieces, n, r)), start
+        for piece in range(n_pieces):
+            starts[piece] = x
+            x = Phi[piece, -1] @ x + forced[piece, -1]
+        states = Phi[:, :-1] @ starts[:, None] + forced[:, :-1]
+    return states.reshape(-1, n, r)[:n_samples]

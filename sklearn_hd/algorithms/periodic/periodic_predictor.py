@@ -1,0 +1,441 @@
+"""The predictor of a periodic machine, and the states behind it, from samples at any azimuth.
+
+In sample k, at azimuth ψ_k, with all coefficients Fourier series in ψ, a machine in service is
+
+    x[k+1] = A(ψ_k) x + B(ψ_k) u + K(ψ_k) e + a(ψ_k),    y[k] = C(ψ_k) x + D(ψ_k) u + c(ψ_k) + e[k]
+
+where a and c drive the forced periodic response: trim, loads at n per turn. Seen from the outputs
+it forgets its state, and
+
+    y[k] = Σ_{s=1…p} Φ_s(ψ_k) z[k−s] + D(ψ_k) u[k] + c̄(ψ_k) + e[k],   z = [u; y]
+
+is one linear regression, for each Φ_s is a product of periodic matrices, and periodic itself. What
+of the next f outputs is known from data before k alone is
+
+    O_k = (Σ_{s>j} Φ_s(ψ_{k+j}) z[k+j−s])_{j=0…f−1} = Γ(ψ_k) x_k
+
+and x_k = V_nᵀ O_k, of one singular value decomposition over all k, is the state in coordinates
+T(ψ) = V_nᵀ Γ(ψ). Each output of O_k is measured in its innovations, or a large channel decides all;
+and its periodic mean is taken out first, or V_n spans the orbit instead of the motion about it.
+
+Two more regressions give C, and A, B, K, a. Sums of products over rows are all that is kept: any
+number of lags, harmonics and states is read from the same sums. The reading of samples
+(:mod:`sklearn_hd._identify.sample`) needs it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+__all__ = ["LagSums", "Layout", "Predictor", "StateSums", "forced_mean", "futures_known"]
+
+CHUNK = 2**21  # numbers held at once of the regressors
+RIDGES = np.concatenate([[0.0], 10.0 ** np.arange(-12.0, 0.5, 0.5)])  # of the largest eigenvalue
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of the regression: lags, inputs of the same row, forced response.
+
+    Attributes
+    ----------
+    n_inputs, n_outputs : int
+    n_lags : int
+        p.
+    n_harmonics, n_input_harmonics : int
+        Highest harmonic of what multiplies outputs, and of what multiplies inputs.
+    n_loads : int
+        Highest harmonic of c̄.
+    feedthrough : bool
+    """
+
+    n_inputs: int
+    n_outputs: int
+    n_lags: int
+    n_harmonics: int
+    n_input_harmonics: int
+    n_loads: int
+    feedthrough: bool
+
+    @property
+    def n_functions(self):
+        """Functions 1, cos ψ, sin ψ, … of the largest number of harmonics."""
+        return 2 * max(self.n_harmonics, self.n_input_harmonics) + 1
+
+    @property
+    def n_first(self):
+        """Columns before those of the lags."""
+        direct = self.n_inputs * (2 * self.n_input_harmonics + 1) if self.feedthrough else 0
+        return 2 * self.n_loads + 1 + direct
+
+    @property
+    def per_lag(self):
+        """Columns of one lag."""
+        own = self.n_outputs * (2 * self.n_harmonics + 1)
+        return self.n_inputs * (2 * self.n_input_harmonics + 1) + own
+
+    @property
+    def n_columns(self):
+        """All columns."""
+        return self.n_first + self.n_lags * self.per_lag
+
+    def _of_channels(self):
+        """Channel and function of each column of one lag."""
+        counts = [2 * self.n_input_harmonics + 1] * self.n_inputs
+        counts += [2 * self.n_harmonics + 1] * self.n_outputs
+        channels = np.repeat(np.arange(len(counts)), counts)
+        functions = np.concatenate([np.arange(count) for count in counts])
+        return channels, functions
+
+    def places_in(self, larger):
+        """Where the columns of this layout stand among those of a larger one."""
+        loads = np.arange(2 * self.n_loads + 1)
+        own, theirs = self._of_channels(), larger._of_channels()
+        place = {pair: k for k, pair in enumerate(zip(*theirs, strict=True))}
+        one = np.array([place[pair] for pair in zip(*own, strict=True)], dtype=int)
+        direct = one[own[0] < self.n_inputs] if self.feedthrough else one[:0]
+        lags = larger.n_first + larger.per_lag * np.arange(self.n_lags)[:, None] + one
+        return np.concatenate([loads, 2 * larger.n_loads + 1 + direct, lags.ravel()])
+
+    def design(self, inputs, outputs, psi, rows):
+        """Regressors of some rows of one segment, shape (n_rows, n_columns)."""
+        functions = harmonic_functions(
+            psi[rows], range(max(self.n_loads, (self.n_functions - 1) // 2) + 1)
+        )
+        channels, which = self._of_channels()
+        X = np.empty((len(rows), self.n_columns))
+        width = 2 * self.n_loads + 1
+        X[:, :width] = functions[:, :width]
+        z = np.hstack([inputs, outputs])
+        if self.feedthrough:
+            own = channels < self.n_inputs
+            X[:, width : self.n_first] = z[rows][:, channels[own]] * functions[:, which[own]]
+        factors = functions[:, which]
+        for s in range(1, self.n_lags + 1):
+            start = self.n_first + (s - 1) * self.per_lag
+            X[:, start : start + self.per_lag] = z[rows - s][:, channels] * factors
+        return X
+
+    def split(self, coefficients):
+        """c̄, D and Φ by function: (2 L + 1, l), (q, m, l), (p, q, m + l, l)."""
+        channels, which = self._of_channels()
+        width, m = 2 * self.n_loads + 1, self.n_inputs
+        n_outputs = coefficients.shape[1]
+        D = np.zeros((self.n_functions, m, n_outputs))
+        own = channels < m
+        if self.feedthrough:
+            D[which[own], channels[own]] = coefficients[width : self.n_first]
+        lags = np.zeros((self.n_lags, self.n_functions, m + self.n_outputs, n_outputs))
+        lags[:, which, channels] = coefficients[self.n_first :].reshape(
+            self.n_lags, self.per_lag, n_outputs
+        )
+        return coefficients[:width], D, lags
+
+
+def forced_mean(segments, n_harmonics):
+    """Fourier coefficients of the periodic means of inputs and outputs, least squares over rows.
+
+    Parameters
+    ----------
+    segments : list of (inputs, outputs, psi)
+        Shapes (n_s, m), (n_s, l), (n_s,).
+    n_harmonics : int
+
+    Returns
+    -------
+    inputs, outputs : ndarray, shapes (2 n_harmonics + 1, m), (2 n_harmonics + 1, l)
+    """
+    gram, products = 0.0, 0.0
+    for u, y, psi in segments:
+        functions = harmonic_functions(psi, range(n_harmonics + 1))
+        gram = gram + functions.T @ functions
+        products = products + functions.T @ np.hstack([u, y])
+    found = linalg.lstsq(gram, products)[0]
+    return found[:, : segments[0][0].shape[1]], found[:, segments[0][0].shape[1] :]
+
+
+@dataclass(frozen=True, eq=False)
+class LagSums:
+    """Sums of squares and products of one regression, from which smaller ones are read.
+
+    Attributes
+    ----------
+    layout : Layout
+    gram : ndarray, shape (d, d)
+    products : ndarray, shape (d, l)
+    squares : ndarray, shape (l, l)
+    n_rows : int
+    """
+
+    layout: Layout
+    gram: np.ndarray
+    products: np.ndarray
+    squares: np.ndarray
+    n_rows: int
+
+    @classmethod
+    def of(cls, segments, layout, most_rows=None):
+        """Sums over the rows of some segments that have p rows before them, up to a number."""
+        d, n_outputs = layout.n_columns, layout.n_outputs
+        gram, products = np.zeros((d, d)), np.zeros((d, n_outputs))
+        squares, n_rows = np.zeros((n_outputs, n_outputs)), 0
+        for u, y, psi in segments:
+            for rows in _chunks(layout.n_lags, len(y), d):
+                if most_rows is not None:
+                    rows = rows[: max(0, most_rows - n_rows)]
+                if not len(rows):
+                    break
+                X = layout.design(u, y, psi, rows)
+                gram += X.T @ X
+                products += X.T @ y[rows]
+                squares += y[rows].T @ y[rows]
+                n_rows += len(rows)
+        return cls(layout, gram, products, squares, n_rows)
+
+    def part(self, layout):
+        """The sums of a smaller layout."""
+        if layout == self.layout:
+            return self
+        own = layout.places_in(self.layout)
+        gram, products = self.gram[np.ix_(own, own)], self.products[own]
+        return LagSums(layout, gram, products, self.squares, self.n_rows)
+
+    def criteria(self, least_lags):
+        """Akaike's criterion of each number of lags from some on, and the same of Schwarz.
+
+        Returns
+        -------
+        aic, bic : ndarray, shape (n_lags − least_lags + 1,)
+        """
+        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
+        scaled = self.gram / size / size[:, None]
+        scaled[np.diag_indices(len(scaled))] += EXACT * len(scaled)
+        upper = linalg.cholesky(scaled)
+        taken = linalg.solve_triangular(upper, self.products / size[:, None], trans="T")
+        layout, n = self.layout, self.n_rows
+        information, counts = [], []
+        for p in range(least_lags, layout.n_lags + 1):
+            d = layout.n_first + p * layout.per_lag
+            left = self.squares - taken[:d].T @ taken[:d]
+            information.append(n * _log_volume(left / n, self.squares / n))
+            counts.append(d * layout.n_outputs)
+        information, counts = np.array(information), np.array(counts)
+        return information + 2.0 * counts, information + np.log(n) * counts
+
+    def predictor(self):
+        """The regression with the ridge of least generalised cross-validation."""
+        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
+        values, vectors = linalg.eigh(self.gram / size / size[:, None])
+        values = np.maximum(values, 0.0)
+        along = vectors.T @ (self.products / size[:, None])
+        kept = values > EXACT * values[-1]
+        total, best = np.diag(self.squares), None
+        for ridge in RIDGES * values[-1]:
+            shrunk = np.where(kept, 1.0, 0.0) / np.where(kept, values + ridge, 1.0)
+            found = shrunk[:, None] * along
+            left = total - 2.0 * np.sum(found * along, axis=0) + values @ found**2
+            left = np.maximum(left, EXACT * total)
+            spent = np.sum(values * shrunk) / self.n_rows
+            score = np.sum(np.log(left)) - 2.0 * len(left) * np.log(max(1.0 - spent, EPS))
+            if best is None or score < best[0]:
+                best = score, ridge / values[-1], found
+        _, ridge, found = best
+        coefficients = vectors @ found / size[:, None]
+        crossed = coefficients.T @ self.products
+        left = self.squares - crossed - crossed.T + coefficients.T @ self.gram @ coefficients
+        loads, D, lags = self.layout.split(coefficients)
+        return Predictor(self.layout, loads, D, lags, left / self.n_rows, float(ridge))
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """Coefficients of the regression, by function 1, cos ψ, sin ψ, ….
+
+    Attributes
+    ----------
+    layout : Layout
+    loads : ndarray, shape (2 L + 1, l)
+    D : ndarray, shape (q, m, l)
+    lags : ndarray, shape (p, q, m + l, l)
+    covariance : ndarray, shape (l, l)
+        Of what the regression leaves.
+    ridge : float
+        In parts of the largest eigenvalue of the scaled sums.
+    """
+
+    layout: Layout
+    loads: np.ndarray
+    D: np.ndarray
+    lags: np.ndarray
+    covariance: np.ndarray
+    ridge: float
+
+
+def futures_known(segment, predictor, n_future):
+    """O_k of the rows of one segment that have p rows before and f − 1 after them.
+
+    Row k = n_s too, the one that follows the segment, where f is 1.
+
+    Parameters
+    ----------
+    segment : (inputs, outputs, psi)
+    predictor : Predictor
+    n_future : int
+        f.
+
+    Returns
+    -------
+    first : int
+        The row of the first.
+    known : ndarray, shape (n_rows, f l)
+        O.
+    """
+    u, y, psi = segment
+    layout, p, f = predictor.layout, predictor.layout.n_lags, n_future
+    z = np.hstack([u, y])
+    n_rows, n_outputs = len(y) - p - f + 1, y.shape[1]
+    if n_rows < 1:
+        return p, np.zeros((0, f * n_outputs))
+    known = np.zeros((n_rows, f, n_outputs))
+    orders = range((layout.n_functions - 1) // 2 + 1)
+    for start in range(0, n_rows, CHUNK // (p * z.shape[1] * f + 1) + 1):
+        rows = np.arange(start, min(n_rows, start + CHUNK // (p * z.shape[1] * f + 1) + 1)) + p
+        past = np.stack([z[rows - r] for r in range(1, p + 1)], axis=1)  # (k, p, w)
+        past = past.reshape(len(rows), -1)
+        for j in range(f):
+            ahead = predictor.lags[j:].transpose(0, 2, 1, 3)  # s = j + 1 …: (p − j, w, q, l)
+            ahead = ahead.reshape(-1, layout.n_functions * n_outputs)
+            by_function = past[:, : len(ahead)] @ ahead
+            by_function = by_function.reshape(len(rows), layout.n_functions, n_outputs)
+            functions = harmonic_functions(psi[rows + j], orders)
+            known[rows - p, j] = np.einsum("kql,kq->kl", by_function, functions)
+    return p, known.reshape(n_rows, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class StateSums:
+    """Sums of one regression of outputs and next states on states, inputs and innovations.
+
+    Regressors, each with functions 1, cos ψ, …: the forced response, inputs, innovations, states.
+    Those of few states and few harmonics are part of them.
+
+    Attributes
+    ----------
+    gram : ndarray, shape (d, d)
+        Of all regressors.
+    outputs : ndarray, shape (d, l)
+        Their products with what the outputs are without innovations.
+    following : ndarray, shape (d, n)
+        Their products with the next states.
+    kinds : ndarray of int, shape (3, d)
+        Of each regressor: what it is (0 forced, 1 input, 2 innovation, 3 state), which, and its
+        function.
+    n_rows : int
+    """
+
+    gram: np.ndarray
+    outputs: np.ndarray
+    following: np.ndarray
+    kinds: np.ndarray
+    n_rows: int
+
+    @classmethod
+    def of(cls, rows, n_harmonics, n_loads):
+        """Sums over rows of states x, next states, inputs, outputs, innovations and azimuths.
+
+        Parameters
+        ----------
+        rows : iterable of (x, following, inputs, outputs, innovations, psi)
+        n_harmonics, n_loads : int
+        """
+        sums = kinds = None
+        for x, following, u, y, e, psi in rows:
+            if kinds is None:
+                counts = (1, u.shape[1], y.shape[1], x.shape[1])
+                kinds = _regressor_kinds(counts, n_harmonics, n_loads)
+                d = kinds.shape[1]
+                sums = np.zeros((d, d)), np.zeros((d, y.shape[1])), np.zeros((d, x.shape[1])), 0
+            gram, outputs, next_states, n = sums
+            functions = harmonic_functions(psi, range(max(n_harmonics, n_loads) + 1))
+            every = np.hstack([np.ones((len(x), 1)), u, e, x])
+            column = np.cumsum([0, *counts])[kinds[0]] + kinds[1]
+            for part in _chunks(0, len(x), d):
+                X = every[part][:, column] * functions[part][:, kinds[2]]
+                gram += X.T @ X
+                outputs += X.T @ y[part]
+                next_states += X.T @ following[part]
+            sums = gram, outputs, next_states, n + len(x)
+        gram, outputs, next_states, n = sums
+        return cls(gram, outputs, next_states, kinds, n)
+
+    def matrices(self, order, n_harmonics, n_input_harmonics, n_loads, feedthrough):
+        """Fourier coefficients of [A B a; C D c] and of K, of some order.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (2 H + 1, n + l, n + m + 1)
+            H the largest number of harmonics.
+        gain : ndarray, shape (2 H + 1, n, l)
+        """
+        kind, which, function = self.kinds
+        most = np.array([n_loads, n_input_harmonics, n_harmonics, n_harmonics])
+        used = function <= 2 * most[kind]
+        used &= (kind != 3) | (which < order)
+        m = int(which[kind == 1].max(initial=-1)) + 1
+        n_outputs = self.outputs.shape[1]
+        H = int(max(most))
+        seen = used & (kind != 2) & (feedthrough | (kind != 1))
+        coefficients = np.zeros((2 * H + 1, order + n_outputs, order + m + 1))
+        gain = np.zeros((2 * H + 1, order, n_outputs))
+        column = np.choose(kind, [order + m, order + which, 0, which])
+        moved = self._solved(used, self.following[:, :order])
+        read = self._solved(seen, self.outputs)
+        for regressors, found, rows in (
+            (used, moved, slice(0, order)),
+            (seen, read, slice(order, None)),
+        ):
+            for i, value in zip(np.flatnonzero(regressors), found, strict=True):
+                if kind[i] == 2:
+                    gain[function[i], :, which[i]] = value
+                else:
+                    coefficients[function[i], rows, column[i]] = value
+        return coefficients, gain
+
+    def _solved(self, chosen, products):
+        """Least squares on some regressors."""
+        gram = self.gram[np.ix_(chosen, chosen)]
+        size = np.sqrt(np.diag(gram))
+        size[size == 0.0] = 1.0
+        scaled = gram / size / size[:, None]
+        values, vectors = linalg.eigh(scaled)
+        kept = values > EXACT * values[-1]
+        along = vectors.T @ (products[chosen] / size[:, None])
+        along = np.where(kept[:, None], along, 0.0) / np.where(kept, values, 1.0)[:, None]
+        return vectors @ along / size[:, None]
+
+
+def _regressor_kinds(counts, n_harmonics, n_loads):
+    """What each regressor is, which of its kind, and its function."""
+    columns = []
+    for kind, count in enumerate(counts):
+        n_functions = 2 * (n_loads if kind == 0 else n_harmonics) + 1
+        columns += [(kind, i, function) for i in range(count) for function in range(n_functions)]
+    return np.array(columns, dtype=int).T
+
+
+def _chunks(start, stop, width):
+    """Rows from start to before stop, so many at a time that regressors stay in memory."""
+    length = max(256, CHUNK // max(1, width))
+    for first in range(start, stop, length):
+        yield np.arange(first, min(stop, first + length))
+
+
+def _log_volume(left, total):
+    """Logarithm of the determinant of a covariance, not below what rounding leaves."""
+    scale = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
+    values = linalg.eigvalsh(left / scale / scale[:, None])
+    return float(np.sum(np.log(np.maximum(values, HALF**2))))
