@@ -31,13 +31,14 @@ from sklearn_hd.exceptions import InstabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
-MOST_LAGS = 30
+MOST_LAGS = 60
+MOST_COLUMNS = 600  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
-MOST_FUTURE = 8  # rows ahead that states are read from
 MOST_STATES = 12  # tried by order="auto"
 ROWS_PER_COLUMN = 5  # of the largest regression tried
 ROWS_COMPARED = 10_000  # of a longer record, from its start, choices are made on
+PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 4  # orders that may pass without a better one
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 
@@ -222,7 +223,8 @@ def _most_lags(data, settings, n_harmonics, n_rows):
     asked = settings.block_rows
     lags = asked
     if asked is None:
-        lags = min(MOST_LAGS, n_rows // (ROWS_PER_COLUMN * per_lag), longest // 3)
+        columns = min(n_rows // ROWS_PER_COLUMN, MOST_COLUMNS)
+        lags = min(MOST_LAGS, columns // per_lag, longest // 3)
     need = 2 * max(lags, shortest, 2) * per_lag
     if lags < max(2, shortest) or n_rows < need or longest <= 2 * lags:
         least = max(2, shortest, asked or 0)
@@ -263,7 +265,7 @@ class _States:
         """States that a predictor makes of the data."""
         layout, n_outputs = predictor.layout, data.n_outputs
         asked = 1 if settings.order == "auto" else settings.order
-        n_future = min(layout.n_lags, max(MOST_FUTURE, -(-asked // n_outputs) + 1))
+        n_future = layout.n_lags
         bound = n_future * n_outputs
         if asked > bound:
             raise ValueError(
@@ -287,12 +289,17 @@ class _States:
         singular_values = np.sqrt(np.maximum(values[::-1], 0.0))
         return cls(parts, singular_values, predictor.covariance, n)
 
-    def rows(self, data):
-        """States, next states, inputs, outputs, innovations and azimuths of each segment."""
+    def rows(self, data, order, most=None):
+        """States, next states, inputs, outputs, innovations and azimuths of each segment.
+
+        Of some order, up to a number of rows.
+        """
+        left = sum(len(x) for _, x, _ in self.parts) if most is None else most
         for (first, x, e), (u, y, psi) in zip(self.parts, data.segments, strict=True):
-            if len(x) > 1:
-                rows = slice(first, first + len(x) - 1)
-                yield x[:-1], x[1:], u[rows], y[rows], e[:-1], psi[rows]
+            n = min(len(x) - 1, left)
+            if n > 0:
+                rows, left = slice(first, first + n), left - n
+                yield x[:n, :order], x[1 : n + 1, :order], u[rows], y[rows], e[:n], psi[rows]
 
 
 def _positive(covariance):
@@ -308,13 +315,16 @@ class _Choice:
         self.basis, self.layout, self.tried = basis, layout, []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
-        self.sums = StateSums.of(states.rows(data), self.most, basis.most_loads)
+        self.sums = self._sums(states.bound, self.most, ROWS_COMPARED)
         self.simulated = list(_first_rows(data.segments, layout.n_lags))
         self.total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
 
+    def _sums(self, order, count, most=None):
+        rows = self.states.rows(self.data, order, most)
+        return StateSums.of(rows, count, self.basis.most_loads)
+
     def best(self):
         """The model of the least criterion: a Simulated, a PeriodicInnovations."""
-        models = {}
         asked = self.settings.order
         orders = range(1, self.states.bound + 1) if asked == "auto" else [asked]
         n_values = sum(y.size for _, y, _ in self.simulated)
@@ -322,9 +332,7 @@ class _Choice:
         for order in orders:
             before = None
             for count in self._counts():
-                innovations = self._model(order, count)
-                one = self._compared(order, count, innovations)
-                models[id(one)] = innovations
+                one = self._compared(order, count, self._model(self.sums, order, count))
                 self.tried.append(one)
                 if before is not None and one.bic >= before.bic:
                     break
@@ -339,16 +347,29 @@ class _Choice:
                 f"{self.tried[-1].order}) is stable; use stable=False and predict_ahead, another "
                 f"order, or fewer harmonics"
             )
-        return found, models[id(found)]
+        order, count = found.order, found.n_harmonics
+        innovations = self._model(self._sums(order, count), order, count)  # of all rows
+        return found, innovations.filtered(self._noise(innovations))
+
+    def _noise(self, innovations):
+        """Covariance of innovations, and of what is left of next states and of outputs."""
+        n, total, n_rows = innovations.n_states, 0.0, 0
+        for x, following, u, y, e, psi in self.states.rows(self.data, n, ROWS_COMPARED):
+            form = innovations.rows(psi)
+            known = np.hstack([x, u, np.ones((len(u), 1))])[..., None]
+            rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
+            noise = np.hstack([e, rest, y - (form.outputs @ known)[..., 0]])
+            total, n_rows = total + noise.T @ noise, n_rows + len(noise)
+        return total / n_rows
 
     def _counts(self):
         """Numbers of harmonics tried, of which each has to better the one before."""
         first = self.layout.n_harmonics
         return sorted({first, *(min(k * first, self.most) for k in (2, 3)), self.most})
 
-    def _model(self, order, count):
+    def _model(self, sums, order, count):
         asked = self.basis.n_input_harmonics
-        coefficients, gain = self.sums.matrices(
+        coefficients, gain = sums.matrices(
             order,
             count,
             count if asked is None else min(count, asked),
@@ -356,24 +377,26 @@ class _Choice:
             self.layout.feedthrough,
         )
         start = self.data.segments[0][2][0]
-        return PeriodicInnovations(
-            coefficients, gain, self.states.covariance, self.data.step, float(start)
-        )
+        covariance, step = self.states.covariance, self.data.step
+        return PeriodicInnovations(coefficients, gain, covariance, step, float(start))
 
     def _compared(self, order, count, innovations):
         """What simulations of one model leave."""
         D, longest = self.layout.feedthrough, max(len(y) for _, y, _ in self.data.segments)
         rate = innovations.growth()
-        pieces = [piece for s in self.simulated for piece in _pieces(s, rate)]
+        least = PIECE * self.layout.n_lags  # so long that no initial state explains it
+        pieces = [piece for s in self.simulated for piece in _pieces(s, rate, least)]
         left = [innovations.rows(psi).left(u, y) for u, y, psi in pieces]
         if any(each is None for each in left):
             return Simulated(order, D, False, np.inf, np.inf, np.inf, count)
         shares = sum(np.sum(each**2, axis=0) for each in left) / self.total
         logs = np.log(shares + np.finfo(float).eps)
         m, n_outputs = self.data.n_inputs, self.data.n_outputs
-        n_free = (order * (order + m + n_outputs) + D * m * n_outputs) * (2 * count + 1)
+        n_free = order * (order + m + n_outputs) + D * m * n_outputs
+        first = self.layout.n_harmonics  # those beyond belong to the coordinates
         n_rows = sum(len(y) for _, y, _ in pieces)
-        bic = n_rows * np.sum(logs) + n_free * np.log(n_rows)
+        spent = (2 * first + 1) * np.log(n_rows) + 4 * (count - first)
+        bic = n_rows * np.sum(logs) + n_free * spent
         bic += order * sum(np.log(len(y)) for _, y, _ in pieces)
         share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
         stable = longest * rate < GROWN
@@ -399,11 +422,11 @@ def _first_rows(segments, skipped):
             left -= len(y[rows])
 
 
-def _pieces(segment, rate):
+def _pieces(segment, rate, least):
     """A segment, in pieces in which a model of some growth a row does not outgrow the outputs."""
     u, y, psi = segment
     n = len(y)
-    length = n if rate * n < GROWN else max(int(GROWN / rate), 2)
+    length = n if rate * n < GROWN else max(int(GROWN / rate), least)
     n_pieces = max(1, n // length)
     for k in range(n_pieces):
         rows = slice(k * n // n_pieces, (k + 1) * n // n_pieces)

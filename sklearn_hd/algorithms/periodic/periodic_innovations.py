@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 __all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
 
+MOST_TURNS = 40  # over which the Riccati equation is stepped
 WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
 OVERFLOW = 1e150  # squares of anything larger overflow
 
@@ -139,9 +140,8 @@ class PeriodicInnovations:
         rows = self.rows(psi)
         states = rows.states
         if abs(longer) > WHOLE:
-            middle = self.rows(psi + np.pi / q).states
-            rest = np.array([_power(step, longer) for step in middle])
             n = self.n_states
+            rest = _power(self.rows(psi + np.pi / q).states, longer)
             states = rest[..., :n] @ states
             states[..., n:] += rest[..., n:]
         return psi, states, rows.outputs
@@ -161,6 +161,48 @@ class PeriodicInnovations:
         """Eigenvalues of the transition over one turn, complex, shape (n,)."""
         return np.exp(self.multiplier_logarithms())
 
+    def filtered(self, noise):
+        """The model with the gain of its Kalman filter, whose predictor is stable.
+
+        Where a machine has more states than the model, a regression on innovations e leaves
+        some of the next states, r, and of the outputs, v. With w = K(ψ) e + r the periodic
+        Riccati equation is stepped from sample to sample until it repeats itself.
+
+        Parameters
+        ----------
+        noise : ndarray, shape (l + n + l, l + n + l)
+            Covariance of e, r and v.
+
+        Returns
+        -------
+        model : PeriodicInnovations
+        """
+        n, H = self.n_states, len(self.gain) // 2
+        H = min(H, (self.gain.any(axis=(1, 2)).nonzero()[0][-1] + 1) // 2) if self.gain.any() else 0
+        n_turn = int(np.ceil(self.samples_per_period))
+        shown = 4 * (2 * H + 1) + n_turn
+        psi = self.start + self.step * np.arange(MOST_TURNS * n_turn + shown)
+        rows = self.rows(psi)
+        A, C, n_outputs = rows.states[..., :n], rows.outputs[..., :n], self.n_outputs
+        spread_by = np.zeros((len(psi), n + n_outputs, len(noise)))
+        spread_by[:, :n, :n_outputs], spread_by[:, :, n_outputs:] = rows.gain, np.eye(n + n_outputs)
+        joint = spread_by @ noise @ spread_by.swapaxes(1, 2)
+        Q, S = joint[:, :n, :n], joint[:, :n, n:]
+        R = joint[0, n:, n:] + EPS * np.trace(noise[-n_outputs:, -n_outputs:]) * np.eye(n_outputs)
+        P, gains, spreads = np.mean(Q, axis=0), [], []
+        for k in range(len(psi)):
+            spread = C[k] @ P @ C[k].T + R
+            gain = linalg.solve(spread, (A[k] @ P @ C[k].T + S[k]).T, assume_a="pos").T
+            P = A[k] @ P @ A[k].T + Q[k] - gain @ spread @ gain.T
+            P = 0.5 * (P + P.T)
+            gains.append(gain)
+            spreads.append(spread)
+        functions = harmonic_functions(psi[-shown:], range(H + 1))
+        found = linalg.lstsq(functions, np.reshape(gains[-shown:], (shown, -1)))[0]
+        gain = np.zeros_like(self.gain)
+        gain[: 2 * H + 1] = found.reshape(-1, *self.gain.shape[1:])
+        return replace(self, gain=gain, covariance=np.mean(spreads[-shown:], axis=0))
+
     def forced_response(self, n_harmonics):
         """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l).
 
@@ -178,14 +220,16 @@ class PeriodicInnovations:
         return sampled_harmonics(outputs, K)
 
 
-def _power(step, exponent):
-    """[A B]^ε of x ↦ A x + B v with v held."""
-    n, width = step.shape
-    whole = np.eye(width)
-    whole[:n] = step
-    with np.errstate(all="ignore"):
-        found = linalg.fractional_matrix_power(whole, exponent)
-    return np.real(found)[:n]
+def _power(steps, exponent):
+    """Small powers of maps x ↦ A x + B v with v held: A^ε and (A^ε − I)(A − I)⁻¹ B."""
+    n = steps.shape[1]
+    values, vectors = np.linalg.eig(steps[..., :n])
+    power = values**exponent
+    near = np.abs(values - 1.0) < HALF
+    held = np.where(near, exponent, (power - 1.0) / np.where(near, 1.0, values - 1.0))
+    back = np.linalg.inv(vectors)
+    A, hold = ((vectors * each[:, None]) @ back for each in (power, held))
+    return np.concatenate([A, hold @ steps[..., n:]], axis=-1).real
 
 
 @dataclass(frozen=True, eq=False)

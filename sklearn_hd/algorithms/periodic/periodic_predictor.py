@@ -358,19 +358,18 @@ class StateSums:
                 counts = (1, u.shape[1], y.shape[1], x.shape[1])
                 kinds = _regressor_kinds(counts, n_harmonics, n_loads)
                 d = kinds.shape[1]
-                sums = np.zeros((d, d)), np.zeros((d, y.shape[1])), np.zeros((d, x.shape[1])), 0
-            gram, outputs, next_states, n = sums
+                n, n_outputs = x.shape[1], y.shape[1]
+                sums = [np.zeros((d, d)), np.zeros((d, n_outputs)), np.zeros((d, n)), 0]
             functions = harmonic_functions(psi, range(max(n_harmonics, n_loads) + 1))
             every = np.hstack([np.ones((len(x), 1)), u, e, x])
             column = np.cumsum([0, *counts])[kinds[0]] + kinds[1]
             for part in _chunks(0, len(x), d):
                 X = every[part][:, column] * functions[part][:, kinds[2]]
-                gram += X.T @ X
-                outputs += X.T @ y[part]
-                next_states += X.T @ following[part]
-            sums = gram, outputs, next_states, n + len(x)
-        gram, outputs, next_states, n = sums
-        return cls(gram, outputs, next_states, kinds, n)
+                sums[0] += X.T @ X
+                sums[1] += X.T @ y[part]
+                sums[2] += X.T @ following[part]
+            sums[3] += len(x)
+        return cls(*sums[:3], kinds, sums[3])
 
     def matrices(self, order, n_harmonics, n_input_harmonics, n_loads, feedthrough):
         """Fourier coefficients of [A B a; C D c] and of K, of some order.
