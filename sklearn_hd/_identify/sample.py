@@ -27,7 +27,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     futures_known,
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
-from sklearn_hd.exceptions import InstabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
@@ -73,6 +73,11 @@ class Samples:
     def n_outputs(self):
         """Number of outputs."""
         return len(self.scales[1])
+
+
+def _longest(data):
+    """Rows of the longest segment."""
+    return max(len(y) for _, y, _ in data.segments)
 
 
 def asked_block_rows(basis, settings):
@@ -155,6 +160,7 @@ def identify(data, settings, experiment):
         basis.output_labels,
         layout.feedthrough,
     )
+    _warn_of_little(layout, sums.n_rows, best)
     _warn_of_growth(model, best, data)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
@@ -175,10 +181,8 @@ def identify(data, settings, experiment):
 
 def _layout(data, settings, basis):
     """Lags, harmonics and feedthrough of the predictor, and why D is free or zero."""
-    most = MOST_HARMONICS if basis.n_harmonics is None else basis.n_harmonics
-    most = min(most, basis.most_harmonics)
-    n_rows = sum(len(y) for _, y, _ in data.segments)
-    lags = _most_lags(data, settings, most, n_rows)
+    most, lags = _most(data, settings, basis)
+    shortest = _shortest(data, settings)
     auto = settings.feedthrough == "auto"
 
     def layout(count, feedthrough):
@@ -193,7 +197,7 @@ def _layout(data, settings, basis):
         )
 
     sums = LagSums.of(data.segments, layout(most, auto or settings.direct), ROWS_COMPARED)
-    least = lags if settings.block_rows is not None else min(2, lags)
+    least = lags if settings.block_rows is not None else shortest
     found = {}
     for count in range(most + 1):
         for feedthrough in (False, True) if auto else (settings.direct,):
@@ -215,27 +219,38 @@ def _layout(data, settings, basis):
     return replace(layout(count, feedthrough), n_lags=n_lags), reason
 
 
-def _most_lags(data, settings, n_harmonics, n_rows):
-    """Lags given, or the most that the record allows."""
-    shortest = 1 if settings.order == "auto" else -(-settings.order // data.n_outputs)
-    per_lag = (data.n_inputs + data.n_outputs) * (2 * n_harmonics + 1)
-    longest = max(len(y) for _, y, _ in data.segments)
-    asked = settings.block_rows
-    lags = asked
-    if asked is None:
-        columns = min(n_rows // ROWS_PER_COLUMN, MOST_COLUMNS)
-        lags = min(MOST_LAGS, columns // per_lag, longest // 3)
-    need = 2 * max(lags, shortest, 2) * per_lag
-    if lags < max(2, shortest) or n_rows < need or longest <= 2 * lags:
-        least = max(2, shortest, asked or 0)
+def _shortest(data, settings):
+    """Fewest lags, which have to tell as many states as asked for."""
+    return 2 if settings.order == "auto" else max(2, -(-settings.order // data.n_outputs))
+
+
+def _most(data, settings, basis):
+    """Most harmonics and lags that the record allows, of those asked for."""
+    n_rows, longest = sum(len(y) for _, y, _ in data.segments), _longest(data)
+    asked, shortest = settings.block_rows, _shortest(data, settings)
+    if asked is not None and asked < shortest:
         raise ValueError(
-            f"the {data.facts.span()} give {n_rows} rows, the longest segment {longest}, too few "
-            f"for a predictor of {least} lags with {n_harmonics} harmonic(s) of "
-            f"{data.n_inputs + data.n_outputs} signals: {ROWS_PER_COLUMN * least * per_lag} rows "
-            f"would do{data.facts.why_short}; use a longer record, fewer block_rows, or a smaller "
-            f"output_harmonics in HarmonicAnalyzer"
+            f"order={settings.order} exceeds the {asked * data.n_outputs} that block_rows={asked} "
+            f"with {data.n_outputs} output(s) tell; lower order, or raise block_rows"
         )
-    return int(lags)
+    given = basis.n_harmonics
+    most = min(MOST_HARMONICS if given is None else given, basis.most_harmonics)
+    least = asked or shortest
+    for count in range(most, -1 if given is None else most - 1, -1):
+        per_lag = (data.n_inputs + data.n_outputs) * (2 * count + 1)
+        columns = min(n_rows // ROWS_PER_COLUMN, MOST_COLUMNS) - 2 * basis.most_loads - 1
+        lags = min(MOST_LAGS, max(columns // per_lag, shortest), longest // 3)
+        lags = lags if asked is None else asked
+        if lags >= shortest and n_rows >= 2 * lags * per_lag and longest >= 3 * lags:
+            return count, lags
+    need = max(2 * least * per_lag, 3 * least)
+    raise ValueError(
+        f"the {data.facts.span()} give {n_rows} rows, the longest segment {longest}, too few for "
+        f"a predictor of {least} lags with {count} harmonic(s) of "
+        f"{data.n_inputs + data.n_outputs} signals: {need} rows in one segment would do"
+        f"{data.facts.why_short}; use a longer record, fewer block_rows, a lower order, or a "
+        f"smaller output_harmonics in HarmonicAnalyzer"
+    )
 
 
 # ---- states and matrices ---------------------------------------------------------------------
@@ -382,7 +397,7 @@ class _Choice:
 
     def _compared(self, order, count, innovations):
         """What simulations of one model leave."""
-        D, longest = self.layout.feedthrough, max(len(y) for _, y, _ in self.data.segments)
+        D, longest = self.layout.feedthrough, _longest(self.data)
         rate = innovations.growth()
         least = PIECE * self.layout.n_lags  # so long that no initial state explains it
         pieces = [piece for s in self.simulated for piece in _pieces(s, rate, least)]
@@ -433,13 +448,31 @@ def _pieces(segment, rate, least):
         yield u[rows], y[rows], psi[rows]
 
 
+def _warn_of_little(layout, n_rows, best):
+    """Of a record too short for its predictor, and of a model that explains nothing."""
+    if n_rows < ROWS_PER_COLUMN * layout.n_columns:
+        warn(
+            f"{n_rows} rows tell {layout.n_columns} coefficients of the predictor of each output "
+            f"({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of {layout.n_loads}): "
+            f"with fewer than {ROWS_PER_COLUMN} rows for each the model is largely noise; use a "
+            f"longer record, or fewer of block_rows, output_harmonics, load_harmonics",
+            IdentifiabilityWarning,
+        )
+    if best.variance >= 1.0:
+        warn(
+            f"no model explains the outputs: the simulation of the best one leaves "
+            f"{best.variance:.3g} of their variance about the forced periodic response; do outputs "
+            f"follow inputs, and is omega (or the azimuth) that of the machine?",
+            IdentifiabilityWarning,
+        )
+
+
 def _warn_of_growth(model, best, data):
     """Of a model that grows e-fold over the longest segment."""
     if best.stable:
         return
     radius = np.max(np.abs(model.innovations.multipliers()))
-    longest = max(len(y) for _, y, _ in data.segments)
-    turns = longest * data.step / (2.0 * np.pi)
+    turns = _longest(data) * data.step / (2.0 * np.pi)
     folds = turns * np.log(max(radius, 1e-300))
     warn(
         f"the model has a Floquet multiplier of size {radius:.4g}, by which it grows "
