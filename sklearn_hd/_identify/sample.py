@@ -20,6 +20,7 @@ from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import (
+    SENSOR_NOISE,
     LagSums,
     Layout,
     StateSums,
@@ -405,7 +406,7 @@ class _Choice:
         if any(each is None for each in left):
             return Simulated(order, D, False, np.inf, np.inf, np.inf, count)
         shares = sum(np.sum(each**2, axis=0) for each in left) / self.total
-        logs = np.log(shares + np.finfo(float).eps)
+        logs = np.log(shares + SENSOR_NOISE**2)
         m, n_outputs = self.data.n_inputs, self.data.n_outputs
         n_free = order * (order + m + n_outputs) + D * m * n_outputs
         first = self.layout.n_harmonics  # those beyond belong to the coordinates

@@ -18,6 +18,10 @@ and x_k = V_nᵀ O_k, of one singular value decomposition over all k, is the sta
 T(ψ) = V_nᵀ Γ(ψ). Each output of O_k is measured in its innovations, or a large channel decides all;
 and its periodic mean is taken out first, or V_n spans the orbit instead of the motion about it.
 
+Exact data leave the coefficients of a long predictor open, and what nonlinearity leaves of the
+outputs would decide. So lagged outputs are taken to hold white noise of 0.3 % of their motion: the
+regression then tends to the Kalman predictor for that noise.
+
 Two more regressions give C, and A, B, K, a. Sums of products over rows are all that is kept: any
 number of lags, harmonics and states is read from the same sums. The reading of samples
 (:mod:`sklearn_hd._identify.sample`) needs it.
@@ -31,9 +35,18 @@ from scipy import linalg
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-__all__ = ["LagSums", "Layout", "Predictor", "StateSums", "forced_mean", "futures_known"]
+__all__ = [
+    "SENSOR_NOISE",
+    "LagSums",
+    "Layout",
+    "Predictor",
+    "StateSums",
+    "forced_mean",
+    "futures_known",
+]
 
 CHUNK = 2**21  # numbers held at once of the regressors
+SENSOR_NOISE = 3e-3  # of an output's motion, which lagged outputs are taken to hold at least
 RIDGES = np.concatenate([[0.0], 10.0 ** np.arange(-12.0, 0.5, 0.5)])  # of the largest eigenvalue
 
 
@@ -182,7 +195,7 @@ class LagSums:
         """Sums over the rows of some segments that have p rows before them, up to a number."""
         d, n_outputs = layout.n_columns, layout.n_outputs
         gram, products = np.zeros((d, d)), np.zeros((d, n_outputs))
-        squares, n_rows = np.zeros((n_outputs, n_outputs)), 0
+        squares, n_rows, first = np.zeros((n_outputs, n_outputs)), 0, np.zeros(layout.n_first)
         for u, y, psi in segments:
             for rows in _chunks(layout.n_lags, len(y), d):
                 if most_rows is not None:
@@ -194,6 +207,8 @@ class LagSums:
                 products += X.T @ y[rows]
                 squares += y[rows].T @ y[rows]
                 n_rows += len(rows)
+        measured = np.tile(layout._of_channels()[0] >= layout.n_inputs, layout.n_lags)
+        gram[np.diag_indices(d)] += SENSOR_NOISE**2 * n_rows * np.append(first, measured)
         return cls(layout, gram, products, squares, n_rows)
 
     def part(self, layout):
