@@ -224,6 +224,7 @@ def _power(steps, exponent):
     """Small powers of maps x ↦ A x + B v with v held: A^ε and (A^ε − I)(A − I)⁻¹ B."""
     n = steps.shape[1]
     values, vectors = np.linalg.eig(steps[..., :n])
+    values = values.astype(complex)
     power = values**exponent
     near = np.abs(values - 1.0) < HALF
     held = np.where(near, exponent, (power - 1.0) / np.where(near, 1.0, values - 1.0))
