@@ -6,8 +6,10 @@ from functools import cached_property
 import control
 import numpy as np
 
+from sklearn_hd.algorithms.periodic.behind_samples import behind_samples
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations, Rows
 from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.systems import LTPSystem
 
 __all__ = ["SampleModel", "SampleSimulator"]
 
@@ -75,6 +77,24 @@ class SampleModel:
             z = self.eigenvalues().astype(complex)
             return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / self.dt
         return self.innovations.multiplier_logarithms() * self.omega / (2.0 * np.pi)
+
+    def to_ltp(self):
+        """The continuous model whose samples these are, as an LTPSystem.
+
+        Its states are outputs where they determine the state, named after them; else Floquet
+        coordinates (those of the discrete model where it is constant).
+        """
+        found = behind_samples(self.innovations, self.omega)
+        return LTPSystem(
+            found.F,
+            found.G,
+            found.P,
+            found.Q,
+            omega=self.omega,
+            state_names=found.state_names(self.output_names),
+            input_names=self.input_names,
+            output_names=self.output_names,
+        )
 
     def to_control(self):
         """The discrete model as a control.StateSpace, without its forced response."""
