@@ -173,9 +173,11 @@ def _in_closed_form(model, experiment, structure, scale):
     starts = predictor_states(model, experiment) if model.closed_loop else None
     shapes = output_shapes(model, experiment, scale, starts)
     names = [name for name, _ in basis.outputs]
-    rows = _state_outputs(shapes, structure, names, spp)
     psi = 2.0 * np.pi * np.arange(spp) / spp
     P, _ = shapes(psi)
+    rows = state_outputs(
+        structure, names, len(shapes.R), lambda rows: outputs_are_states(P[:, rows], shapes.flips)
+    )
     highest = (spp - 1) // 2
     count = min(shapes.n_harmonics, highest)
     if rows is None:
@@ -220,10 +222,8 @@ def _check_harmonics(structure, samples_per_period):
             )
 
 
-def _state_outputs(shapes, structure, names, n_phases):
-    """Which outputs are the states; None if no choice of them determines the state."""
-    n = len(shapes.R)
-    P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
+def state_outputs(structure, names, n, determined):
+    """Which outputs are the n states, if ``determined`` by them; None if no choice of them is."""
     if structure.states is not None:
         unknown = [name for name in structure.states if name not in names]
         if unknown:
@@ -232,14 +232,14 @@ def _state_outputs(shapes, structure, names, n_phases):
                 f"{unknown} are not among them"
             )
         rows = [names.index(name) for name in structure.states]
-        if not outputs_are_states(P[:, rows], shapes.flips):
+        if not determined(rows):
             raise ValueError(
                 f"the outputs {list(structure.states)} do not determine the {n} states; leave "
                 f"states=None, or name others of {names}"
             )
         return rows
     for rows in combinations(range(len(names)), n):
-        if outputs_are_states(P[:, list(rows)], shapes.flips):
+        if determined(list(rows)):
             return list(rows)
     if entries := structure.given_entries():
         raise ValueError(
@@ -378,13 +378,7 @@ def _seen(experiment):
 
 def warn_realized(found):
     """Of a periodic model in closed form."""
-    if not found.physical:
-        warn(
-            f"the outputs {list(found.model.output_names)} do not determine the "
-            f"{found.model.n_states} states: the model is in Floquet coordinates, in which its "
-            f"states have no physical meaning; measure more outputs for that",
-            IdentifiabilityWarning,
-        )
+    warn_coordinates(found.model)
     if found.r2 < POOR_FIT:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
@@ -404,6 +398,17 @@ def warn_realized(found):
             f"the record does not determine {', '.join(found.unidentified)} (only some "
             f"combinations of them): of all values that fit, the smallest are taken; let inputs "
             f"change at more phases of the period, or give G and Q fewer harmonics",
+            IdentifiabilityWarning,
+        )
+
+
+def warn_coordinates(periodic):
+    """Of a periodic model in Floquet coordinates."""
+    if not periodic.physical:
+        warn(
+            f"the outputs {list(periodic.output_names)} do not determine the "
+            f"{periodic.n_states} states: the model is in Floquet coordinates, in which its "
+            f"states have no physical meaning; measure more outputs for that",
             IdentifiabilityWarning,
         )
 

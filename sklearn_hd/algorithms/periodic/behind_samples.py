@@ -1,4 +1,4 @@
-"""From a discrete periodic model to the continuous one whose samples it is, in closed form.
+"""From a discrete periodic model to the continuous one whose samples it is, and back.
 
     x[j+1] = A_j x[j] + B_j u,   y[j] = C_j x[j] + D_j u,   q steps a turn
 
@@ -7,18 +7,22 @@
 2. Outputs see P(ψ) = C X. Where they determine the state, they are the states, F(ψ) =
    (P′ + P R) P⁻¹; else Floquet coordinates, in which F = R and the exponents are exact.
 3. G(ψ) moves the states over each step, inputs held, as B_j does.
+
+A structure that is asked for takes the parameters of the nearest steps: what a step does to states
+and inputs is as well determined as the discrete model is; F itself is a difference of its steps.
 """
 
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
-from sklearn_hd.algorithms.periodic.floquet import separated_factors
+from sklearn_hd.algorithms.periodic.floquet import separated_factors, steps_between
 from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
     FloquetShapes,
@@ -27,13 +31,25 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
     outputs_are_states,
     tail_begins,
 )
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, held_pushes
+from sklearn_hd.algorithms.periodic.periodic_structure import (
+    PeriodicStructure,
+    held_pushes,
+    sampled_response,
+)
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
-__all__ = ["ContinuousModel", "Turn", "behind_samples", "turn_of"]
+__all__ = [
+    "ContinuousModel",
+    "Turn",
+    "behind_samples",
+    "nearest_steps",
+    "samples_of",
+    "turn_of",
+]
 
 FINER = 16  # azimuths for each sample, at which F is formed
 FEWEST = 256  # azimuths
+MOST = 4096  # azimuths
 
 
 def behind_samples(innovations, omega):
@@ -74,8 +90,6 @@ class ContinuousModel:
         Outputs that are the states; None in Floquet coordinates.
     form : FloquetForm or None
         What F may be in Floquet coordinates.
-    Gamma : ndarray, shape (q, n, m)
-        By how much held inputs move the states over each step.
     """
 
     F: np.ndarray
@@ -84,7 +98,17 @@ class ContinuousModel:
     Q: np.ndarray
     rows: list | None
     form: FloquetForm | None
-    Gamma: np.ndarray
+
+    @property
+    def coefficients(self):
+        """Of [F G; P Q](ψ), shape (2 K + 1, n + l, n + m)."""
+        n, parts = self.F.shape[1], (self.F, self.G, self.P, self.Q)
+        shape = n + self.P.shape[1], n + self.G.shape[2]
+        whole = np.zeros((max(map(len, parts)), *shape))
+        corners = (whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:])
+        for part, corner in zip(parts, corners, strict=True):
+            corner[: len(part)] = part
+        return whole
 
     def state_names(self, output_names):
         """Names of the states: the outputs that they are, else z1, z2, …."""
@@ -153,7 +177,7 @@ class Turn:
         Gamma = np.linalg.solve(np.roll(now, -1, axis=0), self.B)
         F, P = (_resolved(values) for values in (F, seen[:, : self.n_outputs]))
         G = input_matrix(F, Gamma, self.psi[0], self.omega)
-        return ContinuousModel(F, G, P, self.D, rows, form, Gamma)
+        return ContinuousModel(F, G, P, self.D, rows, form)
 
     def _in_coordinates(self, psi, rows):
         """F, what outputs and discrete states see, and the Floquet form."""
@@ -248,7 +272,7 @@ def _group(bases, factors, period):
     return X, R, flips
 
 
-def time_invariant(innovations, omega, rows=None):
+def time_invariant(innovations, omega):
     """The continuous model of one without harmonics, inputs held between samples.
 
     Raises
@@ -258,10 +282,7 @@ def time_invariant(innovations, omega, rows=None):
     """
     A, B, C, D = (M[0] for M in innovations.matrices())
     F, G = discrete_to_continuous(A, B, innovations.step / omega)
-    if rows is not None:
-        back = np.linalg.inv(C[rows])
-        F, G, C, B = C[rows] @ F @ back, C[rows] @ G, C @ back, C[rows] @ B
-    return ContinuousModel(F[None], G[None], C[None], D[None], rows, None, B[None])
+    return ContinuousModel(F[None], G[None], C[None], D[None], None, None)
 
 
 def input_matrix(F, Gamma, start, omega):
@@ -293,6 +314,91 @@ def input_matrix(F, Gamma, start, omega):
         if np.linalg.norm(design @ found - target) <= EXACT * np.linalg.norm(target):
             break
     return rotated(found.reshape(width, n, m), -start)
+
+
+def nearest_steps(structure, coefficients, omega, n_phases, weights):
+    """Parameters of a structure whose steps over a turn, and outputs, are nearest to a model's.
+
+    Parameters
+    ----------
+    structure : PeriodicStructure
+    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+        Of [F G; P Q](ψ) of the model, in the same coordinates.
+    omega : float
+    n_phases : int
+        Steps.
+    weights : tuple of ndarray, shapes (n, n), (l, l) and (n + m, n + m)
+        Errors of a step's states and of outputs count as the squares of what they and a factor of
+        the covariance of states and inputs make of them.
+
+    Returns
+    -------
+    theta : ndarray, shape (k,)
+    """
+    *lefts, right = weights
+    n = structure.n_states
+    given = PeriodicStructure(coefficients, np.zeros((0, coefficients.size)), n, ())
+
+    def seen(structure, theta, *, sensitivities=False):
+        found = sampled_response(structure, theta, omega, n_phases, sensitivities=sensitivities)
+        both = (found.dPsi, found.dOut) if sensitivities else (found.Psi, found.Out)
+        both = (
+            left @ _everywhere(M, n_phases) @ right for left, M in zip(lefts, both, strict=True)
+        )
+        return np.concatenate([M.reshape(*M.shape[:-3], -1) for M in both], axis=-1)
+
+    target, start = seen(given, []), structure.nearest(coefficients)
+
+    def left(theta):
+        return seen(structure, theta) - target
+
+    def slope(theta):
+        return seen(structure, theta, sensitivities=True).T
+
+    if not len(start) or np.linalg.norm(left(start)) <= HALF * np.linalg.norm(target):
+        return start
+    return optimize.least_squares(left, start, slope, x_scale="jac").x
+
+
+def _everywhere(M, n_phases):
+    """Matrices of every phase, where they are constant, too."""
+    return np.broadcast_to(M, (*M.shape[:-3], n_phases, *M.shape[-2:]))
+
+
+def samples_of(coefficients, n_states, omega, step):
+    """Fourier coefficients of the discrete model of a continuous one, inputs held over each step.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+        Of [F G; P Q](ψ).
+    n_states : int
+        n.
+    omega : float
+    step : float
+        Radians, any.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 K' + 1, n + l, n + m)
+        Of [A B; C D](ψ): over the step that begins at ψ.
+    """
+    n = n_states
+    F, G = _trimmed(coefficients[:, :n, :n]), _trimmed(coefficients[:, :n, n:])
+    n_points = FEWEST // 4
+    while True:
+        psi = 2.0 * np.pi * np.arange(n_points) / n_points
+        matrices = (lambda at, M=M: evaluate_harmonics(M, at) for M in (F, G))
+        steps = np.concatenate(steps_between(*matrices, psi, psi + step, omega), axis=2)
+        count = tail_begins(steps, 0.0)
+        if count < n_points // 4 or n_points >= MOST:
+            break
+        n_points *= 2
+    whole = np.zeros((max(2 * count + 1, len(coefficients)), *coefficients.shape[1:]))
+    whole[: len(coefficients)] = coefficients
+    whole[:, :n] = 0.0
+    whole[: 2 * count + 1, :n] = sampled_harmonics(steps, count)
+    return whole
 
 
 def rotated(coefficients, angle):

@@ -140,6 +140,11 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
     True
     """
     psi = np.asarray(psi, dtype=float)
+    return steps_between(F, G, psi[:-1], psi[1:], omega, tolerance=tolerance)
+
+
+def steps_between(F, G, left, right, omega, *, tolerance=1e-14):
+    """The same of intervals that may overlap, from their left and right ends in radians."""
     units = state_units(F)
 
     def rule(left, right):
@@ -147,13 +152,18 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
 
     steps = np.concatenate(
         [
-            by_bisection(rule, _compose, _transition_weights, left, right, tolerance)
-            for left, right in neighbours(psi)
+            by_bisection(rule, _compose, _transition_weights, *ends, tolerance)
+            for ends in zip(*(_blocked(each) for each in (left, right)), strict=True)
         ]
     )
     n = len(units)
     steps *= units[:, None]
     return steps[:, :, :n] / units, steps[:, :, n:]
+
+
+def _blocked(values):
+    """Some hundred values at a time."""
+    return np.split(values, range(BLOCK, len(values), BLOCK))
 
 
 def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
