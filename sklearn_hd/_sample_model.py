@@ -1,13 +1,16 @@
 """The model of samples at their azimuths, as a value that rides on a frame, and its simulation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import control
 import numpy as np
 
+from sklearn_hd._frame import LTIModel
+from sklearn_hd.algorithms.periodic.behind_samples import behind_samples, samples_of
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations, Rows
 from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.systems import LTPSystem
 
 __all__ = ["SampleModel", "SampleSimulator"]
 
@@ -75,6 +78,50 @@ class SampleModel:
             z = self.eigenvalues().astype(complex)
             return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / self.dt
         return self.innovations.multiplier_logarithms() * self.omega / (2.0 * np.pi)
+
+    def to_ltp(self):
+        """The continuous model whose samples these are, as an LTPSystem.
+
+        Its states are outputs where they determine the state, named after them; else Floquet
+        coordinates (those of the discrete model where it is constant).
+        """
+        found = behind_samples(self.innovations, self.omega)
+        return LTPSystem(
+            found.F,
+            found.G,
+            found.P,
+            found.Q,
+            omega=self.omega,
+            state_names=found.state_names(self.output_names),
+            input_names=self.input_names,
+            output_names=self.output_names,
+        )
+
+    def to_lti(self):
+        """The constant matrices as an LTIModel, without the forced response."""
+        A, B, C, D = (M[0] for M in self.innovations.matrices())
+        names = self.input_names, self.output_names
+        return LTIModel(A, B, C, D, self.dt, *names, feedthrough=self.feedthrough, closed_loop=True)
+
+    def of_matched(self, coefficients, n_states, n_loads):
+        """The samples of a continuous model about the forced response of this one.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+            Of its [F G; P Q](ψ).
+        n_states : int
+        n_loads : int
+            Harmonics of the forced response.
+        """
+        moved = samples_of(coefficients, n_states, self.omega, self.innovations.step)
+        loads = self.innovations.forced_response(n_loads)
+        n, shape = n_states, (moved.shape[1], moved.shape[2] + 1)
+        whole = np.zeros((max(len(moved), len(loads)), *shape))
+        whole[: len(moved), :, :-1] = moved
+        whole[: len(loads), n:, -1] = loads
+        gain = np.zeros((1, n, shape[0] - n))
+        return replace(self, innovations=replace(self.innovations, coefficients=whole, gain=gain))
 
     def to_control(self):
         """The discrete model as a control.StateSpace, without its forced response."""

@@ -14,7 +14,9 @@ from sklearn_hd._match.affine import NormSettings, match_affine
 from sklearn_hd._match.likelihood import match_likelihood, warn_closed_loop
 from sklearn_hd._match.match import PeriodicSimulator
 from sklearn_hd._match.periodic import match_periodic
-from sklearn_hd._model_step import ModelStep, upstream
+from sklearn_hd._match.samples import match_samples
+from sklearn_hd._model_step import ModelStep, sample_simulators, upstream
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
@@ -198,6 +200,26 @@ class StructuredMatcher(ModelStep):
         """
         self._check_settings()
         experiment, model = upstream(self, X, y)
+        of_samples = isinstance(model, SampleModel)
+        match = self._of_samples if of_samples else self._of_rows
+        match = match(model, experiment)
+        self.match_, self.n_iter_ = match.stored(), match.n_iter
+        return self._remember(match.model, experiment.basis, X, y)
+
+    def _of_samples(self, model, experiment):
+        """The match of a model of samples at their azimuths."""
+        if self.criterion == "output_error":
+            raise ValueError(
+                "criterion='output_error' simulates whole periods, and a model of samples has "
+                "none; use criterion='hinf' or 'least_squares', or read the record with "
+                "HarmonicAnalyzer(reading='period')"
+            )
+        periodic = isinstance(self.structure, HarmonicStructure) or not model.time_invariant
+        self._checked_together(experiment.basis, periodic, periodic)
+        return match_samples(model, experiment, self.structure, self._norm_settings())
+
+    def _of_rows(self, model, experiment):
+        """The match of a time-invariant model of rows, harmonics or whole periods."""
         if model.closed_loop and self.criterion == "output_error":
             warn_closed_loop()
         lifted = experiment.basis.reading == "period" and model.dt > 0.0
@@ -214,8 +236,7 @@ class StructuredMatcher(ModelStep):
             match = match_affine(model, experiment, structure, self._norm_settings())
         if self.criterion == "output_error":
             match = match_likelihood(match, structure, experiment, self.max_iter, noise)
-        self.match_, self.n_iter_ = match.stored(), match.n_iter
-        return self._remember(match.model, experiment.basis, X, y)
+        return match
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
@@ -247,9 +268,9 @@ class StructuredMatcher(ModelStep):
                 )
             if lifted and periodic:
                 raise ValueError(
-                    "a model identified period by period is brought to periodic form in closed "
-                    "form, where nothing is weighed; leave output_weights and input_weights None, "
-                    "or use criterion='output_error', which weighs each output by its noise"
+                    "this model is brought to periodic form in closed form, where nothing is "
+                    "weighed; leave output_weights and input_weights None, or, period by period, "
+                    "use criterion='output_error', which weighs each output by its noise"
                 )
         given = self.input_noise
         if given is None:
@@ -279,6 +300,8 @@ class StructuredMatcher(ModelStep):
         return NormSettings(**{name: getattr(self, name) for name in names})
 
     def _simulators(self, experiment):
+        if self.match_.sampled is not None:
+            return sample_simulators(self.match_.sampled, experiment)
         periodic = self.match_.periodic
         if periodic is None or self.predicts_harmonics_:
             return super()._simulators(experiment)

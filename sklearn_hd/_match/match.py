@@ -7,6 +7,7 @@ import numpy as np
 from sklearn_hd._checks import check_frequencies
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import MatchResult
@@ -265,6 +266,8 @@ class Match:
     n_iter : int
     uncertainty : Uncertainty or None
         After maximum likelihood only.
+    sampled : SampleModel or None
+        Its samples and the forced response, of models of samples only.
     """
 
     model: LTIModel
@@ -276,6 +279,7 @@ class Match:
     found: MatchResult | None = None
     n_iter: int = 1
     uncertainty: Uncertainty | None = None
+    sampled: SampleModel | None = None
 
     @property
     def in_mean_square(self):

@@ -31,23 +31,22 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
     equation_error,
     fit_shapes,
     floquet_logarithm,
+    outputs_are_states,
     response_to_states,
-    shapes_determine_state,
     state_response,
+    tail_begins,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.innovations import predicted_states
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
-TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
-LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 LEAST_DECAY = 4  # periods for each state in a free decay that can stand alone
 REST_SHARE = 1e-9  # of an input's largest value, below which it is at rest
 A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
@@ -174,9 +173,11 @@ def _in_closed_form(model, experiment, structure, scale):
     starts = predictor_states(model, experiment) if model.closed_loop else None
     shapes = output_shapes(model, experiment, scale, starts)
     names = [name for name, _ in basis.outputs]
-    rows = _state_outputs(shapes, structure, names, spp)
     psi = 2.0 * np.pi * np.arange(spp) / spp
     P, _ = shapes(psi)
+    rows = state_outputs(
+        structure, names, len(shapes.R), lambda rows: outputs_are_states(P[:, rows], shapes.flips)
+    )
     highest = (spp - 1) // 2
     count = min(shapes.n_harmonics, highest)
     if rows is None:
@@ -203,26 +204,6 @@ def _in_closed_form(model, experiment, structure, scale):
     return problem.solve(n_harmonics, physical=rows is not None), shapes.noise
 
 
-def tail_begins(values, noise):
-    """Highest harmonic of a sampled periodic matrix that counts.
-
-    The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
-    geometrically where P P₀⁻¹ stays near the identity.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n_phases, rows, columns)
-    noise : float
-        Of what the values were made from, in parts of its size.
-    """
-    highest = (len(values) - 1) // 2
-    coefficients = sampled_harmonics(values, highest)
-    sizes = np.sum(coefficients**2, axis=(1, 2))
-    beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
-    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
-    return int(counts[-1]) + 1 if len(counts) else 0
-
-
 def given(structure, name, default):
     """Number of harmonics that the structure asks for, or a default."""
     asked = structure.n_harmonics(name)
@@ -241,10 +222,8 @@ def _check_harmonics(structure, samples_per_period):
             )
 
 
-def _state_outputs(shapes, structure, names, n_phases):
-    """Which outputs are the states; None if no choice of them determines the state."""
-    n = len(shapes.R)
-    P, _ = shapes(2.0 * np.pi * np.arange(n_phases) / n_phases)
+def state_outputs(structure, names, n, determined):
+    """Which outputs are the n states, if ``determined`` by them; None if no choice of them is."""
     if structure.states is not None:
         unknown = [name for name in structure.states if name not in names]
         if unknown:
@@ -253,14 +232,14 @@ def _state_outputs(shapes, structure, names, n_phases):
                 f"{unknown} are not among them"
             )
         rows = [names.index(name) for name in structure.states]
-        if not _invertible(P[:, rows], shapes.flips):
+        if not determined(rows):
             raise ValueError(
                 f"the outputs {list(structure.states)} do not determine the {n} states; leave "
                 f"states=None, or name others of {names}"
             )
         return rows
     for rows in combinations(range(len(names)), n):
-        if _invertible(P[:, list(rows)], shapes.flips):
+        if determined(list(rows)):
             return list(rows)
     if entries := structure.given_entries():
         raise ValueError(
@@ -269,13 +248,6 @@ def _state_outputs(shapes, structure, names, n_phases):
             f"nothing), which leads to Floquet coordinates"
         )
     return None
-
-
-def _invertible(P, flips):
-    """Whether P(ψ) is, also between the samples: its determinant does not pass through zero."""
-    if np.sum(flips) % 2 or not shapes_determine_state(P):
-        return False
-    return len(np.unique(np.sign(np.linalg.det(P)))) == 1
 
 
 def output_shapes(model, experiment, scale, states=None):
@@ -406,13 +378,7 @@ def _seen(experiment):
 
 def warn_realized(found):
     """Of a periodic model in closed form."""
-    if not found.physical:
-        warn(
-            f"the outputs {list(found.model.output_names)} do not determine the "
-            f"{found.model.n_states} states: the model is in Floquet coordinates, in which its "
-            f"states have no physical meaning; measure more outputs for that",
-            IdentifiabilityWarning,
-        )
+    warn_coordinates(found.model)
     if found.r2 < POOR_FIT:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
@@ -432,6 +398,17 @@ def warn_realized(found):
             f"the record does not determine {', '.join(found.unidentified)} (only some "
             f"combinations of them): of all values that fit, the smallest are taken; let inputs "
             f"change at more phases of the period, or give G and Q fewer harmonics",
+            IdentifiabilityWarning,
+        )
+
+
+def warn_coordinates(periodic):
+    """Of a periodic model in Floquet coordinates."""
+    if not periodic.physical:
+        warn(
+            f"the outputs {list(periodic.output_names)} do not determine the "
+            f"{periodic.n_states} states: the model is in Floquet coordinates, in which its "
+            f"states have no physical meaning; measure more outputs for that",
             IdentifiabilityWarning,
         )
 

@@ -140,6 +140,11 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
     True
     """
     psi = np.asarray(psi, dtype=float)
+    return steps_between(F, G, psi[:-1], psi[1:], omega, tolerance=tolerance)
+
+
+def steps_between(F, G, left, right, omega, *, tolerance=1e-14):
+    """The same of intervals that may overlap, from their left and right ends in radians."""
     units = state_units(F)
 
     def rule(left, right):
@@ -147,13 +152,18 @@ def transition_matrices(F, G, psi, omega, *, tolerance=1e-14):
 
     steps = np.concatenate(
         [
-            by_bisection(rule, _compose, _transition_weights, left, right, tolerance)
-            for left, right in neighbours(psi)
+            by_bisection(rule, _compose, _transition_weights, *ends, tolerance)
+            for ends in zip(*(_blocked(each) for each in (left, right)), strict=True)
         ]
     )
     n = len(units)
     steps *= units[:, None]
     return steps[:, :, :n] / units, steps[:, :, n:]
+
+
+def _blocked(values):
+    """Some hundred values at a time."""
+    return np.split(values, range(BLOCK, len(values), BLOCK))
 
 
 def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
@@ -392,26 +402,71 @@ def product_logarithms(factors):
     >>> (np.sort(product_logarithms(factors).real) / np.log(10)).round(9).tolist()
     [-1000.0, 0.0]
     """
+    logarithms = _nested(factors)[2]
+    return np.concatenate(logarithms) if logarithms else np.empty(0, dtype=complex)
+
+
+def _nested(factors):
+    """Bases before each factor whose first columns span the slowest modes, the blocks of modes of
+    like multipliers, and the logarithms of each."""
     n = factors.shape[1]
     start = linalg.qr(np.random.default_rng(0).standard_normal((n, n)))[0]  # in no one's favour
     tolerance = max(EXACT, 2.0 * len(factors) * EPS)
     for _ in range(MAX_SWEEPS):
-        end, triangles = _carry(factors, start)
-        closing = start.T @ end
+        bases, triangles = _carry(factors, start)
+        closing = start.T @ bases[-1]
         blocks = _blocks(closing, tolerance)
         logarithms = [_block_logarithms(closing, triangles, block) for block in blocks]
         if all(np.ptp(block.real) <= -np.log(WIDE) for block in logarithms):
             break
-        start = end
-    return np.concatenate(logarithms) if logarithms else np.empty(0, dtype=complex)
+        start = bases[-1]
+    return bases[:-1], blocks, logarithms
+
+
+def separated_factors(factors):
+    """Factors of the modes of like multipliers, and the bases in which they move by themselves.
+
+        Φ_k E_k = E_{k+1} diag(factors of each group),   E_p = E_0
+
+    A group is where what is slower never goes (right subspaces, carried forwards) and what is
+    faster never comes from (left ones, carried backwards): noise in one is not blown up in another.
+
+    Parameters
+    ----------
+    factors : ndarray, shape (p, n, n)
+        As for :func:`product_logarithms`.
+
+    Returns
+    -------
+    bases : ndarray, shape (p, n, n)
+        E.
+    groups : list of slice
+        Columns of E, the slowest group first.
+    own : list of ndarray, shapes (p, k, k)
+        Factors of each group.
+    """
+    right, there, _ = _nested(factors)
+    left, back, _ = _nested(np.swapaxes(factors, 1, 2)[::-1])
+    left = np.roll(left[::-1], 1, axis=0)  # at the start of each factor, not at its end
+    ends = sorted({block.stop for block in there} & {block.stop for block in back})
+    groups = [slice(*pair) for pair in zip([0, *ends], ends, strict=False)]
+    bases = np.empty(factors.shape)
+    for group in groups:
+        slow = right[:, :, : group.stop]
+        barred = np.swapaxes(left[:, :, : group.start], 1, 2) @ slow
+        inside = np.linalg.svd(barred)[2][:, group.start :]
+        bases[:, :, group] = slow @ np.swapaxes(inside, 1, 2)
+    moved = np.linalg.solve(np.roll(bases, -1, axis=0), factors @ bases)
+    return bases, groups, [moved[:, group, group] for group in groups]
 
 
 def _carry(factors, start):
-    """Basis after all factors, and the triangular factors on the way."""
-    Q, triangles = start, np.empty(factors.shape)
+    """Bases before and after each factor, and the triangular factors on the way."""
+    bases, triangles = [start], np.empty(factors.shape)
     for k, factor in enumerate(factors):
-        Q, triangles[k] = np.linalg.qr(factor @ Q)
-    return Q, triangles
+        Q, triangles[k] = np.linalg.qr(factor @ bases[-1])
+        bases.append(Q)
+    return np.array(bases), triangles
 
 
 def _blocks(closing, tolerance):

@@ -30,9 +30,11 @@ from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
     compact,
 )
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
+TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
+LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 SWEEPS = 20
 
 
@@ -230,6 +232,33 @@ def _angles(psi, flips, n_orders):
     return np.multiply.outer(psi, orders), orders
 
 
+def interpolated_shapes(values, psi, R, flips):
+    """Mode shapes that pass through some values at equally spaced azimuths of a turn.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, l, n)
+    psi : ndarray, shape (n_phases,)
+    R : ndarray, shape (n, n)
+    flips : ndarray of bool, shape (n,)
+
+    Returns
+    -------
+    shapes : FloquetShapes
+    """
+    n_phases, n_outputs, n = values.shape
+    highest = n_phases // 2
+    coefficients = np.zeros((n, highest + 1, 2, n_outputs))
+    angles, _ = _angles(psi, flips, highest + 1)
+    for i, flipped in enumerate(flips):
+        count = (n_phases + 1) // 2 if flipped else highest + 1
+        own = angles[:, i, :count]
+        design = np.stack([np.cos(own), np.sin(own)], axis=-1).reshape(n_phases, -1)
+        found = linalg.lstsq(design, values[:, :, i], cond=DEPENDENT)[0]
+        coefficients[i, :count] = found.reshape(count, 2, n_outputs)
+    return FloquetShapes(R, flips, coefficients, highest)
+
+
 def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     """Mode shapes behind what each sample of the period sees of the state.
 
@@ -311,6 +340,39 @@ def shapes_determine_state(P):
         scaled = scaled / rows
         scaled = scaled / np.linalg.norm(scaled, axis=(0, 1))
     return bool(np.max(np.linalg.cond(scaled)) <= SHAPE_CONDITION)
+
+
+def outputs_are_states(P, flips):
+    """Whether P(ψ) can be, also between the samples: its determinant does not pass through zero.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n_phases, n, n)
+    flips : ndarray of bool, shape (n,)
+    """
+    if np.sum(flips) % 2 or not shapes_determine_state(P):
+        return False
+    return len(np.unique(np.sign(np.linalg.det(P)))) == 1
+
+
+def tail_begins(values, noise):
+    """Highest harmonic of a sampled periodic matrix that counts.
+
+    The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
+    geometrically where P P₀⁻¹ stays near the identity.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, rows, columns)
+    noise : float
+        Of what the values were made from, in parts of its size.
+    """
+    highest = (len(values) - 1) // 2
+    coefficients = sampled_harmonics(values, highest)
+    sizes = np.sum(coefficients**2, axis=(1, 2))
+    beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
+    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
+    return int(counts[-1]) + 1 if len(counts) else 0
 
 
 def equation_error(segments, period, n_phases, n_harmonics, instruments=None):

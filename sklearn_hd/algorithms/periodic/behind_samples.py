@@ -1,0 +1,424 @@
+"""From a discrete periodic model to the continuous one whose samples it is, and back.
+
+    x[j+1] = A_j x[j] + B_j u,   y[j] = C_j x[j] + D_j u,   q steps a turn
+
+1. The modes of A_{q−1} … A_0 are split by their size, and each group is carried through the turn
+   by itself: its states move as X(ψ) e^{Rt}, with R = log(±Φ)/T and X periodic.
+2. Outputs see P(ψ) = C X. Where they determine the state, they are the states, F(ψ) =
+   (P′ + P R) P⁻¹; else Floquet coordinates, in which F = R and the exponents are exact.
+3. G(ψ) moves the states over each step, inputs held, as B_j does.
+
+A structure that is asked for takes the parameters of the nearest steps: what a step does to states
+and inputs is as well determined as the discrete model is; F itself is a difference of its steps.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy import linalg, optimize
+
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
+from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
+from sklearn_hd.algorithms.periodic.floquet import separated_factors, steps_between
+from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_realization import (
+    FloquetError,
+    FloquetShapes,
+    floquet_logarithm,
+    interpolated_shapes,
+    outputs_are_states,
+    tail_begins,
+)
+from sklearn_hd.algorithms.periodic.periodic_structure import (
+    PeriodicStructure,
+    held_pushes,
+    sampled_response,
+)
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+
+__all__ = [
+    "ContinuousModel",
+    "Turn",
+    "behind_samples",
+    "nearest_steps",
+    "samples_of",
+    "turn_of",
+]
+
+FINER = 16  # azimuths for each sample, at which F is formed
+FEWEST = 256  # azimuths
+MOST = 4096  # azimuths
+
+
+def behind_samples(innovations, omega):
+    """The continuous model behind a discrete periodic one, outputs its states where they can be.
+
+    Parameters
+    ----------
+    innovations : PeriodicInnovations
+    omega : float
+        rad/s.
+
+    Returns
+    -------
+    model : ContinuousModel
+
+    Raises
+    ------
+    ValueError
+        If a model without harmonics has an eigenvalue on the closed negative real axis.
+    FloquetError
+        If the multipliers of one with harmonics are those of no periodic system.
+    """
+    if innovations.n_harmonics == 0:
+        return time_invariant(innovations, omega)
+    turn = turn_of(innovations, omega)
+    return turn.model(turn.state_outputs())
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousModel:
+    """Fourier coefficients of a continuous periodic system, in the order 0, 1c, 1s, ….
+
+    Attributes
+    ----------
+    F, G, P, Q : ndarray, shapes (2 K + 1, rows, columns)
+        K of each its own.
+    rows : list of int, or None
+        Outputs that are the states; None in Floquet coordinates.
+    form : FloquetForm or None
+        What F may be in Floquet coordinates.
+    """
+
+    F: np.ndarray
+    G: np.ndarray
+    P: np.ndarray
+    Q: np.ndarray
+    rows: list | None
+    form: FloquetForm | None
+
+    @property
+    def coefficients(self):
+        """Of [F G; P Q](ψ), shape (2 K + 1, n + l, n + m)."""
+        n, parts = self.F.shape[1], (self.F, self.G, self.P, self.Q)
+        shape = n + self.P.shape[1], n + self.G.shape[2]
+        whole = np.zeros((max(map(len, parts)), *shape))
+        corners = (whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:])
+        for part, corner in zip(parts, corners, strict=True):
+            corner[: len(part)] = part
+        return whole
+
+    def state_names(self, output_names):
+        """Names of the states: the outputs that they are, else z1, z2, …."""
+        if self.rows is None:
+            return tuple(f"z{i + 1}" for i in range(self.F.shape[1]))
+        return tuple(output_names[i] for i in self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """A turn of a discrete periodic model in Floquet form.
+
+    Attributes
+    ----------
+    psi : ndarray, shape (q,)
+    omega : float
+    shapes : FloquetShapes
+        Of the outputs, then of the discrete states.
+    B : ndarray, shape (q, n, m)
+    D : ndarray, shape (2 K + 1, l, m)
+    """
+
+    psi: np.ndarray
+    omega: float
+    shapes: FloquetShapes
+    B: np.ndarray
+    D: np.ndarray
+
+    @property
+    def n_outputs(self):
+        """Number of outputs."""
+        return self.D.shape[1]
+
+    @property
+    def fine(self):
+        """Azimuths, from 0, that tell the harmonics of F."""
+        n_points = max(FEWEST, FINER * len(self.psi))
+        return 2.0 * np.pi * np.arange(n_points) / n_points
+
+    def state_outputs(self):
+        """The first outputs that can be the states; None if no choice of them can."""
+        choices = combinations(range(self.n_outputs), len(self.shapes.R))
+        return next((list(rows) for rows in choices if self.determined_by(list(rows))), None)
+
+    def determined_by(self, rows):
+        """Whether some outputs can be the states: without feedthrough, F(ψ) resolved."""
+        n = len(self.shapes.R)
+        if len(rows) != n or np.any(self.D[:, rows] != 0.0):
+            return False
+        P = self.shapes(self.fine)[0][:, rows]
+        if not outputs_are_states(P, self.shapes.flips):
+            return False
+        F = self.shapes.state_matrix(self.fine, self.omega, rows)
+        return tail_begins(F, 0.0) < len(F) // 4
+
+    def model(self, rows=None):
+        """The continuous model, with some outputs as states or in Floquet coordinates.
+
+        Raises
+        ------
+        FloquetError
+            In Floquet coordinates, if an odd number of multipliers is negative.
+        """
+        F, seen, form = self._in_coordinates(self.fine, rows)
+        now = self._in_coordinates(self.psi, rows)[1][:, self.n_outputs :]
+        Gamma = np.linalg.solve(np.roll(now, -1, axis=0), self.B)
+        F, P = (_resolved(values) for values in (F, seen[:, : self.n_outputs]))
+        G = input_matrix(F, Gamma, self.psi[0], self.omega)
+        return ContinuousModel(F, G, P, self.D, rows, form)
+
+    def _in_coordinates(self, psi, rows):
+        """F, what outputs and discrete states see, and the Floquet form."""
+        if rows is None:
+            return floquet_coordinates(self.shapes, psi, self.omega)
+        seen, _ = self.shapes(psi)
+        F = self.shapes.state_matrix(psi, self.omega, rows)
+        return F, seen @ np.linalg.inv(seen[:, rows]), None
+
+
+def turn_of(innovations, omega):
+    """A discrete periodic model in Floquet form.
+
+    Parameters
+    ----------
+    innovations : PeriodicInnovations
+    omega : float
+        rad/s.
+
+    Returns
+    -------
+    turn : Turn
+
+    Raises
+    ------
+    FloquetError
+        If a multiplier is zero.
+    """
+    n = innovations.n_states
+    psi, states, outputs = innovations.whole_turn()
+    A, B, C = states[..., :n], states[..., n:-1], outputs[..., :n]
+    X, R, flips = floquet_states(A, 2.0 * np.pi / omega)
+    seen = np.concatenate([C @ X, X], axis=1)
+    shapes = interpolated_shapes(seen, psi, R, flips)
+    return Turn(psi, omega, shapes, B, _trimmed(innovations.matrices()[3]))
+
+
+def floquet_states(A, period):
+    """Periodic states X_j, and R, of x[j+1] = A_j x[j]: x moves as X e^{Rt}.
+
+    Parameters
+    ----------
+    A : ndarray, shape (q, n, n)
+        Of the equal steps of one turn.
+    period : float
+        Seconds.
+
+    Returns
+    -------
+    X : ndarray, shape (q, n, n)
+    R : ndarray, shape (n, n)
+        1/s.
+    flips : ndarray of bool, shape (n,)
+        Columns of X that change sign from one turn to the next; they come first.
+
+    Examples
+    --------
+    >>> _, R, flips = floquet_states(np.tile(np.diag([0.5, 1e-3]), (20, 1, 1)), 20.0)
+    >>> np.exp(np.diag(R)).round(9).tolist(), bool(flips.any())
+    ([0.5, 0.001], False)
+    """
+    q, n, _ = A.shape
+    size = np.linalg.norm(A, axis=(1, 2))
+    rank = np.linalg.svd(A, compute_uv=False)[:, -1] if n else np.ones(q)
+    if not np.all(rank > EXACT * size):
+        raise FloquetError(
+            f"the step from one sample to the next forgets a state (its matrix has a singular "
+            f"value of {np.min(rank):.2g} beside one of {np.max(size):.2g}): no continuous system "
+            f"does; use order={n - 1}"
+        )
+    bases, groups, own = separated_factors(A)
+    X, R, flips = np.empty_like(A), np.zeros((n, n)), np.zeros(n, dtype=bool)
+    for group, factors in zip(groups, own, strict=True):
+        X[:, :, group], R[group, group], flips[group] = _group(bases[:, :, group], factors, period)
+    order = np.argsort(~flips, kind="stable")
+    return X[:, :, order], R[np.ix_(order, order)], flips[order]
+
+
+def _group(bases, factors, period):
+    """X, R and flips of modes of like size."""
+    q, product, logarithm = len(factors), np.eye(factors.shape[1]), 0.0
+    for factor in factors:
+        product = factor @ product
+        scale = np.max(np.abs(product))
+        product, logarithm = product / scale, logarithm + np.log(scale)
+    R, shape, flips = floquet_logarithm(product, period)
+    R = R + logarithm / period * np.eye(len(R))
+    back, X = linalg.expm(-R * period / q), np.empty(bases.shape)
+    for j in range(q):
+        X[j] = bases[j] @ shape
+        shape = factors[j] @ shape @ back
+    return X, R, flips
+
+
+def time_invariant(innovations, omega):
+    """The continuous model of one without harmonics, inputs held between samples.
+
+    Raises
+    ------
+    ValueError
+        If A has an eigenvalue on the closed negative real axis.
+    """
+    A, B, C, D = (M[0] for M in innovations.matrices())
+    F, G = discrete_to_continuous(A, B, innovations.step / omega)
+    return ContinuousModel(F[None], G[None], C[None], D[None], None, None)
+
+
+def input_matrix(F, Gamma, start, omega):
+    """G(ψ) of as few harmonics as move the states by Γ_j, held over each of the steps of a turn.
+
+    Parameters
+    ----------
+    F : ndarray, shape (2 K + 1, n, n)
+        Fourier coefficients.
+    Gamma : ndarray, shape (q, n, m)
+    start : float
+        ψ of the first step.
+    omega : float
+
+    Returns
+    -------
+    G : ndarray, shape (2 K + 1, n, m)
+    """
+    (q, n, m), highest = Gamma.shape, len(Gamma) // 2
+    structure = PeriodicStructure(rotated(F, start), np.zeros((0, F.size)), n, ())
+    pushes = held_pushes(structure, [], omega, q, highest)
+    size = np.sqrt(np.sum(pushes**2, axis=(0, 1, 3)))  # of each state
+    size = np.where(size > 0.0, size, 1.0)
+    target = (Gamma / size[:, None]).reshape(q * n, m)
+    for count in range(highest + 1):
+        width = 2 * count + 1
+        design = (pushes[:width] / size[:, None]).transpose(1, 2, 0, 3).reshape(q * n, -1)
+        found = linalg.lstsq(design, target)[0]
+        if np.linalg.norm(design @ found - target) <= EXACT * np.linalg.norm(target):
+            break
+    return rotated(found.reshape(width, n, m), -start)
+
+
+def nearest_steps(structure, coefficients, omega, n_phases, weights):
+    """Parameters of a structure whose steps over a turn, and outputs, are nearest to a model's.
+
+    Parameters
+    ----------
+    structure : PeriodicStructure
+    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+        Of [F G; P Q](ψ) of the model, in the same coordinates.
+    omega : float
+    n_phases : int
+        Steps.
+    weights : tuple of ndarray, shapes (n, n), (l, l) and (n + m, n + m)
+        Errors of a step's states and of outputs count as the squares of what they and a factor of
+        the covariance of states and inputs make of them.
+
+    Returns
+    -------
+    theta : ndarray, shape (k,)
+    """
+    *lefts, right = weights
+    n = structure.n_states
+    given = PeriodicStructure(coefficients, np.zeros((0, coefficients.size)), n, ())
+
+    def seen(structure, theta, *, sensitivities=False):
+        found = sampled_response(structure, theta, omega, n_phases, sensitivities=sensitivities)
+        both = (found.dPsi, found.dOut) if sensitivities else (found.Psi, found.Out)
+        both = (
+            left @ _everywhere(M, n_phases) @ right for left, M in zip(lefts, both, strict=True)
+        )
+        return np.concatenate([M.reshape(*M.shape[:-3], -1) for M in both], axis=-1)
+
+    target, start = seen(given, []), structure.nearest(coefficients)
+
+    def left(theta):
+        return seen(structure, theta) - target
+
+    def slope(theta):
+        return seen(structure, theta, sensitivities=True).T
+
+    if not len(start) or np.linalg.norm(left(start)) <= HALF * np.linalg.norm(target):
+        return start
+    return optimize.least_squares(left, start, slope, x_scale="jac").x
+
+
+def _everywhere(M, n_phases):
+    """Matrices of every phase, where they are constant, too."""
+    return np.broadcast_to(M, (*M.shape[:-3], n_phases, *M.shape[-2:]))
+
+
+def samples_of(coefficients, n_states, omega, step):
+    """Fourier coefficients of the discrete model of a continuous one, inputs held over each step.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+        Of [F G; P Q](ψ).
+    n_states : int
+        n.
+    omega : float
+    step : float
+        Radians, any.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 K' + 1, n + l, n + m)
+        Of [A B; C D](ψ): over the step that begins at ψ.
+    """
+    n = n_states
+    F, G = _trimmed(coefficients[:, :n, :n]), _trimmed(coefficients[:, :n, n:])
+    n_points = FEWEST // 4
+    while True:
+        psi = 2.0 * np.pi * np.arange(n_points) / n_points
+        matrices = (lambda at, M=M: evaluate_harmonics(M, at) for M in (F, G))
+        steps = np.concatenate(steps_between(*matrices, psi, psi + step, omega), axis=2)
+        count = tail_begins(steps, 0.0)
+        if count < n_points // 4 or n_points >= MOST:
+            break
+        n_points *= 2
+    whole = np.zeros((max(2 * count + 1, len(coefficients)), *coefficients.shape[1:]))
+    whole[: len(coefficients)] = coefficients
+    whole[:, :n] = 0.0
+    whole[: 2 * count + 1, :n] = sampled_harmonics(steps, count)
+    return whole
+
+
+def rotated(coefficients, angle):
+    """Fourier coefficients of f(ψ + angle) of those of f(ψ)."""
+    orders = np.arange(1, len(coefficients) // 2 + 1) * angle
+    shape = (-1,) + (1,) * (coefficients.ndim - 1)
+    c, s = np.cos(orders).reshape(shape), np.sin(orders).reshape(shape)
+    turned = coefficients.copy()
+    turned[1::2] = c * coefficients[1::2] + s * coefficients[2::2]
+    turned[2::2] = c * coefficients[2::2] - s * coefficients[1::2]
+    return turned
+
+
+def _resolved(values):
+    """Fourier coefficients of a matrix at azimuths of a turn, all that count."""
+    return sampled_harmonics(values, tail_begins(values, 0.0))
+
+
+def _trimmed(coefficients):
+    """Fourier coefficients without harmonics that are zero."""
+    moving = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2)))
+    highest = (moving[-1] + 1) // 2 if len(moving) else 0
+    return coefficients[: 2 * highest + 1]
