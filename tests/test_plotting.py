@@ -12,6 +12,7 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher
 from sklearn_hd.plotting import (
+    AzimuthDisplay,
     BodeDisplay,
     ConvergenceDisplay,
     EigenvalueDisplay,
@@ -201,6 +202,7 @@ def test_one_to_twelve_outputs_are_legible(make, count):
 
 
 FROM_FITTED = {
+    AzimuthDisplay: "MOESPRegressor",
     HarmonicsDisplay: "HarmonicAnalyzer",
     SingularValueDisplay: "MOESPRegressor",
     EigenvalueDisplay: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher",
