@@ -50,6 +50,18 @@ def test_loads_over_azimuth_and_their_harmonics_are_true():
     assert display.axes_[1].get_title("left").startswith("largest: harmonic 1, ")
 
 
+def test_loads_are_measured_against_innovations():
+    """Without that, an axis magnifies loads that are none."""
+    display = cases.azimuth()
+    assert display.noise_lines_["y"].get_ydata()[0] == pytest.approx(0.05, rel=0.1)
+    quiet = AzimuthDisplay(
+        1e-3 * display.loads, display.pulses, display.step, input_names=["u1"], noise=display.noise
+    ).plot()
+    assert quiet.axes_[1].get_ylim()[1] > display.noise["y"]
+    low, high = quiet.axes_[0].get_ylim()
+    assert high - low >= 2.0 * display.noise["y"]
+
+
 def test_a_pulse_gives_what_it_changes_in_a_simulation():
     (u, _), pipe, display = cases.service_record(), cases.sampled(), cases.azimuth()
     for row, psi in ((18, 90), (36, 180), (0, 0)):  # 25 degrees from row to row
@@ -74,7 +86,7 @@ def test_constant_dynamics_are_alike_at_each_azimuth():
     display = AzimuthDisplay.from_estimator(cases.sampled(output_harmonics=0))
     lines = [line.get_ydata() for line in display.pulse_lines_.values()]
     np.testing.assert_allclose(lines, [lines[0]] * 4, atol=1e-12)
-    assert display.axes_[3].get_title("left") == "0 % varies with the azimuth"
+    assert display.axes_[3].get_title("left") == "0 % of the response varies over the turn"
 
 
 def test_azimuths_turns_and_signals_may_be_chosen():
@@ -117,7 +129,7 @@ def test_an_output_is_drawn_in_its_parts():
     assert np.std(left) < 0.05 * np.std(caused)
     drawn = display.part_lines_["loads", "y"]
     assert 100.0 <= min(drawn.get_xdata()) <= max(drawn.get_xdata()) <= 120.0
-    assert display.axes_[2].get_title("left").startswith("rms about the mean: loads 0.7")
+    assert display.axes_[2].get_title("left").startswith("std: loads 0.74, inputs 0.6")
 
 
 def test_loads_go_with_one_model():

@@ -10,6 +10,7 @@ from sklearn_hd.plotting._display import (
     BARS,
     GREY,
     LINES,
+    RED,
     Display,
     chosen,
     dress,
@@ -48,6 +49,8 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         Radians from sample to sample, δ.
     input_names : sequence of str
         In the order of the pulses.
+    noise : Series, shape (n_outputs,), optional
+        Standard deviation of the innovations: a load below it is less than the noise of a sample.
     about_trim : bool, default=False
         Whether loads are those beside a periodic trim.
 
@@ -66,8 +69,9 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         By output, input and azimuth.
     bars_ : dict of BarContainer
         By output, and by (output, input).
-    legends_ : list of Legend
-        Of the responses.
+    noise_lines_ : dict of Line2D
+        By output: the standard deviation of innovations, where it is known.
+    legend_ : Legend
 
     References
     ----------
@@ -96,6 +100,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
     step: float
     _: KW_ONLY
     input_names: list
+    noise: pd.Series | None = None
     about_trim: bool = False
 
     @classmethod
@@ -129,6 +134,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
             pulses,
             innovations.step,
             input_names=list(step.model_.input_names),
+            noise=pd.Series(np.sqrt(np.diag(innovations.covariance)), list(step.loads_)),
             about_trim=step.basis_.output_trim is not None,
         )
         return display.plot(ax=ax, **plotted)
@@ -158,11 +164,12 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         panels = self._panels(ax, size, list(np.ndindex(n_rows, 2)))
         axes = panels.axes.reshape(n_rows, 2)
         self._measure()
-        self.load_lines_, self.pulse_lines_, self.bars_, self.legends_ = {}, {}, {}, []
+        self.load_lines_, self.pulse_lines_, self.bars_, self.noise_lines_ = {}, {}, {}, {}
         for name, (left, right) in zip(outputs, axes[: len(outputs)], strict=True):
             self._draw_loads(name, left, units)
             amplitude = self.amplitudes_[name]
             self._draw_bars(name, right, amplitude)
+            self._draw_noise(name, left, right)
             size = f"{number(amplitude.max())} {unit_of(name, units) or ''}"
             words = f"largest: harmonic {amplitude.idxmax()}, {size}".rstrip()
             dress(right, y=with_unit("amplitude", {"amplitude": unit_of(name, units)}), title=words)
@@ -173,13 +180,16 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
             told = [f"{v:.2g}" if v >= LABELLED else "" for v in share]
             right.bar_label(bars, told, fontsize=8, padding=2)
             varying = np.sqrt(max(1e4 - share[0] ** 2, 0.0))
-            words = f"{varying:.2g} % varies with the azimuth"
-            dress(right, y="share of the response (%)", title=words)
+            words = f"{varying:.2g} % of the response varies over the turn"
+            dress(right, y="share (%)", title=words)
         axes[len(outputs) - 1, 0].set_xlabel("ψ (deg)")
         for row in {len(outputs) - 1, n_rows - 1}:
             axes[row, 1].set_xlabel("harmonic of the turn (–)")
         if pairs:
             axes[-1, 0].set_xlabel("azimuth passed since the pulse (deg)")
+        handles = [self.pulse_lines_[*pair, psi] for pair in pairs[:1] for psi in azimuths]
+        handles += list(self.noise_lines_.values())[:1]
+        self.legend_ = panels.legend(handles, columns=5, fallback=2 * len(outputs) if pairs else 1)
         return self
 
     def _measure(self):
@@ -207,6 +217,17 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         dress(axis, y=with_unit(name, units), title=words)
         axis.set(xlim=(0, 360), xticks=range(0, 361, 90))
 
+    def _draw_noise(self, name, left, right):
+        """What is smaller than innovations is drawn as small: no magnifying."""
+        if self.noise is None:
+            return
+        size, mean = float(self.noise[name]), self.loads[name].iloc[0]
+        style = {"color": RED, "ls": ":", "lw": 1.4, "label": "innovations (standard deviation)"}
+        self.noise_lines_[name] = right.axhline(size, **style)
+        right.set_ylim(0.0, max(right.get_ylim()[1], 1.15 * size))
+        low, high = left.get_ylim()
+        left.set_ylim(min(low, mean - size), max(high, mean + size))
+
     def _draw_pulses(self, pair, axis, azimuths, units):
         output, source = pair
         o, i = list(self.loads).index(output), self.input_names.index(source)
@@ -214,7 +235,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         axis.axhline(0.0, color=GREY, lw=0.8)
         for psi, look in zip(azimuths, looks(LINES, len(azimuths)), strict=True):
             values = self.pulses[psi % DEGREES, :, o, i]
-            line = axis.plot(passed, values, label=f"at {psi}°", **look)[0]
+            line = axis.plot(passed, values, label=f"pulse at {psi}°", **look)[0]
             self.pulse_lines_[output, source, psi] = line
         unit, per = (unit_of(name, units) for name in (output, source))
         words = f"{output} per {source}"
@@ -224,10 +245,6 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         axis.set_xlim(0, passed[-1])
         every = 90 if passed[-1] <= 540 else 180 if passed[-1] <= 1080 else 360
         axis.set_xticks(range(0, int(passed[-1]) + 1, every))
-        low, high = axis.get_ylim()
-        axis.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
-        options = {"fontsize": 8, "frameon": False, "loc": "upper right"}
-        self.legends_.append(axis.legend(ncols=2, **options))
 
     def _draw_bars(self, key, axis, values):
         bars = axis.bar(values.index, values, 0.7, **BARS[0 if isinstance(key, str) else 1])

@@ -361,9 +361,9 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         for (what, table), look in zip(self.parts_.items(), looks(LINES[1:], 3), strict=True):
             t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
             self.part_lines_[what, name] = axis.plot(t, values, **look | {"label": what})[0]
-            sizes.append(number(np.std(table[name])))
-        words = "rms about the mean: loads {}, inputs {}, residual {}".format(*sizes)
-        small = len(self.measured.columns) > 4
+            sizes.append(number(float(f"{np.std(table[name]):.2g}")))
+        words = "std: loads {}, inputs {}, residual {}".format(*sizes)
+        small = len(self.measured.columns) > 3
         dress(axis, y=with_unit(name, units), title=words, small=small)
 
     def _words(self, name):
