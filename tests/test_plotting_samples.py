@@ -95,7 +95,9 @@ def test_azimuths_turns_and_signals_may_be_chosen():
     )
     assert list(display.pulse_lines_) == [("y", "u1", 30), ("y", "u1", -60)]
     assert display.axes_[2].get_xlim() == pytest.approx((0.0, 550.0))  # 22 rows of 25 degrees
-    with pytest.raises(ValueError, match=r"turns=0 must be a positive number"):
+    with pytest.raises(
+        ValueError, match="turns must be a positive number in revolutions, got 0; 2 is"
+    ):
         AzimuthDisplay.from_estimator(cases.sampled(), turns=0)
     with pytest.raises(ValueError, match=r"azimuths=\(0.5, 90\) must be whole degrees"):
         display.plot(azimuths=(0.5, 90))

@@ -5,6 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._checks import check_positive
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.plotting._display import (
     BARS,
@@ -124,8 +125,8 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         """
         step = step_of_samples(estimator, cls.__name__)
         innovations = step.model_.innovations
-        if turns is not None and not 0.0 < turns < np.inf:
-            raise ValueError(f"turns={turns!r} must be a positive number, such as 2")
+        if turns is not None:
+            turns = check_positive("turns", turns, "revolutions", "2 is usual")
         pulses = _pulses(innovations, MOST_TURNS if turns is None else turns)
         if turns is None:
             pulses = pulses[:, : _settled(pulses, innovations.samples_per_period)]
@@ -189,7 +190,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
             axes[-1, 0].set_xlabel("azimuth passed since the pulse (deg)")
         handles = [self.pulse_lines_[*pair, psi] for pair in pairs[:1] for psi in azimuths]
         handles += list(self.noise_lines_.values())[:1]
-        self.legend_ = panels.legend(handles, columns=5, fallback=2 * len(outputs) if pairs else 1)
+        self.legend_ = panels.legend(handles, columns=5, fallback=2 * len(outputs) + 1)
         return self
 
     def _measure(self):
@@ -222,7 +223,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         if self.noise is None:
             return
         size, mean = float(self.noise[name]), self.loads[name].iloc[0]
-        style = {"color": RED, "ls": ":", "lw": 1.4, "label": "innovations (standard deviation)"}
+        style = {"color": RED, "ls": ":", "lw": 1.4, "label": "innovations (std)"}
         self.noise_lines_[name] = right.axhline(size, **style)
         right.set_ylim(0.0, max(right.get_ylim()[1], 1.15 * size))
         low, high = left.get_ylim()

@@ -480,8 +480,7 @@ def step_of_samples(estimator, what):
     if not isinstance(step.model_, SampleModel):
         raise ValueError(
             f"{what} needs a model of samples at their azimuths, and this one was fitted with "
-            f"reading={step.basis_.reading!r}; fit behind HarmonicAnalyzer(reading='sample'), or "
-            f"draw F, G, P or Q of a periodic match with PeriodicMatrixDisplay"
+            f"reading={step.basis_.reading!r}; fit behind HarmonicAnalyzer(reading='sample')"
         )
     return step
 
