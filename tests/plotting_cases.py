@@ -17,6 +17,7 @@ from sklearn_hd import (
 )
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.plotting import (
+    AzimuthDisplay,
     BodeDisplay,
     ConvergenceDisplay,
     EigenvalueDisplay,
@@ -77,6 +78,26 @@ def random_steps():
     rng = np.random.default_rng(3)
     u = rng.choice([-1.0, 1.0], (16 * 1000, 1))
     return record(mathieu(), n_periods=1000, samples=16, u=u, noise=0.05)
+
+
+@lru_cache
+def service_record():
+    """Mathieu's equation whose input always moves, under loads, at 14.4 samples a turn (25 deg)."""
+    rng = np.random.default_rng(4)
+    index = pd.Index(np.arange(3000) * np.pi / 14.4, name="time")
+    u = rng.choice([-1.0, 1.0], (3000, 1))
+    y = _deflection().simulate(u, index.to_numpy())
+    loads = np.cos(2.0 * index.to_numpy() + 0.5) + 0.3 * np.sin(6.0 * index.to_numpy())
+    y = y + loads[:, None] + 0.05 * rng.standard_normal(y.shape)
+    return pd.DataFrame(u, index, ["u1"]), pd.DataFrame(y, index, ["y"])
+
+
+@lru_cache
+def sampled(**harmonics):
+    """The model of its samples at their azimuths."""
+    analyzer = HarmonicAnalyzer(2.0, reading="sample", **harmonics)
+    pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
+    return pipe.fit(*service_record())
 
 
 @lru_cache
@@ -168,6 +189,17 @@ def response(ax=None):
     )
 
 
+def response_with_loads(ax=None):
+    units = {"u1": "N", "y": "m"}
+    return ResponseDisplay.from_estimator(
+        sampled(), *service_record(), loads=True, span=(100.0, 120.0), units=units, ax=ax
+    )
+
+
+def azimuth(ax=None):
+    return AzimuthDisplay.from_estimator(sampled(), units={"u1": "N", "y": "m"}, ax=ax)
+
+
 def bode(ax=None):
     system = sliding(20, "output_error")
     true = wing().ltp.harmonic_decomposition(1)  # more signals than the model's
@@ -210,6 +242,8 @@ DISPLAYS = {  # how to make it, panels
     "eigenvalues_with_confidence": (eigenvalues_with_confidence, 1),
     "stabilization": (stabilization, 2),
     "response": (response, 3),
+    "response_with_loads": (response_with_loads, 3),
+    "azimuth": (azimuth, 4),
     "bode": (bode, 6),
     "harmonic_transfer": (harmonic_transfer, 6),
     "participation": (participation, 4),

@@ -12,6 +12,7 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher
 from sklearn_hd.plotting import (
+    AzimuthDisplay,
     BodeDisplay,
     ConvergenceDisplay,
     EigenvalueDisplay,
@@ -175,6 +176,7 @@ def of_signals(count):
     signals = cases.many_signals(count)
     yield HarmonicsDisplay.from_data(signals, 2 * np.pi)
     yield ResponseDisplay.from_data(signals, 0.9 * signals)
+    yield ResponseDisplay(signals, {"model": 0.9 * signals}, loads=0.0501 * signals).plot()
     yield StabilizationDisplay(cases.modes_of(range(1, count + 1)), order=count).plot()
 
 
@@ -186,7 +188,7 @@ def of_states(count):
 
 
 @pytest.mark.parametrize("make", [of_signals, of_states])
-@pytest.mark.parametrize("count", [1, 12])
+@pytest.mark.parametrize("count", [1, 4, 12])
 def test_one_to_twelve_outputs_are_legible(make, count):
     for display in make(count):
         display.figure_.draw_without_rendering()
@@ -201,6 +203,7 @@ def test_one_to_twelve_outputs_are_legible(make, count):
 
 
 FROM_FITTED = {
+    AzimuthDisplay: "MOESPRegressor",
     HarmonicsDisplay: "HarmonicAnalyzer",
     SingularValueDisplay: "MOESPRegressor",
     EigenvalueDisplay: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher",

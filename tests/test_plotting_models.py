@@ -63,7 +63,7 @@ def test_singular_values_are_those_of_the_model():
 
 def test_a_search_that_lacks_something_is_refused():
     with pytest.raises(
-        ValueError, match=r"search lacks \['feedthrough', 'share', 'stable'\]; give"
+        ValueError, match=r"search lacks \['bic', 'feedthrough', 'share', 'stable'\]; give"
     ):
         SingularValueDisplay([3.0, 2.0], 1, search={"order": [1, 2]})
 

@@ -7,6 +7,7 @@ Each class has ``from_estimator`` and, where it fits, ``from_data``, ``from_syst
 Importing :mod:`sklearn_hd` does not import this package.
 """
 
+from sklearn_hd.plotting._azimuth import AzimuthDisplay
 from sklearn_hd.plotting._bode import BodeDisplay
 from sklearn_hd.plotting._eigenvalues import EigenvalueDisplay, StabilizationDisplay
 from sklearn_hd.plotting._harmonic_transfer import HarmonicTransferFunctionDisplay
@@ -20,6 +21,7 @@ from sklearn_hd.plotting._periodic import ParticipationDisplay, PeriodicMatrixDi
 from sklearn_hd.plotting._response import ResponseDisplay
 
 __all__ = [
+    "AzimuthDisplay",
     "BodeDisplay",
     "ConvergenceDisplay",
     "EigenvalueDisplay",

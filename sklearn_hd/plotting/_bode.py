@@ -7,6 +7,7 @@ import numpy as np
 from scipy.stats import norm
 
 from sklearn_hd._model_step import ModelStep
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
@@ -93,12 +94,20 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         Raises
         ------
         ValueError
-            If models have different signals.
+            If models have different signals, or one of samples varies over the turn.
         """
         steps = {
             label: fitted_step(model, ModelStep, cls.__name__)
             for label, model in by_label(estimator, "identified").items()
         }
+        for label, step in steps.items():
+            if isinstance(step.model_, SampleModel) and not step.model_.time_invariant:
+                raise ValueError(
+                    f"{label!r} varies over the turn, with {step.model_.innovations.n_harmonics} "
+                    f"harmonic(s), and has no one frequency response; use "
+                    f"HarmonicTransferFunctionDisplay or AzimuthDisplay, or fit with "
+                    f"output_harmonics=0"
+                )
         systems = {label: step.system_ for label, step in steps.items()}
         display = cls._of(systems, frequencies, true)
         display.std = {

@@ -19,8 +19,10 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import FIRST, check_span
 from sklearn_hd._model_step import ModelStep
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._tables import read_time
 from sklearn_hd.matching import StructuredMatcher
+from sklearn_hd.subspace import MOESPRegressor
 from sklearn_hd.systems import LTPSystem
 
 BLACK, GREY, LIGHT = "#000000", "#8A8A8A", "#E4E4E4"
@@ -459,6 +461,9 @@ def chosen(wanted, names, what):
 
 def periodic_system(estimator, display):
     """The linear time-periodic system that a fitted estimator has identified."""
+    step = find_step(estimator, (StructuredMatcher, MOESPRegressor))
+    if isinstance(step, MOESPRegressor) and isinstance(step.model_, SampleModel):
+        return step.ltp_
     matcher = fitted_step(estimator, StructuredMatcher, display)
     if not hasattr(matcher, "ltp_"):
         raise ValueError(
@@ -467,6 +472,17 @@ def periodic_system(estimator, display):
             f"HarmonicAnalyzer(reading='period')"
         )
     return matcher.ltp_
+
+
+def step_of_samples(estimator, what):
+    """The MOESPRegressor of an estimator, whose model is one of samples at their azimuths."""
+    step = fitted_step(estimator, MOESPRegressor, what)
+    if not isinstance(step.model_, SampleModel):
+        raise ValueError(
+            f"{what} needs a model of samples at their azimuths, and this one was fitted with "
+            f"reading={step.basis_.reading!r}; fit behind HarmonicAnalyzer(reading='sample')"
+        )
+    return step
 
 
 def check_periodic(system, display, label=None):

@@ -129,7 +129,7 @@ class EigenvalueDisplay(Display):
         if matcher is not None:
             model = _matched(matcher)
         elif reducer is None:
-            model = continuous_eigenvalues(last.model_)
+            model = last.model_.exponents()
         basis = last.basis_
         display = cls(
             None if reducer is None else reducer.modes_,
@@ -264,14 +264,6 @@ def _corners(right, up):
     return [np.array([right * a + 1j * up * b]) for a in (-1, 1) for b in (-1, 1)]
 
 
-def continuous_eigenvalues(model):
-    """Eigenvalues of an LTIModel in 1/s; of a discrete one, the principal logarithms."""
-    z = np.linalg.eigvals(model.A).astype(complex)
-    if model.dt == 0.0:
-        return z
-    return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / model.dt
-
-
 def _matched(matcher):
     """Eigenvalues (Floquet exponents of periodic structures), with deviations if known."""
     if hasattr(matcher, "eigenvalues_"):  # after maximum likelihood
@@ -386,7 +378,7 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
             warnings.simplefilter("ignore", UserWarning)  # what the first fit said
             for n in orders:
                 model = clone(identifier).set_params(order=n, block_rows=block_rows).fit(X, y)
-                found[n] = continuous_eigenvalues(model.model_)
+                found[n] = model.model_.exponents()
         return cls(_table(found, tol), order=first.order_).plot(ax=ax)
 
     def plot(self, ax=None):

@@ -6,6 +6,7 @@ import pandas as pd
 from sklearn_hd._checks import FIRST
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._tables import read_time
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (
     BLACK,
@@ -18,6 +19,7 @@ from sklearn_hd.plotting._display import (
     dress,
     line_styles,
     periodic_system,
+    step_of_samples,
     unit_of,
 )
 from sklearn_hd.systems import HarmonicTransferFunction, estimate_harmonic_transfer_function
@@ -285,11 +287,19 @@ def _limit(row):
 
 
 def _about_trim(estimator, X, y):
-    """Inputs and outputs on the grid that is analysed, trim taken, segments for records."""
+    """Inputs and outputs on the grid that is analysed, segments for records.
+
+    Trim is taken from both, the loads of a model of samples from the outputs.
+    """
     if y is None:
         raise ValueError("X was given without y; give both, or neither")
     step, handed = last_model_step(estimator, X)
     experiment = read_experiment(step.transform(handed), y)
+    outputs = experiment.outputs
+    if experiment.basis.reading == "sample":
+        loads = step_of_samples(estimator, "HarmonicTransferFunctionDisplay").loads_.to_numpy()
+        psi = experiment.phases
+        outputs = [y - evaluate_harmonics(loads, p) for y, p in zip(outputs, psi, strict=True)]
     keys = range(len(experiment.base.segments))
     names = [[s for s, _ in kept] for kept in (experiment.basis.inputs, experiment.basis.outputs)]
     return (
@@ -301,5 +311,5 @@ def _about_trim(estimator, X, y):
             keys=keys,
             names=["record"],
         )
-        for blocks, columns in zip((experiment.inputs, experiment.outputs), names, strict=True)
+        for blocks, columns in zip((experiment.inputs, outputs), names, strict=True)
     )

@@ -118,9 +118,20 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
             Inputs.
         y : DataFrame or Series, shape (n_samples, n_outputs), optional
             Outputs; the analyzer must have been fitted with outputs of these names.
+
+        Raises
+        ------
+        ValueError
+            If the analyzer makes no coefficients (``reading="sample"``).
         """
         analyzer = fitted_step(estimator, HarmonicAnalyzer, cls.__name__)
         basis = analyzer.basis_
+        if basis.reading == "sample":
+            raise ValueError(
+                f"HarmonicAnalyzer(reading='sample') hands samples on as they are: there are no "
+                f"coefficients to draw; use {cls.__name__}.from_data(X, omega) for those that a "
+                f"window sees, or AzimuthDisplay for what the model has at each turn"
+            )
         record = Record(X, record, basis.timing)
         frame = pd.DataFrame(analyzer.transform(X))
         parts, harmonics = [frame], _names(basis.inputs)

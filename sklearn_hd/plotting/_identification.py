@@ -54,7 +54,8 @@ class SingularValueDisplay(Display):
     floor_ : Line2D or None
         None where simulations decided.
     left_ : Line2D or None
-        What the simulations of stable models left of the outputs, on an axis of its own.
+        What the simulations of stable models left of the outputs, on an axis of its own; of
+        models that differ in their harmonics alone, that with the least criterion.
     gap_ : Line2D
         After the order chosen; its label says how wide the gap is.
     marks_ : dict of Line2D
@@ -90,7 +91,7 @@ class SingularValueDisplay(Display):
 
     def __post_init__(self):
         self.singular_values = np.asarray(self.singular_values, dtype=float)
-        missing = {"order", "feedthrough", "stable", "share"} - set(self.search or ())
+        missing = {"order", "feedthrough", "stable", "share", "bic"} - set(self.search or ())
         if self.search is not None and missing:
             raise ValueError(
                 f"search lacks {sorted(missing)}; give order_search_ of a MOESPRegressor, or None"
@@ -162,9 +163,10 @@ class SingularValueDisplay(Display):
         return self
 
     def _draw_left(self, ax):
-        search = {name: np.asarray(values) for name, values in self.search.items()}
-        drawn = search["stable"] & (search["feedthrough"] == search["feedthrough"][0])
-        order, share = search["order"][drawn], search["share"][drawn]
+        search = pd.DataFrame(self.search)
+        drawn = search[search["stable"] & (search["feedthrough"] == search["feedthrough"][0])]
+        drawn = drawn.loc[drawn.groupby("order")["bic"].idxmin()]  # of numbers of harmonics
+        order, share = drawn["order"], drawn["share"]
         style = {"color": ORANGE, "lw": 1.3, "ms": 5, "label": "left by simulations"}
         (self.left_,) = ax.semilogy(order, share, "s-", **style)
         for format_of in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import check_choice
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.plotting._display import (
     BARS,
     Display,
@@ -17,7 +18,11 @@ from sklearn_hd.plotting._display import (
     looks,
     periodic_system,
     places,
+    step_of_samples,
 )
+
+OF_SYSTEMS = ("F", "G", "P", "Q")
+OF_SAMPLES = ("A", "B", "C", "D", "K")
 
 
 @dataclass(eq=False, repr=False)
@@ -154,6 +159,12 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
 
         ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt
 
+    Of a model of samples at their azimuths A(ψ), B(ψ), C(ψ), D(ψ) or K(ψ), whose states are no
+    one's: :class:`AzimuthDisplay` draws what does not depend on them.
+
+        x[k+1] = A(ψ) x[k] + B(ψ) u[k] + a(ψ) + K(ψ) e[k],
+        y[k] = C(ψ) x[k] + D(ψ) u[k] + c(ψ) + e[k],   ψ = ψ_k
+
     Parameters
     ----------
     psi : ndarray, shape (n_points,)
@@ -203,17 +214,21 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
         Parameters
         ----------
         estimator : StructuredMatcher, or Pipeline or search that holds one
-            Fitted with a periodic structure.
-        matrix : {"F", "G", "P", "Q"}, default="F"
-            Which to draw.
+            Fitted with a periodic structure; or a MOESPRegressor fitted behind
+            ``HarmonicAnalyzer(reading="sample")``.
+        matrix : {"F", "G", "P", "Q"} or {"A", "B", "C", "D", "K"}, default="F"
+            Which to draw; the latter are of a MOESPRegressor, from sample to sample.
         true : LTPSystem, optional
             The truth, of the same states and signals.
 
         Raises
         ------
         ValueError
-            If its structure is time-invariant, or the truth has other states.
+            If there is no such matrix, the structure is time-invariant, the truth has other
+            states, or it is given for a matrix from sample to sample.
         """
+        if check_choice("matrix", matrix, OF_SYSTEMS + OF_SAMPLES) in OF_SAMPLES:
+            return cls._of_samples(estimator, matrix, true).plot(ax=ax)
         system = periodic_system(estimator, cls.__name__)
         return cls.from_systems({"identified": system}, matrix, true=true, ax=ax)
 
@@ -233,7 +248,7 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
         ValueError
             If there is no such matrix, or systems have different states or signals.
         """
-        check_choice("matrix", matrix, ("F", "G", "P", "Q"))
+        check_choice("matrix", matrix, OF_SYSTEMS)
         systems = by_label(systems, "model")
         if true is not None:
             systems = {"true": true, **systems}
@@ -254,6 +269,24 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
             reference=None if true is None else "true",
         )
         return display.plot(ax=ax)
+
+    @classmethod
+    def _of_samples(cls, estimator, matrix, true):
+        """A matrix of a model of samples."""
+        if true is not None:
+            raise ValueError(
+                f"matrix={matrix!r} has states of its own, which cannot be compared with those of "
+                f"true; leave true=None, or draw F, G, P or Q"
+            )
+        model = step_of_samples(estimator, cls.__name__).model_
+        states = [f"x{k}" for k in range(1, model.n_states + 1)]
+        rows = model.output_names if matrix in "CD" else states
+        columns = {"B": model.input_names, "D": model.input_names, "K": model.output_names}
+        parts = dict(zip("ABCD", model.innovations.matrices(), strict=True))
+        psi = np.linspace(0.0, 2.0 * np.pi, num=361)
+        values = evaluate_harmonics(parts.get(matrix, model.innovations.gain), psi)
+        names = {"row_names": list(rows), "column_names": list(columns.get(matrix, states))}
+        return cls(psi, {"identified": values}, matrix=matrix, **names)
 
     def plot(self, ax=None):
         """Draw, on a new figure by default."""

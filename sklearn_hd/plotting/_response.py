@@ -7,7 +7,9 @@ import pandas as pd
 
 from sklearn_hd._checks import check_span, signal_names
 from sklearn_hd._model_step import ModelStep, scored_simulation
+from sklearn_hd._records.data import read_experiment
 from sklearn_hd._tables import to_float
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.model_selection import fit_percent
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (
@@ -23,17 +25,23 @@ from sklearn_hd.plotting._display import (
     fitted_step,
     grid_of,
     looks,
+    number,
     places,
+    step_of_samples,
     unbroken,
     with_unit,
 )
 
 
 @dataclass(eq=False, repr=False)
-class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
+class ResponseDisplay(Display, axes="one Axes an input, then one an output, or two with loads"):
     """Measured outputs and those that models simulate, with the fit of each in percent.
 
         fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
+
+    With the loads of a model of samples, what an output is made of is drawn below it: loads,
+    the response to the inputs (simulation less loads), and the residual (measured less
+    simulation).
 
     Parameters
     ----------
@@ -53,6 +61,8 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
         Above the first panel.
     measured_name : str, default="measured"
         What the legend calls the measured outputs.
+    loads : DataFrame, shape (n_samples, n_outputs), optional
+        Periodic outputs of the model without inputs, on the same rows; goes with one model.
 
     Attributes
     ----------
@@ -60,17 +70,28 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
         Percent, of all rows drawn outside the validation span.
     validation_fit_ : DataFrame or None
         The same within the validation span.
+    parts_ : dict of DataFrame
+        Loads, response to the inputs and residual, where loads are drawn.
     axes_ : ndarray of Axes, shape (n_inputs + n_outputs,)
-        Of the inputs, then of the outputs.
+        Of the inputs, then of the outputs, then of the parts of each output where there are loads.
     figure_ : Figure
     measured_lines_ : dict of Line2D
         By output.
     simulated_lines_ : dict of Line2D
         By label and output.
     input_lines_ : dict of Line2D
+    part_lines_ : dict of Line2D
+        By what the part is and output.
     spans_ : list
         Shading of the validation span in each panel.
     legend_ : Legend
+    part_legend_ : Legend or None
+        Of the parts, on Axes that were given.
+
+    Raises
+    ------
+    ValueError
+        If loads are given beside several models.
 
     References
     ----------
@@ -95,9 +116,23 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
     axis: str = TIME
     title: str | None = None
     measured_name: str = "measured"
+    loads: pd.DataFrame | None = None
 
     def __post_init__(self):
         self.segments = self.segments or [slice(0, len(self.measured))]
+        self.parts_ = {}
+        if self.loads is not None:
+            if len(self.simulated) != 1:
+                raise ValueError(
+                    f"loads are those of one model, and {len(self.simulated)} are drawn: "
+                    f"{list(self.simulated)}; give one, or no loads"
+                )
+            (simulated,) = self.simulated.values()
+            self.parts_ = {
+                "loads": self.loads,
+                "response to the inputs": simulated - self.loads,
+                "residual": self.measured - simulated,
+            }
 
     @classmethod
     def from_estimator(
@@ -110,6 +145,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
         validation_span=None,
         span=None,
         show_inputs=True,
+        loads=False,
         units=None,
         ax=None,
     ):
@@ -132,11 +168,15 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
             Seconds to draw; the fit is that of all rows all the same.
         show_inputs : bool, default=True
             Whether to draw the inputs above the outputs.
+        loads : bool, default=False
+            Whether to draw below each output its loads, its response to the inputs and the
+            residual, of a model fitted behind ``HarmonicAnalyzer(reading="sample")``.
 
         Raises
         ------
         ValueError
-            If no rows of the record can be scored.
+            If no rows of the record can be scored, or the loads are asked for of a model that has
+            none.
         """
         estimators = by_label(estimator, "simulated")
         runs = {label: _simulate(model, X, y, cls.__name__) for label, model in estimators.items()}
@@ -153,6 +193,10 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
             for _, truth, simulated, own in runs.values()
             for values in (truth, simulated)
         ]
+        periodic = None
+        if loads:
+            parts = (_loads(model, X, y, cls.__name__) for model in estimators.values())
+            periodic = pd.DataFrame(next(parts)[rows], index, names)
         inputs = None
         if show_inputs:
             azimuth = step.basis_.timing.azimuth
@@ -165,6 +209,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
             validation_span=validation_span,
             axis=whole.axis,
             title=None if whole.label is None else f"record {whole.label}",
+            loads=periodic,
         )
         return display.plot(ax=ax, span=span, units=units)
 
@@ -229,15 +274,18 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
         outputs = list(self.measured)
         panels, bottom = self._stacked(ax, len(inputs), len(outputs))
         self.input_lines_, self.measured_lines_, self.simulated_lines_ = {}, {}, {}
-        self.spans_ = []
+        self.part_lines_, self.part_legend_, self.spans_ = {}, None, []
+        split = len(inputs) + len(outputs)
         for name, axis in zip(inputs, self.axes_[: len(inputs)], strict=True):
             table = _within(self.inputs[[name]], span)
             style = {"color": BLACK, "lw": 1.2, "drawstyle": "steps-post"}
             t = table.index.to_numpy()
             self.input_lines_ |= {name: axis.plot(t, table[name].to_numpy(), **style)[0]}
             dress(axis, y=with_unit(name, units))
-        for name, axis in zip(outputs, self.axes_[len(inputs) :], strict=True):
+        for name, axis in zip(outputs, self.axes_[len(inputs) : split], strict=True):
             self._draw(name, axis, span, units)
+        for name, axis in zip(outputs if self.parts_ else [], self.axes_[split:], strict=True):
+            self._draw_parts(name, axis, span, units)
         for axis in self.axes_:
             self._shade(axis, span)
         for k in bottom:
@@ -248,15 +296,22 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
                 "  ".join(filter(None, (self.title, first.get_title("left")))), loc="left"
             )
         handles = self.axes_[len(inputs)].get_legend_handles_labels()[0]
-        self.legend_ = panels.legend(handles, fallback=len(inputs))
+        of_parts = [self.part_lines_[what, outputs[0]] for what in self.parts_]
+        if panels.own:
+            handles += of_parts
+        else:
+            self.part_legend_ = panels.legend(of_parts, fallback=split)
+        self.legend_ = panels.legend(handles, columns=5, fallback=len(inputs))
         return self
 
     def _stacked(self, ax, n_inputs, n_outputs):
         """Panels of inputs and outputs, and which of them stand at the bottom."""
         rows, columns = grid_of(n_outputs)
-        above = -(-n_inputs // columns)
+        above, each = -(-n_inputs // columns), 2 if self.parts_ else 1
         cells = places(n_inputs, columns)
-        cells += [(r + above, c) for r, c in places(n_outputs, columns)]
+        for part in range(each):
+            cells += [(each * r + part + above, c) for r, c in places(n_outputs, columns)]
+        rows *= each
         size = max(7.0, 4.3 * columns), 0.9 + 0.9 * above + max(1.5, 2.4 - 0.3 * rows) * rows
         heights = [0.5] * above + [1.0] * rows
         panels = self._panels(ax, size, cells, heights=heights, share_x="all")
@@ -301,6 +356,16 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output"):
         small = len(self.measured.columns) > 4
         dress(axis, y=with_unit(name, units), title=self._words(name), small=small)
 
+    def _draw_parts(self, name, axis, span, units):
+        time, sizes = self.measured.index.to_numpy(), []
+        for (what, table), look in zip(self.parts_.items(), looks(LINES[1:], 3), strict=True):
+            t, values = unbroken(time, table[name].to_numpy(), self.segments, span)
+            self.part_lines_[what, name] = axis.plot(t, values, **look | {"label": what})[0]
+            sizes.append(number(float(f"{np.std(table[name]):.2g}")))
+        words = "std: loads {}, inputs {}, residual {}".format(*sizes)
+        small = len(self.measured.columns) > 3
+        dress(axis, y=with_unit(name, units), title=words, small=small)
+
     def _words(self, name):
         """Fit of an output in words, models in the order of the legend."""
         words = "fit " + " / ".join(f"{value:.1f}" for value in self.fit_[name]) + " %"
@@ -325,6 +390,16 @@ def _simulate(estimator, X, y, display):
     fitted_step(estimator, ModelStep, display)
     step, handed = last_model_step(estimator, X)
     return step, *scored_simulation(step, handed, y)
+
+
+def _loads(estimator, X, y, display):
+    """Periodic outputs of a model of samples without inputs, on the rows of X."""
+    of_samples, (step, handed) = step_of_samples(estimator, display), last_model_step(estimator, X)
+    experiment = read_experiment(step.transform(handed), y)
+    coefficients = of_samples.loads_.to_numpy()
+    return experiment.sampling.back(
+        [evaluate_harmonics(coefficients, psi) for psi in experiment.phases]
+    )
 
 
 def _rows_of_all(rows, record):
