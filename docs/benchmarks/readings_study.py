@@ -1,4 +1,4 @@
-"""Which reading for which record: exponents and predictions of each on four kinds of records.
+"""Which reading for which record: exponents and predictions of each on six kinds of records.
 
     python docs/benchmarks/readings_study.py [--seeds 10] [--first 100] [--only rotor]
 
@@ -79,17 +79,17 @@ def doublet(seed):
     )
 
 
-def steps(seed):
-    """The linear wing: steps of random sign every 5 samples, from the first on; noise of 1/100."""
-    rng, n = np.random.default_rng(seed), 200 * 16
+def steps(n_periods, snr, seed):
+    """The linear wing: steps of random sign every 5 samples, from the first on; white noise."""
+    rng, n = np.random.default_rng(seed), n_periods * 16
     changes = rng.choice([-1.0, 1.0], (2, n // 5)).repeat(5, axis=1)
     data = make_flapping_wing(
         "ltp",
-        n_periods=200,
+        n_periods=n_periods,
         samples_per_period=16,
         input=1e-5 * changes,
         n_records=2,
-        snr=100,
+        snr=snr,
         random_state=seed,
     )
     new = data.inputs.loc[1]
@@ -125,7 +125,9 @@ def rotor(turbulence, seed):
 
 RECORDS = {
     "wing, doublet and trim": doublet,
-    "wing, random steps": steps,
+    "wing, random steps": partial(steps, 200, 100),
+    "wing, 50 noisy periods": partial(steps, 50, 5),
+    "wing, 400 noisy periods": partial(steps, 400, 5),
     "rotor, gusts of 0.2 %": partial(rotor, 0.002),
     "rotor, gusts of 0.4 %": partial(rotor, 0.004),
 }
