@@ -9,6 +9,7 @@ from sklearn_hd.datasets._measured import (
     load_slicot_example,
     load_wind_turbine,
 )
+from sklearn_hd.datasets._rotor import make_rotor
 
 __all__ = [
     "load_cd_player_arm",
@@ -18,4 +19,5 @@ __all__ = [
     "load_wind_turbine",
     "make_flapping_wing",
     "make_hawkmoth",
+    "make_rotor",
 ]
