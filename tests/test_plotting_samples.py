@@ -6,9 +6,9 @@ import plotting_cases as cases
 import pytest
 from periodic_cases import mathieu
 from sklearn.base import clone
-from sklearn.pipeline import Pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 
-from sklearn_hd import SpuriousModeReducer
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.plotting import (
@@ -212,6 +212,14 @@ def test_periodic_systems_behind_samples_are_drawn(monkeypatch):
     assert len(ParticipationDisplay.from_estimator(pipe).axes_) == 2
     display = HarmonicTransferFunctionDisplay.from_estimator(pipe)
     assert ("identified", "y", "u1", 1) in display.magnitude_lines_
+    u, y = cases.service_record()
+    with pytest.raises(ValueError, match=r"the record has 14.4 samples a turn, .* draw the model"):
+        HarmonicTransferFunctionDisplay.from_estimator(pipe, u, y)
+    turning = u.assign(psi=2.0 * u.index)
+    analyzer = HarmonicAnalyzer(azimuth="psi", reading="sample")
+    pipe = make_pipeline(analyzer, MOESPRegressor(order=2)).fit(turning, y)
+    with pytest.raises(ValueError, match="the record has turns of varying length"):
+        HarmonicTransferFunctionDisplay.from_estimator(pipe, turning, y)
 
 
 def test_responses_of_a_record_are_those_about_its_loads(monkeypatch):

@@ -76,8 +76,8 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
 
     References
     ----------
-    Bittanti, Colaneri (2009), Periodic Systems: Filtering and Control, section 2.2 (periodic
-    Markov parameters).
+    Bittanti, Colaneri (2009), Periodic Systems: Filtering and Control (Markov parameters of
+    periodic systems).
 
     Examples
     --------
@@ -188,7 +188,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
             axes[row, 1].set_xlabel("harmonic of the turn (–)")
         if pairs:
             axes[-1, 0].set_xlabel("azimuth passed since the pulse (deg)")
-        handles = [self.pulse_lines_[*pair, psi] for pair in pairs[:1] for psi in azimuths]
+        handles = [self.pulse_lines_[(*pair, psi)] for pair in pairs[:1] for psi in azimuths]
         handles += list(self.noise_lines_.values())[:1]
         self.legend_ = panels.legend(handles, columns=5, fallback=2 * len(outputs) + 1)
         return self

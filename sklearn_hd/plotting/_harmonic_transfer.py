@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._checks import FIRST
+from sklearn_hd._checks import FIRST, PERIOD_TOLERANCE
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._tables import read_time
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -112,7 +112,8 @@ class HarmonicTransferFunctionDisplay(
         Raises
         ------
         ValueError
-            If its structure is time-invariant, or the record is too short.
+            If its structure is time-invariant, or the record is too short, or read as samples
+            of which a turn has no whole number.
         """
         system = periodic_system(estimator, cls.__name__)
         systems = {"identified": system}
@@ -297,6 +298,7 @@ def _about_trim(estimator, X, y):
     experiment = read_experiment(step.transform(handed), y)
     outputs = experiment.outputs
     if experiment.basis.reading == "sample":
+        _check_grid(experiment.basis)
         loads = step_of_samples(estimator, "HarmonicTransferFunctionDisplay").loads_.to_numpy()
         psi = experiment.phases
         outputs = [y - evaluate_harmonics(loads, p) for y, p in zip(outputs, psi, strict=True)]
@@ -312,4 +314,17 @@ def _about_trim(estimator, X, y):
             names=["record"],
         )
         for blocks, columns in zip((experiment.inputs, outputs), names, strict=True)
+    )
+
+
+def _check_grid(basis):
+    """Raise ValueError unless samples lie on a grid of the turn."""
+    samples, azimuth = basis.samples_per_period, basis.timing.azimuth
+    if azimuth is None and abs(samples - round(samples)) <= PERIOD_TOLERANCE:
+        return
+    what = f"{samples:.5g} samples a turn" if azimuth is None else "turns of varying length"
+    raise ValueError(
+        f"the record has {what}, and a response without a model is estimated from a whole number "
+        f"of samples in each; draw the model alone (without X and y), or bring the record to such "
+        f"a grid and use HarmonicTransferFunctionDisplay.from_data(u, y, omega, systems=...)"
     )
