@@ -128,8 +128,9 @@ class SampleModel:
         if not self.time_invariant:
             raise AttributeError(
                 f"the model has coefficients of up to {self.innovations.n_harmonics} harmonic(s) "
-                f"of the turn, and no time-invariant system_; use ltp_, "
-                f"ltp_.harmonic_decomposition(n_harmonics), or output_harmonics=0"
+                f"of the turn, and no time-invariant system_; use ltp_ of MOESPRegressor or "
+                f"StructuredMatcher, its harmonic_decomposition(n_harmonics), or "
+                f"HarmonicAnalyzer(output_harmonics=0)"
             )
         A, B, C, D = (M[0] for M in self.innovations.matrices())
         return control.StateSpace(

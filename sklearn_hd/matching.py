@@ -37,13 +37,20 @@ class StructuredMatcher(ModelStep):
     decomposition. A model identified period by period (``HarmonicAnalyzer(reading="period")``)
     is brought to periodic form in closed form first, whatever the structure.
 
+    A model of samples (``reading="sample"``) is brought to continuous time in closed form:
+    ``structure=None`` keeps all of it, outputs its states where they determine the state; a
+    :class:`HarmonicStructure` takes the parameters whose predictions one sample ahead are nearest
+    to the model's, in parts of its innovations. A :class:`MatrixStructure` needs a model without
+    harmonics (``output_harmonics=0``). ``predict`` adds the forced periodic response identified;
+    the state is that of the motion about it.
+
     Parameters
     ----------
     estimator : estimator or None, default=None
         Whose model to match, fitted here; None takes the model that rides on X.
     structure : MatrixStructure, HarmonicStructure or None, default=None
         The structure. None leaves every entry free: the model as it is, or the periodic
-        system if the model was identified period by period.
+        system if the model was identified period by period, or of samples and has harmonics.
     criterion : {"hinf", "least_squares", "output_error"}, default="hinf"
         In what the model identified is matched: ``"hinf"``, the largest error over
         frequency; ``"least_squares"``, the mean square over a grid of frequencies, usually
@@ -52,7 +59,7 @@ class StructuredMatcher(ModelStep):
         parameters of largest likelihood for the raw record, if the noise on the outputs
         is white: no bias by windows, and standard deviations beside the parameters. It
         chooses the numbers of harmonics that a HarmonicStructure leaves open (Akaike's
-        criterion).
+        criterion). Of samples (``reading="sample"``) a match is in closed form, or in a norm.
     input_noise : float, dict or None, default=None
         Standard deviation of white noise on the measured inputs (a dict: by input, in
         their units), which the system does not feel. Maximum likelihood then is a total
@@ -120,7 +127,7 @@ class StructuredMatcher(ModelStep):
     Raises
     ------
     ValueError
-        At ``fit``, if there is no model, or the structure does not fit it.
+        At ``fit``, if there is no model, or the structure or criterion does not fit it.
     UnstableModelError
         If the model is unstable: its response has no H∞ norm. If the periodic model of a
         HarmonicStructure, matched in a norm, explains less of its own record than nothing.
@@ -130,9 +137,11 @@ class StructuredMatcher(ModelStep):
     IdentifiabilityWarning
         If these outputs do not determine some parameters (they are named); if model and
         structure differ in order and match poorly; if the outputs do not determine the
-        state of a periodic system, which is then in Floquet coordinates.
+        state of a periodic system, which is then in Floquet coordinates; if a structure behind
+        samples leaves more than a hundredth of the response's variance.
     InstabilityWarning
-        If the closed form for models identified period by period makes a stable one unstable.
+        If the closed form for models identified period by period, or a structure behind samples,
+        makes a stable one unstable.
     ConvergenceWarning
         If the search stopped before its tolerance was met: 1e-8 of the sum of squares, 2e-5
         between the H∞ norm and the smooth bound that is minimised.

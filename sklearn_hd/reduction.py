@@ -35,6 +35,9 @@ class SpuriousModeReducer(ModelStep):
        response of what is kept, so that the window leaves no trace. Where
        another set of modes does as well, the verdict is ambiguous.
 
+    Models of whole periods (``HarmonicAnalyzer(reading="period")``) and of samples
+    (``reading="sample"``) saw no window: they pass unchanged, every mode genuine.
+
     Modes that are dropped are truncated, or residualized (Eqs. 16-19):
 
         Â = A_s,   D̂ = D − C_f A_f⁻¹ B_f     in modal coordinates.
@@ -58,7 +61,9 @@ class SpuriousModeReducer(ModelStep):
     Attributes
     ----------
     system_ : control.StateSpace
-        Continuous-time model; a period-synchronous model passes unchanged.
+        Continuous-time model; models of whole periods and of samples pass unchanged. Of
+        samples whose model has harmonics there is none: ``ltp_`` of
+        :class:`MOESPRegressor` or :class:`StructuredMatcher` is the model in continuous time.
     modes_ : DataFrame
         One row a mode identified: ``eigenvalue`` (rad/s, continuous),
         ``family``, ``verdict`` (genuine, copy, window, weak or ambiguous) and

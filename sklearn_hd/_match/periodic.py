@@ -175,8 +175,9 @@ def _in_closed_form(model, experiment, structure, scale):
     names = [name for name, _ in basis.outputs]
     psi = 2.0 * np.pi * np.arange(spp) / spp
     P, _ = shapes(psi)
+    n, choices = len(shapes.R), combinations(range(len(names)), len(shapes.R))
     rows = state_outputs(
-        structure, names, len(shapes.R), lambda rows: outputs_are_states(P[:, rows], shapes.flips)
+        structure, names, n, choices, lambda rows: outputs_are_states(P[:, rows], shapes.flips)
     )
     highest = (spp - 1) // 2
     count = min(shapes.n_harmonics, highest)
@@ -222,7 +223,7 @@ def _check_harmonics(structure, samples_per_period):
             )
 
 
-def state_outputs(structure, names, n, determined):
+def state_outputs(structure, names, n, choices, determined):
     """Which outputs are the n states, if ``determined`` by them; None if no choice of them is."""
     if structure.states is not None:
         unknown = [name for name in structure.states if name not in names]
@@ -238,7 +239,7 @@ def state_outputs(structure, names, n, determined):
                 f"states=None, or name others of {names}"
             )
         return rows
-    for rows in combinations(range(len(names)), n):
+    for rows in choices:
         if determined(list(rows)):
             return list(rows)
     if entries := structure.given_entries():

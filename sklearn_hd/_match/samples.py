@@ -71,13 +71,14 @@ def _periodic(model, experiment, structure):
         )
     turn = turn_of(innovations, model.omega)
     names = list(model.output_names)
-    found = turn.model(state_outputs(asked, names, model.n_states, turn.determined_by))
+    found = turn.model(
+        state_outputs(asked, names, model.n_states, turn.choices(), turn.determined_by)
+    )
     signals = found.state_names(names), model.input_names, model.output_names
-    counts = {name: len(getattr(found, name)) // 2 for name in "FGPQ"}
+    given = "FGPQ" if structure is None and model.feedthrough else "FGP"
+    counts = {name: len(getattr(found, name)) // 2 for name in given}
     if structure is not None and found.rows is not None:  # no more than the data show
-        counts = dict.fromkeys("FGP", innovations.n_harmonics) | {"Q": counts["Q"]}
-    if not model.feedthrough:
-        del counts["Q"]
+        counts = dict.fromkeys("FGP", innovations.n_harmonics)
     full = asked.resolve(*signals, counts, form=found.form)
     n_phases = max(len(turn.psi), 2 * full.n_harmonics + 2)
     weights = _weights(found, model, experiment)
@@ -124,7 +125,8 @@ def _warn_unlike(sampled, model, experiment):
     if longest * model.innovations.growth() > 1.0:  # it has been warned of
         return
     rate = sampled.innovations.growth()
-    way = "give the structure more harmonics or fewer fixed entries, or leave structure=None"
+    way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
+    way += "entries, or leave structure=None"
     if longest * rate > 1.0:
         radius = np.max(np.abs(sampled.innovations.multipliers()))
         warn(

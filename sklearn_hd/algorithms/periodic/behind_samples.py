@@ -150,13 +150,19 @@ class Turn:
 
     def state_outputs(self):
         """The first outputs that can be the states; None if no choice of them can."""
-        choices = combinations(range(self.n_outputs), len(self.shapes.R))
-        return next((list(rows) for rows in choices if self.determined_by(list(rows))), None)
+        return next((rows for rows in self.choices() if self.determined_by(rows)), None)
+
+    def choices(self):
+        """As many outputs as there are states; those without a feedthrough before the others."""
+        n, direct = len(self.shapes.R), np.any(self.D != 0.0, axis=(0, 2))
+        for wanted in (False, True):
+            for rows in map(list, combinations(range(self.n_outputs), n)):
+                if np.any(direct[rows]) == wanted:
+                    yield rows
 
     def determined_by(self, rows):
-        """Whether some outputs can be the states: without feedthrough, F(ψ) resolved."""
-        n = len(self.shapes.R)
-        if len(rows) != n or np.any(self.D[:, rows] != 0.0):
+        """Whether some outputs, but for a feedthrough, can be the states, F(ψ) resolved."""
+        if len(rows) != len(self.shapes.R):
             return False
         P = self.shapes(self.fine)[0][:, rows]
         if not outputs_are_states(P, self.shapes.flips):

@@ -169,12 +169,15 @@ def test_a_model_without_harmonics_is_time_invariant():
         np.testing.assert_allclose(M, wanted, atol=1e-12)
 
 
-def test_outputs_with_a_feedthrough_are_no_states():
-    innovations = sampled(*SYSTEMS["stable"], 16)
+def test_outputs_without_a_feedthrough_are_states_before_others():
+    C = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+    innovations = sampled(*SYSTEMS["stable"], 16, np.asarray(C))
     innovations.coefficients[0, 2, 2] = 0.5
     found = behind_samples(innovations, OMEGA)
-    assert found.rows is None
+    assert found.rows == [1, 2]
     assert found.Q[0, 0, 0] == 0.5
+    innovations.coefficients[0, 3:, 2] = 0.5
+    assert behind_samples(innovations, OMEGA).rows == [0, 1]  # but for their feedthrough
 
 
 def test_rotated_coefficients_are_those_of_the_shifted_function():

@@ -1,0 +1,274 @@
+"""From samples at their azimuths to models in continuous time: ltp_, the reducer, the matcher."""
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from periodic_cases import coupled, deflection_only, mathieu, same_exponents
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MatrixStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+
+OSCILLATOR = MatrixStructure([[0, 1], ["-k", "-d"]], [[0], ["b"]])
+SWINGING = HarmonicStructure(
+    F={"0": [[0, 1], ["-k", "-d"]], "1c": [[0, 0], ["e", 0]]}, G={"0": [[0], ["b"]]}
+)
+
+
+def loads(psi):
+    """A forced response that stands on the outputs beside what inputs do."""
+    return 1.0 + 2.0 * np.cos(psi) - np.sin(3.0 * psi)
+
+
+def record(system, samples=16.216, turns=300, noise=0.01, seed=0):
+    """An input that always moves, loads at every turn, and noise, as frames."""
+    rng, n = np.random.default_rng(seed), int(turns * samples)
+    t = np.arange(n) * system.period / samples
+    u = np.repeat(rng.choice([-1.0, 0.0, 1.0], (n // 3 + 1, system.n_inputs)), 3, axis=0)[:n]
+    y = system.simulate(u, t)
+    y = y + noise * y.std(axis=0) * rng.standard_normal(y.shape)
+    y = y + loads(system.omega * t)[:, None]
+    index = pd.Index(t, name="time")
+    return (
+        pd.DataFrame(u, index, list(system.input_names)),
+        pd.DataFrame(y, index, list(system.output_names)),
+    )
+
+
+def pipeline(omega, *, order="auto", harmonics=None, reduce=None, **match):
+    return Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(omega, reading="sample", output_harmonics=harmonics)),
+            ("identify", MOESPRegressor(order=order)),
+            ("reduce", reduce or SpuriousModeReducer()),
+            ("match", StructuredMatcher(**match)),
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return record(mathieu())
+
+
+@pytest.fixture(scope="module")
+def fitted(measured):
+    return pipeline(2.0).fit(*measured)
+
+
+def apart(found, wanted, rows=slice(None)):
+    """Difference in parts of what moves, on some rows."""
+    found, wanted = np.asarray(found)[rows], np.asarray(wanted)[rows]
+    return np.linalg.norm(found - wanted) / np.linalg.norm(wanted - wanted.mean(axis=0))
+
+
+# ---- ltp_ ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [16.0, 16.216, 7.3, 50.01])
+@pytest.mark.parametrize("make", [mathieu, coupled, deflection_only])
+def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
+    system = make()
+    pipe = pipeline(system.omega, order=system.n_states)[:2].fit(*record(system, samples))
+    found = pipe["identify"].ltp_.floquet_exponents()
+    model = pipe["identify"].model_.exponents()
+    turn = system.period
+    np.testing.assert_allclose(
+        np.sort_complex(np.exp(found * turn)), np.sort_complex(np.exp(model * turn)), rtol=1e-9
+    )
+    same_exponents(found, system, rtol=0.02)
+
+
+def test_ltp_of_a_time_invariant_machine_is_time_invariant():
+    system = mathieu(excitation=0.0)
+    identify = pipeline(2.0)[:2].fit(*record(system))["identify"]
+    assert identify.n_harmonics_ == 0
+    F, _, _, _ = identify.ltp_.fourier_coefficients(1)
+    assert np.max(np.abs(F[1:])) < 1e-12
+    same_exponents(np.linalg.eigvals(F[0]), system, rtol=0.01)
+
+
+# ---- the reducer ---------------------------------------------------------------------------------
+
+
+def test_the_reducer_has_nothing_to_remove_and_says_so(fitted, measured):
+    u, y = measured
+    reducer = fitted["reduce"]
+    assert set(reducer.modes_["verdict"]) == {"genuine"}
+    assert set(reducer.modes_["reason"]) == {"at the sensors' clock, without a window"}
+    assert reducer.n_states_ == 2
+    wanted = np.sort_complex(fitted["identify"].model_.exponents())
+    found = np.sort_complex(reducer.modes_["eigenvalue"].to_numpy(complex))
+    np.testing.assert_allclose(found, wanted)
+    np.testing.assert_array_equal(fitted[:3].predict(u), fitted[:2].predict(u))
+    assert fitted[:3].score(u, y) == fitted[:2].score(u, y)
+    with pytest.raises(AttributeError, match=r"ltp_ of MOESPRegressor.*output_harmonics=0"):
+        reducer.system_  # noqa: B018
+
+
+def test_the_reducer_refuses_another_number_of_states(measured):
+    pipe = pipeline(2.0, reduce=SpuriousModeReducer(n_states=3))
+    with pytest.raises(ValueError, match=r"n_states=3.*its 2 states; use MOESPRegressor\(order=3"):
+        pipe.fit(*measured)
+
+
+def test_the_reducer_may_be_left_out(fitted, measured):
+    u, _ = measured
+    pipe = pipeline(2.0).set_params(reduce="passthrough").fit(*measured)
+    np.testing.assert_array_equal(pipe.predict(u), fitted.predict(u))
+
+
+# ---- the matcher ---------------------------------------------------------------------------------
+
+
+def test_without_a_structure_the_match_is_the_model_identified(fitted, measured):
+    u, y = measured
+    late = slice(len(u) // 4, None)  # the loads' own transient is over
+    assert apart(fitted.predict(u), fitted[:2].predict(u), late) < 1e-3
+    assert fitted.score(u, y) == pytest.approx(fitted[:2].score(u, y), abs=1e-6)
+    match = fitted["match"]
+    assert match.ltp_.state_names == ("y", "v")
+    assert match.system_.nstates == 2 * (2 * fitted["identify"].n_harmonics_ + 1)
+    assert np.isnan(match.hinf_error_)
+    again = pickle.loads(pickle.dumps(fitted))
+    np.testing.assert_array_equal(again.predict(u), fitted.predict(u))
+
+
+@pytest.mark.parametrize("criterion", ["hinf", "least_squares"])
+@pytest.mark.parametrize("samples", [16.0, 16.216, 7.3, 50.01])
+def test_entries_are_those_of_the_machine(samples, criterion):
+    pipe = pipeline(2.0, order=2, structure=SWINGING, criterion=criterion)
+    u, y = record(mathieu(), samples)
+    found = pipe.fit(u, y)["match"].theta_
+    truth = {"k": 2.0, "d": 0.2, "e": 1.0, "b": 1.0}
+    assert found.to_dict() == pytest.approx(truth, rel=0.02)
+    assert pipe.score(u, y) > 0.999
+
+
+@pytest.mark.parametrize("samples", [16.0, 16.216, 7.3])
+def test_coefficients_are_those_of_the_machine(samples):
+    system = coupled()
+    pipe = pipeline(3.0, order=4, structure=HarmonicStructure(F=2, G=0))
+    pipe.fit(*record(system, samples, turns=400))
+    found, truth = (s.fourier_coefficients(2) for s in (pipe["match"].ltp_, system))
+    assert np.max(np.abs(found[0] - truth[0])) < 0.02 * np.max(np.abs(truth[0]))
+    assert np.max(np.abs(found[1] - truth[1])) < 0.02
+
+
+def test_new_records_are_predicted_with_their_loads():
+    """At another clock, from another azimuth, loads included."""
+    u, y = record(mathieu())
+    pipe = pipeline(2.0, structure=SWINGING).fit(u, y)
+    new, _ = record(mathieu(), noise=0.0, seed=3, turns=40)
+    truth = mathieu().simulate(new.to_numpy(), new.index.to_numpy())
+    truth = truth + loads(2.0 * new.index.to_numpy())[:, None]
+    assert apart(pipe.predict(new), truth) < 0.01
+    later = slice(205, None)  # begins within a turn
+    rest = pipe.predict(new * 0.0)
+    np.testing.assert_allclose(pipe.predict(new.iloc[later] * 0.0), rest.iloc[later], atol=1e-9)
+
+
+def test_parameters_may_be_fixed_and_shared(measured):
+    structure = SWINGING.fix({"d": 0.2})
+    found = pipeline(2.0, structure=structure).fit(*measured)["match"].theta_
+    assert "d" not in found.index
+    assert found["k"] == pytest.approx(2.0, rel=0.01)
+    states = HarmonicStructure(F=1, G=0, states=["v", "y"])
+    ltp = pipeline(2.0, structure=states).fit(*measured)["match"].ltp_
+    assert ltp.state_names == ("v", "y")
+    assert ltp.fourier_coefficients(1)[0][1, 0, 1] == pytest.approx(1.0, rel=0.02)
+
+
+def test_states_of_unlike_size_and_noise_keep_their_exponents():
+    """Nearness is that of predictions in parts of the innovations, not of entries."""
+    system = mathieu()
+    u, y = record(system, 16.0)
+    y["v"] += 0.3 * y["v"].std() * np.random.default_rng(5).standard_normal(len(y))
+    y["v"] *= 1e3
+    pipe = pipeline(2.0, order=2, structure=HarmonicStructure(F=1, G=0)).fit(u, y)
+    same_exponents(pipe["match"].ltp_.floquet_exponents(), system, rtol=0.02)
+
+
+def test_one_output_leads_to_floquet_coordinates():
+    system = deflection_only()
+    u, y = record(system)
+    pipe = pipeline(2.0, order=2, structure=HarmonicStructure())
+    with pytest.warns(IdentifiabilityWarning, match="Floquet coordinates"):
+        pipe.fit(u, y)
+    assert pipe["match"].ltp_.state_names == ("z1", "z2")
+    same_exponents(pipe["match"].ltp_.floquet_exponents(), system, rtol=0.01)
+    assert pipe.score(u, y) == pytest.approx(pipe[:2].score(u, y), abs=1e-5)
+
+
+def test_a_structure_that_cannot_respond_so_is_told(measured):
+    rigid = HarmonicStructure(F={"0": [[0, 1], [-1.0, -0.2]]}, G={"0": [[0], ["b"]]})
+    with pytest.warns(IdentifiabilityWarning, match="variance of the response.*structure=None"):
+        pipeline(2.0, structure=rigid).fit(*measured)
+    growing = HarmonicStructure(F={"0": [[0, 1], [-1.0, 0.4]]}, G={"0": [[0], ["b"]]})
+    with pytest.warns(InstabilityWarning, match="model identified is stable"):
+        pipeline(2.0, structure=growing).fit(*measured)
+
+
+def test_time_invariant_models_are_matched_in_continuous_time():
+    system = mathieu(excitation=0.0)
+    u, y = record(system)
+    pipe = pipeline(2.0).fit(u, y)
+    late = slice(len(u) // 4, None)
+    assert apart(pipe.predict(u), pipe[:2].predict(u), late) < 1e-3
+    assert pipe["match"].system_.isctime()
+    same_exponents(pipe["match"].system_.poles(), system, rtol=0.01)
+    with pytest.raises(AttributeError, match="HarmonicStructure only"):
+        pipe["match"].ltp_  # noqa: B018
+    pipe = pipeline(2.0, harmonics=0, structure=OSCILLATOR).fit(u, y)
+    truth = {"k": 2.0, "d": 0.2, "b": 1.0}
+    assert pipe["match"].theta_.to_dict() == pytest.approx(truth, rel=0.02)
+    assert pipe["match"].hinf_error_relative_ < 0.01
+    assert pipe.score(u, y) > 0.999
+    pipe = pipeline(2.0, structure=HarmonicStructure()).fit(u, y)
+    F, _, _, _ = pipe["match"].ltp_.fourier_coefficients(0)
+    np.testing.assert_allclose(F[0], [[0.0, 1.0], [-2.0, -0.2]], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"criterion": "output_error"}, r"a model of samples has.*reading='period'"),
+        ({"output_weights": 2.0}, "closed form, where nothing is weighed"),
+        ({"input_noise": 0.1}, "maximum likelihood only"),
+        ({"structure": OSCILLATOR}, r"MatrixStructure is time-invariant.*output_harmonics=0"),
+        ({"structure": HarmonicStructure(states=["y", "q"])}, "not among them"),
+        (
+            {"structure": HarmonicStructure(F={"0": np.full((3, 3), np.nan)})},
+            r"3 states, the identified model 2.*order=3",
+        ),
+    ],
+)
+def test_what_makes_no_sense_is_refused(measured, settings, words):
+    with pytest.raises(ValueError, match=words):
+        pipeline(2.0, **settings).fit(*measured)
+
+
+def test_entries_of_states_that_nothing_measures_are_refused():
+    with pytest.raises(ValueError, match="do not determine the 2 states that the structure"):
+        pipeline(2.0, order=2, structure=SWINGING).fit(*record(deflection_only()))
+
+
+def test_a_feedthrough_is_kept_where_it_is_asked_for():
+    system = mathieu(P=np.eye(2), Q=[[0.0], [0.5]], output_names=["y", "a"])
+    u, y = record(system, 16.0)
+    for structure in (None, HarmonicStructure(F=1, G=0, Q=0, states=["y", "a"])):
+        pipe = pipeline(2.0, structure=structure).fit(u, y)
+        Q = pipe["match"].ltp_.fourier_coefficients(0)[3]
+        np.testing.assert_allclose(Q[0], [[0.0], [0.5]], atol=0.01)
+        assert pipe.score(u, y) > 0.999
+    with pytest.warns(IdentifiabilityWarning, match="Q where there is a feedthrough"):
+        pipeline(2.0, structure=HarmonicStructure(F=1, G=0)).fit(u, y)
