@@ -442,12 +442,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             return basis
         start, stop = check_span("trim_span", self.trim_span)
         sampling, values, _ = sample(inputs, basis)
-        phases = basis.phases(sampling, inputs)
-        waveforms = {"input_trim": mean_waveforms(sampling, values, phases, basis, start, stop)}
+        waveforms = {"input_trim": mean_waveforms(sampling, values, basis, start, stop)}
         if outputs is not None:
             sampling, _, values = sample(inputs, basis, outputs)
-            phases = basis.phases(sampling, inputs)
-            waveforms["output_trim"] = mean_waveforms(sampling, values, phases, basis, start, stop)
+            waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
         return replace(basis, **waveforms)
 
     @within_range
@@ -483,7 +481,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 f"of the analysis window{why_short(signals.base)}; drop it, or use a window of "
                 f"fewer periods"
             )
-        if self.azimuth is None or not basis.gridded_by_azimuth:
+        if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)
         columns = dict(zip(signals.names, signals.data.T, strict=True))
         if basis.timing.azimuth is not None:
@@ -550,8 +548,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if basis.input_trim is not None:
             present = np.isfinite(given.data).all(axis=1) & np.isfinite(places)
             timing = basis.timing
-            moved = bool(timing.azimuth) or timing.resampled
-            sampling = lay_grid(given.base, places, present, basis.sample_time, timing, moved=moved)
+            sampling = lay_grid(given.base, places, present, basis.sample_time, timing)
             times = [piece.grid for piece in sampling.pieces]
             trim = sampling.back([basis.input_trim[basis.phase_index(time)] for time in times])
         columns, start = {}, 0

@@ -88,7 +88,6 @@ class HarmonicBasis:
 
     harmonic = True
     nothing_spurious = None  # why models hold no modes but the machine's
-    gridded_by_azimuth = True  # where there is one, rows are laid evenly along it
 
     @property
     def rows_per_period(self):
@@ -153,20 +152,16 @@ class HarmonicBasis:
         places = signals.places(self.omega, self.sample_time)
         return self.sample_time, len(self.weights), places
 
-    def phases(self, sampling, signals):
-        """Where the rows of each segment lie in the period: their times."""
-        return [piece.grid for piece in sampling.pieces]
-
-    def waveform(self, trim, phase):
+    def waveform(self, trim, time):
         """A periodic waveform at the rows of one segment."""
-        return trim[self.phase_index(phase)]
+        return trim[self.phase_index(time)]
 
     def mean_waveforms(self, pieces):
-        """Periodic waveforms of (values, phases) of some rows; None if a phase is missing."""
+        """Periodic waveforms of (values, times) of some rows; None if a phase is missing."""
         spp = self.samples_per_period
         sums, counts = np.zeros((spp, pieces[0][0].shape[1])), np.zeros(spp)
-        for values, phases in pieces:
-            index = self.phase_index(phases)
+        for values, time in pieces:
+            index = self.phase_index(time)
             np.add.at(sums, index, values)
             np.add.at(counts, index, 1)
         return sums / counts[:, None] if counts.all() else None

@@ -36,7 +36,6 @@ class PlainReading:
     window_rows = 0
     held = True
     small_signal = input_trim = output_trim = nothing_spurious = None
-    gridded_by_azimuth = False
 
     @property
     def drive_signals(self):
@@ -51,10 +50,6 @@ class PlainReading:
     def grid(self, signals):
         """Step, fewest rows of a piece, and places of some signals."""
         return signals.base.sample_time, 1, signals.base.time
-
-    def phases(self, sampling, signals):
-        """Where the rows of each segment lie in the period: their times."""
-        return [piece.grid for piece in sampling.pieces]
 
     def select(self, frame):
         """The columns of X that are read."""

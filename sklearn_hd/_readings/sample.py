@@ -45,7 +45,6 @@ class SampleBasis(HarmonicBasis):
     nothing_spurious = "at the sensors' clock, without a window"
     window_rows = 0
     lead = 0
-    gridded_by_azimuth = False
     coefficient_labels = ()
 
     @property
@@ -70,26 +69,19 @@ class SampleBasis(HarmonicBasis):
 
     def grid(self, signals):
         """Step of the grid, fewest rows of a piece, and places of some signals on it."""
-        return self.sample_time, 1, signals.in_time(self.omega, self.sample_time / self.hop)
+        places = signals.places(self.omega, self.sample_time / self.hop)
+        return self.sample_time, 1, places
 
-    def phases(self, sampling, signals):
-        """ψ of the rows of each segment, radians."""
-        if signals.azimuth is None:
-            return [self.omega * piece.grid for piece in sampling.pieces]
-        return [
-            piece.onto_grid(signals.azimuth[:, None], np.zeros(1, dtype=bool))[:, 0]
-            for piece in sampling.pieces
-        ]
-
-    def waveform(self, trim, phase):
+    def waveform(self, trim, time):
         """A periodic waveform at the rows of one segment."""
-        return evaluate_harmonics(trim, phase)
+        return evaluate_harmonics(trim, self.azimuth(time))
 
     def mean_waveforms(self, pieces):
-        """Fourier coefficients of (values, phases) of some rows; None of less than a turn."""
+        """Fourier coefficients of (values, times) of some rows; None of less than a turn."""
         if sum(len(values) for values, _ in pieces) < int(self.samples_per_period):
             return None
-        functions = [harmonic_functions(phase, range(self.most_loads + 1)) for _, phase in pieces]
+        orders = range(self.most_loads + 1)
+        functions = [harmonic_functions(self.azimuth(time), orders) for _, time in pieces]
         values = [values for values, _ in pieces]
         return np.linalg.lstsq(np.vstack(functions), np.vstack(values))[0]
 

@@ -174,8 +174,7 @@ def _combined(experiment, records, combinations):
     )
     sampling = Sampling(base, pieces, len(base.time), np.concatenate(clock))
     measured = np.vstack(values["outputs"])  # trim subtracted: one row of the user's a row of grid
-    changed = {"base": base, "sampling": sampling, "measured": measured, "phases": tuple(grids)}
-    return replace(experiment, **changed, **values)
+    return replace(experiment, base=base, sampling=sampling, measured=measured, **values)
 
 
 def _clocks(experiment):

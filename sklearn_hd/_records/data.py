@@ -66,10 +66,6 @@ class Signals:
         """
         if self.azimuth is not None:
             return self.azimuth / omega
-        return self.in_time(omega, step)
-
-    def in_time(self, omega, step):
-        """The same, by the clock alone."""
         places = self.base.time.copy()
         for record, _ in self.base.rows_of_records():
             first = places[record.start]
@@ -201,8 +197,6 @@ class Experiment:
         Measured inputs on the grid, trim subtracted.
     sampling : Sampling
         How the user's rows lie on the grid.
-    phases : tuple of ndarray, shapes (n_samples_s,)
-        Where the rows lie in the period: ψ in radians with ``reading="sample"``, else times.
     outputs : list of ndarray, shapes (n_samples_s, n_outputs), or None
         Measured outputs on the grid, trim subtracted.
     measured : ndarray, shape (n_rows, n_outputs), or None
@@ -216,7 +210,6 @@ class Experiment:
     drive: list
     inputs: list
     sampling: Sampling
-    phases: tuple
     outputs: list | None = None
     measured: np.ndarray | None = None
     output_names: tuple = ()
@@ -235,12 +228,17 @@ class Experiment:
         """Time of the rows of each segment, seconds."""
         return [self.base.time[segment] for segment in self.base.segments]
 
+    @property
+    def phases(self):
+        """ψ of the rows of each segment, radians."""
+        return [self.basis.azimuth(time) for time in self.times()]
+
     def output_trim(self):
         """Periodic waveforms of the outputs on each segment, zero where none were learned."""
         basis = self.basis
         if basis.output_trim is None:
             return None
-        return [basis.waveform(basis.output_trim, phase) for phase in self.phases]
+        return [basis.waveform(basis.output_trim, time) for time in self.times()]
 
     def span(self):
         """First and last time, worded for messages."""
@@ -298,8 +296,7 @@ def sample(signals, basis, outputs=None):
         given = [z.reshape(len(z), -1) for z in columns if z is not None]
         present = np.logical_and.reduce([np.isfinite(z).all(axis=1) for z in given])
     step, shortest, places = basis.grid(signals)
-    moved = bool(basis.gridded_by_azimuth and timing.azimuth) or timing.resampled
-    sampling = lay_grid(base, places, present, step, timing, shortest, moved=moved)
+    sampling = lay_grid(base, places, present, step, timing, shortest)
     return (
         sampling,
         sampling.onto_grid(inputs, held),
@@ -307,25 +304,23 @@ def sample(signals, basis, outputs=None):
     )
 
 
-def without_trim(blocks, phases, basis, trim):
+def without_trim(blocks, times, basis, trim):
     """Signals on the grid less their periodic waveforms, one array a segment."""
     if trim is None:
         return blocks
-    return [
-        block - basis.waveform(trim, phase) for block, phase in zip(blocks, phases, strict=True)
-    ]
+    return [block - basis.waveform(trim, time) for block, time in zip(blocks, times, strict=True)]
 
 
-def mean_waveforms(sampling, blocks, phases, basis, start, stop):
+def mean_waveforms(sampling, blocks, basis, start, stop):
     """Periodic waveforms over the trim span, pooled over records."""
     spp, dt = basis.samples_per_period, basis.sample_time
     tolerance = max(1e-6 * dt, resolution(sampling.clock))
     inside = (sampling.clock >= start - tolerance) & (sampling.clock < stop - tolerance)
     kept = []
-    for segment, values, phase in zip(sampling.base.segments, blocks, phases, strict=True):
+    for segment, values in zip(sampling.base.segments, blocks, strict=True):
         rows = np.flatnonzero(inside[segment])
         rows = rows[: int(len(rows) // spp * spp)]  # whole periods: each phase counts alike
-        kept.append((values[rows], phase[rows]))
+        kept.append((values[rows], sampling.base.time[segment][rows]))
     waveforms = basis.mean_waveforms(kept)
     if waveforms is None:
         raise ValueError(
@@ -370,13 +365,12 @@ def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
         warn_of_jitter(signals.base, sampling.base.sample_time)
         basis = replace(basis, drive_labels=signals.names, output_labels=output_names)
     times = [sampling.base.time[segment] for segment in sampling.base.segments]
-    phases = tuple(basis.phases(sampling, signals))
-    inputs = without_trim(values, phases, basis, basis.input_trim)
+    inputs = without_trim(values, times, basis, basis.input_trim)
     drive = [basis.drive(u, time) for u, time in zip(inputs, times, strict=True)]
     if outputs is not None:
-        outputs = without_trim(outputs, phases, basis, basis.output_trim)
+        outputs = without_trim(outputs, times, basis, basis.output_trim)
     return Experiment(
-        sampling.base, basis, drive, inputs, sampling, phases, outputs, measured, output_names
+        sampling.base, basis, drive, inputs, sampling, outputs, measured, output_names
     )
 
 

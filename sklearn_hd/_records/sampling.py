@@ -125,7 +125,7 @@ class Sampling:
         return result
 
 
-def lay_grid(base, places, present, step, timing, shortest=1, *, moved):
+def lay_grid(base, places, present, step, timing, shortest=1):
     """Grid for some rows.
 
     Parameters
@@ -141,8 +141,6 @@ def lay_grid(base, places, present, step, timing, shortest=1, *, moved):
     timing : Timing
     shortest : int
         Rows of the grid below which a piece is left out, if samples may be missing.
-    moved : bool
-        Whether rows are resampled even if they are evenly spaced.
 
     Returns
     -------
@@ -150,6 +148,7 @@ def lay_grid(base, places, present, step, timing, shortest=1, *, moved):
     """
     pieces, records = [], []
     rounding = resolution(base.time)
+    moved = timing.azimuth or timing.resampled
     as_read = not moved and step == base.sample_time and base.jitter[1] == 0.0
     for segment, record in zip(base.segments, base.records, strict=True):
         for rows in _runs_of(present, segment):
@@ -168,7 +167,7 @@ def lay_grid(base, places, present, step, timing, shortest=1, *, moved):
     edges = np.cumsum([0, *(len(piece.grid) for piece in pieces)])
     clock = [
         base.time[piece.rows]
-        if not moved and piece.is_grid
+        if timing.azimuth is None and piece.is_grid
         else np.interp(piece.grid, piece.places, base.time[piece.rows])
         for piece in pieces
     ]
