@@ -327,9 +327,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         hop = check_count("hop", hop, 1, "1 reads every sample")
         highest = max((count for count in asked.values() if count is not None), default=1)
         words = f"omega={omega:.6g} rad/s and a sample time of {step:.4g} s give {samples:.4g}"
-        thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g},"
+        thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g}"
         check_rate(samples / hop, highest, f"{words} samples a turn{thinned}")
-        return READINGS["sample"](
+        basis = READINGS["sample"](
             omega=omega,
             sample_time=step * hop,
             samples_per_period=samples / hop,
@@ -342,6 +342,13 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             n_input_harmonics=asked["input_harmonics"],
             n_load_harmonics=asked["load_harmonics"],
         )
+        if highest > max(basis.most_harmonics, 1):
+            raise ValueError(
+                f"{words} samples a turn{thinned}, which tell harmonics up to "
+                f"{basis.most_harmonics} apart; {highest} were asked for: ask for fewer, or sample "
+                f"faster"
+            )
+        return basis
 
     def _checked_timing(self):
         """When rows were sampled, as the parameters say; ValueError if one is not understood."""

@@ -33,7 +33,7 @@ def _has_gain(step):
 
 
 class MOESPRegressor(ModelStep):
-    """Past-output MOESP identification of a linear time-invariant model.
+    """Subspace identification of a discrete state-space model: past-output MOESP, and others.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
 
@@ -42,6 +42,14 @@ class MOESPRegressor(ModelStep):
     sample); the model is driven by the raw inputs, or by the coefficients of
     whole periods where harmonics other than 0 are kept. On plain data it is
     ordinary subspace identification, sample by sample.
+
+    Behind ``HarmonicAnalyzer(reading="sample")`` the model is a periodic innovations model,
+
+        x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k] + a(ψ_k) + K(ψ_k) e[k]
+        y[k] = C(ψ_k) x[k] + D(ψ_k) u[k] + c(ψ_k) + e[k]
+
+    from the predictor of each row by the rows before it, by ridge regression; a and c drive the
+    forced periodic response.
 
     Parameters
     ----------
@@ -53,19 +61,22 @@ class MOESPRegressor(ModelStep):
         the outputs' variance that the best other one leaves, beyond what its order does. Of those
         that leave alike, to a hundredth of that variance, the smallest is taken. Else
         (frames of an analyzer, chunks, dask, outputs alone) the widest gap that reaches down to
-        the noise floor; 0, a static gain, on plain data too short for any dynamics.
+        the noise floor; 0, a static gain, on plain data too short for any dynamics. Of samples at
+        their azimuths, orders and numbers of harmonics are simulated in the same way.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows
         in the analysis window, plus two; 15 on plain data (fewer where the
         record is short); with ``weighting="pbsid"`` up to 60, as far back as the data say
-        (Akaike's criterion).
+        (Akaike's criterion). With ``reading="sample"`` the rows that the predictor reaches back,
+        chosen likewise.
     weighting : {"moesp", "n4sid", "cva", "pbsid"}, default="moesp"
         What of the future outputs is decomposed. ``"moesp"`` and ``"cva"`` (canonical
         correlations: each output counts by its information, whatever its unit) project the
         future inputs out; ``"n4sid"`` is the oblique projection. All three are biased where
         inputs answer to noisy outputs: for data measured in closed loop use ``"pbsid"``
         (predictor-based; on plain data, or ``reading="period"`` where the feedback is of earlier
-        periods; with ``feedthrough=True``, of earlier rows).
+        periods; with ``feedthrough=True``, of earlier rows). ``reading="sample"`` always is
+        predictor-based; ``"n4sid"`` and ``"cva"`` are refused there.
     feedthrough : bool or "auto", default="auto"
         Whether D is free, else zero. ``"auto"`` simulates both on plain data in memory and takes
         D free where that lowers the criterion, and what is left by a hundredth; in chunks and
@@ -73,20 +84,24 @@ class MOESPRegressor(ModelStep):
         their own row. ``feedthrough_reason_`` has the figures. With ``weighting="pbsid"``,
         ``"auto"`` is zero, for a feedback within the row looks the same; a warning says so.
         Through a sliding window it is zero; period by period D always is free, for inputs act
-        within their period.
+        within their period. Of samples at their azimuths D is free where the predictor's Bayesian
+        criterion falls by it.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
-        (on plain data or ``reading="period"``); with ``weighting="pbsid"`` it always is.
+        (on plain data or ``reading="period"``); with ``weighting="pbsid"`` and
+        ``reading="sample"`` it always is.
 
             x[k+1] = A x[k] + B u[k] + K e[k],   y[k] = C x[k] + D u[k] + e[k]
     stable : bool, default=False
         Whether A is brought to the nearest stable matrix, each state weighed by how much
         outputs see of it: unstable eigenvalues are mirrored at the unit circle, λ → 1/λ̄, the
-        others stay. B, D and K are fitted to that A.
+        others stay. B, D and K are fitted to that A. With ``reading="sample"`` only stable models
+        are compared.
     scale : bool, default=True
         Divide each signal by its root mean square before the projection, so that units do not
         decide what counts as large. With one output nothing changes; with several it weighs
         the outputs anew, and moves eigenvalues as far as noise and nonlinearity leave them open.
+        With ``reading="sample"`` signals always are, by their motion about the periodic mean.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data, and
@@ -96,12 +111,20 @@ class MOESPRegressor(ModelStep):
         block rows up to 32, 64 or 128, so that a search over both goes through each of its
         folds once (twice without noise: exactly, too). Up to 64 MB of what a process asked for
         last stay in its memory, and as much of the data, by which it knows them again. Reading
-        its files can run code: give folders alone that nobody else writes.
+        its files can run code: give folders alone that nobody else writes. Not for
+        ``reading="sample"``.
 
     Attributes
     ----------
     system_ : control.StateSpace
-        Discrete-time model with named inputs and outputs.
+        Discrete-time model with named inputs and outputs; with ``reading="sample"`` where no
+        coefficient varies, without the forced response.
+    ltp_ : LTPSystem
+        With ``reading="sample"``: the continuous linear time-periodic system behind the samples.
+    loads_ : DataFrame, shape (2 L + 1, n_outputs)
+        With ``reading="sample"``: Fourier coefficients of the outputs' forced periodic response.
+    n_harmonics_ : int
+        With ``reading="sample"``: highest harmonic of A, B, C, D and K.
     order_ : int
     block_rows_ : int
     singular_values_ : ndarray, shape (block_rows * n_outputs,)
@@ -109,7 +132,7 @@ class MOESPRegressor(ModelStep):
     noise_floor_ : float
         Largest singular value that rounding or white noise would give.
     eigenvalues_ : complex ndarray, shape (order,)
-        Of A.
+        Of A; the Floquet multipliers, over one turn, where A varies with the azimuth.
     x0_ : ndarray, shape (n_segments, order)
         Initial state of each segment of the data fitted.
     feedthrough_ : bool
@@ -119,9 +142,9 @@ class MOESPRegressor(ModelStep):
     order_search_ : dict of ndarray, shape (n_simulated,)
         Of each model simulated: ``order``, ``feedthrough``, ``stable`` (no mode grows e-fold),
         ``share`` of the outputs that is left (root mean square), ``variance`` left (geometric
-        mean over outputs), ``bic``. Empty where none was simulated.
+        mean over outputs), ``bic``, ``n_harmonics``. Empty where none was simulated.
     kalman_gain_ : ndarray, shape (order, n_outputs)
-        Where identified.
+        Where identified; Fourier coefficients, shape (2 H + 1, order, n_outputs), where it varies.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
         Where the Kalman gain is identified; in the units of the outputs.
     n_features_in_ : int
@@ -159,6 +182,8 @@ class MOESPRegressor(ModelStep):
     Verhaegen (1994), Automatica 30(1), 61-74 (PO-MOESP).
     Van Overschee, De Moor (1996), Subspace Identification for Linear Systems (N4SID, CVA).
     Chiuso (2007), Automatica 43(6), 1034-1048 (optimised PBSID).
+    van Wingerden, Verhaegen (2009), Automatica 45(2), 372-381 (predictors of varying systems).
+    Golub, Heath, Wahba (1979), Technometrics 21(2), 215-223 (generalised cross-validation).
     Schwarz (1978), Annals of Statistics 6(2), 461-464 (Bayesian information criterion).
     Jongeneel, Sutter, Kuhn (2023), IEEE Transactions on Automatic Control 68(5), 2790-2804
     (the nearest stable matrix).

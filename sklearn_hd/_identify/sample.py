@@ -101,7 +101,6 @@ def read(experiment, settings):
         for u, y, psi in segments
     ]
     scales = tuple(_size(segments, i) for i in range(2))
-    _check_told_from_loads(scales[0], experiment)
     segments = [(u / scales[0], y / scales[1], psi) for u, y, psi in segments]
     step = basis.omega * basis.sample_time
     return Samples(segments, means, scales, facts, step)
@@ -147,6 +146,7 @@ def identify(data, settings, experiment):
         )
     basis = experiment.basis
     layout, reason = _layout(data, settings, basis)
+    _check_told_from_loads(data.scales[0], experiment)
     sums = LagSums.of(data.segments, layout)
     predictor = sums.predictor()
     states = _States.of(data, predictor, settings)
@@ -459,11 +459,12 @@ def _warn_of_little(layout, n_rows, best):
             f"longer record, or fewer of block_rows, output_harmonics, load_harmonics",
             IdentifiabilityWarning,
         )
-    if best.variance >= 1.0:
+    if best.bic >= 0.0:  # which is that of no model
         warn(
             f"no model explains the outputs: the simulation of the best one leaves "
-            f"{best.variance:.3g} of their variance about the forced periodic response; do outputs "
-            f"follow inputs, and is omega (or the azimuth) that of the machine?",
+            f"{best.variance:.3g} of their variance about the forced periodic response, no less "
+            f"than its parameters do by chance; do outputs follow inputs, and is omega (or the "
+            f"azimuth) that of the machine?",
             IdentifiabilityWarning,
         )
 

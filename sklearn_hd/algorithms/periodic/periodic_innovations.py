@@ -274,10 +274,10 @@ class Rows:
         forcing[..., 0] = np.einsum("tij,tj->ti", self.states[..., n:], u)
         start = np.hstack([np.zeros((n, 1)), np.eye(n)])
         x = propagate_varying(self.states[..., :n], forcing, start)
+        if not np.max(np.abs(x), initial=0.0) < OVERFLOW:
+            return None
         rest = outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x[..., 0], u]))
         free = (self.outputs[..., :n] @ x[..., 1:]).reshape(-1, n)
-        if not max(np.max(np.abs(rest), initial=0.0), np.max(np.abs(free), initial=0.0)) < OVERFLOW:
-            return None
         return rest - (free @ _fitted(free, rest.ravel())).reshape(rest.shape)
 
     def ahead(self, inputs, outputs, x0, horizon):

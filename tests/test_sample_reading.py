@@ -1,0 +1,312 @@
+"""``reading="sample"``: periodic innovations models of records in service."""
+
+import pickle
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd.datasets import make_rotor
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.model_selection import BlockSplit
+
+OMEGA = 2 * np.pi  # a turn is a second
+
+
+def pipeline(omega=OMEGA, /, order="auto", block_rows=None, feedthrough="auto", **analysis):
+    steps = [
+        ("harmonics", HarmonicAnalyzer(omega, reading="sample", **analysis)),
+        ("identify", MOESPRegressor(order, block_rows=block_rows, feedthrough=feedthrough)),
+    ]
+    return Pipeline(steps)
+
+
+def machine(
+    n_rows=4000, samples=10.0, noise=0.03, feedback=0.0, growth=1.0, seed=0, start=0.0, rest=0
+):
+    """A periodic innovations model of two states, its loads and its multipliers.
+
+    Returns inputs, outputs, the response to the inputs alone and the multipliers.
+    """
+    rng = np.random.default_rng(seed)
+    psi = 2 * np.pi / samples * np.arange(n_rows) + start
+    c, s = np.cos(psi), np.sin(psi)
+    A = growth * (
+        np.array([[0.8, 0.4], [-0.4, 0.75]])
+        + c[:, None, None] * [[0.1, 0.0], [0.05, -0.1]]
+        + s[:, None, None] * [[0.0, 0.08], [0.06, 0.0]]
+    )
+    B = np.stack([1 + 0.4 * c, 0.5 - 0.3 * s], axis=1)
+    C, K = np.stack([1 + 0.2 * s, 0.5 * np.ones(n_rows)], axis=1), np.array([0.3, 0.1])
+    reference, e = rng.standard_normal(n_rows), noise * rng.standard_normal(n_rows)
+    reference[:rest] = 0.0
+    x, alone = np.zeros(2), np.zeros(2)
+    u, y, response = np.empty((3, n_rows))
+    for k in range(n_rows):
+        y[k] = C[k] @ x + e[k] + 0.7 * c[k] - 0.3 * np.sin(2 * psi[k])
+        response[k] = C[k] @ alone
+        u[k] = reference[k] - feedback * (y[k - 1] if k else 0.0)
+        x, alone = A[k] @ x + B[k] * u[k] + K * e[k], A[k] @ alone + B[k] * u[k]
+    turn = np.linalg.multi_dot(A[: round(samples)][::-1]) if samples == round(samples) else None
+    time = pd.Index((psi / OMEGA), name="time")
+    frames = (pd.DataFrame({n: v}, time) for n, v in (("u", u), ("y", y), ("y", response)))
+    return *frames, None if turn is None else np.linalg.eigvals(turn)
+
+
+def share(pipe, u, response, rows):
+    """Share of the response to the input that is predicted."""
+    found = np.asarray(pipe.predict(u)) - np.asarray(pipe.predict(u.assign(u=0.0)))
+    left = (found - response.to_numpy())[rows]
+    return 1.0 - np.sum(left**2) / np.sum(response.to_numpy()[rows] ** 2)
+
+
+@pytest.mark.parametrize("samples", [10.0, 16.216, 7.3])
+def test_a_periodic_machine_is_found_with_nothing_chosen(samples):
+    u, y, response, multipliers = machine(6000, samples)
+    pipe = pipeline().fit(u[:4000], y[:4000])
+    model = pipe["identify"]
+    assert model.order_ == 2
+    assert share(pipe, u, response, slice(4000, None)) > 0.998
+    if multipliers is not None:
+        found = np.sort_complex(model.eigenvalues_)
+        np.testing.assert_allclose(found, np.sort_complex(multipliers), atol=0.01)
+    one = pipe["identify"].predict_ahead(pipe[:1].transform(u), y).to_numpy()
+    assert np.std((one - y.to_numpy())[100:]) < 1.05 * 0.03
+    np.testing.assert_allclose(model.innovations_covariance_, 0.03**2, rtol=0.1)
+
+
+def test_loads_are_told_from_the_dynamics():
+    u, *_ = machine(1000)
+    u[:] = 0.0
+    pipe = pipeline().fit(*machine(4000)[:2])
+    loads = pipe["identify"].loads_
+    assert loads.index[:3].tolist() == ["0", "1c", "1s"]
+    expected = {"0": 0.0, "1c": 0.7, "1s": 0.0, "2c": 0.0, "2s": -0.3}
+    for name, value in expected.items():
+        assert loads["y"][name] == pytest.approx(value, abs=0.01), name
+    rest = pipe.predict(u).to_numpy()[200:, 0]
+    psi = OMEGA * u.index.to_numpy()[200:]
+    np.testing.assert_allclose(rest, 0.7 * np.cos(psi) - 0.3 * np.sin(2 * psi), atol=0.03)
+
+
+def test_an_azimuth_at_constant_speed_is_the_same_as_omega():
+    u, y, *_ = machine(2000, 16.216)
+    by_omega = pipeline().fit(u, y)
+    X = u.assign(psi=OMEGA * u.index % (2 * np.pi))
+    by_azimuth = pipeline(None, azimuth="psi").fit(X, y)
+    np.testing.assert_allclose(by_azimuth.predict(X), by_omega.predict(u), atol=1e-6)
+    assert by_azimuth["harmonics"].get_feature_names_out().tolist() == ["u", "psi"]
+
+
+def test_a_rotor_whose_speed_varies_by_a_tenth():
+    data = make_rotor(random_state=0, speed_variation=0.1)
+    X, split = data.inputs.assign(psi=data.azimuth), 6000
+    pipe = pipeline(None, azimuth="psi").fit(X[:split], data.outputs[:split])
+    found = pipe.predict(X) - pipe.predict(X.assign(pitch=0.0))
+    left = (found - data.response.to_numpy()).to_numpy()[split:]
+    assert 1 - np.sum(left**2) / np.sum(data.response.to_numpy()[split:] ** 2) > 0.99
+
+
+def test_units_and_whole_turns_do_not_matter():
+    u, y, *_ = machine(2000)
+    pipe = pipeline().fit(u, y)
+    later = u.index + 40.0  # forty turns
+    other = pipeline().fit((1e6 * u).set_axis(later), (1e-3 * y + 7.0).set_axis(later))
+    found = other.predict((1e6 * u).set_axis(later)).to_numpy()
+    np.testing.assert_allclose((found - 7.0) / 1e-3, pipe.predict(u), atol=1e-5)
+
+
+def test_two_records_are_one_machine():
+    parts = [machine(2000, 16.216, seed=s, start=0.4 * s)[:2] for s in range(2)]
+    u, y = (pd.concat(dict(enumerate(each))) for each in zip(*parts, strict=True))
+    pipe = pipeline().fit(u, y)
+    assert pipe["identify"].x0_.shape == (2, pipe["identify"].order_)
+    assert pipe.score(u, y) > 0.99
+    assert pipe.score(u.loc[[1]], y.loc[[1]]) > 0.99
+
+
+def test_rows_that_are_missing_make_gaps():
+    u, y, response, _ = machine(3000)
+    kept = np.ones(3000, dtype=bool)
+    kept[700:713] = kept[1500:1509] = False
+    pipe = pipeline().fit(u[kept], y[kept])
+    assert share(pipe, u, response, slice(2000, None)) > 0.995
+    holes = y.where(kept[:, None])
+    bridged = pipeline(missing="gap").fit(u, holes)
+    assert share(bridged, u, response, slice(2000, None)) > 0.995
+
+
+def test_a_machine_held_by_feedback_is_unstable_and_predicted_ahead():
+    u, y, *_ = machine(6000, growth=1.22, feedback=0.25, noise=0.1)
+    assert np.max(np.abs(y)) < 100.0
+    with pytest.warns(InstabilityWarning, match="Floquet multiplier of size 1"):
+        pipe = pipeline().fit(u, y)
+    model = pipe["identify"]
+    multipliers = machine(10, growth=1.22)[3]
+    np.testing.assert_allclose(
+        np.sort_complex(model.eigenvalues_), np.sort_complex(multipliers), rtol=0.05
+    )
+    one = model.predict_ahead(pipe[:1].transform(u), y).to_numpy()
+    assert np.std((one - y.to_numpy())[100:]) < 1.05 * 0.1
+
+
+def test_without_harmonics_the_model_is_time_invariant():
+    rng = np.random.default_rng(0)
+    u, y = rng.standard_normal((3000, 1)), np.zeros((3000, 1))
+    for k in range(1, 3000):
+        y[k] = 0.8 * y[k - 1] + 0.5 * u[k - 1] + 0.05 * rng.standard_normal()
+    time = np.arange(3000) / 10
+    frames = pd.DataFrame(u, time, ["u"]), pd.DataFrame(y, time, ["y"])
+    pipe = pipeline(output_harmonics=0).fit(*frames)
+    model = pipe["identify"]
+    assert isinstance(model.system_, control.StateSpace)
+    assert (model.order_, model.n_harmonics_) == (1, 0)
+    np.testing.assert_allclose(model.eigenvalues_, 0.8, atol=0.01)
+    assert pipeline().fit(*frames)["identify"].n_harmonics_ == 0  # the data say so, too
+
+
+def test_a_feedthrough_is_found_where_there_is_one():
+    u, y, *_ = machine(3000)
+    without = pipeline().fit(u, y)["identify"]
+    direct = y + (0.5 + 0.2 * np.cos(OMEGA * u.index.to_numpy())[:, None]) * u.to_numpy()
+    pipe = pipeline().fit(u, direct)
+    assert not without.feedthrough_
+    assert pipe["identify"].feedthrough_
+    assert "Bayesian information criterion" in pipe["identify"].feedthrough_reason_
+    assert pipe.score(u, direct) > 0.99
+
+
+def test_oversampled_records_are_thinned():
+    data = make_rotor(n_turns=100, sample_time=0.001, hold=30, random_state=0)
+    pipe = pipeline(data.omega).fit(data.inputs, data.outputs)
+    basis = pipe["harmonics"].basis_
+    assert basis.hop == 6
+    assert basis.samples_per_period == pytest.approx(data.samples_per_turn / 6)
+    predicted = pipe.predict(data.inputs)
+    assert len(predicted) == len(data.inputs)
+    assert pipe.score(data.inputs, data.outputs) > 0.9
+
+
+def test_a_search_over_order_lags_and_harmonics():
+    u, y, *_ = machine(2400)
+    grid = {
+        "identify__order": [1, 2, 3],
+        "identify__block_rows": [6, 10],
+        "harmonics__output_harmonics": [0, 2],
+    }
+    search = GridSearchCV(pipeline(), grid, cv=BlockSplit(3), error_score="raise").fit(u, y)
+    assert search.best_params_["identify__order"] in (2, 3)
+    assert search.best_params_["harmonics__output_harmonics"] == 2
+    assert search.best_score_ > 0.99
+
+
+def test_copies_are_the_same():
+    u, y, *_ = machine(1500)
+    pipe = pipeline().fit(u, y)
+    expected = pipe.predict(u)
+    pd.testing.assert_frame_equal(pickle.loads(pickle.dumps(pipe)).predict(u), expected)
+    pd.testing.assert_frame_equal(clone(pipe).fit(u, y).predict(u), expected)
+    frame = pipe[:1].transform(u)
+    assert frame.columns.tolist() == ["u"]
+    assert pickle.loads(pickle.dumps(frame)).basis.reading == "sample"
+
+
+def test_a_trim_that_is_given_is_used():
+    u, y, response, _ = machine(3000, rest=600)
+    pipe = pipeline(trim_span=(0.0, 60.0), load_harmonics=2).fit(u, y)
+    trim = pipe["harmonics"].basis_.output_trim
+    np.testing.assert_allclose(trim[:, 0], [0.0, 0.7, 0.0, 0.0, -0.3], atol=0.01)
+    assert share(pipe, u, response, slice(1000, None)) > 0.995
+
+
+def test_stable_asks_for_stable_models():
+    u, y, *_ = machine(3000, growth=1.22, feedback=0.25, noise=0.1)
+    with pytest.raises(ValueError, match="no model of the orders tried"):
+        Pipeline(
+            [
+                ("harmonics", HarmonicAnalyzer(OMEGA, reading="sample")),
+                ("identify", MOESPRegressor(2, stable=True)),
+            ]
+        ).fit(u, y)
+
+
+def test_a_model_of_nothing_says_so():
+    rng = np.random.default_rng(0)
+    time = np.arange(3000) / 10
+    u = pd.DataFrame(rng.standard_normal((3000, 1)), time, ["u"])
+    y = pd.DataFrame(rng.standard_normal((3000, 1)), time, ["y"])
+    with pytest.warns(IdentifiabilityWarning, match="no model explains the outputs"):
+        pipeline().fit(u, y)
+
+
+def test_a_short_record_says_that_its_model_is_noise():
+    u, y, *_ = machine(60)
+    with pytest.warns(IdentifiabilityWarning, match=r"rows tell \d+ coefficients"):
+        pipeline(block_rows=4).fit(u, y)
+
+
+@pytest.mark.parametrize(
+    ("settings", "rows", "words"),
+    [
+        ({"output_harmonics": 5}, 1000, "10 samples a turn, which tell harmonics up to 4 apart"),
+        ({"output_harmonics": 6}, 1000, "10 samples a turn, too few for harmonic 6"),
+        ({"output_harmonics": 2, "hop": 3}, 1000, "of which hop=3 leaves 3.333, too few"),
+        ({"output_harmonics": {"y": [1]}}, 1000, "one number for all signals"),
+        ({"small_signal": "odd"}, 1000, "reading='sample' does not ask for"),
+        ({"block_rows": 30}, 80, "too few for a predictor of 30 lags"),
+        ({"order": 9, "block_rows": 4}, 1000, "order=9 exceeds the 4 that block_rows=4"),
+        ({}, 5, "too few for a predictor of 2 lags with 0 harmonic"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_way_out(settings, rows, words):
+    u, y, *_ = machine(rows)
+    with pytest.raises(ValueError, match=words):
+        pipeline(**settings).fit(u, y)
+
+
+def test_inputs_that_cannot_be_told_from_loads_are_refused():
+    u, y, *_ = machine(1000)
+    with pytest.raises(ValueError, match="repeats itself with every turn"):
+        pipeline().fit(u.assign(u=np.cos(OMEGA * u.index)), y)
+    with pytest.raises(ValueError, match="constant in the rows"):
+        pipeline().fit(u.assign(u=1.0), y)
+    with pytest.raises(ValueError, match="must grow with time"):
+        pipeline(None, azimuth="psi").fit(u.assign(psi=2.0), y)
+
+
+def test_loads_are_a_matter_of_samples_alone():
+    u, y, *_ = machine(1000)
+    with pytest.raises(ValueError, match="reading='sample' alone"):
+        HarmonicAnalyzer(OMEGA, load_harmonics=2).fit(u, y)
+    plain = MOESPRegressor(2, block_rows=5).fit(u, y)
+    for name in ("loads_", "ltp_", "n_harmonics_"):
+        with pytest.raises(AttributeError, match="HarmonicAnalyzer\\(reading='sample'\\)"):
+            getattr(plain, name)
+
+
+def test_nothing_is_spurious_in_samples():
+    u, y, *_ = machine(2000)
+    pipe = Pipeline([*pipeline().steps, ("reduce", SpuriousModeReducer())]).fit(u, y)
+    modes = pipe["reduce"].modes_
+    assert set(modes["verdict"]) == {"genuine"}
+    assert modes["reason"].str.contains("without a window").all()
+    np.testing.assert_array_equal(pipe.predict(u), pipe[:2].predict(u))
+
+
+@pytest.mark.slow
+def test_figures_over_seeds():
+    """The table of the changelog: discrete models at 20 dB, rotors in gusts."""
+    vaf = []
+    for seed in range(10):
+        u, y, response, multipliers = machine(7000, noise=0.25, seed=seed)
+        pipe = pipeline().fit(u[:5000], y[:5000])
+        assert np.all(np.abs(pipe["identify"].eigenvalues_[:2].imag) > 0.0)
+        assert np.all(np.abs(multipliers.imag) > 0.0)
+        vaf.append(share(pipe, u, response, slice(5000, None)))
+    assert min(vaf) > 0.99
+    assert np.mean(vaf) > 0.997
