@@ -39,6 +39,7 @@ MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 12  # tried by order="auto"
 ROWS_PER_COLUMN = 5  # of the largest regression tried
 ROWS_COMPARED = 10_000  # of a longer record, from its start, choices are made on
+LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 4  # orders that may pass without a better one
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
@@ -320,7 +321,7 @@ class _States:
 
 def _positive(covariance):
     """A covariance with what rounding leaves of exact data added to its diagonal."""
-    return covariance + 1e-12 * np.eye(len(covariance))
+    return covariance + LEAST_NOISE**2 * np.eye(len(covariance))
 
 
 class _Choice:
@@ -333,7 +334,8 @@ class _Choice:
         self.most = most if layout.n_harmonics else 0
         self.sums = self._sums(states.bound, self.most, ROWS_COMPARED)
         self.simulated = list(_first_rows(data.segments, layout.n_lags))
-        self.total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
+        total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
+        self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
 
     def _sums(self, order, count, most=None):
         rows = self.states.rows(self.data, order, most)
@@ -376,7 +378,10 @@ class _Choice:
             rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
             noise = np.hstack([e, rest, y - (form.outputs @ known)[..., 0]])
             total, n_rows = total + noise.T @ noise, n_rows + len(noise)
-        return total / n_rows
+        noise = total / n_rows
+        n_outputs = self.data.n_outputs
+        noise[-n_outputs:, -n_outputs:] = _positive(noise[-n_outputs:, -n_outputs:])
+        return noise
 
     def _counts(self):
         """Numbers of harmonics tried, of which each has to better the one before."""

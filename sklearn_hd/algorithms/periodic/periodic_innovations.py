@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
+from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
@@ -188,7 +188,7 @@ class PeriodicInnovations:
         spread_by[:, :n, :n_outputs], spread_by[:, :, n_outputs:] = rows.gain, np.eye(n + n_outputs)
         joint = spread_by @ noise @ spread_by.swapaxes(1, 2)
         Q, S = joint[:, :n, :n], joint[:, :n, n:]
-        R = joint[0, n:, n:] + EPS * np.trace(noise[-n_outputs:, -n_outputs:]) * np.eye(n_outputs)
+        R = noise[-n_outputs:, -n_outputs:]
         P, gains, spreads = np.mean(Q, axis=0), [], []
         for k in range(len(psi)):
             spread = C[k] @ P @ C[k].T + R
