@@ -41,8 +41,8 @@ class StructuredMatcher(ModelStep):
     ``structure=None`` keeps all of it, outputs its states where they determine the state; a
     :class:`HarmonicStructure` takes the parameters whose predictions one sample ahead are nearest
     to the model's, in parts of its innovations. A :class:`MatrixStructure` needs a model without
-    harmonics (``output_harmonics=0``). ``predict`` adds the forced periodic response identified;
-    the state is that of the motion about it.
+    harmonics (``output_harmonics=0``). ``predict`` adds the forced periodic response identified,
+    from which states are counted.
 
     Parameters
     ----------

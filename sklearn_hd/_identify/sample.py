@@ -153,7 +153,7 @@ def identify(data, settings, experiment):
     states = _States.of(data, predictor, settings)
     choice = _Choice(data, states, settings, basis, layout)
     best, innovations = choice.best()
-    innovations = innovations.in_units(*data.scales).about(*data.means)
+    innovations = innovations.in_units(*data.scales).about(*data.means).about_orbit()
     model = SampleModel(
         innovations,
         basis.omega,

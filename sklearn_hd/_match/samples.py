@@ -50,7 +50,7 @@ def match_samples(model, experiment, structure, settings):
         found = match.model
         coefficients, n = np.block([[found.A, found.B], [found.C, found.D]])[None], found.n_states
     sampled = model.of_matched(coefficients, n, max(1, experiment.basis.most_loads))
-    _warn_unlike(sampled, model, experiment)
+    _warn_unlike(sampled, model, experiment, structure)
     return replace(match, sampled=sampled)
 
 
@@ -118,7 +118,7 @@ def _decomposed(model, basis):
     return like, basis
 
 
-def _warn_unlike(sampled, model, experiment):
+def _warn_unlike(sampled, model, experiment, structure):
     """Of a match that grows e-fold within a segment, or responds otherwise, where the model
     identified does not."""
     longest = max(map(len, experiment.outputs))
@@ -127,6 +127,11 @@ def _warn_unlike(sampled, model, experiment):
     rate = sampled.innovations.growth()
     way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
     way += "entries, or leave structure=None"
+    if structure is None:
+        way = (
+            f"{experiment.basis.samples_per_period:.4g} samples a turn tell too few harmonics of a "
+            f"model in continuous time; sample more often, or use the model of MOESPRegressor"
+        )
     if longest * rate > 1.0:
         radius = np.max(np.abs(sampled.innovations.multipliers()))
         warn(
@@ -146,7 +151,7 @@ def _warn_unlike(sampled, model, experiment):
     share = np.max(left / np.where(there > 0.0, there, np.inf))
     if share > UNLIKE:
         warn(
-            f"the structure leaves {share:.2g} of the variance of the response to the inputs that "
+            f"the match leaves {share:.2g} of the variance of the response to the inputs that "
             f"the model identified has; {way}",
             IdentifiabilityWarning,
         )

@@ -209,8 +209,8 @@ def discrete_to_continuous(A, B, dt):
         poles = ", ".join(f"{value:.4g}" for value in bad.real)
         raise ValueError(
             f"discrete poles at {poles} lie on the closed negative real axis, where a real "
-            f"continuous-time model does not exist; drop those modes (SpuriousModeReducer does), "
-            f"lower the order, or sample faster (a smaller hop)"
+            f"continuous-time model does not exist; drop those modes (SpuriousModeReducer does, "
+            f"but for reading='sample'), take another order, or sample faster (a smaller hop)"
         )
     if n == 0:
         return A.copy(), B.copy()

@@ -13,12 +13,12 @@ and inputs is as well determined as the discrete model is; F itself is a differe
 """
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from scipy import linalg, optimize
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
+from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.periodic.floquet import separated_factors, steps_between
 from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
@@ -34,6 +34,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     PeriodicStructure,
     held_pushes,
+    n_substeps,
     sampled_response,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
@@ -50,6 +51,8 @@ __all__ = [
 FINER = 16  # azimuths for each sample, at which F is formed
 FEWEST = 256  # azimuths
 MOST = 4096  # azimuths
+FASTEST = -np.log(EPS)  # time constants within a sample, of which nothing is left
+MOST_CHOICES = 1000  # of outputs as states, that are tried
 
 
 def behind_samples(innovations, omega):
@@ -156,19 +159,24 @@ class Turn:
         """As many outputs as there are states; those without a feedthrough before the others."""
         n, direct = len(self.shapes.R), np.any(self.D != 0.0, axis=(0, 2))
         for wanted in (False, True):
-            for rows in map(list, combinations(range(self.n_outputs), n)):
+            for rows in map(list, islice(combinations(range(self.n_outputs), n), MOST_CHOICES)):
                 if np.any(direct[rows]) == wanted:
                     yield rows
 
     def determined_by(self, rows):
-        """Whether some outputs, but for a feedthrough, can be the states, F(ψ) resolved."""
+        """Whether some outputs, but for a feedthrough, can be the states: F(ψ) is resolved, and
+        moves no faster than samples can show."""
         if len(rows) != len(self.shapes.R):
             return False
         P = self.shapes(self.fine)[0][:, rows]
         if not outputs_are_states(P, self.shapes.flips):
             return False
         F = self.shapes.state_matrix(self.fine, self.omega, rows)
-        return tail_begins(F, 0.0) < len(F) // 4
+        if tail_begins(F, 0.0) >= len(F) // 4:
+            return False
+        F = _resolved(F)
+        structure = PeriodicStructure(F, np.zeros((0, F.size)), len(rows), ())
+        return n_substeps(structure, [], self.omega, len(self.psi)) <= FASTEST
 
     def model(self, rows=None):
         """The continuous model, with some outputs as states or in Floquet coordinates.

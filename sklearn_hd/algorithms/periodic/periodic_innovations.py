@@ -204,20 +204,41 @@ class PeriodicInnovations:
         return replace(self, gain=gain, covariance=np.mean(spreads[-shown:], axis=0))
 
     def forced_response(self, n_harmonics):
-        """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l).
-
-        x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), collocated at equally spaced azimuths.
-        """
+        """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l)."""
         n, K = self.n_states, n_harmonics
         psi = 2.0 * np.pi * np.arange(4 * K + 4) / (4 * K + 4)
-        rows = self.rows(psi)
+        rows, x = self.rows(psi), evaluate_harmonics(self._orbit(K), psi)
+        outputs = np.einsum("tij,tj->ti", rows.outputs[..., :n], x) + rows.outputs[..., -1]
+        return sampled_harmonics(outputs, K)
+
+    def about_orbit(self):
+        """The same model, its state counted from the forced periodic motion without inputs.
+
+        The state zero then is that of a machine that has run long without inputs. What harmonics
+        leave of a(ψ) stays there, so that nothing else changes.
+        """
+        n, K = self.n_states, len(self.coefficients) // 2
+        H = 2 * K
+        psi = 2.0 * np.pi * np.arange(2 * H + 1) / (2 * H + 1)
+        orbit, values = self._orbit(K), evaluate_harmonics(self.coefficients, psi)
+        now, later = (evaluate_harmonics(orbit, psi + d) for d in (0.0, self.step))
+        values[:, :, -1] += np.einsum("tij,tj->ti", values[:, :, :n], now)
+        values[:, :n, -1] -= later
+        whole = np.zeros((2 * H + 1, *self.coefficients.shape[1:]))
+        whole[: len(self.coefficients)] = self.coefficients
+        whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
+        return replace(self, coefficients=whole)
+
+    def _orbit(self, n_harmonics):
+        """Fourier coefficients of x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), at equally spaced azimuths."""
+        n, K = self.n_states, n_harmonics
+        psi = 2.0 * np.pi * np.arange(4 * K + 4) / (4 * K + 4)
+        states = self.rows(psi).states
         now, later = (harmonic_functions(psi + d, range(K + 1)) for d in (0.0, self.step))
-        moved = np.einsum("tij,tk->tikj", rows.states[..., :n], now)
+        moved = np.einsum("tij,tk->tikj", states[..., :n], now)
         kept = np.einsum("tk,ij->tikj", later, np.eye(n))
         design = (kept - moved).reshape(len(psi) * n, -1)
-        x = linalg.lstsq(design, rows.states[..., -1].ravel())[0].reshape(2 * K + 1, n)
-        outputs = np.einsum("tij,tj->ti", rows.outputs[..., :n], now @ x) + rows.outputs[..., -1]
-        return sampled_harmonics(outputs, K)
+        return linalg.lstsq(design, states[..., -1].ravel(), cond=HALF)[0].reshape(2 * K + 1, n)
 
 
 def _power(steps, exponent):
