@@ -28,6 +28,7 @@ from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.datasets import make_rotor
 from sklearn_hd.exceptions import ExcitationWarning
 from sklearn_hd.model_selection import BlockSplit, smallest_within_one_standard_error
+from sklearn_hd.plotting import AzimuthDisplay
 
 truth = make_rotor(speed_variation=0.01, random_state=13)
 with tempfile.TemporaryDirectory() as folder:
@@ -122,11 +123,11 @@ for name, response in responses.items():
 # %%
 # The modes
 # ---------
-# The Floquet multipliers say what is left of each mode a turn later; their logarithms are the
-# exponents. Of a blade and its actuator there are three.
+# The Floquet multipliers say what is left of each mode a turn later. ``ltp_`` is the linear
+# time-periodic system behind the samples, in continuous time; its exponents are the logarithms of
+# the multipliers, per second. Of a blade and its actuator there are three.
 
-turn = 2.0 * np.pi / model.basis_.omega
-exponents = np.log(model.eigenvalues_.astype(complex)) / turn
+exponents = model.ltp_.floquet_exponents()
 pd.DataFrame({"found": np.sort_complex(exponents), "true": np.sort_complex(truth.exponents)}).round(
     1
 )
@@ -148,6 +149,12 @@ found = model.eigenvalues_
 plane.plot(found.real, found.imag, "C1o", mfc="none", ms=8, label="found")
 plane.set(xlabel="real", ylabel="imaginary", aspect="equal", title="Floquet multipliers")
 plane.legend(loc="upper right")
+
+# %%
+# :class:`~sklearn_hd.plotting.AzimuthDisplay` shows at a glance what changes over a turn: the
+# loads, and the blade's answer to a pulse of its pitch by the azimuth at which it is given.
+
+AzimuthDisplay.from_estimator(pipe)
 
 # %%
 # A sample ahead
