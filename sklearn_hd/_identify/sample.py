@@ -33,15 +33,15 @@ from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 __all__ = ["asked_block_rows", "identify", "read"]
 
 MOST_LAGS = 60
-MOST_COLUMNS = 600  # of the largest regression tried: its sums take seconds
+MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
-MOST_STATES = 12  # tried by order="auto"
+MOST_STATES = 20  # tried by order="auto"
 ROWS_PER_COLUMN = 5  # of the largest regression tried
 ROWS_COMPARED = 10_000  # of a longer record, from its start, choices are made on
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
-PATIENCE = 4  # orders that may pass without a better one
+PATIENCE = 6  # orders that may pass without a better one
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 
 
