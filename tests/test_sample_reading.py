@@ -260,7 +260,7 @@ def test_a_short_record_says_that_its_model_is_noise():
         ({"small_signal": "odd"}, 1000, "reading='sample' does not ask for"),
         ({"block_rows": 30}, 80, "too few for a predictor of 30 lags"),
         ({"order": 9, "block_rows": 4}, 1000, "order=9 exceeds the 4 that block_rows=4"),
-        ({}, 5, "too few for a predictor of 2 lags with 0 harmonic"),
+        ({}, 5, "are 0.5 of a turn"),
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_way_out(settings, rows, words):

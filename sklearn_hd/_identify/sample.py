@@ -16,6 +16,7 @@ from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -89,9 +90,10 @@ def asked_block_rows(basis, settings):
 
 def read(experiment, settings):
     """The samples of an experiment."""
+    basis = experiment.basis
+    _check_turns(experiment)
     facts = Facts.of(experiment, experiment.drive)
     check_motion(facts)
-    basis = experiment.basis
     parts = zip(experiment.drive, experiment.outputs, experiment.phases, strict=True)
     segments = list(parts)
     means = forced_mean(segments, basis.most_loads)
@@ -101,29 +103,66 @@ def read(experiment, settings):
         (u - evaluate_harmonics(means[0], psi), y - evaluate_harmonics(means[1], psi), psi)
         for u, y, psi in segments
     ]
-    scales = tuple(_size(segments, i) for i in range(2))
-    segments = [(u / scales[0], y / scales[1], psi) for u, y, psi in segments]
+    u_scale, y_scale = (_size(parts) for parts in list(zip(*segments, strict=True))[:2])
+    _check_told_from_loads(u_scale, experiment)
+    taken = means[1] if basis.output_trim is None else basis.output_trim
+    still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
+    _check_outputs_move(still, facts)
+    y_scale = np.where(still, 1.0, y_scale)
+    segments = [(u / u_scale, np.where(still, 0.0, y / y_scale), psi) for u, y, psi in segments]
     step = basis.omega * basis.sample_time
-    return Samples(segments, means, scales, facts, step)
+    return Samples(segments, means, (u_scale, y_scale), facts, step)
 
 
-def _size(segments, i):
-    """Root mean square of the inputs (0) or outputs (1) of all segments."""
-    stacked = np.vstack([segment[i] for segment in segments])
-    size = np.sqrt(np.mean(stacked**2, axis=0))
-    return np.where(size > 0.0, size, 1.0)
+def _size(signals):
+    """Root mean square of some signals of all segments."""
+    return np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
+
+
+def _check_turns(experiment):
+    """Raise ValueError if the record is no turn long, where anything may depend on the turn."""
+    basis = experiment.basis
+    turns = sum(len(y) for y in experiment.outputs) / basis.samples_per_period
+    if turns < 1.0 and (basis.most_loads or basis.n_harmonics != 0):
+        raise ValueError(
+            f"the {experiment.span()} are {turns:.3g} of a turn (omega={basis.omega:.4g} rad/s), "
+            f"in which nothing repeats itself; check omega, use a longer record, or give "
+            f"output_harmonics=0 and load_harmonics=0 in HarmonicAnalyzer{_or_hop(basis)}"
+        )
+
+
+def _or_hop(basis):
+    """A smaller hop as a way out, where rows were left out."""
+    return f", or hop below {basis.hop}" if basis.hop > 1 else ""
+
+
+def _check_outputs_move(still, facts):
+    """Raise ValueError if outputs repeat themselves with every turn; warn of those that do."""
+    names = [name for name, rests in zip(facts.output_names, still, strict=True) if rests]
+    if len(names) == len(still):
+        raise ValueError(
+            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: there "
+            f"is no response to inputs to identify; check the columns of y, or use a record in "
+            f"which inputs move them"
+        )
+    if names:
+        warn(
+            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
+            f"input moves them, their model is their loads alone",
+            IdentifiabilityWarning,
+        )
 
 
 def _check_told_from_loads(left, experiment):
     """Raise ValueError if an input moves with the turn alone: then loads look the same."""
-    whole = np.sqrt(np.mean(np.vstack(experiment.drive) ** 2, axis=0))
+    whole = _size(experiment.drive)
     for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
         if rest <= NOTHING * size:
             raise ValueError(
-                f"input {name!r} repeats itself with every turn in the {experiment.span()}, so "
-                f"that its effect cannot be told from periodic loads; use a record in which it "
-                f"changes from turn to turn, drop it, or give load_harmonics below those of the "
-                f"input"
+                f"input {name!r} repeats itself with every turn in the {experiment.span()} (all "
+                f"but {rest / size:.2g} of its size), so that its effect cannot be told from "
+                f"periodic loads; use a record in which it changes from turn to turn, drop it, "
+                f"subtract what it rests at, or give load_harmonics below those of the input"
             )
 
 
@@ -147,7 +186,6 @@ def identify(data, settings, experiment):
         )
     basis = experiment.basis
     layout, reason = _layout(data, settings, basis)
-    _check_told_from_loads(data.scales[0], experiment)
     sums = LagSums.of(data.segments, layout)
     predictor = sums.predictor()
     states = _States.of(data, predictor, settings)
@@ -162,7 +200,7 @@ def identify(data, settings, experiment):
         basis.output_labels,
         layout.feedthrough,
     )
-    _warn_of_little(layout, sums.n_rows, best)
+    _warn_of_little(layout, sums.n_rows, best, basis)
     _warn_of_growth(model, best, data)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
@@ -251,7 +289,7 @@ def _most(data, settings, basis):
         f"a predictor of {least} lags with {count} harmonic(s) of "
         f"{data.n_inputs + data.n_outputs} signals: {need} rows in one segment would do"
         f"{data.facts.why_short}; use a longer record, fewer block_rows, a lower order, or a "
-        f"smaller output_harmonics in HarmonicAnalyzer"
+        f"smaller output_harmonics in HarmonicAnalyzer{_or_hop(basis)}"
     )
 
 
@@ -410,7 +448,8 @@ class _Choice:
         left = [innovations.rows(psi).left(u, y) for u, y, psi in pieces]
         if any(each is None for each in left):
             return Simulated(order, D, False, np.inf, np.inf, np.inf, count)
-        shares = sum(np.sum(each**2, axis=0) for each in left) / self.total
+        moves = self.total > 0.0
+        shares = sum(np.sum(each**2, axis=0) for each in left)[moves] / self.total[moves]
         logs = np.log(shares + SENSOR_NOISE**2)
         m, n_outputs = self.data.n_inputs, self.data.n_outputs
         n_free = order * (order + m + n_outputs) + D * m * n_outputs
@@ -454,22 +493,23 @@ def _pieces(segment, rate, least):
         yield u[rows], y[rows], psi[rows]
 
 
-def _warn_of_little(layout, n_rows, best):
+def _warn_of_little(layout, n_rows, best, basis):
     """Of a record too short for its predictor, and of a model that explains nothing."""
     if n_rows < ROWS_PER_COLUMN * layout.n_columns:
         warn(
             f"{n_rows} rows tell {layout.n_columns} coefficients of the predictor of each output "
             f"({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of {layout.n_loads}): "
             f"with fewer than {ROWS_PER_COLUMN} rows for each the model is largely noise; use a "
-            f"longer record, or fewer of block_rows, output_harmonics, load_harmonics",
+            f"longer record, or fewer of block_rows, output_harmonics, load_harmonics"
+            f"{_or_hop(basis)}",
             IdentifiabilityWarning,
         )
-    if best.bic >= 0.0:  # which is that of no model
+    if best.bic >= 0.0:  # which loads alone have
         warn(
-            f"no model explains the outputs: the simulation of the best one leaves "
-            f"{best.variance:.3g} of their variance about the forced periodic response, no less "
-            f"than its parameters do by chance; do outputs follow inputs, and is omega (or the "
-            f"azimuth) that of the machine?",
+            f"no model explains the outputs better than their loads alone (by Schwarz's "
+            f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
+            f"variance about the forced periodic response; do outputs follow inputs, and is omega "
+            f"(or the azimuth) that of the machine?",
             IdentifiabilityWarning,
         )
 

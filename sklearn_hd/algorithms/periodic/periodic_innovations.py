@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 __all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
 
-MOST_TURNS = 40  # over which the Riccati equation is stepped
+MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
 WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
 OVERFLOW = 1e150  # squares of anything larger overflow
 
@@ -154,7 +154,16 @@ class PeriodicInnovations:
 
     def growth(self):
         """Of the fastest growing mode, e-folds a sample; −inf if every mode dies at once."""
-        found = np.max(self.multiplier_logarithms().real, initial=-np.inf)
+        steps, scale = self.whole_turn()[1][..., : self.n_states], 0.0
+        while len(steps) > 1:  # neighbours multiplied: the fastest mode alone comes through
+            if len(steps) % 2:
+                steps = np.concatenate([steps, np.eye(self.n_states)[None]])
+            steps = steps[1::2] @ steps[::2]
+            size = np.max(np.abs(steps), axis=(1, 2), keepdims=True)
+            size[size == 0.0] = 1.0
+            steps, scale = steps / size, scale + np.sum(np.log(size))
+        radius = np.max(np.abs(np.linalg.eigvals(steps[0])))
+        found = np.log(radius) + scale if radius > 0.0 else -np.inf
         return float(found / self.samples_per_period)
 
     def multipliers(self):
@@ -166,7 +175,7 @@ class PeriodicInnovations:
 
         Where a machine has more states than the model, a regression on innovations e leaves
         some of the next states, r, and of the outputs, v. With w = K(ψ) e + r the periodic
-        Riccati equation is stepped from sample to sample until it repeats itself.
+        Riccati equation is stepped from sample to sample until its start is forgotten.
 
         Parameters
         ----------
@@ -177,31 +186,38 @@ class PeriodicInnovations:
         -------
         model : PeriodicInnovations
         """
-        n, H = self.n_states, len(self.gain) // 2
+        n, n_outputs, H = self.n_states, self.n_outputs, len(self.gain) // 2
         H = min(H, (self.gain.any(axis=(1, 2)).nonzero()[0][-1] + 1) // 2) if self.gain.any() else 0
-        n_turn = int(np.ceil(self.samples_per_period))
-        shown = 4 * (2 * H + 1) + n_turn
-        psi = self.start + self.step * np.arange(MOST_TURNS * n_turn + shown)
-        rows = self.rows(psi)
-        A, C, n_outputs = rows.states[..., :n], rows.outputs[..., :n], self.n_outputs
-        spread_by = np.zeros((len(psi), n + n_outputs, len(noise)))
-        spread_by[:, :n, :n_outputs], spread_by[:, :, n_outputs:] = rows.gain, np.eye(n + n_outputs)
-        joint = spread_by @ noise @ spread_by.swapaxes(1, 2)
-        Q, S = joint[:, :n, :n], joint[:, :n, n:]
+        shown = 4 * (2 * H + 1) + int(np.ceil(self.samples_per_period))
         R = noise[-n_outputs:, -n_outputs:]
-        P, gains, spreads = np.mean(Q, axis=0), [], []
-        for k in range(len(psi)):
-            spread = C[k] @ P @ C[k].T + R
-            gain = linalg.solve(spread, (A[k] @ P @ C[k].T + S[k]).T, assume_a="pos").T
-            P = A[k] @ P @ A[k].T + Q[k] - gain @ spread @ gain.T
-            P = 0.5 * (P + P.T)
-            gains.append(gain)
-            spreads.append(spread)
-        functions = harmonic_functions(psi[-shown:], range(H + 1))
-        found = linalg.lstsq(functions, np.reshape(gains[-shown:], (shown, -1)))[0]
+        R = R + EXACT * np.trace(R) * np.eye(n_outputs)  # outputs may be equal
+        P, start = None, np.eye(n)
+        for turn in range(MOST_TURNS):
+            psi = self.start + self.step * (turn * shown + np.arange(shown))
+            rows = self.rows(psi)
+            A, C = rows.states[..., :n], rows.outputs[..., :n]
+            spread_by = np.zeros((shown, n + n_outputs, len(noise)))
+            spread_by[:, :n, :n_outputs] = rows.gain
+            spread_by[:, :, n_outputs:] = np.eye(n + n_outputs)
+            joint = spread_by @ noise @ spread_by.swapaxes(1, 2)
+            Q, S = joint[:, :n, :n], joint[:, :n, n:]
+            P = np.mean(Q, axis=0) if P is None else P
+            repeated, gains, spreads = np.max(np.abs(start)) < HALF, [], []
+            for k in range(shown):
+                spread = C[k] @ P @ C[k].T + R
+                gain = np.linalg.solve(spread, (A[k] @ P @ C[k].T + S[k]).T).T
+                P = A[k] @ P @ A[k].T + Q[k] - gain @ spread @ gain.T
+                P = 0.5 * (P + P.T)
+                start = (A[k] - gain @ C[k]) @ start
+                gains.append(gain)
+                spreads.append(spread)
+            if repeated:
+                break
+        functions = harmonic_functions(psi, range(H + 1))
+        found = linalg.lstsq(functions, np.reshape(gains, (shown, -1)))[0]
         gain = np.zeros_like(self.gain)
         gain[: 2 * H + 1] = found.reshape(-1, *self.gain.shape[1:])
-        return replace(self, gain=gain, covariance=np.mean(spreads[-shown:], axis=0))
+        return replace(self, gain=gain, covariance=np.mean(spreads, axis=0))
 
     def forced_response(self, n_harmonics):
         """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l)."""

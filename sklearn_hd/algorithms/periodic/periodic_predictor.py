@@ -249,11 +249,12 @@ class LagSums:
         along = vectors.T @ (self.products / size[:, None])
         kept = values > EXACT * values[-1]
         total, best = np.diag(self.squares), None
+        moves = total > 0.0
         for ridge in RIDGES * values[-1]:
             shrunk = np.where(kept, 1.0, 0.0) / np.where(kept, values + ridge, 1.0)
             found = shrunk[:, None] * along
             left = total - 2.0 * np.sum(found * along, axis=0) + values @ found**2
-            left = np.maximum(left, EXACT * np.maximum(total, EXACT * self.n_rows))
+            left = np.maximum(left, EXACT * total)[moves]
             spent = np.sum(values * shrunk) / self.n_rows
             score = np.sum(np.log(left)) - 2.0 * len(left) * np.log(max(1.0 - spent, EPS))
             if best is None or score < best[0]:

@@ -1,0 +1,118 @@
+"""Faults that the reading of samples had: awkward data, and what it says of them."""
+
+import time
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+STEP = 0.01
+
+
+def speed(samples):
+    """ω with so many samples in a turn."""
+    return 2.0 * np.pi / samples / STEP
+
+
+def record(samples=16.216, rows=2000, noise=0.02, seed=0):
+    """A damped oscillation whose stiffness varies over the turn, with loads, as frames."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(rows)
+    psi = speed(samples) * t
+    u, e = rng.standard_normal((2, rows))
+    x, y = np.zeros(2), np.empty(rows)
+    for k in range(rows):
+        c, s = np.cos(psi[k]), np.sin(psi[k])
+        y[k] = x[0] + 1.0 + 2.0 * c + 0.5 * s**2 + noise * e[k]
+        A = np.array([[0.9, 0.3], [-0.3, 0.8]]) + 0.1 * np.array([[0.3 * c, 0.2 * s], [0.5 * s, 0]])
+        x = A @ x + np.array([1.0, 0.5 + 0.4 * c]) * u[k]
+    index = pd.Index(t, name="time")
+    return pd.DataFrame({"u": u}, index), pd.DataFrame({"y": y}, index)
+
+
+def fitted(u, y, samples=16.216, **parameters):
+    """The pipeline of two steps, fitted."""
+    analyzer = HarmonicAnalyzer(speed(samples), reading="sample", **parameters)
+    return Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())]).fit(u, y)
+
+
+def multipliers(pipe):
+    """Floquet multipliers by size."""
+    return np.sort(np.abs(pipe["identify"].eigenvalues_))
+
+
+def test_equal_outputs_leak_no_warning():
+    """A covariance of innovations without an inverse is no news to a user."""
+    u, y = record()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        both = fitted(u, y.assign(same=y["y"]))
+    np.testing.assert_allclose(multipliers(both), multipliers(fitted(u, y)), rtol=0.02)
+
+
+@pytest.mark.parametrize("load", ["rest", "wave", "zero"])
+def test_an_output_of_loads_alone_leaves_the_others_their_model(load):
+    """What rounding leaves of an output that only repeats itself was identified like motion."""
+    u, y = record()
+    psi = speed(16.216) * y.index.to_numpy()
+    values = {"rest": 5.0, "wave": 5e3 + 3e3 * np.cos(psi), "zero": 0.0}[load]
+    with pytest.warns(IdentifiabilityWarning, match=r"\['c'\] repeat themselves with every turn"):
+        pipe = fitted(u, y.assign(c=values))
+    assert pipe["identify"].order_ == 2
+    predicted = pipe.predict(u)
+    np.testing.assert_allclose(predicted["c"], values, atol=1e-9 * max(1.0, np.max(values)))
+    assert np.std(predicted["y"] - y["y"]) < 0.05 * np.std(y["y"])
+
+
+def test_outputs_of_loads_alone_have_no_response():
+    """A model of rounding scored 1 and said nothing."""
+    u, y = record()
+    loads = pd.DataFrame({"c": np.cos(speed(16.216) * y.index.to_numpy())}, y.index)
+    with pytest.raises(ValueError, match="no response to inputs to identify"):
+        fitted(u, loads)
+
+
+def test_noise_alone_is_named():
+    """A model that leaves 0.997 of the outputs explains nothing either."""
+    u, y = record()
+    y["y"] = np.random.default_rng(1).standard_normal(len(y))
+    with pytest.warns(IdentifiabilityWarning, match="better than their loads alone"):
+        fitted(u, y)
+
+
+def test_less_than_a_turn_is_refused():
+    """An input that moved was called constant, where hop had left one row of a record."""
+    u, y = record()
+    with pytest.raises(ValueError, match=r"of a turn .* hop below 4166"):
+        fitted(u, y, samples=1e5)
+    with pytest.raises(ValueError, match=r"are 0\.2 of a turn"):
+        fitted(u, y, samples=1e4, hop=1)
+
+
+def test_few_rows_by_thinning_name_the_hop():
+    """Rows were few because hop had left them out, which no word said."""
+    u, y = record(samples=1000.0)
+    told = pytest.warns(IdentifiabilityWarning, match="hop below 41")
+    with pytest.warns(IdentifiabilityWarning, match="better than their loads"), told:
+        fitted(u, y, samples=1000.0)
+
+
+def test_many_samples_a_turn_cost_no_more_than_their_rows():
+    """Growth by sorting all modes, and a filter of forty turns, took 22 s of 6000 rows."""
+    u, y = record(samples=3000.0, rows=6000)
+    start = time.process_time()
+    pipe = fitted(u, y, samples=3000.0, hop=1)
+    assert time.process_time() - start < 5.0
+    assert pipe.score(u, y) > 0.99
+
+
+def test_growth_is_that_of_the_largest_multiplier():
+    """Formed from products of neighbours, scaled on the way."""
+    model = fitted(*record())["identify"].model_.innovations
+    largest = np.max(model.multiplier_logarithms().real)
+    assert model.growth() * model.samples_per_period == pytest.approx(largest, rel=1e-9)
