@@ -127,6 +127,20 @@ def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
     same_exponents(found, system, rtol=0.02)
 
 
+@pytest.mark.parametrize("seed", [1, 7, 13])
+def test_orders_of_no_periodic_system_are_passed_over(seed):
+    """Of fast modes noise leaves multipliers of either sign; machines have even numbers below 0."""
+    rng, n = np.random.default_rng(seed), 4
+    F = 0.3 * rng.standard_normal((3, n, n))
+    F[0] = rng.standard_normal((n, n))
+    F[0] -= (0.2 + np.max(np.linalg.eigvals(F[0]).real)) * np.eye(n)
+    system = LTPSystem(F, rng.standard_normal((n, 1)), rng.standard_normal((2, n)), omega=1.0)
+    pipe = pipeline(1.0)[:2].fit(*record(system, 7.3, turns=200, seed=seed))
+    negative = np.abs(pipe["identify"].model_.innovations.multiplier_logarithms().imag) > 3.141592
+    assert negative.sum() % 2 == 0
+    assert pipe["identify"].ltp_.n_states == pipe["identify"].order_
+
+
 def test_ltp_of_a_time_invariant_machine_is_time_invariant():
     system = mathieu(excitation=0.0)
     identify = pipeline(2.0)[:2].fit(*record(system))["identify"]

@@ -367,7 +367,7 @@ class _Choice:
 
     def __init__(self, data, states, settings, basis, layout):
         self.data, self.states, self.settings = data, states, settings
-        self.basis, self.layout, self.tried = basis, layout, []
+        self.basis, self.layout, self.tried, self.possible = basis, layout, [], []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
         self.sums = self._sums(states.bound, self.most, ROWS_COMPARED)
@@ -388,12 +388,14 @@ class _Choice:
         for order in orders:
             before = None
             for count in self._counts():
-                one = self._compared(order, count, self._model(self.sums, order, count))
+                innovations = self._model(self.sums, order, count)
+                one = self._compared(order, count, innovations)
                 self.tried.append(one)
+                self.possible.append(innovations.is_possible())
                 if before is not None and one.bic >= before.bic:
                     break
                 before = one
-            kept = [m for m in self.tried if m.stable] if self.settings.stable else self.tried
+            kept = self._kept()
             found = best_of(kept, n_values) if kept else None
             if found is not None and found.order <= order - PATIENCE:
                 break
@@ -406,6 +408,12 @@ class _Choice:
         order, count = found.order, found.n_harmonics
         innovations = self._model(self._sums(order, count), order, count)  # of all rows
         return found, innovations.filtered(self._noise(innovations))
+
+    def _kept(self):
+        """Models to choose from: stable ones if asked for, and of them those of a machine."""
+        both = zip(self.tried, self.possible, strict=True)
+        kept = [pair for pair in both if pair[0].stable or not self.settings.stable]
+        return [one for one, possible in kept if possible] or [one for one, _ in kept]
 
     def _noise(self, innovations):
         """Covariance of innovations, and of what is left of next states and of outputs."""

@@ -219,6 +219,14 @@ class PeriodicInnovations:
         gain[: 2 * H + 1] = found.reshape(-1, *self.gain.shape[1:])
         return replace(self, gain=gain, covariance=np.mean(spreads, axis=0))
 
+    def is_possible(self):
+        """Whether a continuous periodic system may have these multipliers: none or an even number
+        of negative ones, as their product is e^{∫ tr F dt}. True without harmonics."""
+        if self.n_harmonics == 0:
+            return True
+        turned = np.abs(self.multiplier_logarithms().imag)
+        return bool(np.sum(turned > np.pi * (1.0 - EXACT)) % 2 == 0)
+
     def forced_response(self, n_harmonics):
         """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l)."""
         n, K = self.n_states, n_harmonics
