@@ -16,6 +16,8 @@ from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_mat
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import TrimError
 
+BLOCK = 4096  # azimuths at a time: bounds the memory
+
 
 def solve_harmonic_balance(
     f,
@@ -140,10 +142,12 @@ def evaluate_harmonics(coefficients, psi):
     S[0] = coefficients[0].ravel()
     S[1 : len(cosines) + 1] = (cosines - 1j * sines).reshape(len(cosines), width)
     S = S.reshape(q, q, width).transpose(1, 0, 2).reshape(q, q * width)
-    fine = np.exp(1j * psi.reshape(-1, 1) * np.arange(q))
-    coarse = np.exp(1j * psi.reshape(-1, 1) * (q * np.arange(q)))
-    partial = (fine @ S).reshape(psi.size, q, width)
-    values = np.einsum("pl,plc->pc", coarse, partial).real
+    values = np.empty((psi.size, width))
+    for start in range(0, psi.size, BLOCK):
+        some = psi.reshape(-1, 1)[start : start + BLOCK]
+        fine, coarse = np.exp(1j * some * np.arange(q)), np.exp(1j * some * (q * np.arange(q)))
+        partial = (fine @ S).reshape(len(some), q, width)
+        values[start : start + BLOCK] = np.einsum("pl,plc->pc", coarse, partial).real
     return values.reshape(*psi.shape, *coefficients.shape[1:])
 
 

@@ -139,6 +139,10 @@ def test_series_at_any_point_equals_its_samples(n_harmonics):
     psi = 2 * np.pi * np.arange(128) / 128
     np.testing.assert_allclose(evaluate_harmonics(X, psi), sample_harmonics(X, 128).T, atol=1e-12)
     assert evaluate_harmonics(X, 0.3).shape == (3,)
+    many = np.linspace(-7.0, 9.0, 10_001)  # more than are evaluated at a time
+    some = [0, 4095, 4096, 9999, 10_000]
+    found, wanted = evaluate_harmonics(X, many)[some], evaluate_harmonics(X, many[some])
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
 def test_resize_pads_and_cuts():
