@@ -9,51 +9,15 @@ import numpy as np
 
 from sklearn_hd._readings.basis import Timing
 
-__all__ = ["PlainReading"]
+__all__ = ["EveryRow", "PlainReading"]
 
 WARMUP_SAMPLES = 50  # three times the default block rows
 
 
-@dataclass(frozen=True)
-class PlainReading:
-    """The reading of data that no analyzer has seen.
+class EveryRow:
+    """What readings share that take each row as a sample."""
 
-    Attributes
-    ----------
-    drive_labels, output_labels : tuple of str
-        Names of the inputs and the outputs.
-    timing : Timing
-        When rows were sampled.
-    """
-
-    drive_labels: tuple = ()
-    output_labels: tuple = ()
-    timing: Timing = field(default_factory=Timing)
-
-    reading = "plain"
-    harmonic = False
-    hop = samples_per_period = 1
     window_rows = 0
-    held = True
-    small_signal = input_trim = output_trim = nothing_spurious = None
-
-    @property
-    def drive_signals(self):
-        """The measured signal of each input."""
-        return self.drive_labels
-
-    @property
-    def input_signals(self):
-        """Names of the measured inputs."""
-        return self.drive_labels
-
-    def grid(self, signals):
-        """Step, fewest rows of a piece, and places of some signals."""
-        return signals.base.sample_time, 1, signals.base.time
-
-    def select(self, frame):
-        """The columns of X that are read."""
-        return frame
 
     def drive(self, values, time):
         """What drives the model at every sample."""
@@ -75,6 +39,55 @@ class PlainReading:
         """Rows of one segment that models are made of: all."""
         return np.arange(len(time))
 
+    def recomposed(self, Y, time):
+        """Measured outputs of the model's: the same."""
+        return Y
+
+    def scored_rows(self, time):
+        """First and last of the rows of one segment that count in a score."""
+        return 0, len(time)
+
+
+@dataclass(frozen=True)
+class PlainReading(EveryRow):
+    """The reading of data that no analyzer has seen.
+
+    Attributes
+    ----------
+    drive_labels, output_labels : tuple of str
+        Names of the inputs and the outputs.
+    timing : Timing
+        When rows were sampled.
+    """
+
+    drive_labels: tuple = ()
+    output_labels: tuple = ()
+    timing: Timing = field(default_factory=Timing)
+
+    reading = "plain"
+    harmonic = False
+    hop = samples_per_period = 1
+    held = True
+    small_signal = input_trim = output_trim = nothing_spurious = None
+
+    @property
+    def drive_signals(self):
+        """The measured signal of each input."""
+        return self.drive_labels
+
+    @property
+    def input_signals(self):
+        """Names of the measured inputs."""
+        return self.drive_labels
+
+    def grid(self, signals):
+        """Step, fewest rows of a piece, and places of some signals."""
+        return signals.base.sample_time, 1, signals.base.time
+
+    def select(self, frame):
+        """The columns of X that are read."""
+        return frame
+
     def simulated_rows(self, time):
         """Rows that a discrete model steps through; None is every sample."""
         return None
@@ -91,14 +104,6 @@ class PlainReading:
         """Matrices from the outputs of the model to what is measured: identities."""
         identity = np.eye(len(self.output_labels))
         return np.broadcast_to(identity, (len(psi), *identity.shape))
-
-    def recomposed(self, Y, time):
-        """Measured outputs of the model's: the same."""
-        return Y
-
-    def scored_rows(self, time):
-        """First and last of the rows of one segment that count in a score."""
-        return 0, len(time)
 
     @property
     def warmup_samples(self):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_hd._readings.basis import HALF, WARMUP_PERIODS, HarmonicBasis
+from sklearn_hd._readings.plain import EveryRow
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
@@ -19,7 +20,7 @@ MOST_LOADS = 12  # harmonics of the forced response, where the samples tell more
 
 
 @dataclass(frozen=True, eq=False)
-class SampleBasis(HarmonicBasis):
+class SampleBasis(EveryRow, HarmonicBasis):
     """Samples with their azimuths.
 
     Attributes
@@ -43,7 +44,6 @@ class SampleBasis(HarmonicBasis):
 
     reading = "sample"
     nothing_spurious = "at the sensors' clock, without a window"
-    window_rows = 0
     lead = 0
     coefficient_labels = ()
 
@@ -95,38 +95,6 @@ class SampleBasis(HarmonicBasis):
         """Highest harmonic of the forced response."""
         asked = self.n_load_harmonics
         return min(MOST_LOADS, self.most_harmonics) if asked is None else asked
-
-    def drive(self, values, time):
-        """What drives the model at every sample."""
-        return values
-
-    def held_drive(self, drive, rows):
-        """The same."""
-        return drive
-
-    def outputs_read(self, outputs, time):
-        """Outputs of one segment at the rows that models are made of."""
-        return outputs
-
-    def read(self, drive, outputs, time):
-        """Inputs and outputs of one segment at the rows that models are made of."""
-        return drive, outputs
-
-    def n_read_within(self, time, stop):
-        """Rows read whose samples all lie before some sample."""
-        return stop
-
-    def rows_read(self, time, whole_windows=True):
-        """Rows of one segment that models are made of: all."""
-        return np.arange(len(time))
-
-    def recomposed(self, Y, time):
-        """Measured outputs of the model's: the same."""
-        return Y
-
-    def scored_rows(self, time):
-        """First and last of the rows of one segment that count in a score."""
-        return 0, len(time)
 
     @property
     def warmup_samples(self):
