@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import control
 import numpy as np
 
 from sklearn_hd._frame import LTIModel
@@ -132,18 +131,7 @@ class SampleModel:
                 f"StructuredMatcher, its harmonic_decomposition(n_harmonics), or "
                 f"HarmonicAnalyzer(output_harmonics=0)"
             )
-        A, B, C, D = (M[0] for M in self.innovations.matrices())
-        return control.StateSpace(
-            A,
-            B,
-            C,
-            D,
-            self.dt,
-            inputs=list(self.input_names),
-            outputs=list(self.output_names),
-            name="identified",
-            remove_useless_states=False,
-        )
+        return self.to_lti().to_control()
 
 
 class SampleSimulator:
