@@ -1,5 +1,6 @@
 """Faults that the reading of samples had: awkward data, and what it says of them."""
 
+import re
 import time
 import warnings
 
@@ -97,9 +98,31 @@ def test_less_than_a_turn_is_refused():
 def test_few_rows_by_thinning_name_the_hop():
     """Rows were few because hop had left them out, which no word said."""
     u, y = record(samples=1000.0)
-    told = pytest.warns(IdentifiabilityWarning, match="hop below 41")
-    with pytest.warns(IdentifiabilityWarning, match="better than their loads"), told:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         fitted(u, y, samples=1000.0)
+    assert any("hop below 41" in str(each.message) for each in told)
+
+
+@pytest.mark.parametrize("noise", [0.02, 2.0])
+def test_motion_that_thinning_loses_is_named(noise):
+    """A response of 20 samples, read at every eighth, left 0.2 unexplained without a word."""
+    u, y = record(samples=200.0, rows=6000, noise=noise)
+    with pytest.warns(IdentifiabilityWarning, match=r"hop=8: .* \['y'\] keep but") as told:
+        fitted(u, y, samples=200.0)
+    hop = int(re.search(r"HarmonicAnalyzer hop=(\d+)", str(told[0].message))[1])
+    assert 2 <= hop <= 4
+    if noise < 1.0:
+        assert fitted(u, y, samples=200.0, hop=1).score(u, y) > 0.99
+
+
+def test_noise_alone_loses_nothing_by_thinning():
+    """Neighbouring samples share nothing either."""
+    u, y = record(samples=200.0, rows=6000)
+    y["y"] = np.random.default_rng(1).standard_normal(len(y))
+    with pytest.warns(IdentifiabilityWarning, match="better than their loads") as told:
+        fitted(u, y, samples=200.0)
+    assert not any("hop=8" in str(each.message) for each in told)
 
 
 def test_many_samples_a_turn_cost_no_more_than_their_rows():

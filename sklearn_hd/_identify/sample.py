@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._fit_checks import check_motion
+from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._sample_model import SampleModel
@@ -107,6 +107,7 @@ def read(experiment, settings):
     taken = means[1] if basis.output_trim is None else basis.output_trim
     still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
     _check_outputs_move(still, facts)
+    warn_of_thinning(experiment, taken, ~still)
     y_scale = np.where(still, 1.0, y_scale)
     segments = [(u / u_scale, np.where(still, 0.0, y / y_scale), psi) for u, y, psi in segments]
     step = basis.omega * basis.sample_time
