@@ -8,13 +8,11 @@ import numpy as np
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd.algorithms.periodic.behind_samples import behind_samples, samples_of
-from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations, Rows
+from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, PeriodicInnovations, Rows
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
 
 __all__ = ["SampleModel", "SampleSimulator"]
-
-OVERFLOW = 1e150  # squares of anything larger overflow
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,3 +139,21 @@ def test_growth_is_that_of_the_largest_multiplier():
     model = fitted(*record())["identify"].model_.innovations
     largest = np.max(model.multiplier_logarithms().real)
     assert model.growth() * model.samples_per_period == pytest.approx(largest, rel=1e-9)
+
+
+def test_an_order_beyond_all_lags_names_the_lags():
+    """1500 rows would have done, said the message, of a record of 3000."""
+    u, y = record()
+    analyzer = HarmonicAnalyzer(speed(16.216), reading="sample")
+    with pytest.raises(ValueError, match="takes 250 lags, and 60 are tried at most"):
+        MOESPRegressor(order=250).fit(analyzer.fit(u, y).transform(u), y)
+
+
+def test_an_order_too_high_is_a_question_of_rows():
+    """Outputs that are explained to a thousandth were said not to follow inputs."""
+    u, y = record(rows=300)
+    analyzer = HarmonicAnalyzer(speed(16.216), reading="sample")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        MOESPRegressor(order=12).fit(analyzer.fit(u, y).transform(u), y)
+    assert any("rows enough for order 12" in str(each.message) for each in told)

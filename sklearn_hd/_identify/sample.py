@@ -273,6 +273,11 @@ def _most(data, settings, basis):
             f"order={settings.order} exceeds the {asked * data.n_outputs} that block_rows={asked} "
             f"with {data.n_outputs} output(s) tell; lower order, or raise block_rows"
         )
+    if asked is None and shortest > MOST_LAGS:
+        raise ValueError(
+            f"order={settings.order} with {data.n_outputs} output(s) takes {shortest} lags, and "
+            f"{MOST_LAGS} are tried at most; lower order, or give block_rows={shortest} or more"
+        )
     given = basis.n_harmonics
     most = min(MOST_HARMONICS if given is None else given, basis.most_harmonics)
     least = asked or shortest
@@ -504,8 +509,9 @@ def _warn_of_little(layout, n_rows, best, basis):
         warn(
             f"no model explains the outputs better than their loads alone (by Schwarz's "
             f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
-            f"variance about the forced periodic response; do outputs follow inputs, and is omega "
-            f"(or the azimuth) that of the machine?",
+            f"variance about the forced periodic response; do outputs follow inputs, is omega (or "
+            f"the azimuth) that of the machine, and are {n_rows} rows enough for order "
+            f"{best.order} with {best.n_harmonics} harmonic(s)?",
             IdentifiabilityWarning,
         )
 

@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
-__all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
+__all__ = ["OVERFLOW", "PeriodicInnovations", "Rows", "propagate_varying"]
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
 WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
