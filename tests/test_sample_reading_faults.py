@@ -157,3 +157,19 @@ def test_an_order_too_high_is_a_question_of_rows():
         warnings.simplefilter("always")
         MOESPRegressor(order=12).fit(analyzer.fit(u, y).transform(u), y)
     assert any("rows enough for order 12" in str(each.message) for each in told)
+
+
+def test_a_long_record_may_begin_at_rest():
+    """Choices were made on the first 10 000 rows: no harmonics, of which there are two."""
+    noise = 0.02 * np.random.default_rng(1).standard_normal(30000)
+    t = STEP * np.arange(30000)
+    rest = 1.0 + 2.0 * np.cos(speed(16.0) * t) + 0.5 * np.sin(speed(16.0) * t) ** 2
+    u, y = record(samples=16.0, rows=14000, noise=0.0)  # 16 000 rows at rest are whole turns
+    rest[16000:] = y["y"]
+    index = pd.Index(t, name="time")
+    u = pd.DataFrame({"u": np.append(np.zeros(16000), u["u"])}, index)
+    pipe = fitted(u, pd.DataFrame({"y": rest + noise}, index), samples=16.0)
+    assert pipe["identify"].n_harmonics_ >= 1
+    moving = slice(16000, None)
+    left = pipe.predict(u)["y"].to_numpy()[moving] - rest[moving]
+    assert np.std(left) < 0.02 * np.std(rest[moving])

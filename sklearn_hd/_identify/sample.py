@@ -39,7 +39,8 @@ MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 12  # tried by order="auto"
 ROWS_PER_COLUMN = 5  # of the largest regression tried
-ROWS_COMPARED = 10_000  # of a longer record, from its start, choices are made on
+ROWS_COMPARED = 10_000  # of a longer record, choices are made on
+PLACES = 8  # evenly over it, at which these lie
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 4  # orders that may pass without a better one
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
@@ -80,6 +81,21 @@ class Samples:
 def _longest(data):
     """Rows of the longest segment."""
     return max(len(y) for _, y, _ in data.segments)
+
+
+def _compared_rows(segments):
+    """Segments, and slices of them, that choices are made on: a long record may begin at rest."""
+    ends = np.cumsum([len(y) for _, y, _ in segments])
+    if ends[-1] <= ROWS_COMPARED:
+        return [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(segments)]
+    length = ROWS_COMPARED // PLACES
+    starts = np.linspace(0, ends[-1] - length, PLACES).astype(int)
+    found = []
+    for s, (_, y, _) in enumerate(segments):
+        for start in starts - (ends[s] - len(y)):
+            rows = slice(max(0, start), min(start + length, len(y)))
+            found += [(s, rows)] if rows.stop > rows.start else []
+    return found
 
 
 def asked_block_rows(basis, settings):
@@ -236,7 +252,8 @@ def _layout(data, settings, basis):
             feedthrough,
         )
 
-    sums = LagSums.of(data.segments, layout(most, auto or settings.direct), ROWS_COMPARED)
+    compared = [[z[rows] for z in data.segments[s]] for s, rows in _compared_rows(data.segments)]
+    sums = LagSums.of(compared, layout(most, auto or settings.direct))
     least = lags if settings.block_rows is not None else shortest
     found = {}
     for count in range(most + 1):
@@ -349,17 +366,20 @@ class _States:
         singular_values = np.sqrt(np.maximum(values[::-1], 0.0))
         return cls(parts, singular_values, predictor.covariance, n)
 
-    def rows(self, data, order, most=None):
-        """States, next states, inputs, outputs, innovations and azimuths of each segment.
+    def rows(self, data, order, some=True):
+        """States, next states, inputs, outputs, innovations and azimuths, of some order.
 
-        Of some order, up to a number of rows.
+        Of the rows that choices are made on, or of all.
         """
-        left = sum(len(x) for _, x, _ in self.parts) if most is None else most
-        for (first, x, e), (u, y, psi) in zip(self.parts, data.segments, strict=True):
-            n = min(len(x) - 1, left)
-            if n > 0:
-                rows, left = slice(first, first + n), left - n
-                yield x[:n, :order], x[1 : n + 1, :order], u[rows], y[rows], e[:n], psi[rows]
+        whole = [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(data.segments)]
+        for s, rows in _compared_rows(data.segments) if some else whole:
+            first, x, e = self.parts[s]
+            u, y, psi = data.segments[s]
+            start, stop = max(rows.start, first), min(rows.stop, first + len(x) - 1)
+            if stop > start:
+                rows, own = slice(start, stop), slice(start - first, stop - first)
+                following = x[own.start + 1 : own.stop + 1, :order]
+                yield x[own, :order], following, u[rows], y[rows], e[own], psi[rows]
 
 
 def _positive(covariance):
@@ -375,12 +395,12 @@ class _Choice:
         self.basis, self.layout, self.tried = basis, layout, []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
-        self.sums = self._sums(states.bound, self.most, ROWS_COMPARED)
-        self.simulated = list(_first_rows(data.segments, layout.n_lags))
+        self.sums = self._sums(states.bound, self.most)
+        self.simulated = list(_simulated(data.segments, layout.n_lags))
         self.total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
 
-    def _sums(self, order, count, most=None):
-        rows = self.states.rows(self.data, order, most)
+    def _sums(self, order, count, some=True):
+        rows = self.states.rows(self.data, order, some)
         return StateSums.of(rows, count, self.basis.most_loads)
 
     def best(self):
@@ -408,13 +428,13 @@ class _Choice:
                 f"order, or fewer harmonics"
             )
         order, count = found.order, found.n_harmonics
-        innovations = self._model(self._sums(order, count), order, count)  # of all rows
+        innovations = self._model(self._sums(order, count, some=False), order, count)
         return found, innovations.filtered(self._noise(innovations))
 
     def _noise(self, innovations):
         """Covariance of innovations, and of what is left of next states and of outputs."""
         n, total, n_rows = innovations.n_states, 0.0, 0
-        for x, following, u, y, e, psi in self.states.rows(self.data, n, ROWS_COMPARED):
+        for x, following, u, y, e, psi in self.states.rows(self.data, n):
             form = innovations.rows(psi)
             known = np.hstack([x, u, np.ones((len(u), 1))])[..., None]
             rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
@@ -473,14 +493,12 @@ class _Choice:
         return innovations.rows(psi[rows]).initial_state(u, y, innovations.covariance)
 
 
-def _first_rows(segments, skipped):
+def _simulated(segments, skipped):
     """Rows that choices are made on, those without a whole predictor left out."""
-    left = ROWS_COMPARED
-    for u, y, psi in segments:
-        rows = slice(skipped, skipped + left)
-        if left > skipped and len(y) > 2 * skipped:
-            yield u[rows], y[rows], psi[rows]
-            left -= len(y[rows])
+    for s, rows in _compared_rows(segments):
+        u, y, psi = (z[rows] for z in segments[s])
+        if len(y) > 2 * skipped:
+            yield u[skipped:], y[skipped:], psi[skipped:]
 
 
 def _pieces(segment, rate, least):
