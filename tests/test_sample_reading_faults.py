@@ -173,3 +173,12 @@ def test_a_long_record_may_begin_at_rest():
     moving = slice(16000, None)
     left = pipe.predict(u)["y"].to_numpy()[moving] - rest[moving]
     assert np.std(left) < 0.02 * np.std(rest[moving])
+
+
+def test_one_long_record_among_short_ones_takes_no_lags_that_they_lack():
+    """28 lags left 172 of 3800 rows, for 302 coefficients."""
+    parts = [record(rows=n, seed=seed) for seed, n in enumerate([12] * 300 + [200])]
+    u, y = (pd.concat(dict(enumerate(each)), names=["record"]) for each in zip(*parts, strict=True))
+    pipe = fitted(u, y)
+    assert pipe["identify"].block_rows_ < 12
+    assert pipe.score(*record(noise=0.0, seed=1000)) > 0.999

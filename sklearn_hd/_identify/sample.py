@@ -276,6 +276,11 @@ def _layout(data, settings, basis):
     return replace(layout(count, feedthrough), n_lags=n_lags), reason
 
 
+def _told(data, lags):
+    """Rows with so many before them: short segments have few, or none."""
+    return sum(max(0, len(y) - lags) for _, y, _ in data.segments)
+
+
 def _shortest(data, settings):
     """Fewest lags, which have to tell as many states as asked for."""
     return 2 if settings.order == "auto" else max(2, -(-settings.order // data.n_outputs))
@@ -300,8 +305,10 @@ def _most(data, settings, basis):
     least = asked or shortest
     for count in range(most, -1 if given is None else most - 1, -1):
         per_lag = (data.n_inputs + data.n_outputs) * (2 * count + 1)
-        columns = min(n_rows // ROWS_PER_COLUMN, MOST_COLUMNS) - 2 * basis.most_loads - 1
-        lags = min(MOST_LAGS, max(columns // per_lag, shortest), longest // 3)
+        first = 2 * basis.most_loads + 1
+        lags = min(MOST_LAGS, max((MOST_COLUMNS - first) // per_lag, shortest), longest // 3)
+        while lags > shortest and _told(data, lags) < ROWS_PER_COLUMN * (first + lags * per_lag):
+            lags -= 1
         lags = lags if asked is None else asked
         if lags >= shortest and n_rows >= 2 * lags * per_lag and longest >= 3 * lags:
             return count, lags
