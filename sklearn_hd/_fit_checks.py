@@ -4,6 +4,7 @@ import numpy as np
 
 from sklearn_hd._checks import SMALLEST
 from sklearn_hd._guards import searches
+from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
@@ -23,6 +24,7 @@ __all__ = [
     "warn_of_growth",
     "warn_of_mismatch",
     "warn_of_offset",
+    "warn_of_thinning",
 ]
 
 DUST = 1e-13  # share of a signal's size that is rounding
@@ -234,3 +236,45 @@ def check_motion(facts):
                 "period"
             )
         warn(f"the inputs {idle} are at rest in the {facts.span()}: {effect}", ExcitationWarning)
+
+
+def warn_of_thinning(experiment, taken, moves):
+    """Warn of outputs whose motion is forgotten from one row read to the next.
+
+    Neighbouring samples share it, whatever their noise; so do samples further apart, for as long
+    as it lasts.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the reading of samples.
+    taken : ndarray, shape (2 L + 1, l)
+        Fourier coefficients of the outputs' forced periodic mean.
+    moves : ndarray of bool, shape (l,)
+        Which outputs move about it.
+    """
+    basis, shared, n_rows = experiment.basis, 0.0, 0
+    if basis.hop == 1:
+        return
+    unit = np.nanmax(np.abs(experiment.measured), axis=0)
+    unit[unit == 0.0] = 1.0
+    for piece in experiment.sampling.pieces:
+        y = experiment.measured[piece.rows] - basis.waveform(taken, piece.places)
+        y = np.nan_to_num(y / unit)
+        lags = range(min(len(y), basis.hop + 1))
+        sums = [np.sum(y[lag:] * y[: len(y) - lag], axis=0) for lag in lags]
+        shared = shared + np.array(sums + [0.0 * y[0]] * (basis.hop + 1 - len(sums)))
+        n_rows += len(y)
+    told = moves & (shared[1] > STANDARD_ERRORS * shared[0] / np.sqrt(n_rows))
+    lost = told & (shared[-1] < 0.5 * shared[1])
+    if lost.any():
+        names = [name for name, each in zip(experiment.output_names, lost, strict=True) if each]
+        kept = shared[1:, lost] / shared[1, lost]
+        lasting = int(np.min(np.argmax(kept < 0.5, axis=0)))
+        warn(
+            f"hop={basis.hop}: from one row read to the next, the outputs {names} keep but "
+            f"{max(0.0, np.min(kept[-1])):.2g} of the motion that neighbouring samples share, and "
+            f"what is faster is lost; give HarmonicAnalyzer hop={lasting}, which keeps half, or "
+            f"less",
+            IdentifiabilityWarning,
+        )

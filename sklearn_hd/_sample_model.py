@@ -7,13 +7,11 @@ import numpy as np
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd.algorithms.periodic.behind_samples import behind_samples, samples_of
-from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations, Rows
+from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, PeriodicInnovations, Rows
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
 
 __all__ = ["SampleModel", "SampleSimulator"]
-
-OVERFLOW = 1e150  # squares of anything larger overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +55,9 @@ class SampleModel:
     @property
     def kalman_gain(self):
         """K, or its Fourier coefficients where it varies."""
-        gain = self.innovations.gain
-        return gain[0] if self.time_invariant else gain
+        return self.innovations.gain[: 2 * self.innovations.n_harmonics + 1].squeeze(
+            axis=0 if self.time_invariant else ()
+        )
 
     @property
     def innovations_covariance(self):

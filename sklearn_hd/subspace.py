@@ -96,7 +96,7 @@ class MOESPRegressor(ModelStep):
         Whether A is brought to the nearest stable matrix, each state weighed by how much
         outputs see of it: unstable eigenvalues are mirrored at the unit circle, λ → 1/λ̄, the
         others stay. B, D and K are fitted to that A. With ``reading="sample"`` only stable models
-        are compared.
+        are compared; a ValueError says where none is.
     scale : bool, default=True
         Divide each signal by its root mean square before the projection, so that units do not
         decide what counts as large. With one output nothing changes; with several it weighs

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._fit_checks import check_motion
+from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._sample_model import SampleModel
@@ -39,7 +39,8 @@ MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 20  # tried by order="auto"
 ROWS_PER_COLUMN = 5  # of the largest regression tried
-ROWS_COMPARED = 10_000  # of a longer record, from its start, choices are made on
+ROWS_COMPARED = 10_000  # of a longer record, choices are made on
+PLACES = 8  # evenly over it, at which these lie
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
@@ -83,6 +84,21 @@ def _longest(data):
     return max(len(y) for _, y, _ in data.segments)
 
 
+def _compared_rows(segments):
+    """Segments, and slices of them, that choices are made on: a long record may begin at rest."""
+    ends = np.cumsum([len(y) for _, y, _ in segments])
+    if ends[-1] <= ROWS_COMPARED:
+        return [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(segments)]
+    length = ROWS_COMPARED // PLACES
+    starts = np.linspace(0, ends[-1] - length, PLACES).astype(int)
+    found = []
+    for s, (_, y, _) in enumerate(segments):
+        for start in starts - (ends[s] - len(y)):
+            rows = slice(max(0, start), min(start + length, len(y)))
+            found += [(s, rows)] if rows.stop > rows.start else []
+    return found
+
+
 def asked_block_rows(basis, settings):
     """Lags given, or the most tried."""
     return MOST_LAGS if settings.block_rows is None else int(settings.block_rows)
@@ -108,6 +124,7 @@ def read(experiment, settings):
     taken = means[1] if basis.output_trim is None else basis.output_trim
     still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
     _check_outputs_move(still, facts)
+    warn_of_thinning(experiment, taken, ~still)
     y_scale = np.where(still, 1.0, y_scale)
     segments = [(u / u_scale, np.where(still, 0.0, y / y_scale), psi) for u, y, psi in segments]
     step = basis.omega * basis.sample_time
@@ -236,7 +253,8 @@ def _layout(data, settings, basis):
             feedthrough,
         )
 
-    sums = LagSums.of(data.segments, layout(most, auto or settings.direct), ROWS_COMPARED)
+    compared = [[z[rows] for z in data.segments[s]] for s, rows in _compared_rows(data.segments)]
+    sums = LagSums.of(compared, layout(most, auto or settings.direct))
     least = lags if settings.block_rows is not None else shortest
     found = {}
     for count in range(most + 1):
@@ -259,6 +277,11 @@ def _layout(data, settings, basis):
     return replace(layout(count, feedthrough), n_lags=n_lags), reason
 
 
+def _told(data, lags):
+    """Rows with so many before them: short segments have few, or none."""
+    return sum(max(0, len(y) - lags) for _, y, _ in data.segments)
+
+
 def _shortest(data, settings):
     """Fewest lags, which have to tell as many states as asked for."""
     return 2 if settings.order == "auto" else max(2, -(-settings.order // data.n_outputs))
@@ -273,13 +296,20 @@ def _most(data, settings, basis):
             f"order={settings.order} exceeds the {asked * data.n_outputs} that block_rows={asked} "
             f"with {data.n_outputs} output(s) tell; lower order, or raise block_rows"
         )
+    if asked is None and shortest > MOST_LAGS:
+        raise ValueError(
+            f"order={settings.order} with {data.n_outputs} output(s) takes {shortest} lags, and "
+            f"{MOST_LAGS} are tried at most; lower order, or give block_rows={shortest} or more"
+        )
     given = basis.n_harmonics
     most = min(MOST_HARMONICS if given is None else given, basis.most_harmonics)
     least = asked or shortest
     for count in range(most, -1 if given is None else most - 1, -1):
         per_lag = (data.n_inputs + data.n_outputs) * (2 * count + 1)
-        columns = min(n_rows // ROWS_PER_COLUMN, MOST_COLUMNS) - 2 * basis.most_loads - 1
-        lags = min(MOST_LAGS, max(columns // per_lag, shortest), longest // 3)
+        first = 2 * basis.most_loads + 1
+        lags = min(MOST_LAGS, max((MOST_COLUMNS - first) // per_lag, shortest), longest // 3)
+        while lags > shortest and _told(data, lags) < ROWS_PER_COLUMN * (first + lags * per_lag):
+            lags -= 1
         lags = lags if asked is None else asked
         if lags >= shortest and n_rows >= 2 * lags * per_lag and longest >= 3 * lags:
             return count, lags
@@ -344,17 +374,20 @@ class _States:
         singular_values = np.sqrt(np.maximum(values[::-1], 0.0))
         return cls(parts, singular_values, predictor.covariance, n)
 
-    def rows(self, data, order, most=None):
-        """States, next states, inputs, outputs, innovations and azimuths of each segment.
+    def rows(self, data, order, some=True):
+        """States, next states, inputs, outputs, innovations and azimuths, of some order.
 
-        Of some order, up to a number of rows.
+        Of the rows that choices are made on, or of all.
         """
-        left = sum(len(x) for _, x, _ in self.parts) if most is None else most
-        for (first, x, e), (u, y, psi) in zip(self.parts, data.segments, strict=True):
-            n = min(len(x) - 1, left)
-            if n > 0:
-                rows, left = slice(first, first + n), left - n
-                yield x[:n, :order], x[1 : n + 1, :order], u[rows], y[rows], e[:n], psi[rows]
+        whole = [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(data.segments)]
+        for s, rows in _compared_rows(data.segments) if some else whole:
+            first, x, e = self.parts[s]
+            u, y, psi = data.segments[s]
+            start, stop = max(rows.start, first), min(rows.stop, first + len(x) - 1)
+            if stop > start:
+                rows, own = slice(start, stop), slice(start - first, stop - first)
+                following = x[own.start + 1 : own.stop + 1, :order]
+                yield x[own, :order], following, u[rows], y[rows], e[own], psi[rows]
 
 
 def _positive(covariance):
@@ -370,13 +403,13 @@ class _Choice:
         self.basis, self.layout, self.tried, self.possible = basis, layout, [], []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
-        self.sums = self._sums(states.bound, self.most, ROWS_COMPARED)
-        self.simulated = list(_first_rows(data.segments, layout.n_lags))
+        self.sums = self._sums(states.bound, self.most)
+        self.simulated = list(_simulated(data.segments, layout.n_lags))
         total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
         self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
 
-    def _sums(self, order, count, most=None):
-        rows = self.states.rows(self.data, order, most)
+    def _sums(self, order, count, some=True):
+        rows = self.states.rows(self.data, order, some)
         return StateSums.of(rows, count, self.basis.most_loads)
 
     def best(self):
@@ -406,7 +439,7 @@ class _Choice:
                 f"order, or fewer harmonics"
             )
         order, count = found.order, found.n_harmonics
-        innovations = self._model(self._sums(order, count), order, count)  # of all rows
+        innovations = self._model(self._sums(order, count, some=False), order, count)
         return found, innovations.filtered(self._noise(innovations))
 
     def _kept(self):
@@ -418,7 +451,7 @@ class _Choice:
     def _noise(self, innovations):
         """Covariance of innovations, and of what is left of next states and of outputs."""
         n, total, n_rows = innovations.n_states, 0.0, 0
-        for x, following, u, y, e, psi in self.states.rows(self.data, n, ROWS_COMPARED):
+        for x, following, u, y, e, psi in self.states.rows(self.data, n):
             form = innovations.rows(psi)
             known = np.hstack([x, u, np.ones((len(u), 1))])[..., None]
             rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
@@ -480,14 +513,12 @@ class _Choice:
         return innovations.rows(psi[rows]).initial_state(u, y, innovations.covariance)
 
 
-def _first_rows(segments, skipped):
+def _simulated(segments, skipped):
     """Rows that choices are made on, those without a whole predictor left out."""
-    left = ROWS_COMPARED
-    for u, y, psi in segments:
-        rows = slice(skipped, skipped + left)
-        if left > skipped and len(y) > 2 * skipped:
-            yield u[rows], y[rows], psi[rows]
-            left -= len(y[rows])
+    for s, rows in _compared_rows(segments):
+        u, y, psi = (z[rows] for z in segments[s])
+        if len(y) > 2 * skipped:
+            yield u[skipped:], y[skipped:], psi[skipped:]
 
 
 def _pieces(segment, rate, least):
@@ -516,8 +547,9 @@ def _warn_of_little(layout, n_rows, best, basis):
         warn(
             f"no model explains the outputs better than their loads alone (by Schwarz's "
             f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
-            f"variance about the forced periodic response; do outputs follow inputs, and is omega "
-            f"(or the azimuth) that of the machine?",
+            f"variance about the forced periodic response; do outputs follow inputs, is omega (or "
+            f"the azimuth) that of the machine, and are {n_rows} rows enough for order "
+            f"{best.order} with {best.n_harmonics} harmonic(s)?",
             IdentifiabilityWarning,
         )
 

@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
-__all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
+__all__ = ["OVERFLOW", "PeriodicInnovations", "Rows", "propagate_varying"]
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
 WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
@@ -220,12 +220,12 @@ class PeriodicInnovations:
         return replace(self, gain=gain, covariance=np.mean(spreads, axis=0))
 
     def is_possible(self):
-        """Whether a continuous periodic system may have these multipliers: none or an even number
-        of negative ones, as their product is e^{∫ tr F dt}. True without harmonics."""
+        """Whether a continuous periodic system may have these multipliers: their product is
+        e^{∫ tr F dt}, so that an even number is negative. True without harmonics."""
         if self.n_harmonics == 0:
             return True
-        turned = np.abs(self.multiplier_logarithms().imag)
-        return bool(np.sum(turned > np.pi * (1.0 - EXACT)) % 2 == 0)
+        _, states, _ = self.whole_turn()
+        return bool(np.prod(np.sign(np.linalg.det(states[..., : self.n_states]))) >= 0.0)
 
     def forced_response(self, n_harmonics):
         """Fourier coefficients of the periodic outputs without inputs, (2 n_harmonics + 1, l)."""

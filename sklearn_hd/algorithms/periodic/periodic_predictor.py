@@ -191,17 +191,13 @@ class LagSums:
     n_rows: int
 
     @classmethod
-    def of(cls, segments, layout, most_rows=None):
-        """Sums over the rows of some segments that have p rows before them, up to a number."""
+    def of(cls, segments, layout):
+        """Sums over the rows of some segments that have p rows before them."""
         d, n_outputs = layout.n_columns, layout.n_outputs
         gram, products = np.zeros((d, d)), np.zeros((d, n_outputs))
         squares, n_rows, first = np.zeros((n_outputs, n_outputs)), 0, np.zeros(layout.n_first)
         for u, y, psi in segments:
             for rows in _chunks(layout.n_lags, len(y), d):
-                if most_rows is not None:
-                    rows = rows[: max(0, most_rows - n_rows)]
-                if not len(rows):
-                    break
                 X = layout.design(u, y, psi, rows)
                 gram += X.T @ X
                 products += X.T @ y[rows]

@@ -77,11 +77,6 @@ def test_sums_do_not_depend_on_chunks_or_segments(monkeypatch):
     assert together.n_rows == sum(s.n_rows for s in each) == 397 + 297
 
 
-def test_sums_stop_after_as_many_rows_as_asked_for():
-    apart = [segment(400, seed=1), segment(300, seed=2)]
-    assert LagSums.of(apart, layout(), 450).n_rows == 450
-
-
 def periodic_regression(n_rows, noise, seed=0):
     """y[k] = (0.6 + 0.2 cos ψ) y[k−1] + (1 − 0.5 sin ψ) u[k−2] + 0.3 cos 2ψ + e[k]."""
     rng = np.random.default_rng(seed)
