@@ -55,9 +55,8 @@ class SampleModel:
     @property
     def kalman_gain(self):
         """K, or its Fourier coefficients where it varies."""
-        return self.innovations.gain[: 2 * self.innovations.n_harmonics + 1].squeeze(
-            axis=0 if self.time_invariant else ()
-        )
+        gain = self.innovations.gain[: 2 * self.innovations.n_harmonics + 1]
+        return gain[0] if self.time_invariant else gain
 
     @property
     def innovations_covariance(self):

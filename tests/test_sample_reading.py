@@ -12,7 +12,11 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_rotor
-from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.exceptions import (
+    FrequencyMismatchWarning,
+    IdentifiabilityWarning,
+    InstabilityWarning,
+)
 from sklearn_hd.model_selection import BlockSplit
 
 OMEGA = 2 * np.pi  # a turn is a second
@@ -242,6 +246,18 @@ def test_a_model_of_nothing_says_so():
     y = pd.DataFrame(rng.standard_normal((3000, 1)), time, ["y"])
     with pytest.warns(IdentifiabilityWarning, match="no model explains the outputs"):
         pipeline().fit(u, y)
+
+
+def test_an_omega_that_is_off_is_told():
+    u, y, *_ = machine(5000)
+    told = pytest.warns(FrequencyMismatchWarning, match=r"ask for about omega=6\.283\d*")
+    with told as caught:
+        pipeline(OMEGA * 1.0001).fit(u, y)
+    words = str(caught[0].message)
+    asked = float(words.split("ask for about omega=")[1].split()[0])
+    assert asked / OMEGA == pytest.approx(1.0, abs=4e-5)
+    with pytest.warns(FrequencyMismatchWarning, match="correct omega until nothing is said"):
+        pipeline(OMEGA * 0.999).fit(u, y)
 
 
 def test_a_short_record_says_that_its_model_is_noise():

@@ -12,10 +12,20 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
+from sklearn_hd._identify.sample_checks import (
+    ROWS_PER_COLUMN,
+    check_outputs_move,
+    check_told_from_loads,
+    check_turns,
+    or_hop,
+    root_mean_square,
+    warn_of_drift,
+    warn_of_growth,
+    warn_of_little,
+)
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -29,7 +39,6 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     futures_known,
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
-from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
@@ -38,13 +47,11 @@ MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 20  # tried by order="auto"
-ROWS_PER_COLUMN = 5  # of the largest regression tried
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 PLACES = 8  # evenly over it, at which these lie
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
-NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +76,11 @@ class Samples:
     step: float
 
     @property
+    def longest(self):
+        """Rows of the longest segment."""
+        return max(len(y) for _, y, _ in self.segments)
+
+    @property
     def n_inputs(self):
         """Number of inputs."""
         return len(self.scales[0])
@@ -77,11 +89,6 @@ class Samples:
     def n_outputs(self):
         """Number of outputs."""
         return len(self.scales[1])
-
-
-def _longest(data):
-    """Rows of the longest segment."""
-    return max(len(y) for _, y, _ in data.segments)
 
 
 def _compared_rows(segments):
@@ -107,7 +114,7 @@ def asked_block_rows(basis, settings):
 def read(experiment, settings):
     """The samples of an experiment."""
     basis = experiment.basis
-    _check_turns(experiment)
+    check_turns(experiment)
     facts = Facts.of(experiment, experiment.drive)
     check_motion(facts)
     parts = zip(experiment.drive, experiment.outputs, experiment.phases, strict=True)
@@ -119,68 +126,16 @@ def read(experiment, settings):
         (u - evaluate_harmonics(means[0], psi), y - evaluate_harmonics(means[1], psi), psi)
         for u, y, psi in segments
     ]
-    u_scale, y_scale = (_size(parts) for parts in list(zip(*segments, strict=True))[:2])
-    _check_told_from_loads(u_scale, experiment)
+    u_scale, y_scale = (root_mean_square(parts) for parts in list(zip(*segments, strict=True))[:2])
+    check_told_from_loads(u_scale, experiment)
     taken = means[1] if basis.output_trim is None else basis.output_trim
     still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
-    _check_outputs_move(still, facts)
+    check_outputs_move(still, facts)
     warn_of_thinning(experiment, taken, ~still)
     y_scale = np.where(still, 1.0, y_scale)
     segments = [(u / u_scale, np.where(still, 0.0, y / y_scale), psi) for u, y, psi in segments]
     step = basis.omega * basis.sample_time
     return Samples(segments, means, (u_scale, y_scale), facts, step)
-
-
-def _size(signals):
-    """Root mean square of some signals of all segments."""
-    return np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
-
-
-def _check_turns(experiment):
-    """Raise ValueError if the record is no turn long, where anything may depend on the turn."""
-    basis = experiment.basis
-    turns = sum(len(y) for y in experiment.outputs) / basis.samples_per_period
-    if turns < 1.0 and (basis.most_loads or basis.n_harmonics != 0):
-        raise ValueError(
-            f"the {experiment.span()} are {turns:.3g} of a turn (omega={basis.omega:.4g} rad/s), "
-            f"in which nothing repeats itself; check omega, use a longer record, or give "
-            f"output_harmonics=0 and load_harmonics=0 in HarmonicAnalyzer{_or_hop(basis)}"
-        )
-
-
-def _or_hop(basis):
-    """A smaller hop as a way out, where rows were left out."""
-    return f", or hop below {basis.hop}" if basis.hop > 1 else ""
-
-
-def _check_outputs_move(still, facts):
-    """Raise ValueError if outputs repeat themselves with every turn; warn of those that do."""
-    names = [name for name, rests in zip(facts.output_names, still, strict=True) if rests]
-    if len(names) == len(still):
-        raise ValueError(
-            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: there "
-            f"is no response to inputs to identify; check the columns of y, or use a record in "
-            f"which inputs move them"
-        )
-    if names:
-        warn(
-            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
-            f"input moves them, their model is their loads alone",
-            IdentifiabilityWarning,
-        )
-
-
-def _check_told_from_loads(left, experiment):
-    """Raise ValueError if an input moves with the turn alone: then loads look the same."""
-    whole = _size(experiment.drive)
-    for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
-        if rest <= NOTHING * size:
-            raise ValueError(
-                f"input {name!r} repeats itself with every turn in the {experiment.span()} (all "
-                f"but {rest / size:.2g} of its size), so that its effect cannot be told from "
-                f"periodic loads; use a record in which it changes from turn to turn, drop it, "
-                f"subtract what it rests at, or give load_harmonics below those of the input"
-            )
 
 
 def identify(data, settings, experiment):
@@ -217,8 +172,9 @@ def identify(data, settings, experiment):
         basis.output_labels,
         layout.feedthrough,
     )
-    _warn_of_little(layout, sums.n_rows, best, basis)
-    _warn_of_growth(model, best, data)
+    warn_of_little(layout, sums.n_rows, best, basis)
+    warn_of_drift(data, predictor, basis, ROWS_COMPARED)
+    warn_of_growth(model, best, data)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
     return SubspaceFit(
@@ -289,7 +245,7 @@ def _shortest(data, settings):
 
 def _most(data, settings, basis):
     """Most harmonics and lags that the record allows, of those asked for."""
-    n_rows, longest = sum(len(y) for _, y, _ in data.segments), _longest(data)
+    n_rows, longest = sum(len(y) for _, y, _ in data.segments), data.longest
     asked, shortest = settings.block_rows, _shortest(data, settings)
     if asked is not None and asked < shortest:
         raise ValueError(
@@ -319,7 +275,7 @@ def _most(data, settings, basis):
         f"a predictor of {least} lags with {count} harmonic(s) of "
         f"{data.n_inputs + data.n_outputs} signals: {need} rows in one segment would do"
         f"{data.facts.why_short}; use a longer record, fewer block_rows, a lower order, or a "
-        f"smaller output_harmonics in HarmonicAnalyzer{_or_hop(basis)}"
+        f"smaller output_harmonics in HarmonicAnalyzer{or_hop(basis)}"
     )
 
 
@@ -482,7 +438,7 @@ class _Choice:
 
     def _compared(self, order, count, innovations):
         """What simulations of one model leave."""
-        D, longest = self.layout.feedthrough, _longest(self.data)
+        D, longest = self.layout.feedthrough, self.data.longest
         rate = innovations.growth()
         least = PIECE * self.layout.n_lags  # so long that no initial state explains it
         pieces = [piece for s in self.simulated for piece in _pieces(s, rate, least)]
@@ -530,41 +486,3 @@ def _pieces(segment, rate, least):
     for k in range(n_pieces):
         rows = slice(k * n // n_pieces, (k + 1) * n // n_pieces)
         yield u[rows], y[rows], psi[rows]
-
-
-def _warn_of_little(layout, n_rows, best, basis):
-    """Of a record too short for its predictor, and of a model that explains nothing."""
-    if n_rows < ROWS_PER_COLUMN * layout.n_columns:
-        warn(
-            f"{n_rows} rows tell {layout.n_columns} coefficients of the predictor of each output "
-            f"({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of {layout.n_loads}): "
-            f"with fewer than {ROWS_PER_COLUMN} rows for each the model is largely noise; use a "
-            f"longer record, or fewer of block_rows, output_harmonics, load_harmonics"
-            f"{_or_hop(basis)}",
-            IdentifiabilityWarning,
-        )
-    if best.bic >= 0.0:  # which loads alone have
-        warn(
-            f"no model explains the outputs better than their loads alone (by Schwarz's "
-            f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
-            f"variance about the forced periodic response; do outputs follow inputs, is omega (or "
-            f"the azimuth) that of the machine, and are {n_rows} rows enough for order "
-            f"{best.order} with {best.n_harmonics} harmonic(s)?",
-            IdentifiabilityWarning,
-        )
-
-
-def _warn_of_growth(model, best, data):
-    """Of a model that grows e-fold over the longest segment."""
-    if best.stable:
-        return
-    radius = np.max(np.abs(model.innovations.multipliers()))
-    turns = _longest(data) * data.step / (2.0 * np.pi)
-    folds = turns * np.log(max(radius, 1e-300))
-    warn(
-        f"the model has a Floquet multiplier of size {radius:.4g}, by which it grows "
-        f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment ({turns:.4g} turns): "
-        f"predict overflows or leaves the record where feedback held the machine; use "
-        f"predict_ahead there, stable=True where the machine is stable, or another order",
-        InstabilityWarning,
-    )

@@ -33,6 +33,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 __all__ = [
@@ -41,12 +42,14 @@ __all__ = [
     "Layout",
     "Predictor",
     "StateSums",
+    "azimuth_drift",
     "forced_mean",
     "futures_known",
 ]
 
 CHUNK = 2**21  # numbers held at once of the regressors
 SENSOR_NOISE = 3e-3  # of an output's motion, which lagged outputs are taken to hold at least
+MOVED = 1e-4  # rad, by which azimuths are moved to see what that changes
 RIDGES = np.concatenate([[0.0], 10.0 ** np.arange(-12.0, 0.5, 0.5)])  # of the largest eigenvalue
 
 
@@ -260,7 +263,8 @@ class LagSums:
         crossed = coefficients.T @ self.products
         left = self.squares - crossed - crossed.T + coefficients.T @ self.gram @ coefficients
         loads, D, lags = self.layout.split(coefficients)
-        return Predictor(self.layout, loads, D, lags, left / self.n_rows, float(ridge))
+        covariance = left / self.n_rows
+        return Predictor(self.layout, coefficients, loads, D, lags, covariance, float(ridge))
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,6 +274,8 @@ class Predictor:
     Attributes
     ----------
     layout : Layout
+    coefficients : ndarray, shape (d, l)
+        Of all regressors; the others are parts of it.
     loads : ndarray, shape (2 L + 1, l)
     D : ndarray, shape (q, m, l)
     lags : ndarray, shape (p, q, m + l, l)
@@ -280,11 +286,63 @@ class Predictor:
     """
 
     layout: Layout
+    coefficients: np.ndarray
     loads: np.ndarray
     D: np.ndarray
     lags: np.ndarray
     covariance: np.ndarray
     ridge: float
+
+
+def azimuth_drift(segments, means, predictor):
+    """By how much, relative to itself, the azimuth of some rows seems to run too slowly.
+
+    The score test of δ in ψ + δ (ψ − ψ̄): what the predictor leaves of the outputs, regressed on
+    what that would change of its predictions, to first order.
+
+    Parameters
+    ----------
+    segments : list of (inputs, outputs, psi)
+        About their periodic means, in the units of the predictor.
+    means : (ndarray, ndarray)
+        Fourier coefficients of the means, in the same units.
+    predictor : Predictor
+
+    Returns
+    -------
+    drift : float
+        δ.
+    t : float
+        The same in standard errors.
+    n_rows : int
+
+    References
+    ----------
+    C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
+    Proc. Cambridge Philosophical Society 44 (1948), 50-57 (score test).
+    """
+    layout, middle = predictor.layout, np.mean(np.concatenate([psi for *_, psi in segments]))
+    slope = information = n_rows = 0.0
+    for u, y, psi in segments:
+        for rows in _chunks(layout.n_lags, len(y), layout.n_columns):
+            around = np.arange(rows[0] - layout.n_lags, rows[-1] + 1)
+            own = np.arange(layout.n_lags, len(around))
+            left = []
+            for moved in (0.0, MOVED):
+                at = psi[around] + moved
+                back = [
+                    evaluate_harmonics(m, psi[around]) - evaluate_harmonics(m, at) for m in means
+                ]
+                X = layout.design(u[around] + back[0], y[around] + back[1], at, own)
+                left.append((y[around] + back[1])[own] - X @ predictor.coefficients)
+            change = (left[0] - left[1]) / MOVED * (psi[rows] - middle)[:, None]
+            white = np.maximum(np.diag(predictor.covariance), EXACT)
+            slope += np.sum(change * left[0] / white)
+            information += np.sum(change**2 / white)
+            n_rows += len(rows)
+    if information == 0.0:
+        return 0.0, 0.0, int(n_rows)
+    return slope / information, slope / np.sqrt(information), int(n_rows)
 
 
 def futures_known(segment, predictor, n_future):

@@ -1,0 +1,137 @@
+"""What samples at their azimuths may lack, and what their model may have: errors and warnings."""
+
+import numpy as np
+
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.periodic.periodic_predictor import azimuth_drift
+from sklearn_hd.exceptions import (
+    FrequencyMismatchWarning,
+    IdentifiabilityWarning,
+    InstabilityWarning,
+)
+
+__all__ = [
+    "ROWS_PER_COLUMN",
+    "check_outputs_move",
+    "check_told_from_loads",
+    "check_turns",
+    "or_hop",
+    "root_mean_square",
+    "warn_of_drift",
+    "warn_of_growth",
+    "warn_of_little",
+]
+
+ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
+DRIFTS = 4.0  # standard errors, beyond which omega is off
+NOTABLE = 0.01  # share of the innovations that another omega has to explain
+NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
+
+
+def root_mean_square(signals):
+    """Of some signals of all segments."""
+    return np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
+
+
+def check_turns(experiment):
+    """Raise ValueError if the record is no turn long, where anything may depend on the turn."""
+    basis = experiment.basis
+    turns = sum(len(y) for y in experiment.outputs) / basis.samples_per_period
+    if turns < 1.0 and (basis.most_loads or basis.n_harmonics != 0):
+        raise ValueError(
+            f"the {experiment.span()} are {turns:.3g} of a turn (omega={basis.omega:.4g} rad/s), "
+            f"in which nothing repeats itself; check omega, use a longer record, or give "
+            f"output_harmonics=0 and load_harmonics=0 in HarmonicAnalyzer{or_hop(basis)}"
+        )
+
+
+def or_hop(basis):
+    """A smaller hop as a way out, where rows were left out."""
+    return f", or hop below {basis.hop}" if basis.hop > 1 else ""
+
+
+def check_outputs_move(still, facts):
+    """Raise ValueError if outputs repeat themselves with every turn; warn of those that do."""
+    names = [name for name, rests in zip(facts.output_names, still, strict=True) if rests]
+    if len(names) == len(still):
+        raise ValueError(
+            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: there "
+            f"is no response to inputs to identify; check the columns of y, or use a record in "
+            f"which inputs move them"
+        )
+    if names:
+        warn(
+            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
+            f"input moves them, their model is their loads alone",
+            IdentifiabilityWarning,
+        )
+
+
+def check_told_from_loads(left, experiment):
+    """Raise ValueError if an input moves with the turn alone: then loads look the same."""
+    whole = root_mean_square(experiment.drive)
+    for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
+        if rest <= NOTHING * size:
+            raise ValueError(
+                f"input {name!r} repeats itself with every turn in the {experiment.span()} (all "
+                f"but {rest / size:.2g} of its size), so that its effect cannot be told from "
+                f"periodic loads; use a record in which it changes from turn to turn, drop it, "
+                f"subtract what it rests at, or give load_harmonics below those of the input"
+            )
+
+
+def warn_of_little(layout, n_rows, best, basis):
+    """Of a record too short for its predictor, and of a model that explains nothing."""
+    if n_rows < ROWS_PER_COLUMN * layout.n_columns:
+        warn(
+            f"{n_rows} rows tell {layout.n_columns} coefficients of the predictor of each output "
+            f"({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of {layout.n_loads}): "
+            f"with fewer than {ROWS_PER_COLUMN} rows for each the model is largely noise; use a "
+            f"longer record, or fewer of block_rows, output_harmonics, load_harmonics"
+            f"{or_hop(basis)}",
+            IdentifiabilityWarning,
+        )
+    if best.bic >= 0.0:  # which loads alone have
+        warn(
+            f"no model explains the outputs better than their loads alone (by Schwarz's "
+            f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
+            f"variance about the forced periodic response; do outputs follow inputs, is omega (or "
+            f"the azimuth) that of the machine, and are {n_rows} rows enough for order "
+            f"{best.order} with {best.n_harmonics} harmonic(s)?",
+            IdentifiabilityWarning,
+        )
+
+
+def warn_of_drift(data, predictor, basis, most_rows):
+    """Of an omega that is off, so that the azimuth drifts."""
+    if basis.timing.azimuth is not None:
+        return
+    means = tuple(mean / scale for mean, scale in zip(data.means, data.scales, strict=True))
+    segments = [tuple(z[:most_rows] for z in segment) for segment in data.segments]
+    drift, t, n_rows = azimuth_drift(segments, means, predictor)
+    if abs(t) > DRIFTS and t**2 > NOTABLE * n_rows:
+        turns = data.longest * data.step / (2.0 * np.pi)
+        warn(
+            f"omega={basis.omega:.9g} does not fit: predictions one sample ahead ask for about "
+            f"omega={basis.omega * (1.0 + drift):.9g} ({abs(t):.2g} standard errors away, which "
+            f"explains {t**2 / n_rows:.0%} of what they leave), and over the {turns:.4g} turns of "
+            f"the longest segment the azimuth drifts by {abs(drift) * turns:.2g} turns or more; "
+            f"correct omega until nothing is said, or give azimuth=",
+            FrequencyMismatchWarning,
+        )
+
+
+def warn_of_growth(model, best, data):
+    """Of a model that grows e-fold over the longest segment."""
+    if best.stable:
+        return
+    radius = np.max(np.abs(model.innovations.multipliers()))
+    turns = data.longest * data.step / (2.0 * np.pi)
+    folds = turns * np.log(max(radius, 1e-300))
+    warn(
+        f"the model has a Floquet multiplier of size {radius:.4g}, by which it grows "
+        f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment ({turns:.4g} turns): "
+        f"predict overflows or leaves the record where feedback held the machine; use "
+        f"predict_ahead there, stable=True where the machine is stable, or another order",
+        InstabilityWarning,
+    )
