@@ -6,6 +6,7 @@ from sklearn_hd._checks import SMALLEST
 from sklearn_hd._guards import searches
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
@@ -19,7 +20,9 @@ __all__ = [
     "DUST",
     "check_motion",
     "growth_rate",
+    "lasting_hop",
     "longest_span",
+    "motion_kept",
     "warn_of_growing_data",
     "warn_of_growth",
     "warn_of_mismatch",
@@ -28,6 +31,7 @@ __all__ = [
 ]
 
 DUST = 1e-13  # share of a signal's size that is rounding
+HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 DEVIATIONS = 4.0  # standard errors within which a mean is zero
@@ -238,43 +242,59 @@ def check_motion(facts):
         warn(f"the inputs {idle} are at rest in the {facts.span()}: {effect}", ExcitationWarning)
 
 
-def warn_of_thinning(experiment, taken, moves):
-    """Warn of outputs whose motion is forgotten from one row read to the next.
+def motion_kept(measured, sampling, basis, taken):
+    """What samples share with those before them, in parts of what neighbours do.
 
-    Neighbouring samples share it, whatever their noise; so do samples further apart, for as long
-    as it lasts.
+    Neighbouring samples share motion, whatever their noise; so do samples further apart, for as
+    long as it lasts.
 
     Parameters
     ----------
-    experiment : Experiment
-        Of the reading of samples.
+    measured : ndarray, shape (n_rows, l)
+        Outputs as given.
+    sampling : Sampling
+    basis : SampleBasis
     taken : ndarray, shape (2 L + 1, l)
         Fourier coefficients of the outputs' forced periodic mean.
-    moves : ndarray of bool, shape (l,)
-        Which outputs move about it.
+
+    Returns
+    -------
+    kept : ndarray, shape (hop, l)
+        1, 2, … hop samples apart; 1 of outputs that are noise alone.
     """
-    basis, shared, n_rows = experiment.basis, 0.0, 0
-    if basis.hop == 1:
-        return
-    unit = np.nanmax(np.abs(experiment.measured), axis=0)
+    shared, n_rows = 0.0, 0
+    unit = np.nanmax(np.abs(measured), axis=0)
     unit[unit == 0.0] = 1.0
-    for piece in experiment.sampling.pieces:
-        y = experiment.measured[piece.rows] - basis.waveform(taken, piece.places)
-        y = np.nan_to_num(y / unit)
+    for piece in sampling.pieces:
+        y = np.nan_to_num((measured[piece.rows] - basis.waveform(taken, piece.places)) / unit)
         lags = range(min(len(y), basis.hop + 1))
         sums = [np.sum(y[lag:] * y[: len(y) - lag], axis=0) for lag in lags]
         shared = shared + np.array(sums + [0.0 * y[0]] * (basis.hop + 1 - len(sums)))
         n_rows += len(y)
-    told = moves & (shared[1] > STANDARD_ERRORS * shared[0] / np.sqrt(n_rows))
-    lost = told & (shared[-1] < 0.5 * shared[1])
+    still = np.sqrt(shared[0] / n_rows) * unit <= HALF * np.max(np.abs(taken), axis=0)
+    told = ~still & (shared[1] > STANDARD_ERRORS * shared[0] / np.sqrt(n_rows))
+    return np.where(told, shared[1:] / np.where(told, shared[1], 1.0), 1.0)
+
+
+def lasting_hop(kept):
+    """The most samples apart at which every output keeps half of its motion."""
+    less = kept < HALF_KEPT
+    return int(np.min(np.where(less.any(axis=0), np.argmax(less, axis=0), len(kept))))
+
+
+def warn_of_thinning(experiment, taken):
+    """Warn of outputs whose motion is forgotten from one row read to the next."""
+    basis = experiment.basis
+    if basis.hop == 1:
+        return
+    kept = motion_kept(experiment.measured, experiment.sampling, basis, taken)
+    lost = kept[-1] < HALF_KEPT
     if lost.any():
         names = [name for name, each in zip(experiment.output_names, lost, strict=True) if each]
-        kept = shared[1:, lost] / shared[1, lost]
-        lasting = int(np.min(np.argmax(kept < 0.5, axis=0)))
         warn(
             f"hop={basis.hop}: from one row read to the next, the outputs {names} keep but "
             f"{max(0.0, np.min(kept[-1])):.2g} of the motion that neighbouring samples share, and "
-            f"what is faster is lost; give HarmonicAnalyzer hop={lasting}, which keeps half, or "
-            f"less",
+            f"what is faster is lost; give HarmonicAnalyzer hop={lasting_hop(kept)}, which keeps "
+            f"half, or less",
             IdentifiabilityWarning,
         )

@@ -22,6 +22,7 @@ from sklearn_hd._checks import (
     check_span,
     whole_period,
 )
+from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import within_range
 from sklearn_hd._readings import READINGS, Timing, coefficient_names
@@ -93,7 +94,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Samples from one row read by the model steps to the next. With ``reading="sliding"`` a
         divisor of the samples in a period; None reads at least eight rows a period, and
         three more than twice the highest harmonic. With ``reading="sample"`` any number; None
-        keeps 24 rows a turn or more (``basis_.hop`` says it), inputs averaged in between.
+        keeps 24 rows a turn, and more where the outputs forget half of their motion from row to
+        row (``basis_.hop`` says it). Inputs are averaged in between.
     trim_span : (float, float) or None, default=None
         Index times, in seconds within each record (dates: since
         ``time_origin``), between which the machine is in periodic trim. The
@@ -274,6 +276,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
         basis = self._basis(inputs, output_names, timing)
+        if self.reading == "sample" and self.hop is None and outputs is not None:
+            basis = _without_loss(basis, inputs, outputs)
         self.basis_ = self._with_trim(basis, inputs, outputs)
         if basis.timing.resampled:
             warn_of_resampling(self.basis_, inputs, outputs)
@@ -589,6 +593,25 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         check_is_fitted(self)
         names = [*self.basis_.measured, *self.basis_.coefficient_labels]
         return np.asarray(names, dtype=object)
+
+
+def _without_loss(basis, inputs, outputs):
+    """A basis of samples so little thinned that outputs keep half of what neighbours share."""
+    if basis.hop == 1:
+        return basis
+    sampling, _, values = sample(inputs, basis, outputs)
+    times = [piece.grid for piece in sampling.pieces]
+    taken = basis.mean_waveforms(list(zip(values, times, strict=True)))
+    if taken is None:
+        return basis
+    hop = lasting_hop(motion_kept(outputs, sampling, basis, taken))
+    more = basis.hop / hop
+    return replace(
+        basis,
+        hop=hop,
+        sample_time=basis.sample_time / more,
+        samples_per_period=basis.samples_per_period * more,
+    )
 
 
 def _check_raw(X):

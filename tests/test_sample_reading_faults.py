@@ -100,7 +100,7 @@ def test_few_rows_by_thinning_name_the_hop():
     u, y = record(samples=1000.0)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        fitted(u, y, samples=1000.0)
+        fitted(u, y, samples=1000.0, hop=41)
     assert any("hop below 41" in str(each.message) for each in told)
 
 
@@ -109,9 +109,11 @@ def test_motion_that_thinning_loses_is_named(noise):
     """A response of 20 samples, read at every eighth, left 0.2 unexplained without a word."""
     u, y = record(samples=200.0, rows=6000, noise=noise)
     with pytest.warns(IdentifiabilityWarning, match=r"hop=8: .* \['y'\] keep but") as told:
-        fitted(u, y, samples=200.0)
+        fitted(u, y, samples=200.0, hop=8)
     hop = int(re.search(r"HarmonicAnalyzer hop=(\d+)", str(told[0].message))[1])
     assert 2 <= hop <= 4
+    chosen = fitted(u, y, samples=200.0)  # which asks the outputs
+    assert chosen["harmonics"].basis_.hop == hop
     if noise < 1.0:
         assert fitted(u, y, samples=200.0, hop=1).score(u, y) > 0.99
 

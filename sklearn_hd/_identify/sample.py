@@ -131,7 +131,7 @@ def read(experiment, settings):
     taken = means[1] if basis.output_trim is None else basis.output_trim
     still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
     check_outputs_move(still, facts)
-    warn_of_thinning(experiment, taken, ~still)
+    warn_of_thinning(experiment, taken)
     y_scale = np.where(still, 1.0, y_scale)
     segments = [(u / u_scale, np.where(still, 0.0, y / y_scale), psi) for u, y, psi in segments]
     step = basis.omega * basis.sample_time
