@@ -11,6 +11,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.plotting import ResidualDisplay
 
 A = np.array([[0.7, 0.5, 0.0], [-0.5, 0.7, 0.0], [0.0, 0.0, 0.6]])
@@ -126,11 +127,21 @@ def test_lags_and_level():
 def test_models_of_samples_at_their_azimuths():
     u, y = service_record()
     assert failed(table(sampled(), u, y)) == set()
-    few = in_service(output_harmonics=0).fit(u, y)
+    with pytest.warns(IdentifiabilityWarning, match=r"predictions leave [\d.]+ times the variance"):
+        few = in_service(output_harmonics=0).fit(u, y)
     assert {"autocorrelation", "inputs"} <= failed(table(few, u, y))
-    with pytest.warns(Warning, match="no model explains"):
+    with pytest.warns(IdentifiabilityWarning):
         few = in_service(1, load_harmonics=0).fit(u, y)
     assert "loads" in failed(table(few, u, y))
+
+
+def test_a_fit_of_samples_warns_of_states_that_are_missing():
+    u, y = service_record()
+    with pytest.warns(IdentifiabilityWarning, match=r"predictions leave [\d.]+ times the variance"):
+        in_service(1).fit(u, y)
+    in_service(2).fit(u, y)  # warnings are errors here
+    exact = pd.DataFrame({"y": np.convolve(u["u1"], 0.5 ** np.arange(60))[:3000]}, u.index)
+    in_service(1).fit(u, exact)
 
 
 def test_matched_periodic_models_by_their_simulations():
@@ -193,7 +204,7 @@ def test_display_of_plain_data_has_two_panels_and_the_correlations_of_the_defini
 
 def test_display_by_azimuth_shows_loads_left_out():
     u, y = service_record()
-    with pytest.warns(Warning, match="no model explains"):
+    with pytest.warns(IdentifiabilityWarning):
         pipe = in_service(1, load_harmonics=0).fit(u, y)
     display = ResidualDisplay.from_estimator(pipe, u, y)
     assert "not noise" in display.axes_[2].get_title("left")

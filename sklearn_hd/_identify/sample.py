@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._fit_checks import check_motion
+from sklearn_hd._guards import searches
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._sample_model import SampleModel
@@ -152,6 +153,7 @@ def identify(data, settings, experiment):
     states = _States.of(data, predictor, settings)
     choice = _Choice(data, states, settings, basis, layout)
     best, innovations = choice.best()
+    _warn_of_rest(choice, innovations, predictor)
     innovations = innovations.in_units(*data.scales).about(*data.means)
     model = SampleModel(
         innovations,
@@ -464,6 +466,38 @@ def _warn_of_little(layout, n_rows, best):
             f"no model explains the outputs: the simulation of the best one leaves "
             f"{best.variance:.3g} of their variance about the forced periodic response; do outputs "
             f"follow inputs, and is omega (or the azimuth) that of the machine?",
+            IdentifiabilityWarning,
+        )
+
+
+def _warn_of_rest(choice, innovations, predictor):
+    """Of predictions that leave so much more than the predictor they come from that it counts.
+
+    The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
+    same where states, order or harmonics have lost what it knew.
+    """
+    if any(frame.f_code.co_name == "_fit_and_score" for frame in searches()):
+        return
+    layout, n = predictor.layout, innovations.n_states
+    m, n_outputs = choice.data.n_inputs, choice.data.n_outputs
+    left, first = [], slice(0, 4 * layout.n_lags)
+    for u, y, psi in choice.simulated:
+        rows = innovations.rows(psi)
+        x0 = rows.initial_state(u[first], y[first], innovations.covariance)
+        left.append(rows.innovations(u, y, x0)[1])
+    n_rows = sum(map(len, left))
+    covariance = sum(e.T @ e for e in left) / n_rows
+    floor = SENSOR_NOISE**2 * np.eye(n_outputs)
+    own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))
+    more = own - its
+    spent = (n * (2 * n_outputs + m) + layout.feedthrough * n_outputs * m) * layout.n_functions
+    saved = n_outputs * (layout.n_columns - 2 * layout.n_loads - 1) - spent
+    if n_rows * more > saved * np.log(n_rows):
+        warn(
+            f"what the model leaves is not noise: its one-step predictions leave "
+            f"{np.exp(more / n_outputs):.3g} times the variance that the predictor it was made "
+            f"from leaves ({layout.n_lags} lags); states are missing, or badly told: raise order= "
+            f"or use another, fewer harmonics or block_rows, and see residual_tests",
             IdentifiabilityWarning,
         )
 
