@@ -35,6 +35,7 @@ LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 LEVEL = 0.001
+OVERFLOW = 1e150  # squares of anything larger overflow
 PRECISION = 1e-9  # of an output's size: less is rounding
 
 
@@ -157,18 +158,19 @@ def _segment(at, outputs, psi, first):
     """Residuals of one segment from the initial state that leaves the least."""
     at = at.first(len(outputs))
     rows, inputs = at.rows, at.inputs
-    x0 = rows.initial_state(inputs, outputs, np.diag(np.mean(outputs**2, axis=0)))
-    x, e = rows.innovations(inputs, outputs, x0)
-    if not np.isfinite(e).all():
+    start = rows.started()
+    if not np.max(np.abs(start), initial=0.0) < OVERFLOW:
         raise UnstableModelError(
             "the simulation overflows and leaves no residuals to test: the model is unstable; fit "
             "MOESPRegressor(disturbance_model=True), whose predictions are tested, or give a "
             "shorter record"
         )
+    x0 = rows.initial_state(inputs, outputs, np.diag(np.mean(outputs**2, axis=0)))
+    x, e = rows.innovations(inputs, outputs, x0)
     functions = harmonic_functions(psi, range(at.n_harmonics + 1))
     loads = harmonic_functions(psi, range(at.n_loads + 1)) if at.n_loads >= 0 else functions[:, :0]
     fitted = sensitivities(rows, inputs, x, e, functions, loads, feedthrough=at.feedthrough)
-    parts = e, outputs - e, inputs, psi, fitted, rows.started()
+    parts = e, outputs - e, inputs, psi, fitted, start
     return Segment(*(values[first:] for values in parts))
 
 

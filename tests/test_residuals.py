@@ -11,7 +11,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 from sklearn_hd.plotting import ResidualDisplay
 
 A = np.array([[0.7, 0.5, 0.0], [-0.5, 0.7, 0.0], [0.0, 0.0, 0.6]])
@@ -176,6 +176,11 @@ def test_refusals():
         model.residual_tests(u, y, level=2)
     with pytest.raises(ValueError, match=r"12 rows of 1 output.*leave no residuals to test"):
         model.residual_tests(u[:12], y[:12])
+    u, y = innovations(4, n=1500)
+    grown = MOESPRegressor(3).fit(u, y)
+    grown.model_ = replace(grown.model_, A=2.0 * grown.model_.A)
+    with pytest.raises(UnstableModelError, match="leaves no residuals to test"):
+        grown.residual_tests(u, y)
     data = wing()
     pipe = sliding()[:2]
     with pytest.raises(ValueError, match=r"whole windows or periods \(reading='sliding'"):

@@ -486,6 +486,8 @@ def _warn_of_rest(choice, innovations, predictor):
         x0 = rows.initial_state(u[first], y[first], innovations.covariance)
         left.append(rows.innovations(u, y, x0)[1])
     n_rows = sum(map(len, left))
+    if not all(np.isfinite(e).all() for e in left):
+        return  # an InstabilityWarning says so
     covariance = sum(e.T @ e for e in left) / n_rows
     floor = SENSOR_NOISE**2 * np.eye(n_outputs)
     own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))

@@ -325,17 +325,22 @@ class Rows:
         return _fitted((free / size[:, None]).reshape(-1, n), (left / size).ravel())
 
     def innovations(self, inputs, outputs, x0):
-        """States of the predictor and what it leaves, shapes (n_samples, n), (n_samples, l)."""
+        """States of the predictor and what it leaves, shapes (n_samples, n), (n_samples, l).
+
+        Not finite where it overflows.
+        """
         u = _with_one(inputs)
         stable, forcing = self._predictor(u, outputs)
         x = propagate_varying(stable, forcing[..., None], np.asarray(x0)[:, None])[..., 0]
-        return x, outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x, u]))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return x, outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x, u]))
 
     def started(self):
         """Predictions of each unit initial state, shape (n_samples, l, n)."""
         n = self.n_states
         stable = self.states[..., :n] - self.gain @ self.outputs[..., :n]
-        return self.outputs[..., :n] @ propagate_varying(stable, None, np.eye(n))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.outputs[..., :n] @ propagate_varying(stable, None, np.eye(n))
 
     def _predictor(self, u, outputs):
         """A − K C, and what inputs and outputs push x by."""
