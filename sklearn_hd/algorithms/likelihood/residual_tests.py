@@ -81,7 +81,7 @@ def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthro
 def of_each_output(regressors, n_outputs):
     """Regressors for each output by itself, (n_samples, n_outputs, n_outputs * n_regressors)."""
     stacked = np.einsum("tj,ik->tikj", regressors, np.eye(n_outputs))
-    return stacked.reshape(len(regressors), n_outputs, -1)
+    return stacked.reshape(len(regressors), n_outputs, n_outputs * regressors.shape[1])
 
 
 def span_of(columns):

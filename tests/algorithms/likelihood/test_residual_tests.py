@@ -104,6 +104,16 @@ def test_sensitivities_span_what_small_changes_of_coefficients_do(gain):
     assert n_free - n_gauge - 10 < span.shape[1] < n_free
 
 
+def test_a_static_gain_is_sensitive_to_itself_alone():
+    model = PeriodicInnovations(np.ones((1, 1, 2)), np.zeros((1, 0, 1)), np.eye(1), 1.0)
+    u, y = np.random.default_rng(10).standard_normal((2, 50, 1))
+    rows, one = model.rows(np.zeros(50)), np.ones((50, 1))
+    x, e = rows.innovations(u, y, np.zeros(0))
+    assert np.allclose(e, y - u - 1.0)
+    S = sensitivities(rows, u, x, e, one, one[:, :0], feedthrough=True)
+    assert np.allclose(S[:, 0], u)
+
+
 def test_what_is_not_free_is_not_in_the_span():
     rng = np.random.default_rng(9)
     model = PeriodicInnovations(
