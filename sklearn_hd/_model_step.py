@@ -16,7 +16,7 @@ from sklearn_hd._checks import (
 from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import extremes, one_blas_thread, within_range
-from sklearn_hd._readings import first_difference
+from sklearn_hd._readings import first_difference, highest_harmonic
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
     as_frame,
@@ -27,7 +27,8 @@ from sklearn_hd._records.data import (
 )
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states
-from sklearn_hd._sample_model import SampleModel, SampleSimulator
+from sklearn_hd._residuals import ResidualTests
+from sklearn_hd._sample_model import AtSamples, SampleModel, SampleSimulator
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
@@ -104,6 +105,20 @@ class SegmentSimulator:
         model = self.model
         return InnovationForm(model.A, model.B, model.C, model.D, model.kalman_gain)
 
+    def at_samples(self):
+        """The model at the samples, whose outputs are what is measured."""
+        if self.rows is not None:
+            raise ValueError(
+                f"this model is one of whole windows or periods (reading="
+                f"{self.basis.reading!r}), whose residuals noise correlates, too; test those of "
+                f"the model brought to samples: SpuriousModeReducer or StructuredMatcher behind it"
+            )
+        R = self.basis.recomposition(self.basis.azimuth(self.time))
+        kept = highest_harmonic(self.basis.outputs) if self.basis.harmonic else 0
+        model = self.model
+        matrices = self.A, self.B, R @ model.C, R @ model.D, model.kalman_gain
+        return AtSamples.of(*matrices, self.drive, kept)
+
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
         time = self.time[:n_samples]
@@ -148,7 +163,7 @@ def sample_simulators(model, experiment):
     return [SampleSimulator(model, experiment.basis, *part) for part in parts]
 
 
-class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
+class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):

@@ -11,7 +11,46 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, Period
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
 
-__all__ = ["SampleModel", "SampleSimulator"]
+__all__ = ["AtSamples", "SampleModel", "SampleSimulator"]
+
+
+@dataclass(frozen=True, eq=False)
+class AtSamples:
+    """A model at the samples of one segment, and what of it was fitted.
+
+    Attributes
+    ----------
+    rows : Rows
+    inputs : ndarray, shape (n_samples, m)
+    feedthrough, predicts : bool
+        Whether it has D, and a Kalman gain.
+    n_harmonics : int
+        Of its matrices.
+    n_loads : int
+        Of its forced response; −1 where there is none, not even a mean.
+    """
+
+    rows: Rows
+    inputs: np.ndarray
+    feedthrough: bool
+    predicts: bool
+    n_harmonics: int
+    n_loads: int = -1
+
+    @classmethod
+    def of(cls, A, B, C, D, K, inputs, n_harmonics):
+        """Of matrices, one a sample or constant, without loads."""
+        shape, n = (len(inputs), A.shape[-1]), A.shape[-1]
+        n_outputs, width = C.shape[-2], n + B.shape[-1] + 1
+        states, outputs = np.zeros((*shape, width)), np.zeros((len(inputs), n_outputs, width))
+        states[..., :n], states[..., n:-1] = A, B
+        outputs[..., :n], outputs[..., n:-1] = C, D
+        gain = np.broadcast_to(0.0 if K is None else K, (*shape, n_outputs))
+        return cls(Rows(states, outputs, gain), inputs, np.any(D), K is not None, n_harmonics)
+
+    def first(self, n_samples):
+        """The first samples."""
+        return replace(self, rows=self.rows.first(n_samples), inputs=self.inputs[:n_samples])
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +202,16 @@ class SampleSimulator:
         """The same: outputs of the model are what is measured."""
         return Y
 
+    def at_samples(self):
+        """The model at its samples, and what of it was fitted."""
+        model, innovations = self.model, self.model.innovations
+        counts = innovations.n_harmonics, self.basis.most_loads
+        return AtSamples(
+            self.form, self.drive, model.feedthrough, bool(innovations.gain.any()), *counts
+        )
+
     def _first(self, n_samples):
-        form = self.form
-        return Rows(form.states[:n_samples], form.outputs[:n_samples], form.gain[:n_samples])
+        return self.form.first(n_samples)
 
     def _checked(self, Y):
         if not np.max(np.abs(Y), initial=0.0) < OVERFLOW:

@@ -166,8 +166,9 @@ class MOESPRegressor(ModelStep):
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
         If an output rests at a value other than zero, records begin with inputs that do and
-        outputs that rest at zero, or with ``weighting="pbsid"`` there is a feedthrough, or a
-        feedback within the row, and D is zero.
+        outputs that rest at zero, with ``weighting="pbsid"`` there is a feedthrough, or a
+        feedback within the row, and D is zero, or with ``reading="sample"`` the record is short,
+        nothing is explained, or what predictions leave is not noise.
     FrequencyMismatchWarning
         If the data repeat themselves at another frequency than ``omega``; it
         says at which.

@@ -26,6 +26,7 @@ from sklearn_hd.plotting import (
     OrderSelectionDisplay,
     ParticipationDisplay,
     PeriodicMatrixDisplay,
+    ResidualDisplay,
     ResponseDisplay,
     SingularValueDisplay,
     StabilizationDisplay,
@@ -196,6 +197,12 @@ def response_with_loads(ax=None):
     )
 
 
+def residuals(ax=None):
+    return ResidualDisplay.from_estimator(
+        periodic(), *periodic_record(), units={"y": "m", "v": "m/s"}, ax=ax
+    )
+
+
 def azimuth(ax=None):
     return AzimuthDisplay.from_estimator(sampled(), units={"u1": "N", "y": "m"}, ax=ax)
 
@@ -243,6 +250,7 @@ DISPLAYS = {  # how to make it, panels
     "stabilization": (stabilization, 2),
     "response": (response, 3),
     "response_with_loads": (response_with_loads, 3),
+    "residuals": (residuals, 6),
     "azimuth": (azimuth, 4),
     "bode": (bode, 6),
     "harmonic_transfer": (harmonic_transfer, 6),

@@ -22,6 +22,7 @@ from sklearn_hd._identify.sample_checks import (
     warn_of_drift,
     warn_of_growth,
     warn_of_little,
+    warn_of_rest,
 )
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
@@ -163,6 +164,7 @@ def identify(data, settings, experiment):
     states = _States.of(data, predictor, settings)
     choice = _Choice(data, states, settings, basis, layout)
     best, innovations = choice.best()
+    warn_of_rest(choice.simulated, innovations, predictor)
     innovations = innovations.in_units(*data.scales).about(*data.means).about_orbit()
     model = SampleModel(
         innovations,

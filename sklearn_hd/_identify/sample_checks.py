@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from sklearn_hd._guards import searches
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.periodic_predictor import azimuth_drift
+from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE, azimuth_drift
 from sklearn_hd.exceptions import (
     FrequencyMismatchWarning,
     IdentifiabilityWarning,
@@ -20,6 +21,7 @@ __all__ = [
     "warn_of_drift",
     "warn_of_growth",
     "warn_of_little",
+    "warn_of_rest",
 ]
 
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
@@ -118,6 +120,42 @@ def warn_of_drift(data, predictor, basis, most_rows):
             f"the longest segment the azimuth drifts by {abs(drift) * turns:.2g} turns or more; "
             f"correct omega until nothing is said, or give azimuth=",
             FrequencyMismatchWarning,
+        )
+
+
+def warn_of_rest(segments, innovations, predictor):
+    """Of predictions that leave so much more than the predictor they come from that it counts.
+
+    The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
+    same where states, order or harmonics have lost what it knew.
+    """
+    if any(frame.f_code.co_name == "_fit_and_score" for frame in searches()):
+        return
+    layout, n = predictor.layout, innovations.n_states
+    if sum(len(y) for _, y, _ in segments) < ROWS_PER_COLUMN * layout.n_columns:
+        return  # the predictor itself is noise
+    m, n_outputs = layout.n_inputs, layout.n_outputs
+    left, first = [], slice(0, 4 * layout.n_lags)
+    for u, y, psi in segments:
+        rows = innovations.rows(psi)
+        x0 = rows.initial_state(u[first], y[first], innovations.covariance)
+        left.append(rows.innovations(u, y, x0)[1])
+    n_rows = sum(map(len, left))
+    if not all(np.isfinite(e).all() for e in left):
+        return  # an InstabilityWarning says so
+    covariance = sum(e.T @ e for e in left) / n_rows
+    floor = SENSOR_NOISE**2 * np.eye(n_outputs)
+    own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))
+    more = own - its
+    spent = (n * (2 * n_outputs + m) + layout.feedthrough * n_outputs * m) * layout.n_functions
+    saved = n_outputs * (layout.n_columns - 2 * layout.n_loads - 1) - spent
+    if more > 0.0 and n_rows * more > saved * np.log(n_rows):
+        warn(
+            f"what the model leaves is not noise: its one-step predictions leave "
+            f"{np.exp(more / n_outputs):.3g} times the variance that the predictor it was made "
+            f"from leaves ({layout.n_lags} lags); states are missing, or badly told: raise order= "
+            f"or use another, fewer harmonics or block_rows, and see residual_tests",
+            IdentifiabilityWarning,
         )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_hd._checks import check_frequencies
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._readings import highest_harmonic
-from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._sample_model import AtSamples, SampleModel
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import MatchResult
@@ -193,6 +193,13 @@ class PeriodicSimulator:
         n = self.model.n_states
         states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
         return np.einsum("tla,kta->ktl", self._at(self.response.Out, n_samples)[..., :n], states)
+
+    def at_samples(self):
+        """The model at its samples."""
+        n, count = self.model.n_states, len(self.model.coefficients) // 2
+        step, seen = (self._at(M, None) for M in (self.response.Psi, self.response.Out))
+        matrices = step[..., :n], step[..., n:], seen[..., :n], seen[..., n:], None
+        return AtSamples.of(*matrices, self.inputs, count)
 
     def _at(self, matrices, n_samples):
         return matrices[self.phase[:n_samples] % len(matrices)]

@@ -18,6 +18,7 @@ from sklearn_hd.plotting._identification import (
     SingularValueDisplay,
 )
 from sklearn_hd.plotting._periodic import ParticipationDisplay, PeriodicMatrixDisplay
+from sklearn_hd.plotting._residuals import ResidualDisplay
 from sklearn_hd.plotting._response import ResponseDisplay
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "OrderSelectionDisplay",
     "ParticipationDisplay",
     "PeriodicMatrixDisplay",
+    "ResidualDisplay",
     "ResponseDisplay",
     "SingularValueDisplay",
     "StabilizationDisplay",

@@ -299,6 +299,10 @@ class Rows:
     def n_states(self):
         return self.states.shape[1]
 
+    def first(self, n_samples):
+        """The first samples; all where None."""
+        return Rows(self.states[:n_samples], self.outputs[:n_samples], self.gain[:n_samples])
+
     def simulated(self, inputs, x0):
         """Outputs from an initial state, shape (n_samples, l); not finite where they overflow."""
         n, u = self.n_states, _with_one(inputs)
@@ -356,7 +360,7 @@ class Rows:
     def initial_state(self, inputs, outputs, covariance):
         """The state that leaves the least innovations over some first rows."""
         n, u = self.n_states, _with_one(inputs)
-        first = Rows(self.states[: len(u)], self.outputs[: len(u)], self.gain[: len(u)])
+        first = self.first(len(u))
         stable, forcing = first._predictor(u, outputs)
         both = np.concatenate([forcing[..., None], np.zeros((*forcing.shape, n))], axis=-1)
         x = propagate_varying(stable, both, np.hstack([np.zeros((n, 1)), np.eye(n)]))
@@ -364,6 +368,24 @@ class Rows:
         free = first.outputs[..., :n] @ x[..., 1:]
         size = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
         return _fitted((free / size[:, None]).reshape(-1, n), (left / size).ravel())
+
+    def innovations(self, inputs, outputs, x0):
+        """States of the predictor and what it leaves, shapes (n_samples, n), (n_samples, l).
+
+        Not finite where it overflows.
+        """
+        u = _with_one(inputs)
+        stable, forcing = self._predictor(u, outputs)
+        x = propagate_varying(stable, forcing[..., None], np.asarray(x0)[:, None])[..., 0]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return x, outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x, u]))
+
+    def started(self):
+        """Predictions of each unit initial state, shape (n_samples, l, n)."""
+        n = self.n_states
+        stable = self.states[..., :n] - self.gain @ self.outputs[..., :n]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.outputs[..., :n] @ propagate_varying(stable, None, np.eye(n))
 
     def _predictor(self, u, outputs):
         """A − K C, and what inputs and outputs push x by."""
@@ -413,12 +435,14 @@ def propagate_varying(A, forcing, start):
     length = max(1, int(np.sqrt(n_samples)))
     n_pieces = -(-n_samples // length)
     spare = n_pieces * length - n_samples
-    A = np.concatenate([A, np.broadcast_to(np.eye(n), (spare, n, n))]).reshape(-1, length, n, n)
+    A = np.concatenate([A, np.broadcast_to(np.eye(n), (spare, n, n))])
+    A = A.reshape(n_pieces, length, n, n)
     Phi = np.empty((n_pieces, length + 1, n, n))
     Phi[:, 0] = np.eye(n)
     forced = np.zeros((n_pieces, length + 1, n, r))
     if forcing is not None:
-        v = np.concatenate([forcing, np.zeros((spare, n, r))]).reshape(-1, length, n, r)
+        v = np.concatenate([forcing, np.zeros((spare, n, r))])
+        v = v.reshape(n_pieces, length, n, r)
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(length):
             Phi[:, k + 1] = A[:, k] @ Phi[:, k]
@@ -429,4 +453,4 @@ def propagate_varying(A, forcing, start):
             starts[piece] = x
             x = Phi[piece, -1] @ x + forced[piece, -1]
         states = Phi[:, :-1] @ starts[:, None] + forced[:, :-1]
-    return states.reshape(-1, n, r)[:n_samples]
+    return states.reshape(n_pieces * length, n, r)[:n_samples]

@@ -1,0 +1,390 @@
+"""Is the remainder of a fitted model noise? Its residuals, and what they are tested for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_hd._checks import check_count, check_fraction, check_outputs_given
+from sklearn_hd._guards import one_blas_thread, within_range
+from sklearn_hd._tables import without_inputs
+from sklearn_hd.algorithms.likelihood.residual_tests import (
+    Score,
+    autoregression,
+    filtered,
+    lagged,
+    of_each_output,
+    score_test,
+    sensitivities,
+    span_of,
+    times,
+)
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.exceptions import UnstableModelError
+
+__all__ = ["LEVEL", "Remainder", "ResidualTests", "left_of", "remainder", "scored"]
+ROWS_TESTED = 20_000  # from the start of a longer record
+ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
+MOST_LAGS = 20
+MOST_DEGREES = 60  # of freedom of one test: with more, it sees less
+ROWS_PER_DEGREE = 10
+LAGS_BY_PHASE = 5
+HARMONICS_BY_PHASE = (1, 2)
+MORE_LOADS = 12  # harmonics beyond those fitted
+LEVEL = 0.001
+OVERFLOW = 1e150  # squares of anything larger overflow
+PRECISION = 1e-9  # of an output's size: less is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Residuals of one segment, and what they could go with.
+
+    Attributes
+    ----------
+    residuals, predicted : ndarray, shapes (n_samples, l)
+    inputs : ndarray, shape (n_samples, m)
+    psi : ndarray, shape (n_samples,)
+    fitted : ndarray, shape (n_samples, l, r)
+        Sensitivities of the predictions to parameters.
+    start : ndarray, shape (n_samples, l, n)
+        To the initial state.
+    """
+
+    residuals: np.ndarray
+    predicted: np.ndarray
+    inputs: np.ndarray
+    psi: np.ndarray
+    fitted: np.ndarray
+    start: np.ndarray
+
+    def of_outputs(self, kept):
+        """The same of some outputs alone."""
+        own = (values[:, kept] for values in (self.residuals, self.predicted))
+        return Segment(*own, self.inputs, self.psi, self.fitted[:, kept], self.start[:, kept])
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What a model leaves of a record, rounding left out.
+
+    Attributes
+    ----------
+    segments : list of Segment
+    output_names, input_names : tuple of str
+    predicts : bool
+        Whether residuals are those of one-step predictions; else of simulations.
+    samples_per_period : float or None
+        None without a fundamental frequency.
+    n_loads : int
+        Harmonics of the forced response that were fitted; −1 for none, not even a mean.
+    trim : bool
+        Whether a periodic mean was subtracted.
+    """
+
+    segments: list
+    output_names: tuple
+    input_names: tuple
+    predicts: bool
+    samples_per_period: float | None
+    n_loads: int
+    trim: bool
+
+    @property
+    def n_rows(self):
+        """Rows of all segments."""
+        return sum(len(s.psi) for s in self.segments)
+
+    def white(self):
+        """Residuals of unit covariance, one array a segment, and the matrix that made them so."""
+        e = np.vstack([s.residuals for s in self.segments])
+        covariance = e.T @ e / len(e)
+        root = linalg.cholesky(covariance + EPS * np.diag(np.diag(covariance)), lower=True)
+        W = linalg.inv(root)
+        return [s.residuals @ W.T for s in self.segments], W
+
+
+def remainder(experiment, simulators):
+    """Residuals of a model over an experiment.
+
+    Raises
+    ------
+    UnstableModelError
+        If a simulation overflows.
+    ValueError
+        If there are too few rows for the parameters.
+    """
+    basis, segments, left = experiment.basis, [], ROWS_TESTED
+    parts = zip(simulators, experiment.outputs, experiment.phases, experiment.times(), strict=True)
+    for simulator, outputs, psi, time in parts:
+        first, last = basis.scored_rows(time)
+        last = min(last, first + left)
+        if last > first:
+            at, left = simulator.at_samples(), left - (last - first)
+            segments.append(_segment(at, outputs[:last], psi[:last], first))
+    names = tuple(signal for signal, _ in basis.outputs) if basis.harmonic else basis.output_labels
+    n_parameters = sum(s.start.shape[2] for s in segments)
+    n_parameters += segments[0].fitted.shape[2] if segments else 0
+    n_rows = sum(len(s.psi) for s in segments)
+    if n_rows * len(names) <= ROWS_PER_PARAMETER * n_parameters:
+        raise ValueError(
+            f"{n_rows} rows of {len(names)} output(s) with a model of {n_parameters} coefficients "
+            f"and initial states leave no residuals to test: {ROWS_PER_PARAMETER} values for each "
+            f"are the least; give a longer record, or a model with fewer states or harmonics"
+        )
+    size = np.sqrt(np.mean(np.vstack([s.predicted + s.residuals for s in segments]) ** 2, axis=0))
+    rest = np.sqrt(np.mean(np.vstack([s.residuals for s in segments]) ** 2, axis=0))
+    kept = np.flatnonzero(rest > PRECISION * size)
+    return Remainder(
+        [s.of_outputs(kept) for s in segments],
+        tuple(names[i] for i in kept),
+        _names_of_inputs(basis, at.inputs.shape[1]),
+        at.predicts,
+        basis.samples_per_period if basis.harmonic else None,
+        at.n_loads,
+        basis.output_trim is not None,
+    )
+
+
+def _names_of_inputs(basis, count):
+    """Of measured signals, where these drive the model; else of their coefficients."""
+    return tuple(basis.input_signals if count == len(basis.input_signals) else basis.drive_labels)
+
+
+def _segment(at, outputs, psi, first):
+    """Residuals of one segment from the initial state that leaves the least."""
+    at = at.first(len(outputs))
+    rows, inputs = at.rows, at.inputs
+    start = rows.started()
+    if not np.max(np.abs(start), initial=0.0) < OVERFLOW:
+        raise UnstableModelError(
+            "the simulation overflows and leaves no residuals to test: the model is unstable; fit "
+            "MOESPRegressor(disturbance_model=True), whose predictions are tested, or give a "
+            "shorter record"
+        )
+    x0 = rows.initial_state(inputs, outputs, np.diag(np.mean(outputs**2, axis=0)))
+    x, e = rows.innovations(inputs, outputs, x0)
+    functions = harmonic_functions(psi, range(at.n_harmonics + 1))
+    loads = harmonic_functions(psi, range(at.n_loads + 1)) if at.n_loads >= 0 else functions[:, :0]
+    fitted = sensitivities(rows, inputs, x, e, functions, loads, feedthrough=at.feedthrough)
+    parts = e, outputs - e, inputs, psi, fitted, start
+    return Segment(*(values[first:] for values in parts))
+
+
+# ---- the tests -------------------------------------------------------------------------------
+
+
+def scored(left, lags, level):
+    """Score tests of a remainder as a DataFrame, one row a test.
+
+    Residuals of simulations may be coloured, by noise that shakes the machine. Tests of all but
+    their autocorrelation are then those of what an autoregression leaves of them.
+    """
+    asked = _questions(left, lags)
+    found = {name: Score(0.0, 0, 1.0) for name in asked}
+    if left.output_names:
+        own, W = left.white()
+        plain = np.zeros((0, len(W), len(W)))
+        coloured = plain if left.predicts else autoregression(own, _Counts.of(left, lags).own)
+        for names, Phi in _by_colour(asked, plain, coloured):
+            residuals, span = _prepared(left, own, W, Phi)
+            for name in names:
+                regressors = [filtered(of_each_output(z, len(W)), Phi) for z in asked[name]]
+                found[name] = score_test(residuals, np.concatenate(regressors), span)
+    columns = {
+        "statistic": [score.statistic for score in found.values()],
+        "degrees": [score.degrees for score in found.values()],
+        "p_value": [score.p_value for score in found.values()],
+        "share": [max(s.statistic - s.degrees, 0.0) / left.n_rows for s in found.values()],
+    }
+    table = pd.DataFrame(columns, pd.Index(found, name="test"))
+    return table.assign(passed=table["p_value"] >= level / len(table))
+
+
+def _by_colour(names, plain, coloured):
+    """Which tests are of residuals as they are, and which of what an autoregression leaves."""
+    if len(coloured) == 0:
+        return [(list(names), plain)]
+    own = [name for name in names if name.startswith("autocorrelation")]
+    return [(own, plain), ([name for name in names if name not in own], coloured)]
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """How many lags and harmonics the tests look at."""
+
+    own: int
+    inputs: int
+    by_phase: int
+    loads: int
+
+    @classmethod
+    def of(cls, left, lags):
+        n_outputs, m = max(1, len(left.output_names)), max(1, len(left.input_names))
+        most = min(MOST_DEGREES, left.n_rows // ROWS_PER_DEGREE)
+        asked = MOST_LAGS if lags is None else lags
+        own, inputs = (max(1, min(asked, most // (n_outputs * k))) for k in (n_outputs, m))
+        pairs = 2 * len(HARMONICS_BY_PHASE) * n_outputs * max(n_outputs, m)
+        turn = left.samples_per_period or 1.0
+        told = max(int(np.ceil(0.5 * turn)) - 1, 0)
+        loads = min(told, max(left.n_loads, 0) + min(MORE_LOADS, most // (2 * n_outputs)))
+        if lags is not None:
+            own, inputs = lags, lags
+        return cls(own, inputs, max(1, min(LAGS_BY_PHASE, most // pairs)), loads)
+
+
+def _questions(left, lags):
+    """Regressors of each test by its name: one array a segment."""
+    counts, segments = _Counts.of(left, lags), left.segments
+    mean = np.mean(np.vstack([s.inputs for s in segments]), axis=0)
+    u = [s.inputs - mean for s in segments]
+    e = left.white()[0] if left.output_names else [s.residuals for s in segments]
+    asked = {"autocorrelation": [lagged(each, range(1, counts.own + 1)) for each in e]}
+    if left.input_names:
+        asked["inputs"] = [lagged(each, range(counts.inputs)) for each in u]
+    asked["nonlinearity"] = _powers(segments, counts.loads)
+    if not left.trim:
+        name = "mean" if left.samples_per_period is None else "loads"
+        asked[name] = [harmonic_functions(s.psi, range(counts.loads + 1)) for s in segments]
+    if left.samples_per_period is None:
+        return asked
+    turning = [harmonic_functions(s.psi, HARMONICS_BY_PHASE) for s in segments]
+    late = range(1, counts.by_phase + 1)
+    pairs = zip(e, turning, strict=True)
+    asked["autocorrelation by phase"] = [times(lagged(each, late), f) for each, f in pairs]
+    if left.input_names:
+        late, pairs = range(counts.by_phase), zip(u, turning, strict=True)
+        asked["inputs by phase"] = [times(lagged(each, late), f) for each, f in pairs]
+    return asked
+
+
+def _powers(segments, n_loads):
+    """Squares and cubes of predictions and inputs, of a row and of the one before.
+
+    About their means over the turn, beside which what the inputs do may be small. What a curved
+    machine adds to its linear model is first the square of that, times functions of the azimuth.
+    """
+    signals = np.vstack([np.hstack([s.predicted, s.inputs]) for s in segments])
+    turn = span_of(np.vstack([harmonic_functions(s.psi, range(n_loads + 1)) for s in segments]))
+    signals = signals - turn @ (turn.T @ signals)
+    size = signals.std(axis=0)
+    signals = signals / np.where(size > 0.0, size, 1.0)
+    found, highest = [], 1 if n_loads else 0
+    for s, v in zip(segments, np.split(signals, _ends(segments)[:-1]), strict=True):
+        late, functions = lagged(v, (0, 1)), harmonic_functions(s.psi, range(highest + 1))
+        found.append(np.hstack([times(late**2 - 1.0, functions), late**3]))
+    return found
+
+
+def _ends(segments):
+    """First row after each segment, of all in one array."""
+    return np.cumsum([len(s.psi) for s in segments])
+
+
+def _prepared(left, own, W, Phi):
+    """Residuals in one array, and the span of what parameters, starts and trim could change."""
+    n_starts, first, columns = sum(s.start.shape[2] for s in left.segments), 0, []
+    for s in left.segments:
+        start = np.zeros((len(s.psi), len(W), n_starts))
+        start[..., first : first + s.start.shape[2]] = s.start
+        first += s.start.shape[2]
+        parts = [W @ s.fitted, W @ start]
+        if left.trim:
+            orders = range(int(left.samples_per_period) // 2 + 1)
+            parts.append(of_each_output(harmonic_functions(s.psi, orders), len(W)))
+        columns.append(filtered(np.concatenate(parts, axis=-1), Phi))
+    residuals = np.vstack([filtered(e[..., None], Phi)[..., 0] for e in own])
+    return residuals, span_of(np.concatenate(columns).reshape(residuals.size, -1))
+
+
+class ResidualTests:
+    """What a model step tells of the records it does not explain."""
+
+    @one_blas_thread
+    @within_range
+    def residual_tests(self, X, y, *, lags=None, level=LEVEL):
+        """Whether what the model leaves of a record is noise: one row a test.
+
+        Residuals are the errors of one-step predictions where the model has a Kalman gain, else
+        those of simulations. They are noise if nothing known beforehand goes with them, beyond
+        what a small change of the parameters would take away (score tests, so that fitted
+        parameters count, and the colour of the inputs):
+
+        - *autocorrelation*: residuals of the rows before. Of simulations it asks more than that
+          the model of the inputs' effect is right: that noise is white on the outputs.
+        - *inputs*: those of the same row and of the rows before.
+        - *nonlinearity*: squares (times the first harmonic of the turn, too) and cubes of
+          predictions and inputs about their periodic means. A wrong order may fail it as well.
+        - *mean*, or *loads* of a machine that turns: a constant, or harmonics of the turn (not
+          where a trim was subtracted).
+        - *autocorrelation by phase*, *inputs by phase*: the first two, times the first two
+          harmonics of the turn.
+
+        The variance of residuals may depend on time and azimuth.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs as at fit; None if there were none. The first 20 000 rows are read.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs on the rows of X.
+        lags : int, optional
+            Rows before that are looked at; by default 20, or fewer where there are several
+            outputs or few rows.
+        level : float, default=0.001
+            Share of right models that fail one of the tests, shared out among them.
+
+        Returns
+        -------
+        tests : DataFrame, shape (n_tests, 5)
+            By test: ``statistic``; ``degrees`` of freedom of its χ² distribution (0 where nothing
+            is left to ask, for the model has parameters for it); ``p_value``; ``share`` of the
+            residuals' variance that is no noise; ``passed``.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        UnstableModelError
+            If a simulation overflows.
+        ValueError
+            If the model is one of whole windows or periods, there are too few rows for its
+            parameters, or X, y, ``lags`` or ``level`` do not fit.
+
+        References
+        ----------
+        Ljung (1999), System Identification, section 16.6.
+        Godfrey (1978), Econometrica 46(6), 1293-1301 (autocorrelation).
+        Neyman (1959), C(α) tests, which allow for fitted parameters.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_hd import MOESPRegressor
+        >>> rng = np.random.default_rng(0)
+        >>> u, e, y = rng.standard_normal((3, 2000))
+        >>> y[:2] = 0.0
+        >>> for k in range(2, 2000):
+        ...     y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + e[k]
+        >>> right = MOESPRegressor(order=2, disturbance_model=True).fit(u[:, None], y)
+        >>> bool(right.residual_tests(u[:, None], y)["passed"].all())
+        True
+        >>> wrong = MOESPRegressor(order=1, disturbance_model=True).fit(u[:, None], y)
+        >>> wrong.residual_tests(u[:, None], y)["passed"].to_dict()
+        {'autocorrelation': False, 'inputs': False, 'nonlinearity': False, 'mean': True}
+        """
+        level = check_fraction("level", level, "it is a probability, such as 0.001")
+        if lags is not None:
+            check_count("lags", lags, 1, "20 is usual")
+        return scored(left_of(self, X, y), lags, level)
+
+
+def left_of(step, X, y):
+    """The remainder of a record under a fitted step."""
+    check_is_fitted(step)
+    check_outputs_given(y)
+    experiment = step._experiment(without_inputs(y) if X is None else X, y)
+    return remainder(experiment, step._simulators(experiment))

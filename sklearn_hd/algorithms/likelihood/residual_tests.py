@@ -1,0 +1,189 @@
+"""Is the remainder noise? Score tests of the residuals e of a model on regressors z.
+
+Noise cannot be told from the past. Each test asks whether e goes with some function z of past
+and present, beyond what any small change of the model's parameters θ would take away:
+
+    s = Σ z⊥[k] e[k],   P = Σ z⊥[k] z⊥[k]ᵀ e[k]²,   sᵀ P⁻¹ s ~ χ²(rank P)
+
+with z⊥ what z leaves of the sensitivities ∂ŷ/∂θ. So the errors of the parameters do not count
+to first order, however they were estimated (Neyman's C(α) test); with z = e[k−1] … e[k−L] this is
+Breusch's and Godfrey's test for autocorrelation, with z = u[k] … u[k−L] Ljung's for what inputs
+explain, which allows for their own colour. The variance of e may change with time or azimuth
+(Wooldridge): P takes each residual's own square.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, stats
+
+from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
+
+__all__ = [
+    "Score",
+    "autoregression",
+    "filtered",
+    "lagged",
+    "of_each_output",
+    "score_test",
+    "sensitivities",
+    "span_of",
+    "times",
+]
+
+TOLD = 1e-3  # share of a regressor beside the span: of less, errors of second order make more
+RANK = 1e-10  # of the largest eigenvalue of a Gram matrix: below it, directions are rounding
+
+
+@dataclass(frozen=True)
+class Score:
+    """Statistic of a test, its degrees of freedom, and how often noise would exceed it."""
+
+    statistic: float
+    degrees: int
+    p_value: float
+
+
+def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthrough):
+    """Derivatives of predictions by the Fourier coefficients of [A B a; C D c] and K.
+
+    One-step predictions; of a model without a gain, simulated outputs.
+
+    Parameters
+    ----------
+    rows : Rows
+        The model at the samples of one segment.
+    inputs, states, residuals : ndarray, shapes (n_samples, m), (n_samples, n), (n_samples, l)
+    functions, loads : ndarray, shapes (n_samples, 2 H + 1), (n_samples, 2 L + 1)
+        1, cos ψ, sin ψ, …, of the matrices, and of a and c (none where they are not fitted).
+    feedthrough : bool
+        Whether D was fitted.
+
+    Returns
+    -------
+    sensitivities : ndarray, shape (n_samples, l, n_parameters)
+    """
+    n, n_outputs, K = states.shape[1], residuals.shape[1], rows.gain
+    A, C = rows.states[..., :n], rows.outputs[..., :n]
+    moved = np.hstack([states, inputs, residuals] if K.any() else [states, inputs])
+    seen = np.hstack([states, inputs]) if feedthrough else states
+    pairs = [(f[:, None] * moved, f[:, None] * seen) for f in functions.T] + [(loads, loads)]
+    stable, found = A - K @ C, []
+    for drives, direct in pairs:
+        drives, direct = of_each_output(drives, n), of_each_output(direct, n_outputs)
+        forcing = np.concatenate([drives, -K @ direct], axis=-1)
+        change = C @ propagate_varying(stable, forcing, np.zeros((n, forcing.shape[-1])))
+        change[..., drives.shape[-1] :] += direct
+        found.append(change)
+    return np.concatenate(found, axis=-1)
+
+
+def of_each_output(regressors, n_outputs):
+    """Regressors for each output by itself, (n_samples, n_outputs, n_outputs * n_regressors)."""
+    stacked = np.einsum("tj,ik->tikj", regressors, np.eye(n_outputs))
+    return stacked.reshape(len(regressors), n_outputs, n_outputs * regressors.shape[1])
+
+
+def span_of(columns):
+    """An orthonormal basis of some columns, of full rank, shape (n_rows, rank)."""
+    for _ in range(2):  # the second time for what rounding left
+        size = np.linalg.norm(columns, axis=0)
+        columns = columns[:, size > 0.0] / size[size > 0.0]
+        if columns.shape[1] == 0:
+            return columns
+        values, vectors = linalg.eigh(columns.T @ columns)
+        kept = values > RANK * values[-1]
+        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+    return columns
+
+
+def score_test(residuals, regressors, span):
+    """Whether residuals go with regressors, beyond what a span of directions takes away.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n_samples, l)
+        Of unit covariance.
+    regressors : ndarray, shape (n_samples, l, q)
+    span : ndarray, shape (n_samples * l, r)
+        Orthonormal: of the sensitivities to parameters.
+
+    Returns
+    -------
+    score : Score
+
+    References
+    ----------
+    Neyman (1959), Optimal asymptotic tests of composite statistical hypotheses.
+    Wooldridge (1990), Econometric Theory 6(1), 17-43.
+
+    Examples
+    --------
+    >>> e = np.random.default_rng(0).standard_normal((500, 1))
+    >>> late = of_each_output(lagged(e, [1]), 1)
+    >>> score_test(e, late, np.zeros((500, 0))).p_value > 0.01
+    True
+    >>> score_test(e + 0.5 * late[:, 0], late, np.zeros((500, 0))).p_value < 1e-6
+    True
+    """
+    Z = regressors.reshape(residuals.size, -1)
+    size = np.linalg.norm(Z, axis=0)
+    Z = Z[:, size > 0.0] / size[size > 0.0]
+    Z = Z - span @ (span.T @ Z)
+    e = residuals.ravel() - span @ (span.T @ residuals.ravel())
+    g = (Z * e[:, None]).reshape(*residuals.shape, -1).sum(axis=1)
+    values, vectors = linalg.eigh(g.T @ g) if g.shape[1] else (np.zeros(0), g.T)
+    kept = values > TOLD
+    if not kept.any():
+        return Score(0.0, 0, 1.0)
+    left = 1.0 - span.shape[1] / len(e)  # of the variance, beside what e has lost to the span
+    statistic = left * np.sum((vectors[:, kept].T @ g.sum(axis=0)) ** 2 / values[kept])
+    degrees = int(np.sum(kept))
+    return Score(float(statistic), degrees, float(stats.chi2.sf(statistic, degrees)))
+
+
+def lagged(signal, lags):
+    """A signal some rows before, zeros before its start, shape (n_samples, n_signals * n_lags)."""
+    late = np.zeros((len(lags), *signal.shape))
+    for row, lag in zip(late, lags, strict=True):
+        row[lag:] = signal[: max(len(signal) - lag, 0)]
+    return late.transpose(1, 0, 2).reshape(len(signal), -1)
+
+
+def times(regressors, functions):
+    """Every regressor times every function, shape (n_samples, n_regressors * n_functions)."""
+    return np.einsum("ti,tj->tij", regressors, functions).reshape(len(regressors), -1)
+
+
+def autoregression(segments, most):
+    """Coefficients of e[k] = Σ_j Φ_j e[k−j] + white noise, of the order with the least AIC.
+
+    Parameters
+    ----------
+    segments : list of ndarray, shapes (n_samples_s, l)
+    most : int
+        Highest order.
+
+    Returns
+    -------
+    Phi : ndarray, shape (order, l, l)
+    """
+    n_outputs = segments[0].shape[1]
+    late = np.vstack([lagged(e, range(1, most + 1)) for e in segments])
+    e = np.vstack(segments)
+    R, aic = linalg.qr(np.hstack([late, e]), mode="r")[0][: late.shape[1] + n_outputs], []
+    for order in range(most + 1):
+        rest = R[order * n_outputs :, late.shape[1] :]
+        _, logdet = np.linalg.slogdet(rest.T @ rest / len(e))
+        aic.append(len(e) * logdet + 2.0 * order * n_outputs**2)
+    width = int(np.argmin(aic)) * n_outputs
+    Phi = linalg.solve_triangular(R[:width, :width], R[:width, late.shape[1] :])
+    return Phi.reshape(-1, n_outputs, n_outputs).transpose(0, 2, 1)
+
+
+def filtered(values, Phi):
+    """What an autoregression leaves of values, (n_samples, l, q)."""
+    left = values.copy()
+    for lag, matrix in enumerate(Phi, start=1):
+        left[lag:] -= matrix @ values[:-lag]
+    return left
