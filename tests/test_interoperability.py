@@ -130,6 +130,7 @@ def test_html_shows_the_steps(fitted):
         assert name in html
 
 
+@pytest.mark.slow
 def test_randomized_search_and_two_processes(short, groups):
     pipe = heave_pipeline(short.omega, n_states=3)
     search = RandomizedSearchCV(
@@ -190,6 +191,7 @@ def test_permutation_importance_of_an_input_channel(rng):
     assert abs(importance.importances_mean[1]) < 1e-6
 
 
+@pytest.mark.slow
 def test_permutation_importance_through_a_pipeline(short, rng):
     """The command explains the outputs, a column of noise beside it nothing."""
     u = short.inputs.assign(noise=rng.standard_normal(len(short.inputs)))

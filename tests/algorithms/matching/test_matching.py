@@ -276,6 +276,7 @@ def test_history_falls_and_error_is_that_of_the_matrices():
     assert np.linalg.norm(gap, 2, axis=(1, 2)).max() <= result.hinf_error * (1 + 1e-8)
 
 
+@pytest.mark.slow
 def test_several_inputs_and_outputs_against_random_descent():
     random = np.random.default_rng(14)
     A = np.array([[-1.0, 5.0, 0.0], [-5.0, -1.0, 1.0], [0.0, 0.3, -2.0]])
