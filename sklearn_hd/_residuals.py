@@ -232,6 +232,12 @@ class _Counts:
         told = max(int(np.ceil(0.5 * turn)) - 1, 0)
         loads = min(told, max(left.n_loads, 0) + min(MORE_LOADS, most // (2 * n_outputs)))
         if lags is not None:
+            most_lags = left.n_rows // (ROWS_PER_DEGREE * n_outputs * max(n_outputs, m))
+            if lags > most_lags:
+                raise ValueError(
+                    f"lags={lags} asks more than {left.n_rows} rows tell: {ROWS_PER_DEGREE} for "
+                    f"each degree of freedom allow {most_lags} at most; give fewer, or None"
+                )
             own, inputs = lags, lags
         return cls(own, inputs, max(1, min(LAGS_BY_PHASE, most // pairs)), loads)
 

@@ -360,7 +360,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         check_choice("reading", self.reading, tuple(READINGS))
         if self.small_signal is not None:
             check_choice("small_signal", self.small_signal, SMALL_SIGNAL)
-        if self.hop is not None and (self.reading == "period" or isinstance(self.hop, str)):
+        words = isinstance(self.hop, str) and self.reading != "sample"
+        if self.hop is not None and (self.reading == "period" or words):
             raise ValueError(
                 f"hop={self.hop!r} with reading={self.reading!r}: a hop is a number of samples "
                 f"between rows of a sliding window; leave hop=None for reading='period'"

@@ -176,6 +176,8 @@ def test_refusals():
     model.fit(u, y)
     with pytest.raises(ValueError, match="lags must be a whole number of at least 1, got 0"):
         model.residual_tests(u, y, lags=0)
+    with pytest.raises(ValueError, match="lags=1000000 asks more than"):
+        model.residual_tests(u, y, lags=10**6)
     with pytest.raises(ValueError, match="level must be a number between 0 and 1, got 2"):
         model.residual_tests(u, y, level=2)
     with pytest.raises(ValueError, match=r"12 rows of 1 output.*leave no residuals to test"):

@@ -145,6 +145,8 @@ def test_the_same_seed_gives_the_same_record(rotor):
 def test_what_is_not_allowed_is_named(argument, given):
     with pytest.raises(ValueError, match=f"{argument} must be .* got {given}"):
         make_rotor(**{argument: given})
+    with pytest.raises(ValueError, match="makes the rotor stand still"):
+        make_rotor(speed_variation=2.0)
 
 
 @pytest.mark.parametrize("variation", [0.0, 0.01])

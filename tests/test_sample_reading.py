@@ -275,6 +275,7 @@ def test_a_short_record_says_that_its_model_is_noise():
         ({"output_harmonics": 6}, 1000, "10 samples a turn, too few for harmonic 6"),
         ({"output_harmonics": 2, "hop": 3}, 1000, "of which hop=3 leaves 3.333, too few"),
         ({"output_harmonics": {"y": [1]}}, 1000, "one number for all signals"),
+        ({"hop": "period"}, 1000, "hop must be a whole number of at least 1, got 'period'"),
         ({"small_signal": "odd"}, 1000, "reading='sample' does not ask for"),
         ({"block_rows": 30}, 80, "too few for a predictor of 30 lags"),
         ({"order": 9, "block_rows": 4}, 1000, "order=9 exceeds the 4 that block_rows=4"),

@@ -137,6 +137,11 @@ def make_rotor(
     n = int(n_turns * per_turn)
     t = np.arange(n) * sample_time
     psi = _azimuth(t, omega, speed_variation, rng)
+    if np.any(np.diff(psi) <= 0.0):
+        raise ValueError(
+            f"speed_variation={speed_variation:g} makes the rotor stand still or turn back; it is "
+            f"a share of the mean speed, and 0.1 is much"
+        )
     asked = pitch * np.repeat(rng.choice([-1.0, 0.0, 1.0], -(-n // hold)), hold)[:n]
     gust = turbulence * _gusts(np.diff(psi, append=psi[-1] + omega * sample_time), rng)
     loads = _forced_response(ltp)
