@@ -8,7 +8,8 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._match.match import Uncertainty, periodic_match
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.likelihood.output_error import OutputErrorResult, output_error
+from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.search import LikelihoodResult
 from sklearn_hd.algorithms.likelihood.uncertainty import floquet_exponent_std
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -176,7 +177,7 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
     Returns
     -------
     resolved : PeriodicStructure
-    result : OutputErrorResult
+    result : LikelihoodResult
     """
     names = start.state_names, start.input_names, start.output_names
     highest = (experiment.basis.samples_per_period - 1) // 2
@@ -206,7 +207,7 @@ class _Candidate:
 
     counts: dict
     resolved: PeriodicStructure
-    result: OutputErrorResult
+    result: LikelihoodResult
 
 
 def _climb(best, name, ahead, fit):

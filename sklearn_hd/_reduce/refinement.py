@@ -17,8 +17,9 @@ from scipy import linalg, sparse
 
 from sklearn_hd._continuous import input_scale, output_scale
 from sklearn_hd._reduce.choice import MAX_GROWTH
-from sklearn_hd.algorithms.likelihood.likelihood import as_records, is_white, residuals
+from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.modes.families import real_block
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_matrix, toeplitz_matrix

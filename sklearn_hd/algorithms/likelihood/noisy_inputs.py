@@ -20,14 +20,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import (
-    Point,
-    Problem,
-    n_columns,
-    output_sensitivities,
-    residuals,
-    updated_factor,
-)
+from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem, updated_factor
+from sklearn_hd.algorithms.likelihood.predictor import output_sensitivities, residuals
 from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
 
 
@@ -156,9 +150,18 @@ class NoisyInputProblem(Problem):
             self._last.update(theta=theta, filters=found)
         return self._last["filters"]
 
+    def spread(self, moments):
+        return np.eye(1)
+
+    def cost(self, moments):
+        return self.n_residuals * np.log(np.sqrt(2.0 * np.pi)) + 0.5 * float(moments[0, 0, 0])
+
+    def at_rounding(self, point):
+        return False
+
     def point(self, theta, x0):
-        response = self.response(theta, sensitivities=False)
-        rss, cost = np.zeros(1), np.inf
+        response = self.form.response(theta, sensitivities=False)
+        rss, cost = np.zeros((1, 1, 1)), np.inf
         with np.errstate(over="ignore", invalid="ignore"):
             r = [residuals(response, record, x) for record, x in zip(self.records, x0, strict=True)]
             rough = sum(float(np.sum(each**2)) for each in r)
@@ -166,11 +169,11 @@ class NoisyInputProblem(Problem):
             for whitening, each in zip(self.filters(theta, response), r, strict=True):
                 rss += np.sum(whitening.whiten(each)[0] ** 2)
             cost = self.cost(rss)
-        return Point(theta, x0, rss, cost, response.spectral_radius)
+        return Point(theta, x0, rss, cost, self.form.radius(response))
 
     def likelihood(self, point):
         """Negative logarithm of the likelihood of the innovations, their sizes included."""
-        filters = self.filters(point.theta, self.response(point.theta, sensitivities=False))
+        filters = self.filters(point.theta, self.form.response(point.theta, sensitivities=False))
         sizes = [np.diagonal(each.root, axis1=1, axis2=2) for each in filters]
         return point.cost - sum(
             np.sum(np.log(size), where=record.present)
@@ -182,7 +185,7 @@ class NoisyInputProblem(Problem):
 
         σ_i² grows by the mean of ν_i² less its expectation.
         """
-        response = self.response(point.theta, sensitivities=False)
+        response = self.form.response(point.theta, sensitivities=False)
         n_fitted = len(point.theta) + (point.x0.size if self.free_x0 else 0)
         found, expected, counts = 0.0, 0.0, 0
         for whitening, record, start in zip(
@@ -198,12 +201,12 @@ class NoisyInputProblem(Problem):
         old = self.output_sigma**2
         return np.sqrt(np.maximum(old + (found - expected) / counts, 0.0))
 
-    def factors(self, point, *, parameters=True):
-        """Triangular factor of the whitened [∂ŷ/∂x0, ∂ŷ/∂θ, r], shape (1, c, c) a segment."""
-        response = self.response(point.theta, sensitivities=parameters)
+    def factors(self, point, spread, *, parameters=True):
+        """Triangular factor of the whitened [∂ŷ/∂x0, ∂ŷ/∂θ, r] of each segment."""
+        response = self.form.response(point.theta, sensitivities=parameters)
         return [
-            self._factor(response, each, record, start)[None]
-            for each, record, start in zip(
+            self._factor(response, *each)
+            for each in zip(
                 self.filters(point.theta, response), self.records, point.x0, strict=True
             )
         ]
@@ -211,28 +214,23 @@ class NoisyInputProblem(Problem):
     def _factor(self, response, whitening, record, x0):
         whitened = whitening.whiten(residuals(response, record, x0))[0]
         corrected = replace(record, inputs=record.inputs - whitening.input_errors(whitened))
-        columns = n_columns(response, free_x0=self.free_x0) + 1
-        factor, state = np.zeros((columns, columns)), None
+        factor, state = None, None
         pieces = output_sensitivities(response, corrected, x0, free_x0=self.free_x0)
         for start, stop, dy in pieces:
-            dy, state = whitening.whiten(dy, state, start)
+            dy, state = whitening.whiten(dy[:-1], state, start)
             block = np.concatenate([dy, whitened[None, start:stop]])
-            factor = updated_factor(factor, block.reshape(columns, -1))
+            factor = np.zeros((len(block), len(block))) if factor is None else factor
+            factor = updated_factor(factor, block.reshape(len(block), -1))
         return factor
 
 
 def noisy_input_problem(problem, output_sigma, input_sigma):
     """The same problem with noise of known size in inputs and outputs."""
     return NoisyInputProblem(
-        problem.structure,
+        problem.form,
         problem.records,
-        problem.omega,
-        problem.n_phases,
-        problem.observe,
         problem.free_x0,
-        sigma=np.ones(1),
-        counts=np.array([problem.n_residuals]),
-        size=np.ones(1),
+        np.ones(1),
         output_sigma=np.asarray(output_sigma, dtype=float),
         input_sigma=np.asarray(input_sigma, dtype=float),
     )

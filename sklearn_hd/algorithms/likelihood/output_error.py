@@ -13,79 +13,23 @@ filter representation", AIAA J. 9 (1971); R. V. Jategaonkar, *Flight Vehicle Sys
 Identification*, 2006, chapter 4.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import noisy_input_problem
+from sklearn_hd.algorithms.likelihood.search import (
+    Search,
+    fit_percent,
+    result_of,
+    search,
+    start,
+)
 
-STALLED = 1e-2  # fall of the cost per residual; at rounding nothing better can be had
-FIRST_DAMPING = 1e-6
 SETTLED = 1e-3  # relative change of noise levels; far below their own error
 SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
-DAMPING_LIMIT = 1e8  # times the squared singular values: steps have become rounding
-
-
-@dataclass(frozen=True, eq=False)
-class OutputErrorResult:
-    """What maximum likelihood found.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-    x0 : list of ndarray, shape (n,)
-        Initial state of each segment.
-    sigma : ndarray, shape (l,)
-        Standard deviation of each output's noise, corrected for the degrees of freedom
-        that the fit has used (all outputs share them alike), or as given.
-    covariance : ndarray, shape (k, k)
-        Of θ, the initial states being unknown: inverse of the Fisher matrix. Infinite on
-        the diagonal and NaN off it for parameters that are not identified.
-    cost : float
-        Negative logarithm of the likelihood.
-    n_residuals : int
-        Values of outputs that were not missing.
-    n_parameters : int
-        All that were estimated: θ, initial states, noise levels.
-    n_iter : int
-        Jacobians taken.
-    converged : bool
-    relative_decrease : float
-        Fall of the weighted sum of squares, relative to it, that another step promises.
-    unidentified : tuple of str
-        Parameters that the data do not determine.
-    fit_percent : ndarray, shape (l,)
-        100 (1 − |ŷ − y| / |y − mean y|).
-    """
-
-    theta: np.ndarray
-    x0: list
-    sigma: np.ndarray
-    covariance: np.ndarray
-    cost: float
-    n_residuals: int
-    n_parameters: int
-    n_iter: int
-    converged: bool
-    relative_decrease: float
-    unidentified: tuple
-    fit_percent: np.ndarray
-
-    @property
-    def theta_std(self):
-        """Standard deviation of each parameter, infinite if it is not identified."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def aic(self):
-        """Akaike's criterion, 2 (n_parameters − log L)."""
-        return 2.0 * (self.n_parameters + self.cost)
-
-    @property
-    def bic(self):
-        """Schwarz's criterion, n_parameters log n_residuals − 2 log L."""
-        return self.n_parameters * np.log(self.n_residuals) + 2.0 * self.cost
 
 
 def output_error(
@@ -143,7 +87,7 @@ def output_error(
 
     Returns
     -------
-    result : OutputErrorResult
+    result : LikelihoodResult
 
     Raises
     ------
@@ -163,163 +107,48 @@ def output_error(
     >>> bool(np.isclose(result.theta[0], 2.0, rtol=1e-13))
     True
     """
-    problem = likelihood_problem(
-        structure, segments, omega, n_phases, observe, free_initial_state, sigma
-    )
-    point = _start(problem, theta0, x0)
+    form = Form(structure, omega, n_phases, observe)
+    problem = likelihood_problem(form, segments, free_initial_state, sigma)
+    point = start(problem, theta0, x0)
     options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable, "bounds": bounds}
-    search = _search(problem, point, **options)
+    found = search(problem, point, **options)
     if input_sigma is None:
-        return _result(problem, search)
-    return _with_noisy_inputs(problem, search, input_sigma, options)
+        return result_of(problem, found)
+    return _with_noisy_inputs(problem, found, input_sigma, options)
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """Where a search ended."""
-
-    point: Point
-    n_iter: int
-    converged: bool
-
-
-def _search(problem, point, *, max_iter, tol, keep_stable, bounds):
-    """Damped Gauss-Newton steps until the next one is not worth taking."""
-    damping, converged, n_iter = FIRST_DAMPING, False, 0
-    while n_iter < max_iter and not converged:
-        n_iter += 1
-        system = problem.linearise(point)
-        if bounds is not None:
-            system = system.within(bounds[0] - point.theta, bounds[1] - point.theta)
-        converged = system.promised <= tol * problem.n_residuals
-        trial, damping = _damped_step(problem, point, system, damping, keep_stable)
-        if trial is None:
-            converged = converged or problem.at_rounding(point)
-            break
-        fall, point = point.cost - trial.cost, trial
-        stalled = fall <= STALLED * problem.n_residuals
-        converged = converged or (stalled and problem.at_rounding(point))
-    return _Search(point, n_iter, converged)
-
-
-def _with_noisy_inputs(problem, search, input_sigma, options):
+def _with_noisy_inputs(problem, found, input_sigma, options):
     """Total least squares from where least squares ended, the outputs' noise in turn with it."""
     input_sigma = np.asarray(input_sigma, dtype=float)
-    if input_sigma.shape != (problem.structure.n_inputs,) or not np.all(input_sigma >= 0):
+    if input_sigma.shape != (problem.form.structure.n_inputs,) or not np.all(input_sigma >= 0):
         raise ValueError(
             f"input_sigma={input_sigma.tolist()} must hold a standard deviation, zero or more, "
-            f"for each of {problem.structure.n_inputs} inputs"
+            f"for each of {problem.form.structure.n_inputs} inputs"
         )
-    sigma, n_iter, settled = problem.noise(search.point.rss), search.n_iter, False
+    sigma = np.sqrt(np.diag(problem.spread(found.point.moments)))
+    n_iter, settled = found.n_iter, False
     smallest = SMALLEST_SHARE * sigma
     for _ in range(options["max_iter"]):
         noisy = noisy_input_problem(problem, sigma, input_sigma)
-        start = noisy.point(search.point.theta, search.point.x0)
-        search = _search(noisy, start, **options)
-        n_iter += search.n_iter
+        begin = noisy.point(found.point.theta, found.point.x0)
+        found = search(noisy, begin, **options)
+        n_iter += found.n_iter
         if problem.sigma is not None:
             settled = True
             break
-        old, sigma = sigma, np.maximum(noisy.updated_output_sigma(search.point), smallest)
+        old, sigma = sigma, np.maximum(noisy.updated_output_sigma(found.point), smallest)
         settled = bool(np.all(np.abs(sigma - old) <= SETTLED * old))
         if settled:
             break
-    search = _Search(search.point, n_iter, search.converged and settled)
-    plain = problem.point(search.point.theta, search.point.x0)
-    result = _result(noisy, search)
+    found = Search(found.point, n_iter, found.converged and settled)
+    plain = problem.point(found.point.theta, found.point.x0)
+    result = result_of(noisy, found)
     return replace(
         result,
-        sigma=sigma,
-        cost=noisy.likelihood(search.point),
+        spread=np.diag(sigma**2),
+        cost=noisy.likelihood(found.point),
         n_parameters=result.n_parameters + (len(sigma) if problem.sigma is None else 0),
-        fit_percent=_fit_percent(problem, plain.rss),
+        fit_percent=fit_percent(problem, plain.rss),
     )
 
 
-def _start(problem, theta0, x0):
-    """The point to start from; initial states that are free and not given are fitted."""
-    structure, n_segments = problem.structure, len(problem.records)
-    theta = np.array(theta0, dtype=float)
-    if theta.shape != (structure.n_parameters,):
-        raise ValueError(
-            f"theta0 has shape {theta.shape}; the structure has {structure.n_parameters} parameters"
-        )
-    start = np.zeros((n_segments, structure.n_states)) if x0 is None else np.array(x0, dtype=float)
-    if start.shape != (n_segments, structure.n_states):
-        raise ValueError(
-            f"x0 has shape {start.shape}; {n_segments} segments of {structure.n_states} states "
-            f"need ({n_segments}, {structure.n_states})"
-        )
-    point = problem.point(theta, start)
-    if not np.isfinite(point.cost):
-        raise ValueError(
-            f"the response at theta0 overflows (spectral radius {point.radius:.4g} of the "
-            f"monodromy matrix); start from a stable system, or cut the record into segments"
-        )
-    if not problem.free_x0 or x0 is not None:
-        return point
-    noise = problem.size if problem.sigma is None else problem.sigma
-    for _ in range(2):  # weighed by the outputs, then by what is left of them
-        system = problem.linearise(point, noise, parameters=False)
-        trial = problem.point(theta, point.x0 - [each[:, -1] for each in system.states])
-        if not trial.cost < point.cost:
-            break
-        point, noise = trial, problem.noise(trial.rss)
-    return point
-
-
-def _damped_step(problem, point, system, damping, keep_stable):
-    """The next point and damping; None if no step, however small, pays."""
-    growth = 2.0
-    while damping < DAMPING_LIMIT:
-        step = system.step(damping)
-        x0_step = [-(each @ np.append(step, 1.0)) for each in system.states]
-        theta, trial = point.theta + step, None
-        if problem.resolves(theta):
-            trial = problem.point(theta, point.x0 + x0_step if problem.free_x0 else point.x0)
-        unstable = trial is not None and trial.radius > 1.0 >= point.radius
-        if trial is not None and trial.cost < point.cost and not (keep_stable and unstable):
-            expected = point.cost - problem.predicted_cost(system, step, x0_step)
-            gain = (point.cost - trial.cost) / max(expected, 1e-300)
-            fall = max(1e-2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
-            return trial, max(damping * fall, 1e-16)
-        damping, growth = damping * growth, 2.0 * growth
-    return None, damping
-
-
-def _result(problem, search):
-    """Estimates with their covariance where a search ended."""
-    structure, point, n_residuals = problem.structure, search.point, problem.n_residuals
-    n_fitted = structure.n_parameters + (point.x0.size if problem.free_x0 else 0)
-    system = problem.linearise(point)
-    covariance, unknown = system.covariance()
-    sigma, n_noises = problem.noise(point.rss), 0
-    if problem.sigma is None:
-        spent, n_noises = n_fitted / n_residuals, len(sigma)
-        correction = 1.0 / np.sqrt(1.0 - spent) if spent < 1.0 else np.inf
-        sigma, covariance = sigma * correction, covariance * correction**2
-    return OutputErrorResult(
-        theta=point.theta,
-        x0=list(point.x0),
-        sigma=sigma,
-        covariance=covariance,
-        cost=point.cost,
-        n_residuals=n_residuals,
-        n_parameters=n_fitted + n_noises,
-        n_iter=search.n_iter,
-        converged=search.converged,
-        relative_decrease=system.promised / n_residuals,
-        unidentified=tuple(np.array(structure.parameter_names, dtype=object)[unknown]),
-        fit_percent=_fit_percent(problem, point.rss),
-    )
-
-
-def _fit_percent(problem, rss):
-    """100 (1 − |ŷ − y| / |y − mean y|) of each output; NaN for one that is constant."""
-    mean = sum(np.sum(record.outputs, axis=0) for record in problem.records) / problem.counts
-    spread = sum(
-        np.sum(np.where(record.present, record.outputs - mean, 0.0) ** 2, axis=0)
-        for record in problem.records
-    )
-    spread = np.where(spread > 0, spread, np.nan)
-    return 100.0 * (1.0 - np.sqrt(rss / spread))

@@ -10,11 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.likelihood import (
-    as_records,
-    eliminate_states,
-    jacobian_factors,
-)
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
 from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents
 from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
 
@@ -97,15 +94,12 @@ def fisher_information(
     >>> float(bound.theta_std[0])
     0.05
     """
-    response = sampled_response(structure, theta, omega, n_phases, observe)
-    records = as_records(segments, structure.n_inputs, response.Out.shape[1])
-    n = structure.n_states
-    starts = np.zeros((len(records), n)) if x0 is None else np.asarray(x0, dtype=float)
-    factors = [
-        jacobian_factors(response, record, start, free_x0=free_initial_state)
-        for record, start in zip(records, starts, strict=True)
-    ]
-    system = eliminate_states(factors, np.asarray(sigma, float), n if free_initial_state else 0)
+    form, theta = Form(structure, omega, n_phases, observe), np.asarray(theta, dtype=float)
+    sigma = np.asarray(sigma, dtype=float)
+    problem = likelihood_problem(form, segments, free_initial_state)
+    starts = np.zeros((len(segments), structure.n_states)) if x0 is None else np.asarray(x0, float)
+    point = Point(theta, starts, None, 0.0, 0.0)
+    system = problem.linearise(point, np.diag(sigma**2))
     covariance, unknown = system.covariance()
     J = system.R[:, :-1]
     names = tuple(name for name, bad in zip(structure.parameter_names, unknown, strict=True) if bad)

@@ -180,12 +180,26 @@ class SampledResponse:
         q is 1 if P, Q and what is measured of them are constant, n_phases otherwise.
     dPsi : ndarray, shape (k, p, n, n + m), or None
     dOut : ndarray, shape (k, q, l', n + m), or None
+    gain : ndarray, shape (p or 1, n, l'), or None
+        K of the innovations form; None for a simulation.
+    n_gain_harmonics : int
+        Of K.
+    n_phases : float
+        Samples a period.
     """
 
     Psi: np.ndarray
     Out: np.ndarray
     dPsi: np.ndarray | None = None
     dOut: np.ndarray | None = None
+    gain: np.ndarray | None = None
+    n_gain_harmonics: int = 0
+    n_phases: float = 1.0
+
+    @property
+    def n_gains(self):
+        """Number of coefficients of K."""
+        return 0 if self.gain is None else (2 * self.n_gain_harmonics + 1) * self.gain[0].size
 
     @property
     def n_states(self):
@@ -196,6 +210,11 @@ class SampledResponse:
         """Transition matrices, shape (p, n, n)."""
         return self.Psi[:, :, : self.n_states]
 
+    @property
+    def closed(self):
+        """Transition matrices of the predictor, Φ − K C, shape (p, n, n)."""
+        return self.Phi if self.gain is None else self.Phi - self.gain @ self.Out[..., : self.n_states]
+
     @cached_property
     def monodromy(self):
         """Transition matrix over the p intervals: one period, or one sample if p is 1."""
@@ -205,12 +224,46 @@ class SampledResponse:
     @cached_property
     def spectral_radius(self):
         """Size of the largest multiplier of the monodromy matrix; infinite if it overflows."""
-        if not np.all(np.isfinite(self.monodromy)):
-            return np.inf
-        return float(np.max(np.abs(np.linalg.eigvals(self.monodromy)), initial=0.0))
+        return radius_of(self.monodromy)
 
 
-def sampled_response(structure, theta, omega, n_phases, observe=None, *, sensitivities=True):
+def radius_of(monodromy):
+    """Size of the largest eigenvalue; infinite where the matrix has overflowed."""
+    if not np.all(np.isfinite(monodromy)):
+        return np.inf
+    return float(np.max(np.abs(np.linalg.eigvals(monodromy)), initial=0.0))
+
+
+def evaluated_response(structure, theta, n_points, *, sensitivities=True):
+    """The same of a structure of the steps themselves, [A B; C D](ψ), at some azimuths of a turn.
+
+    Parameters
+    ----------
+    structure : PeriodicStructure
+        Of x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k], y[k] = C(ψ_k) x[k] + D(ψ_k) u[k].
+    theta : array_like, shape (k,)
+    n_points : int
+    sensitivities : bool, default=True
+
+    Returns
+    -------
+    response : SampledResponse
+    """
+    n, (_, rows, _) = structure.n_states, structure.constant.shape
+    coefficients, parts = structure.coefficients(theta), []
+    own = (slice(0, n), structure.varies[0], structure.dynamic_entries)
+    seen = (slice(n, rows), structure.varies[1], structure.output_entries)
+    for which, varies, entries in (own, seen):
+        functions = _functions(n_points if varies else 1, n_points, structure.n_harmonics)
+        values = np.tensordot(functions, coefficients[:, which], 1)
+        slopes = _moved(entries, functions, values.shape) if sensitivities else None
+        parts.append((values, slopes))
+    return SampledResponse(parts[0][0], parts[1][0], parts[0][1], parts[1][1])
+
+
+def sampled_response(
+    structure, theta, omega, n_phases, observe=None, *, sensitivities=True, n_points=None
+):
     """Transition and output matrices of the samples of one period, and their derivatives.
 
     Sample j lies at ψ_j = 2πj / n_phases; inputs are held over the interval that follows.
@@ -227,6 +280,9 @@ def sampled_response(structure, theta, omega, n_phases, observe=None, *, sensiti
         What is measured of the model's outputs at each phase: for a model of harmonic
         coefficients, the functions 1, cos ψ, sin ψ, … that put y together (Eq. 7).
     sensitivities : bool, default=True
+    n_points : int, optional
+        Azimuths at which intervals begin, 2πj / n_points; n_phases by default, which else may
+        be any number: it is the length of the intervals.
 
     Returns
     -------
@@ -253,8 +309,9 @@ def sampled_response(structure, theta, omega, n_phases, observe=None, *, sensiti
     True
     """
     theta = np.asarray(theta, dtype=float)
-    Psi, dPsi = _transitions(structure, theta, omega, n_phases, sensitivities)
-    Out, dOut = _outputs(structure, theta, n_phases, observe, sensitivities)
+    n_points = n_phases if n_points is None else n_points
+    Psi, dPsi = _transitions(structure, theta, omega, n_phases, n_points, sensitivities)
+    Out, dOut = _outputs(structure, theta, n_points, observe, sensitivities)
     return SampledResponse(Psi, Out, dPsi, dOut)
 
 
@@ -298,9 +355,9 @@ def n_substeps(structure, theta, omega, n_phases, n_harmonics=0):
 # ---- states -------------------------------------------------------------------------------
 
 
-def _transitions(structure, theta, omega, n_phases, sensitivities):
+def _transitions(structure, theta, omega, n_phases, n_points, sensitivities):
     """Ψ, shape (p, n, n + m), and ∂Ψ/∂θ, shape (k, p, n, n + m), or None."""
-    p = n_phases if structure.varies[0] else 1
+    p = n_points if structure.varies[0] else 1
     S = n_substeps(structure, theta, omega, n_phases)
     if S > MAX_SUBSTEPS:
         raise ValueError(
@@ -341,7 +398,7 @@ def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True
 def _nodes(p, n_phases, n_substeps):
     """Azimuths of the collocation nodes, shape (p, n_substeps, n_stages), and the step in rad."""
     width = 2.0 * np.pi / (n_phases * n_substeps)
-    starts = 2.0 * np.pi / n_phases * np.arange(p)[:, None] + width * np.arange(n_substeps)
+    starts = 2.0 * np.pi / p * np.arange(p)[:, None] + width * np.arange(n_substeps)
     return starts[:, :, None] + width * gauss_tableau(N_STAGES)[0], width
 
 
@@ -381,10 +438,7 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
             f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs "
             f"of the model it must be ({n_phases}, n_measured, {n_outputs})"
         )
-    q = n_phases if structure.varies[1] else 1
-    functions = harmonic_functions(
-        2.0 * np.pi * np.arange(q) / n_phases, range(structure.n_harmonics + 1)
-    )
+    functions = _functions(n_phases if structure.varies[1] else 1, n_phases, structure.n_harmonics)
     Out = observe @ np.tensordot(functions, structure.coefficients(theta)[:, n:], 1)
     if not sensitivities:
         return Out, None
@@ -393,3 +447,17 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
     values = observe[:, :, row] * functions[:, None, harmonic]  # (q, l', e)
     moved[np.arange(len(row)), :, :, column] = values.transpose(2, 0, 1)
     return Out, _by_parameter(rates, moved)
+
+
+def _functions(n_points, n_phases, n_harmonics):
+    """1, cos ψ, sin ψ, … at the first of some equally spaced azimuths."""
+    psi = 2.0 * np.pi * np.arange(n_points) / n_phases
+    return harmonic_functions(psi, range(n_harmonics + 1))
+
+
+def _moved(entries, functions, shape):
+    """Derivatives of matrices (q, rows, columns) by the parameters of their entries, (k, …)."""
+    harmonic, row, column, rates = entries
+    moved = np.zeros((len(row), *shape))
+    moved[np.arange(len(row)), :, row, column] = functions.T[harmonic]
+    return _by_parameter(rates, moved)

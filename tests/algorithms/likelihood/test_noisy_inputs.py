@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.likelihood import (
-    as_records,
-    likelihood_problem,
-    residuals,
-    simulate,
-)
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import innovation_filter, noisy_input_problem
 from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals, simulate
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 
 OMEGA, N_PHASES = 2 * np.pi, 16
@@ -81,14 +78,14 @@ def test_gradient_is_that_of_the_criterion(structure, noisy):
     """Jᵀr, J taken at the corrected inputs, is half the derivative of rᵀ S(θ)⁻¹ r."""
     _, record, _, _ = noisy
     segments = [(record.inputs, np.where(record.present, record.outputs, np.nan), 5)]
-    plain = likelihood_problem(structure, segments, OMEGA, N_PHASES, None, True, SIGMA)
+    plain = likelihood_problem(Form(structure, OMEGA, N_PHASES), segments, True, SIGMA)
     problem = noisy_input_problem(plain, SIGMA, INPUT_SIGMA)
     start = np.array([0.5, -0.2, 0.1, -0.05, 0.2])  # x0, θ
 
     def cost(values):
         return problem.point(values[2:], values[None, :2]).cost
 
-    factor = problem.factors(problem.point(start[2:], start[None, :2]))[0][0]
+    factor = problem.factors(problem.point(start[2:], start[None, :2]), None)[0]
     gradient = (factor.T @ factor)[:-1, -1]
     differences = [(cost(start + d) - cost(start - d)) / 2e-5 for d in 1e-5 * np.eye(5)]
     np.testing.assert_allclose(gradient, differences, rtol=1e-6, atol=1e-7)

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from scipy import linalg, sparse
 
-from sklearn_hd.algorithms.likelihood import likelihood
-from sklearn_hd.algorithms.likelihood.likelihood import as_records, jacobian_factors, simulate
+from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.predictor import (
+    as_records,
+    output_sensitivities,
+    residuals,
+    simulate,
+)
 from sklearn_hd.algorithms.likelihood.uncertainty import (
     fisher_information,
     floquet_exponent_std,
@@ -57,10 +62,16 @@ def residual_vector(structure, theta, segments, x0, observe=None):
     response = sampled_response(structure, theta, OMEGA, N_PHASES, observe)
     records = as_records(segments, structure.n_inputs, response.Out.shape[1])
     parts = [
-        likelihood.residuals(response, record, start)
+        residuals(response, record, start)
         for record, start in zip(records, x0, strict=True)
     ]
     return np.concatenate(parts)
+
+
+def jacobian(response, record, x0):
+    """[∂ŷ/∂x0, ∂ŷ/∂θ, ŷ − y] of one output, shape (n_samples, c)."""
+    pieces = output_sensitivities(response, record, x0)
+    return np.concatenate([dy for *_, dy in pieces], axis=1)[:, :, 0].T
 
 
 # ---- sensitivities ------------------------------------------------------------------------
@@ -68,13 +79,13 @@ def residual_vector(structure, theta, segments, x0, observe=None):
 
 @pytest.mark.parametrize("piece", [1, 3000, 8_000_000])
 def test_jacobian_is_that_of_central_differences(oscillator, rng, piece, monkeypatch):
-    """All at once or piece by piece, the factor has the Jacobian's Gram matrix."""
-    monkeypatch.setattr(likelihood, "PIECE", piece)
+    """All at once or piece by piece."""
+    monkeypatch.setattr(predictor, "PIECE", piece)
     structure, theta = oscillator
     segments, x0 = recorded(structure, theta, rng, lengths=(150,), phases=(5,), noise=0.1)
     response = sampled_response(structure, theta, OMEGA, N_PHASES)
     record = as_records(segments, 1, 1)[0]
-    factor = jacobian_factors(response, record, x0[0])[0]
+    factor = jacobian(response, record, x0[0])
 
     def residual(values):
         return residual_vector(structure, values[2:], segments, [values[:2]])[:, 0]
@@ -219,7 +230,7 @@ def test_eliminating_the_initial_state_is_the_schur_complement(oscillator, rng):
     response = sampled_response(structure, theta, OMEGA, N_PHASES)
     full = np.zeros((10, 10))  # two initial states of two, six parameters
     for k, (record, start) in enumerate(zip(as_records(segments, 1, 1), x0, strict=True)):
-        R = jacobian_factors(response, record, start)[0][:, :-1] / 0.3
+        R = jacobian(response, record, start)[:, :-1] / 0.3
         mine = [2 * k, 2 * k + 1, *range(4, 10)]
         full[np.ix_(mine, mine)] += R.T @ R
     bound = fisher_information(structure, theta, segments, OMEGA, N_PHASES, [0.3], x0=x0)

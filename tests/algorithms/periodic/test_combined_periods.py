@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.likelihood.likelihood import Record, simulate
+from sklearn_hd.algorithms.likelihood.predictor import Record, simulate
 from sklearn_hd.algorithms.periodic.combined_periods import NestedLeastSquares, combined_periods
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     PeriodicStructure,

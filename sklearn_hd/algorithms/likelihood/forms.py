@@ -1,0 +1,141 @@
+"""What a likelihood has parameters of: a sampled periodic model with its Kalman gain."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_hd.algorithms.periodic.floquet import product_of
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
+from sklearn_hd.algorithms.periodic.periodic_structure import (
+    MAX_SUBSTEPS,
+    PeriodicStructure,
+    evaluated_response,
+    n_substeps,
+    radius_of,
+    sampled_response,
+)
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+
+FEWEST = 63  # azimuths of a turn between which matrices are interpolated, odd
+MOST = 2047  # of them
+WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A model affine in its parameters, sampled, and the gain of its predictor.
+
+    Its parameters are those of the structure, then the Fourier coefficients of K(ψ) in the order
+    harmonic, state, output.
+
+    Attributes
+    ----------
+    structure : PeriodicStructure
+        Of a system in continuous time, or of the steps themselves.
+    omega : float
+        rad/s.
+    n_phases : float
+        Samples a period, whole or not.
+    observe : ndarray, shape (n_phases, l, l_model), or None
+        What is measured of the model's outputs at each phase.
+    discrete : bool
+        Whether the structure is one of steps, [A B; C D](ψ).
+    n_gain_harmonics : int or None
+        Of K(ψ); None for a simulation, without K.
+    n_points : int or None
+        Azimuths of a turn between which matrices are interpolated, odd; None for the samples'.
+    """
+
+    structure: PeriodicStructure
+    omega: float
+    n_phases: float
+    observe: np.ndarray | None = None
+    discrete: bool = False
+    n_gain_harmonics: int | None = None
+    n_points: int | None = None
+
+    @property
+    def n_states(self):
+        return self.structure.n_states
+
+    @property
+    def n_outputs(self):
+        return self.structure.n_outputs if self.observe is None else self.observe.shape[1]
+
+    @property
+    def n_gains(self):
+        """Number of coefficients of K."""
+        if self.n_gain_harmonics is None:
+            return 0
+        return (2 * self.n_gain_harmonics + 1) * self.n_states * self.n_outputs
+
+    def with_gain(self, n_harmonics):
+        """The same with a gain of some harmonics, or None."""
+        return replace(self, n_gain_harmonics=n_harmonics)
+
+    def gain(self, parameters):
+        """Fourier coefficients of K, shape (2 H + 1, n, l); None for a simulation."""
+        if self.n_gain_harmonics is None:
+            return None
+        shape = (2 * self.n_gain_harmonics + 1, self.n_states, self.n_outputs)
+        return np.asarray(parameters)[self.structure.n_parameters :].reshape(shape)
+
+    def response(self, parameters, *, sensitivities):
+        """Its matrices at the samples of a turn, or between samples, and derivatives."""
+        theta = np.asarray(parameters, dtype=float)[: self.structure.n_parameters]
+        n_points = self.n_phases if self.n_points is None else self.n_points
+        if self.discrete:
+            found = evaluated_response(
+                self.structure, theta, n_points, sensitivities=sensitivities
+            )
+        else:
+            found = sampled_response(
+                self.structure,
+                theta,
+                self.omega,
+                self.n_phases,
+                self.observe,
+                sensitivities=sensitivities,
+                n_points=n_points,
+            )
+        gain, H = self.gain(parameters), self.n_gain_harmonics
+        if gain is not None:
+            psi = 2.0 * np.pi * np.arange(n_points if H else 1) / n_points
+            gain = evaluate_harmonics(gain, psi)
+        return replace(found, gain=gain, n_gain_harmonics=H or 0, n_phases=self.n_phases)
+
+    def radius(self, response):
+        """Size of the largest multiplier of the predictor over a turn, or a sample."""
+        closed = response.closed
+        if len(closed) > 1 and self.n_points is not None:
+            psi = 2.0 * np.pi * np.arange(int(self.n_phases)) / self.n_phases
+            closed = evaluate_harmonics(sampled_harmonics(closed, len(closed) // 2), psi)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return radius_of(product_of(closed))
+
+    def resolves(self, parameters):
+        """Whether the samples can follow the states at these parameters."""
+        if self.discrete:
+            return bool(np.all(np.isfinite(parameters)))
+        theta = parameters[: self.structure.n_parameters]
+        return np.all(np.isfinite(parameters)) and (
+            n_substeps(self.structure, theta, self.omega, self.n_phases) <= MAX_SUBSTEPS
+        )
+
+
+def interpolating(form, theta):
+    """The form at as many azimuths of a turn as tell its matrices at others.
+
+    Where a turn holds a whole number of samples, they are those.
+    """
+    if abs(form.n_phases - round(form.n_phases)) <= WHOLE:
+        return replace(form, n_phases=round(form.n_phases))
+    n_points = FEWEST
+    while n_points < MOST:
+        response = replace(form, n_points=n_points).response(theta, sensitivities=False)
+        moving = [M for M in (response.Psi, response.Out) if len(M) > 1]
+        if all(tail_begins(M, 0.0) < n_points // 4 for M in moving):
+            break
+        n_points = 2 * n_points + 1
+    return replace(form, n_points=n_points)

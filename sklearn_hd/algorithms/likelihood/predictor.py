@@ -1,0 +1,308 @@
+"""Predictions of a record by a sampled periodic model, and their derivatives.
+
+    x[k+1] = Φ_k x[k] + Γ_k u[k] + K_k e[k],   y[k] = C_k x[k] + D_k u[k] + e[k]
+
+e is what the prediction leaves; where an output is missing it is zero there. Without K the
+prediction is a simulation. Derivatives follow the predictor, with z = [x; u]:
+
+    ∂x[k+1] = (Φ_k − K_k C_k) ∂x[k] + (∂[Φ Γ]_k − K_k ∂[C D]_k) z[k] + ∂K_k e[k]
+    ∂ŷ[k] = C_k ∂x[k] + ∂[C D]_k z[k]
+
+A record is read in pieces: neither its length nor the number of parameters is bounded by memory.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
+
+PIECE = 1_000_000  # numbers in the sensitivities of one piece, 8 MB: a cache
+TILE = 64  # samples of a time-invariant system that make a period
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One contiguous record.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (n_samples, m)
+        Held from sample to sample.
+    outputs : ndarray, shape (n_samples, l)
+        Zero where missing.
+    present : ndarray of bool, shape (n_samples, l)
+    first_phase : int
+        Phase of the first sample, in samples after ψ = 0.
+    psi : ndarray, shape (n_samples,), or None
+        Azimuths, where a turn holds no whole number of samples; ``first_phase`` then means
+        nothing.
+    """
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    present: np.ndarray
+    first_phase: int
+    psi: np.ndarray | None = None
+
+
+def as_records(segments, n_inputs, n_outputs):
+    """Records from (inputs, outputs, where); outputs may hold NaN where missing.
+
+    ``where`` is the phase of the first sample, or the azimuths of all. ``outputs=None`` means
+    that all are present, their values not told.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, inputs are not finite, or no output is there at all.
+    """
+    records = []
+    for position, (inputs, outputs, where) in enumerate(segments):
+        u = np.asarray(inputs, dtype=float)
+        y = np.zeros((len(u), n_outputs)) if outputs is None else np.asarray(outputs, dtype=float)
+        if u.shape != (len(u), n_inputs) or y.shape != (len(u), n_outputs) or not len(u):
+            raise ValueError(
+                f"segment {position} has inputs of shape {u.shape} and outputs of shape "
+                f"{y.shape}; the structure needs (n_samples, {n_inputs}) and "
+                f"(n_samples, {n_outputs})"
+            )
+        if not np.all(np.isfinite(u)):
+            raise ValueError(
+                f"inputs of segment {position} hold NaN or infinity; only outputs may be missing: "
+                f"cut the segment where an input is"
+            )
+        present = np.isfinite(y)
+        first, psi = (int(where), None) if np.ndim(where) == 0 else (0, np.asarray(where))
+        records.append(Record(u, np.where(present, y, 0.0), present, first, psi))
+    counts = sum((record.present.sum(axis=0) for record in records), np.zeros(n_outputs, int))
+    if not np.all(counts > 0):
+        raise ValueError(
+            f"outputs have {counts.tolist()} values in {len(records)} segments; each output needs "
+            f"some that are not NaN"
+        )
+    return records
+
+
+def simulate(response, record, x0):
+    """States (n_samples, n) and outputs (n_samples, l) of one record, from x0 (n,).
+
+    With a gain they are predictions one sample ahead.
+    """
+    return _Course(response, record).predicted(x0)
+
+
+def residuals(response, record, x0):
+    """ŷ − y of one record, shape (n_samples, l); zero where y is missing."""
+    difference = simulate(response, record, x0)[1] - record.outputs
+    return np.where(record.present, difference, 0.0)
+
+
+def n_columns(response, *, free_x0):
+    """Number of derivatives: by x0 if it is free, by θ, and by the coefficients of K."""
+    n_parameters = 0 if response.dPsi is None else len(response.dPsi) + response.n_gains
+    return n_parameters + (response.n_states if free_x0 else 0)
+
+
+def output_sensitivities(response, record, x0, *, free_x0=True):
+    """∂ŷ/∂x0, ∂ŷ/∂θ and ∂ŷ/∂K of one record, and ŷ − y, piece by piece.
+
+    Yields
+    ------
+    start, stop : int
+        Samples of the piece.
+    dy : ndarray, shape (n_columns + 1, stop − start, l)
+        ŷ − y in the last place. Zero where an output is missing.
+    """
+    n, columns = response.n_states, n_columns(response, free_x0=free_x0)
+    n0, with_gain = n if free_x0 else 0, response.gain is not None
+    course = _Course(response, record)
+    states, predicted = course.predicted(x0)
+    z = np.concatenate([states, record.inputs], axis=1)
+    left = np.where(record.present, predicted - record.outputs, 0.0)
+    slopes = _Slopes(response, record)
+    seen = slopes.seen
+    acting = np.union1d(slopes.acting, seen) if with_gain else slopes.acting
+    gains = np.arange(n0 + slopes.n_parameters, columns)
+    moving = np.concatenate([np.arange(n0), n0 + acting, gains])  # columns that move the states
+    carried = np.zeros((len(moving), n))
+    carried[:n0] = np.eye(n)[:n0]
+    own, others = n0 + np.searchsorted(acting, slopes.acting), n0 + np.searchsorted(acting, seen)
+    for start, stop in _pieces(len(z), course.n_phases, columns + 1, n, left.shape[1]):
+        some = slice(start, stop + 1)
+        forcing = np.zeros((len(moving), len(z[some]), n))
+        if len(own):
+            forcing[own] += slopes.of_steps(z, some)
+        direct = slopes.of_outputs(z, some) if len(seen) else None
+        if with_gain and direct is not None:
+            forcing[others] -= course.at(course.gain, direct, some)
+        if len(gains):
+            forcing[n0 + len(acting) :] = -slopes.of_gain(left, some)
+        dx = course.propagate(forcing, carried, some)
+        carried, dx = dx[:, -1], dx[:, : stop - start]
+        dy = np.zeros((columns + 1, stop - start, left.shape[1]))
+        dy[moving] = course.at(course.C, dx, slice(start, stop))
+        if direct is not None:
+            dy[n0 + seen] += direct[:, : stop - start]
+        dy[-1] = left[start:stop]
+        yield start, stop, np.where(record.present[start:stop], dy, 0.0)
+
+
+class _Course:
+    """The matrices of a model along a record: those of a turn that repeats, or of each sample."""
+
+    def __init__(self, response, record):
+        self.record, n = record, response.n_states
+        Psi, Out = (_along(M, record) for M in (response.Psi, response.Out))
+        self.Psi, self.Out, self.C, self.gain = Psi, Out, Out[..., :n], None
+        self.closed = Psi[..., :n]
+        if response.gain is not None:
+            gain = _along(response.gain, record)
+            if not record.present.all():
+                gain = _each(gain, len(record.inputs)) * record.present[:, None]
+            self.gain, both = gain, _alike(gain, self.C, self.closed)
+            self.closed = both[2] - both[0] @ both[1]
+        complete = self.gain is None or record.present.all()
+        self.repeats = len(self.closed) == 1 or (record.psi is None and complete)
+        turn = response.Psi, response.Out, response.closed
+        self.n_phases = max(map(len, turn)) if record.psi is None else 1  # pieces end with a turn
+
+    def predicted(self, x0):
+        """States and predictions from an initial state."""
+        record, n = self.record, self.closed.shape[-1]
+        everything = slice(0, len(record.inputs))
+        forcing = self.at(self.Psi[..., n:], record.inputs, everything)
+        if self.gain is not None:
+            known = record.outputs - self.at(self.Out[..., n:], record.inputs, everything)
+            forcing = forcing + self.at(self.gain, known, everything)
+        x = self.propagate(forcing, x0, everything)
+        return x, self.at(self.Out, np.concatenate([x, record.inputs], axis=1), everything)
+
+    def at(self, matrices, signals, rows):
+        """M[k] s[k] for signals (..., n_rows, b) of some rows, which begin a turn."""
+        return _by_phase(self._some(matrices, rows), signals)
+
+    def propagate(self, forcing, x0, rows):
+        """States of the predictor over some rows; infinite or NaN where they overflow."""
+        closed = self._some(self.closed, rows)
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+            if not self.repeats:
+                return _varying(closed, forcing, x0)
+            if len(closed) == 1:  # √n_samples steps of many samples each instead of n_samples
+                closed = np.broadcast_to(closed, (min(TILE, forcing.shape[-2]), *closed.shape[1:]))
+            return propagate_periodic(closed, forcing, x0)
+
+    def _some(self, matrices, rows):
+        """Those of some rows, where each has its own."""
+        return matrices[rows] if len(matrices) == len(self.record.inputs) else matrices
+
+
+class _Slopes:
+    """Derivatives of a model along a record."""
+
+    def __init__(self, response, record):
+        self.record, self.response = record, response
+        none = np.zeros((0, 1, response.n_states, 1))
+        dPsi, dOut = (none if M is None else M for M in (response.dPsi, response.dOut))
+        self.n_parameters = len(dPsi)
+        self.acting, self.seen = _nonzero(dPsi), _nonzero(dOut)
+        self._dPsi, self._dOut = dPsi[self.acting], dOut[self.seen]
+
+    def of_steps(self, z, rows):
+        """∂[Φ Γ] z of the parameters that have it, shape (…, n_rows, n)."""
+        return self._at(self._dPsi, z[rows], rows)
+
+    def of_outputs(self, z, rows):
+        """∂[C D] z of the parameters that have it, zero where an output is missing."""
+        return np.where(self.record.present[rows], self._at(self._dOut, z[rows], rows), 0.0)
+
+    def of_gain(self, left, rows):
+        """∂K (ŷ − y) of the coefficients of K, in the order harmonic, state, output."""
+        n, (_, n_outputs) = self.response.n_states, left.shape
+        psi = _azimuths(self.response, self.record)[rows]
+        functions = harmonic_functions(psi, range(self.response.n_gain_harmonics + 1))
+        pushes = np.einsum("th,tl->hlt", functions, left[rows])
+        whole = np.zeros((len(pushes), n, n_outputs, len(psi), n))
+        for i in range(n):
+            whole[:, i, :, :, i] = pushes
+        return whole.reshape(-1, len(psi), n)
+
+    def _at(self, tables, z, rows):
+        if self.record.psi is None or tables.shape[1] == 1:
+            return _by_phase(_rolled(tables, self.record.first_phase), z)
+        k, _, a, b = tables.shape
+        table = tables.transpose(1, 0, 2, 3).reshape(tables.shape[1], -1)
+        values = _interpolated(table, self.record.psi[rows]).reshape(-1, k * a, b)
+        return (values @ z[..., None])[..., 0].reshape(-1, k, a).transpose(1, 0, 2)
+
+
+def _along(table, record):
+    """Matrices of one period (p, …) from a record's first phase, or of each of its samples."""
+    if record.psi is None or len(table) == 1:
+        return _rolled(table, record.first_phase)
+    return _interpolated(table.reshape(len(table), -1), record.psi).reshape(-1, *table.shape[1:])
+
+
+def _interpolated(table, psi):
+    """Functions given at an odd number of equally spaced azimuths of a turn, at any azimuths."""
+    return evaluate_harmonics(sampled_harmonics(table, len(table) // 2), psi)
+
+
+def _azimuths(response, record):
+    """ψ of each sample."""
+    if record.psi is not None:
+        return record.psi
+    samples = record.first_phase + np.arange(len(record.inputs))
+    return 2.0 * np.pi * samples / response.n_phases
+
+
+def _nonzero(derivatives):
+    """Parameters that move something: those of the outputs alone leave states where they are."""
+    return np.flatnonzero(derivatives.any(axis=(1, 2, 3)))
+
+
+def _pieces(n_samples, n_phases, columns, n_states, n_outputs):
+    """First and last sample of pieces of whole periods that fit into memory."""
+    each = columns * (4 * n_states + 2 * n_outputs)
+    length = n_phases * max(1, PIECE // (each * n_phases))
+    return [(k, min(k + length, n_samples)) for k in range(0, n_samples, length)]
+
+
+def _rolled(matrices, first_phase):
+    """Matrices of one period (..., p, rows, columns), beginning at a record's first phase."""
+    shift = first_phase % matrices.shape[-3]
+    return np.roll(matrices, -shift, axis=-3) if shift else matrices
+
+
+def _each(matrices, n_samples):
+    """Matrices of every sample, of a turn that repeats."""
+    return matrices[np.arange(n_samples) % len(matrices)]
+
+
+def _alike(*several):
+    """Matrices of turns, all of one length, or constant."""
+    longest = max(map(len, several))
+    return [_each(M, longest) for M in several]
+
+
+def _by_phase(matrices, signals):
+    """M[k mod p] s[k] for matrices (..., p, a, b) and signals (..., n_samples, b)."""
+    p, a, b = matrices.shape[-3:]
+    *batch, n_samples, _ = signals.shape
+    n_periods = -(-n_samples // p)
+    padding = [(0, 0)] * len(batch) + [(0, n_periods * p - n_samples), (0, 0)]
+    s = np.pad(signals, padding).reshape(*batch, n_periods, p, b)
+    product = np.swapaxes(s, -2, -3) @ np.swapaxes(matrices, -1, -2)
+    product = np.swapaxes(product, -2, -3)
+    return product.reshape(*product.shape[:-3], n_periods * p, a)[..., :n_samples, :]
+
+
+def _varying(A, forcing, x0):
+    """States of a recursion in which nothing repeats."""
+    *batch, n_samples, n = forcing.shape
+    columns = forcing.reshape(-1, n_samples, n).transpose(1, 2, 0)
+    start = np.broadcast_to(x0, (*batch, n)).reshape(-1, n).T
+    return propagate_varying(A, columns, start).transpose(2, 0, 1).reshape(*batch, n_samples, n)

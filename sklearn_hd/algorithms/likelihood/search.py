@@ -1,0 +1,206 @@
+"""The search for the largest likelihood: Gauss-Newton steps, damped while they do not pay.
+
+The covariance S of what is left is at its own optimum wherever parameters are: what remains is
+½ N log det S, weighted least squares whose weights follow the residuals (Levenberg-Marquardt).
+Initial states enter linearly and are eliminated from each step.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd.algorithms.likelihood.likelihood import Point
+
+STALLED = 1e-2  # fall of the cost, in all where no step pays, per residual at rounding
+FIRST_DAMPING = 1e-6
+DAMPING_LIMIT = 1e8  # times the squared singular values: steps have become rounding
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodResult:
+    """What maximum likelihood found.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (k,)
+        Of the structure.
+    gain : ndarray, shape (2 H + 1, n, l), or None
+        Fourier coefficients of K; None for a simulation.
+    x0 : list of ndarray, shape (n,)
+        Initial state of each segment.
+    spread : ndarray, shape (l, l)
+        Covariance of what is left, corrected for the degrees of freedom that the fit has used
+        (all outputs share them alike), or as given.
+    covariance : ndarray, shape (k, k)
+        Of θ, gain and initial states being unknown: inverse of the Fisher matrix. Infinite on
+        the diagonal and NaN off it for parameters that are not identified.
+    cost : float
+        Negative logarithm of the likelihood.
+    n_residuals : int
+        Values of outputs that were not missing.
+    n_parameters : int
+        All that were estimated: θ, gain, initial states, noise levels.
+    n_iter : int
+        Jacobians taken.
+    converged : bool
+    relative_decrease : float
+        Fall of the weighted sum of squares, relative to it, that another step promises.
+    unidentified : tuple of str
+        Parameters that the data do not determine.
+    fit_percent : ndarray, shape (l,)
+        100 (1 − |ŷ − y| / |y − mean y|).
+    """
+
+    theta: np.ndarray
+    gain: np.ndarray | None
+    x0: list
+    spread: np.ndarray
+    covariance: np.ndarray
+    cost: float
+    n_residuals: int
+    n_parameters: int
+    n_iter: int
+    converged: bool
+    relative_decrease: float
+    unidentified: tuple
+    fit_percent: np.ndarray
+
+    @property
+    def sigma(self):
+        """Standard deviation of what is left of each output."""
+        return np.sqrt(np.diag(self.spread))
+
+    @property
+    def theta_std(self):
+        """Standard deviation of each parameter, infinite if it is not identified."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def aic(self):
+        """Akaike's criterion, 2 (n_parameters − log L)."""
+        return 2.0 * (self.n_parameters + self.cost)
+
+    @property
+    def bic(self):
+        """Schwarz's criterion, n_parameters log n_residuals − 2 log L."""
+        return self.n_parameters * np.log(self.n_residuals) + 2.0 * self.cost
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Where a search ended."""
+
+    point: Point
+    n_iter: int
+    converged: bool
+
+
+def search(problem, point, *, max_iter, tol, keep_stable, bounds):
+    """Damped Gauss-Newton steps until the next one is not worth taking."""
+    damping, converged, n_iter = FIRST_DAMPING, False, 0
+    while n_iter < max_iter and not converged:
+        n_iter += 1
+        spread = problem.spread(point.moments)
+        system = problem.linearise(point, spread)
+        if bounds is not None:
+            system = system.within(bounds[0] - point.theta, bounds[1] - point.theta)
+        converged = system.promised <= tol * problem.n_residuals
+        trial, damping = _damped_step(problem, point, system, damping, keep_stable)
+        if trial is None:
+            converged = converged or system.promised <= STALLED or problem.at_rounding(point)
+            break
+        fall, point = point.cost - trial.cost, trial
+        stalled = fall <= STALLED * problem.n_residuals
+        converged = converged or (stalled and problem.at_rounding(point))
+    return Search(point, n_iter, converged)
+
+
+def start(problem, theta0, x0=None):
+    """The point to start from; initial states that are free and not given are fitted."""
+    form, n_segments = problem.form, len(problem.records)
+    theta, k = np.array(theta0, dtype=float), form.structure.n_parameters + form.n_gains
+    if theta.shape != (k,):
+        raise ValueError(f"theta0 has shape {theta.shape}; the structure has {k} parameters")
+    start = np.zeros((n_segments, form.n_states)) if x0 is None else np.array(x0, dtype=float)
+    if start.shape != (n_segments, form.n_states):
+        raise ValueError(
+            f"x0 has shape {start.shape}; {n_segments} segments of {form.n_states} states "
+            f"need ({n_segments}, {form.n_states})"
+        )
+    point = problem.point(theta, start)
+    if not np.isfinite(point.cost):
+        raise ValueError(
+            f"the response at theta0 overflows (spectral radius {point.radius:.4g} of the "
+            f"monodromy matrix); start from a stable system, or cut the record into segments"
+        )
+    if not problem.free_x0 or x0 is not None:
+        return point
+    spread = np.diag((problem.size if problem.sigma is None else problem.sigma) ** 2)
+    for _ in range(2):  # weighed by the outputs, then by what is left of them
+        system = problem.linearise(point, spread, parameters=False)
+        trial = problem.point(theta, point.x0 - [each[:, -1] for each in system.states])
+        if not trial.cost < point.cost:
+            break
+        point, spread = trial, problem.spread(trial.moments)
+    return point
+
+
+def _damped_step(problem, point, system, damping, keep_stable):
+    """The next point and damping; None if no step, however small, pays."""
+    growth = 2.0
+    while damping < DAMPING_LIMIT:
+        step = system.step(damping)
+        x0_step = [-(each @ np.append(step, 1.0)) for each in system.states]
+        theta, trial = point.theta + step, None
+        if problem.form.resolves(theta):
+            trial = problem.point(theta, point.x0 + x0_step if problem.free_x0 else point.x0)
+        unstable = trial is not None and trial.radius > 1.0 >= point.radius
+        if trial is not None and trial.cost < point.cost and not (keep_stable and unstable):
+            at_rest = [0.0 * each for each in x0_step]
+            expected = 0.5 * (system.left_at(0.0 * step, at_rest) - system.left_at(step, x0_step))
+            gain = (point.cost - trial.cost) / max(expected, 1e-300)
+            fall = max(1e-2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
+            return trial, max(damping * fall, 1e-16)
+        damping, growth = damping * growth, 2.0 * growth
+    return None, damping
+
+
+def result_of(problem, search):
+    """Estimates with their covariance where a search ended."""
+    form, point, n_residuals = problem.form, search.point, problem.n_residuals
+    k = form.structure.n_parameters
+    n_fitted = len(point.theta) + (point.x0.size if problem.free_x0 else 0)
+    system = problem.linearise(point)
+    covariance, unknown = system.covariance()
+    spread, n_noises = problem.spread(point.moments), 0
+    if problem.sigma is None:
+        spent, n = n_fitted / n_residuals, len(spread)
+        n_noises = n * (n + 1) // 2 if problem.correlated else n
+        correction = 1.0 / (1.0 - spent) if spent < 1.0 else np.inf
+        spread, covariance = spread * correction, covariance * correction
+    return LikelihoodResult(
+        theta=point.theta[:k],
+        gain=form.gain(point.theta),
+        x0=list(point.x0),
+        spread=spread,
+        covariance=covariance[:k, :k],
+        cost=point.cost,
+        n_residuals=n_residuals,
+        n_parameters=n_fitted + n_noises,
+        n_iter=search.n_iter,
+        converged=search.converged,
+        relative_decrease=system.promised / n_residuals,
+        unidentified=tuple(np.array(form.structure.parameter_names, dtype=object)[unknown[:k]]),
+        fit_percent=fit_percent(problem, point.rss),
+    )
+
+
+def fit_percent(problem, rss):
+    """100 (1 − |ŷ − y| / |y − mean y|) of each output; NaN for one that is constant."""
+    mean = sum(np.sum(record.outputs, axis=0) for record in problem.records) / problem.counts
+    spread = sum(
+        np.sum(np.where(record.present, record.outputs - mean, 0.0) ** 2, axis=0)
+        for record in problem.records
+    )
+    spread = np.where(spread > 0, spread, np.nan)
+    return 100.0 * (1.0 - np.sqrt(rss / spread))
