@@ -2,12 +2,13 @@
 
 import numpy as np
 import pandas as pd
-from scipy import linalg
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import (
+    check_count,
     check_output_names,
     check_outputs_given,
     check_positive,
@@ -16,7 +17,7 @@ from sklearn_hd._checks import (
 from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import extremes, one_blas_thread, within_range
-from sklearn_hd._readings import first_difference, highest_harmonic
+from sklearn_hd._readings import first_difference
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
     as_frame,
@@ -28,11 +29,15 @@ from sklearn_hd._records.data import (
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states
 from sklearn_hd._residuals import ResidualTests
-from sklearn_hd._sample_model import AtSamples, SampleModel, SampleSimulator
+from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._simulators import (
+    SegmentSimulator,
+    fit_initial_state,
+    predicted_ahead,
+    sample_simulators,
+)
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
-from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
 WARMUP_SHARE = 0.25
@@ -73,94 +78,9 @@ def upstream(step, X, y):
     return read_for_fit(frame, y), frame.model
 
 
-class SegmentSimulator:
-    """Free simulation of a model over one segment, linear in its initial state.
-
-    A continuous model steps at the data's own sample time. A discrete model steps from one row
-    that its reading reads to the next.
-
-    Parameters
-    ----------
-    model : LTIModel
-    basis : HarmonicBasis or PlainReading
-    drive : ndarray, shape (n_samples, n_drive)
-    time : ndarray, shape (n_samples,)
-    sample_time : float
-    """
-
-    def __init__(self, model, basis, drive, time, sample_time):
-        self.model, self.basis, self.time = model, basis, time
-        self.drive, self.rows = drive, None
-        self.A, self.B = model.A, model.B
-        if model.dt == 0.0:
-            self.A, self.B = continuous_to_discrete(model.A, model.B, sample_time)
-        else:
-            self.rows = basis.simulated_rows(time)
-        if self.rows is not None:
-            self.drive = basis.held_drive(drive, self.rows)
-
-    @property
-    def form(self):
-        """The innovation form of the model."""
-        model = self.model
-        return InnovationForm(model.A, model.B, model.C, model.D, model.kalman_gain)
-
-    def at_samples(self):
-        """The model at the samples, whose outputs are what is measured."""
-        if self.rows is not None:
-            raise ValueError(
-                f"this model is one of whole windows or periods (reading="
-                f"{self.basis.reading!r}), whose residuals noise correlates, too; test those of "
-                f"the model brought to samples: SpuriousModeReducer or StructuredMatcher behind it"
-            )
-        R = self.basis.recomposition(self.basis.azimuth(self.time))
-        kept = highest_harmonic(self.basis.outputs) if self.basis.harmonic else 0
-        model = self.model
-        matrices = self.A, self.B, R @ model.C, R @ model.D, model.kalman_gain
-        return AtSamples.of(*matrices, self.drive, kept)
-
-    def outputs(self, x0, *, recompose=True, n_samples=None):
-        """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
-        time = self.time[:n_samples]
-        drive = self.drive[: self._n_steps(len(time))]
-        Y = simulate(self.A, self.B, self.model.C, self.model.D, drive, x0)
-        if not np.isfinite(Y).all():
-            radius = np.max(np.abs(np.linalg.eigvals(self.A)))
-            raise UnstableModelError(
-                f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
-                f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
-                f"the order, or simulate a shorter span"
-            )
-        return self.observe(Y, time, recompose)
-
-    def free(self, n_samples):
-        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
-        n, steps = self.model.n_states, self._n_steps(n_samples)
-        states = propagate(self.A, np.zeros((n, steps, n)), np.eye(n))
-        return self.observe(states @ self.model.C.T, self.time[:n_samples])
-
-    def _n_steps(self, n_samples):
-        """Steps of the model that the first samples are made of."""
-        steps = n_samples if self.rows is None else int(np.sum(self.rows < n_samples)) + 1
-        return min(steps, len(self.drive))
-
-    def observe(self, Y, time, recompose=True):
-        """Model outputs brought to every sample, and recomposed to signals."""
-        if self.rows is not None:
-            Y = self._between_rows(Y, len(time))
-        return self.basis.recomposed(Y, time) if recompose else Y
-
-    def _between_rows(self, Y, n_samples):
-        rows = self.rows[: Y.shape[-2]]
-        if len(rows) == 0:
-            return np.zeros((*Y.shape[:-2], n_samples, Y.shape[-1]))
-        return self.basis.between_rows(Y, rows, n_samples)
-
-
-def sample_simulators(model, experiment):
-    """Simulators of a model of samples at their azimuths, one a segment."""
-    parts = zip(experiment.drive, experiment.times(), experiment.phases, strict=True)
-    return [SampleSimulator(model, experiment.basis, *part) for part in parts]
+def _has_gain(step):
+    """Whether a Kalman gain was, or will be, identified."""
+    return step._predicts_ahead()
 
 
 class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
@@ -379,13 +299,21 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
 
     def _fitted_outputs(self, simulator, outputs, rows, horizon):
         """Outputs from the initial state that fits best over some rows."""
-        if horizon is not None:
+        if horizon is None:
+            return simulator.outputs(fit_initial_state(simulator, outputs, rows))
+        if not _has_gain(self):
             raise ValueError(
                 f"horizon={horizon!r} asks for predictions from measured outputs, for which "
                 f"{type(self).__name__} has no Kalman gain; use MOESPRegressor("
-                f"disturbance_model=True) as the last step, or horizon=None"
+                f"disturbance_model=True) or StructuredMatcher(criterion='prediction_error') as "
+                f"the last step, or horizon=None"
             )
-        return simulator.outputs(fit_initial_state(simulator, outputs, rows))
+        recompose = not self.predicts_harmonics_
+        return predicted_ahead(simulator, outputs, horizon, rows=rows, recompose=recompose)
+
+    def _predicts_ahead(self):
+        """Whether a Kalman gain was, or will be, identified."""
+        return False
 
     def _score_rows(self, simulator, experiment):
         """Rows of one segment that the initial state is fitted on, and those scored."""
@@ -465,6 +393,73 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
             values = values.astype(types[0])
         return values[:, 0] if self.target_kind_ == "vector" else values
 
+    @available_if(_has_gain)
+    @one_blas_thread
+    @within_range
+    def predict_ahead(self, X, y, horizon=1, x0=None):
+        """Outputs predicted some rows ahead from the outputs before them.
+
+            x̂[k+1] = A x̂[k] + B u[k] + K e[k],   ŷ[k] = C x̂[k] + D u[k],   e = y − ŷ
+
+        One row ahead; further ahead the model goes on without e. Where ``predict``
+        simulates from the inputs alone, this also holds for what disturbances have done, and
+        for unstable models.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs as at fit; None if there were none.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs on the rows of X.
+        horizon : int, default=1
+            Rows (period by period, periods) from the last output used to the one predicted.
+        x0 : array_like or dict, optional
+            As in ``predict``; by default the state with the least innovations over
+            the segment's first rows, as many as remember it.
+
+        Returns
+        -------
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            In the container of y at fit.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If X, y, ``horizon`` or x0 do not fit the model.
+
+        References
+        ----------
+        Ljung (1999), System Identification, Eq. 3.31 (predictions k steps ahead).
+
+        Examples
+        --------
+        >>> from sklearn_hd import MOESPRegressor
+        >>> e = np.random.default_rng(0).standard_normal(2000)
+        >>> y = np.zeros(2000)
+        >>> for k in range(1999):
+        ...     y[k + 1] = 0.9 * y[k] + e[k + 1]
+        >>> model = MOESPRegressor(1, block_rows=5, disturbance_model=True).fit(None, y)
+        >>> round(float(np.std(y - model.predict_ahead(None, y)) / np.std(e)), 2)
+        1.0
+        """
+        check_is_fitted(self)
+        check_outputs_given(y)
+        X = without_inputs(y) if X is None else X
+        horizon = check_count("horizon", horizon, 1, "1 is the next row")
+        experiment = self._experiment(X, y)
+        simulators, recompose = self._simulators(experiment), not self.predicts_harmonics_
+        starts = [None] * len(simulators)
+        if x0 is not None:
+            starts = self._starts(x0, experiment, simulators[0].model)
+        parts = zip(simulators, experiment.outputs, starts, strict=True)
+        outputs = [
+            predicted_ahead(simulator, measured, horizon, start, recompose=recompose)
+            for simulator, measured, start in parts
+        ]
+        return self._mirror(self._with_trim(outputs, experiment), X)
+
     @property
     def system_(self):
         """The model as a control.StateSpace with named signals."""
@@ -503,22 +498,6 @@ def compared(step, X, y, sample_weight=None, horizon=None):
         InstabilityWarning,
     )
     return None
-
-
-def fit_initial_state(simulator, outputs, rows):
-    """Initial state whose simulation fits the outputs best over some rows."""
-    largest = np.max(np.abs(extremes(outputs)), axis=0)
-    unit = np.where(largest > 0.0, largest, 1.0)  # so that each output counts alike
-    zero = np.zeros(simulator.model.n_states)
-    forced = simulator.outputs(zero, n_samples=rows.stop)[rows]
-    if simulator.model.n_states == 0:
-        return np.zeros(0)
-    free = simulator.free(rows.stop)[:, rows] / unit
-    regressors = free.reshape(len(free), -1).T
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
-    target = ((outputs[rows] - forced) / unit).reshape(-1)
-    return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
 
 
 def power_of_two(values):

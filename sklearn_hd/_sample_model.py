@@ -68,6 +68,8 @@ class SampleModel:
     input_names, output_names : tuple of str
     feedthrough : bool
         Whether D is free.
+    n_loads : int
+        Harmonics of the forced response; −1 where there is none, not even a mean.
     """
 
     innovations: PeriodicInnovations
@@ -76,6 +78,7 @@ class SampleModel:
     input_names: tuple
     output_names: tuple
     feedthrough: bool = False
+    n_loads: int = -1
 
     state_names = None
     windowed = False
@@ -198,6 +201,14 @@ class SampleSimulator:
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
         return self._first(n_samples).free()
 
+    def read(self, outputs):
+        """Outputs at the rows that the model steps through: all."""
+        return outputs
+
+    def n_read_within(self, stop):
+        """Rows of the model before some sample."""
+        return stop
+
     def observe(self, Y, time, recompose=True):
         """The same: outputs of the model are what is measured."""
         return Y
@@ -205,7 +216,7 @@ class SampleSimulator:
     def at_samples(self):
         """The model at its samples, and what of it was fitted."""
         model, innovations = self.model, self.model.innovations
-        counts = innovations.n_harmonics, self.basis.most_loads
+        counts = innovations.n_harmonics, model.n_loads
         return AtSamples(
             self.form, self.drive, model.feedthrough, bool(innovations.gain.any()), *counts
         )

@@ -11,18 +11,25 @@ from sklearn_hd._checks import check_choice, check_count, check_fraction, check_
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
-from sklearn_hd._match.likelihood import match_likelihood, warn_closed_loop
+from sklearn_hd._match.likelihood import (
+    LikelihoodSettings,
+    free_likelihood,
+    match_likelihood,
+    warn_closed_loop,
+)
 from sklearn_hd._match.match import PeriodicSimulator
 from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.samples import match_samples
-from sklearn_hd._model_step import ModelStep, sample_simulators, upstream
+from sklearn_hd._model_step import ModelStep, upstream
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
-CRITERIA = ("hinf", "least_squares", "output_error")
+LIKELIHOODS = ("output_error", "prediction_error")
+CRITERIA = ("hinf", "least_squares", *LIKELIHOODS)
 
 
 class StructuredMatcher(ModelStep):
@@ -217,15 +224,15 @@ class StructuredMatcher(ModelStep):
 
     def _of_samples(self, model, experiment):
         """The match of a model of samples at their azimuths."""
-        if self.criterion == "output_error":
-            raise ValueError(
-                "criterion='output_error' simulates whole periods, and a model of samples has "
-                "none; use criterion='hinf' or 'least_squares', or read the record with "
-                "HarmonicAnalyzer(reading='period')"
-            )
         periodic = isinstance(self.structure, HarmonicStructure) or not model.time_invariant
-        self._checked_together(experiment.basis, periodic, periodic)
-        return match_samples(model, experiment, self.structure, self._norm_settings())
+        noise = self._checked_together(experiment.basis, periodic, periodic)
+        if not self._likely:
+            return match_samples(model, experiment, self.structure, self._norm_settings())
+        settings = self._likelihood_settings(noise)
+        if self.structure is None:
+            return free_likelihood(model, experiment, settings)
+        match = match_samples(model, experiment, self.structure, self._norm_settings())
+        return match_likelihood(match, self.structure, experiment, settings)
 
     def _of_rows(self, model, experiment):
         """The match of a time-invariant model of rows, harmonics or whole periods."""
@@ -234,18 +241,30 @@ class StructuredMatcher(ModelStep):
         lifted = experiment.basis.reading == "period" and model.dt > 0.0
         structure = HarmonicStructure() if lifted and self.structure is None else self.structure
         periodic = isinstance(structure, HarmonicStructure)
-        noise = self._checked_together(experiment.basis, lifted, periodic)
+        settings = self._likelihood_settings(
+            self._checked_together(experiment.basis, lifted, periodic)
+        )
+        if self._likely and structure is None and not experiment.basis.harmonic:
+            return free_likelihood(model, experiment, settings)
         if lifted:
-            simulated = not (periodic and self.criterion == "output_error")
+            simulated = not (periodic and self._likely)
             route = structure if periodic else HarmonicStructure()
             match = match_periodic(model, experiment, route, simulated)
             model = match.model
         if not (lifted and periodic):
             model = to_continuous(model, experiment)
             match = match_affine(model, experiment, structure, self._norm_settings())
-        if self.criterion == "output_error":
-            match = match_likelihood(match, structure, experiment, self.max_iter, noise)
+        if self._likely:
+            match = match_likelihood(match, structure, experiment, settings)
         return match
+
+    @property
+    def _likely(self):
+        """Whether the record's likelihood decides."""
+        return self.criterion in LIKELIHOODS
+
+    def _likelihood_settings(self, noise):
+        return LikelihoodSettings(self.criterion, self.max_iter, noise)
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
@@ -267,7 +286,7 @@ class StructuredMatcher(ModelStep):
 
     def _checked_together(self, basis, lifted, periodic):
         """Refuse parameters that exclude each other; the noise of each input, or None."""
-        likelihood = self.criterion == "output_error"
+        likelihood = self._likely
         if self.output_weights is not None or self.input_weights is not None:
             if likelihood:
                 raise ValueError(
@@ -309,7 +328,7 @@ class StructuredMatcher(ModelStep):
         return NormSettings(**{name: getattr(self, name) for name in names})
 
     def _simulators(self, experiment):
-        if self.match_.sampled is not None:
+        if self.match_.sampled is not None and not self.predicts_harmonics_:
             return sample_simulators(self.match_.sampled, experiment)
         periodic = self.match_.periodic
         if periodic is None or self.predicts_harmonics_:
@@ -320,6 +339,9 @@ class StructuredMatcher(ModelStep):
             PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
             for u, time in zip(experiment.inputs, experiment.times(), strict=True)
         ]
+
+    def _predicts_ahead(self):
+        return self.criterion == "prediction_error"
 
     # ---- what the match found ----------------------------------------------------------------
 

@@ -4,16 +4,14 @@ from dataclasses import fields
 
 import numpy as np
 import pandas as pd
-from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._checks import check_count, check_outputs_given
+from sklearn_hd._checks import check_outputs_given
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._identify import Settings, identify, identify_record, most_block_rows
 from sklearn_hd._identify.checks import PREDICTOR, checked
 from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
 from sklearn_hd._identify.partitions import Partitions, is_partitioned
-from sklearn_hd._identify.prediction import predicted_ahead
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import check_features
@@ -23,13 +21,6 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.algorithms.subspace.order import Simulated
 
 __all__ = ["MOESPRegressor"]
-
-
-def _has_gain(step):
-    """Whether a Kalman gain was, or will be, identified."""
-    if hasattr(step, "model_"):
-        return step.model_.kalman_gain is not None
-    return bool(step.disturbance_model) or step.weighting == PREDICTOR
 
 
 class MOESPRegressor(ModelStep):
@@ -390,6 +381,11 @@ class MOESPRegressor(ModelStep):
         """Covariance of the innovations, in the units of the outputs."""
         return self._noise("innovations_covariance")
 
+    def _predicts_ahead(self):
+        if hasattr(self, "model_"):
+            return self.model_.kalman_gain is not None
+        return bool(self.disturbance_model) or self.weighting == PREDICTOR
+
     def _noise(self, name):
         check_is_fitted(self)
         found = getattr(self.model_, name)
@@ -398,76 +394,3 @@ class MOESPRegressor(ModelStep):
                 f"no {name} was identified; fit with disturbance_model=True or weighting='pbsid'"
             )
         return found
-
-    @available_if(_has_gain)
-    @one_blas_thread
-    @within_range
-    def predict_ahead(self, X, y, horizon=1, x0=None):
-        """Outputs predicted some rows ahead from the outputs before them.
-
-            x̂[k+1] = A x̂[k] + B u[k] + K e[k],   ŷ[k] = C x̂[k] + D u[k],   e = y − ŷ
-
-        One row ahead; further ahead the model goes on without e. Where ``predict``
-        simulates from the inputs alone, this also holds for what disturbances have done, and
-        for unstable models.
-
-        Parameters
-        ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features), or None
-            Inputs as at fit; None if there were none.
-        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Measured outputs on the rows of X.
-        horizon : int, default=1
-            Rows (period by period, periods) from the last output used to the one predicted.
-        x0 : array_like or dict, optional
-            As in ``predict``; by default the state with the least innovations over
-            the segment's first rows, as many as remember it.
-
-        Returns
-        -------
-        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            In the container of y at fit.
-
-        Raises
-        ------
-        NotFittedError
-            Before ``fit``.
-        ValueError
-            If X, y, ``horizon`` or x0 do not fit the model.
-
-        References
-        ----------
-        Ljung (1999), System Identification, Eq. 3.31 (predictions k steps ahead).
-
-        Examples
-        --------
-        >>> from sklearn_hd import MOESPRegressor
-        >>> e = np.random.default_rng(0).standard_normal(2000)
-        >>> y = np.zeros(2000)
-        >>> for k in range(1999):
-        ...     y[k + 1] = 0.9 * y[k] + e[k + 1]
-        >>> model = MOESPRegressor(1, block_rows=5, disturbance_model=True).fit(None, y)
-        >>> round(float(np.std(y - model.predict_ahead(None, y)) / np.std(e)), 2)
-        1.0
-        """
-        check_is_fitted(self)
-        check_outputs_given(y)
-        X = without_inputs(y) if X is None else X
-        horizon = check_count("horizon", horizon, 1, "1 is the next row")
-        experiment = self._experiment(X, y)
-        simulators, recompose = self._simulators(experiment), not self.predicts_harmonics_
-        starts = [None] * len(simulators)
-        if x0 is not None:
-            starts = self._starts(x0, experiment)
-        parts = zip(simulators, experiment.outputs, starts, strict=True)
-        outputs = [
-            predicted_ahead(simulator, measured, horizon, start, recompose=recompose)
-            for simulator, measured, start in parts
-        ]
-        return self._mirror(self._with_trim(outputs, experiment), X)
-
-    def _fitted_outputs(self, simulator, outputs, rows, horizon):
-        if horizon is None or not _has_gain(self):
-            return super()._fitted_outputs(simulator, outputs, rows, horizon)
-        recompose = not self.predicts_harmonics_
-        return predicted_ahead(simulator, outputs, horizon, rows=rows, recompose=recompose)

@@ -173,6 +173,7 @@ def identify(data, settings, experiment):
         basis.input_signals,
         basis.output_labels,
         layout.feedthrough,
+        basis.most_loads,
     )
     warn_of_little(layout, sums.n_rows, best, basis)
     warn_of_drift(data, predictor, basis, ROWS_COMPARED)

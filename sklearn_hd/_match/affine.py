@@ -138,13 +138,14 @@ def _match_decomposition(model, experiment, structure, settings):
     periodic = PeriodicModel(full.coefficients(zero), basis.omega, outputs, inputs, outputs)
     affine, seen = periodic.decomposed_structure(full, basis)
     found = _matched(model, affine, settings)
-    if settings.criterion == "output_error":  # the raw record sees them all
+    likely = settings.criterion in ("output_error", "prediction_error")
+    if likely:  # the raw record sees them all
         resolved, theta = full, zero
         theta[seen] = found.theta
     else:
         resolved, theta = full.restricted(seen), found.theta
     periodic = replace(periodic, coefficients=resolved.coefficients(theta))
-    if settings.criterion != "output_error":  # which goes on from here
+    if not likely:  # which goes on from here
         _check_record(periodic, experiment, found.relative_error)
     return periodic_match(resolved, theta, periodic, model, basis, found)
 

@@ -1,26 +1,95 @@
-"""Maximum likelihood on the raw record: what a structured model is refined to."""
+"""Maximum likelihood on the raw record: what a structured model is refined to.
+
+What a simulation leaves (``criterion="output_error"``), or a prediction one sample ahead
+(``"prediction_error"``), of periodic and time-invariant models, of their steps, and of models of
+samples about a forced periodic response, whose Fourier coefficients are parameters too.
+"""
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
+from scipy import sparse
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._match.match import Uncertainty, periodic_match
+from sklearn_hd._match.match import Match, Uncertainty, periodic_match
+from sklearn_hd._match.samples import decomposed_basis, match_samples
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import prediction_error
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult
-from sklearn_hd.algorithms.likelihood.uncertainty import floquet_exponent_std
+from sklearn_hd.algorithms.likelihood.uncertainty import exponent_std
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure
+from sklearn_hd.algorithms.periodic.behind_samples import samples_of
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels, sampled_harmonics
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 FIRST_INPUT_HARMONICS = 2  # more of G are tried afterwards
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
+ALIGNED = 1e-6  # of a sample, by which the first may miss a phase
 
 
-def match_likelihood(match, structure, experiment, max_iter, input_noise):
+@dataclass(frozen=True, eq=False)
+class LikelihoodSettings:
+    """How to fit.
+
+    Attributes
+    ----------
+    criterion : {"output_error", "prediction_error"}
+    max_iter : int
+    input_noise : ndarray, shape (m,), or None
+    """
+
+    criterion: str
+    max_iter: int
+    input_noise: np.ndarray | None = None
+
+    @property
+    def predicts(self):
+        """Whether the model has a Kalman gain."""
+        return self.criterion == "prediction_error"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit of a structure, with the form and the record that it was fitted to.
+
+    Attributes
+    ----------
+    structure : PeriodicStructure
+        Without loads.
+    form : Form
+        With loads and gain.
+    result : LikelihoodResult
+    """
+
+    structure: PeriodicStructure
+    form: Form
+    result: LikelihoodResult
+
+    @property
+    def theta(self):
+        """Parameters of the structure."""
+        return self.result.theta[: self.structure.n_parameters]
+
+    @property
+    def covariance(self):
+        """Their covariance."""
+        k = self.structure.n_parameters
+        return self.result.covariance[:k, :k]
+
+    @property
+    def aic(self):
+        """Akaike's criterion."""
+        return self.result.aic
+
+
+def match_likelihood(match, structure, experiment, settings):
     """A match refined to the largest likelihood of the record, in the same structure.
 
     Parameters
@@ -30,8 +99,7 @@ def match_likelihood(match, structure, experiment, max_iter, input_noise):
     structure : MatrixStructure, HarmonicStructure or None
         As asked for; numbers of harmonics that it leaves open are chosen here.
     experiment : Experiment
-    max_iter : int
-    input_noise : ndarray, shape (m,), or None
+    settings : LikelihoodSettings
 
     Returns
     -------
@@ -39,51 +107,277 @@ def match_likelihood(match, structure, experiment, max_iter, input_noise):
     """
     if match.structure is None:
         raise ValueError(
-            "criterion='output_error' needs a structure whose parameters the record "
-            "determines; give a MatrixStructure or a HarmonicStructure"
+            f"criterion={settings.criterion!r} needs a structure whose parameters the record "
+            f"determines; give a MatrixStructure or a HarmonicStructure"
         )
-    refine = _refine_invariant if match.periodic is None else _refine_periodic
-    structure = HarmonicStructure() if structure is None else structure
-    refined, result = refine(match, structure, experiment, max_iter, input_noise)
-    warn_refined(result)
-    return refined
-
-
-def _refine_periodic(match, structure, experiment, max_iter, input_noise):
-    resolved = match.structure
-    if match.periodic.physical and None in map(structure.n_harmonics, "FG"):
-        fixed = {name: structure.n_harmonics(name) for name in "FG"}
+    periodic = match.periodic
+    data = _Data.of(experiment, periodic is not None, match.sampled)
+    wanted = HarmonicStructure() if structure is None else structure
+    bounds, given = None, match.structure
+    if periodic is None:
+        bounds = structure.lower, structure.upper
+    if periodic is not None and periodic.physical and None in map(wanted.n_harmonics, "FG"):
+        fixed = {name: wanted.n_harmonics(name) for name in "FG"}
         fixed = {name: count for name, count in fixed.items() if count is not None}
-        fixed["P"] = _n_harmonics_of_outputs(match, structure)
-        resolved, result = refine_harmonics(
-            structure, match.periodic, fixed, experiment, max_iter, input_noise
-        )
+        fixed["P"] = _n_harmonics_of_outputs(match, wanted)
+        fit = _refine_harmonics(wanted, periodic, fixed, data, settings)
     else:
-        result = refine_periodic(resolved, match.theta, experiment, max_iter, input_noise)
-    periodic = replace(match.periodic, coefficients=resolved.coefficients(result.theta))
-    affine, seen = periodic.decomposed_structure(resolved, experiment.basis)
-    refined = periodic_match(resolved, result.theta, periodic, match.model, experiment.basis)
-    found = uncertainty(resolved, result, experiment, affine, seen)
-    return replace(refined, n_iter=result.n_iter, uncertainty=found), result
+        fit = data.fit(given, match.theta, settings, bounds=bounds)
+    if periodic is None:
+        refined = _invariant(match, structure, fit)
+    else:
+        basis = experiment.basis if match.sampled is None else decomposed_basis(match, experiment)
+        refined = _periodic(match, fit, basis)
+    sampled = data.sampled(fit, match)
+    warn_refined(fit.result, settings)
+    return replace(refined, n_iter=fit.result.n_iter, sampled=sampled)
 
 
-def _refine_invariant(match, structure, experiment, max_iter, input_noise):
-    bounds = structure.lower, structure.upper
-    result = refine_invariant(
-        match.structure, match.theta, experiment, max_iter, input_noise, bounds
-    )
-    matrices = [M[0] for M in match.structure.matrices(result.theta)]
-    names = match.model.state_names
-    everything = np.arange(match.structure.n_parameters)
-    refined = replace(
+def _periodic(match, fit, basis):
+    periodic = replace(match.periodic, coefficients=fit.structure.coefficients(fit.theta))
+    affine, seen = periodic.decomposed_structure(fit.structure, basis)
+    refined = periodic_match(fit.structure, fit.theta, periodic, match.model, basis)
+    return replace(refined, uncertainty=_uncertainty(fit, affine, seen))
+
+
+def _invariant(match, structure, fit):
+    matrices = [M[0] for M in fit.structure.matrices(fit.theta)]
+    everything = np.arange(fit.structure.n_parameters)
+    return replace(
         match,
-        model=match.model.in_continuous_time(*matrices, state_names=names),
-        theta=result.theta,
+        model=match.model.in_continuous_time(*matrices, state_names=match.model.state_names),
+        theta=fit.theta,
         found=None,  # that of the start
-        n_iter=result.n_iter,
-        uncertainty=uncertainty(match.structure, result, experiment, structure.affine, everything),
+        uncertainty=_uncertainty(fit, structure.affine, everything),
     )
-    return refined, result
+
+
+def free_likelihood(model, experiment, settings):
+    """A discrete model refined, every entry of its matrices free.
+
+    Parameters
+    ----------
+    model : LTIModel or SampleModel
+        Of rows, or of samples at their azimuths.
+    experiment : Experiment
+    settings : LikelihoodSettings
+
+    Returns
+    -------
+    match : Match
+    """
+    of_samples = isinstance(model, SampleModel)
+    start = model if of_samples else _as_samples(model)
+    innovations, n = start.innovations, model.n_states
+    free = innovations.coefficients[: 2 * innovations.n_harmonics + 1, :, :-1]
+    structure = _free_structure(free.shape, n, model.feedthrough, model)
+    data = _Data.of(experiment, True, model if of_samples else None, discrete=True)
+    gain = innovations.gain if innovations.gain.any() else None
+    fit = data.fit(structure, structure.nearest(free), settings, gain0=gain)
+    sampled = data.sampled(fit, replace(Match(model, (), fit.theta, None), sampled=start))
+    warn_refined(fit.result, settings, named=False)
+    uncertainty = _uncertainty(fit, None, None)
+    if not of_samples:
+        A, B, C, D = (M[0] for M in structure.matrices(fit.theta))
+        noise = {}
+        if settings.predicts:
+            gain = sampled.innovations.gain[0]
+            noise = {"kalman_gain": gain, "innovations_covariance": fit.result.spread}
+        matched = replace(model, A=A, B=B, C=C, D=D, **noise)
+        affine = AffineStructure(
+            structure.constant[0], _dense(structure), n, structure.parameter_names
+        )
+        everything = np.arange(structure.n_parameters)
+        uncertainty = replace(uncertainty, affine=affine, seen=everything, dt=model.dt)
+        match = Match(matched, structure.parameter_names, fit.theta, None)
+    else:
+        match = match_samples(sampled, experiment, None, None)
+        match = replace(match, names=structure.parameter_names, theta=fit.theta)
+    return replace(
+        match, n_iter=fit.result.n_iter, uncertainty=uncertainty, sampled=sampled, structure=None
+    )
+
+
+def _dense(structure):
+    return structure.basis.toarray().reshape(-1, *structure.constant.shape[1:])
+
+
+def _as_samples(model):
+    """A discrete model without harmonics as one of samples."""
+    n, (n_outputs, n_inputs) = model.n_states, model.D.shape
+    whole = np.zeros((1, n + n_outputs, n + n_inputs + 1))
+    whole[0, :n, :n], whole[0, :n, n:-1] = model.A, model.B
+    whole[0, n:, :n], whole[0, n:, n:-1] = model.C, model.D
+    gain = np.zeros((1, n, n_outputs)) if model.kalman_gain is None else model.kalman_gain[None]
+    innovations = PeriodicInnovations(whole, gain, np.eye(n_outputs), 2.0 * np.pi)
+    names = model.input_names, model.output_names
+    return SampleModel(innovations, 2.0 * np.pi / model.dt, model.dt, *names, model.feedthrough)
+
+
+def _free_structure(shape, n, feedthrough, model):
+    """[A B; C D](ψ) of some harmonics, all entries parameters, D only where there is one."""
+    free = np.ones(shape, dtype=bool)
+    free[:, n:, n:] = feedthrough
+    places = np.flatnonzero(free)
+    size = int(np.prod(shape))
+    basis = sparse.csr_array(
+        (np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), size)
+    )
+    labels = harmonic_labels(range(len(free) // 2 + 1))
+    names = []
+    for h, i, j in np.argwhere(free):
+        row, column = i - n * (i >= n), j - n * (j >= n)
+        label = "" if len(free) == 1 else f"_{labels[h]}"
+        names.append(f"{'ABCD'[2 * (i >= n) + (j >= n)]}[{row},{column}]{label}")
+    return PeriodicStructure(np.zeros(shape), basis, n, tuple(names))
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """A record as a likelihood sees it.
+
+    Attributes
+    ----------
+    segments : list of (inputs, outputs, first phase or azimuths)
+        A constant input last where there are loads.
+    omega, n_phases : float
+    observe : ndarray or None
+    start : SampleModel or None
+        Whose forced response is where loads start from; None without.
+    discrete : bool
+    """
+
+    segments: list
+    omega: float
+    n_phases: float
+    observe: np.ndarray | None
+    start: SampleModel | None
+    discrete: bool
+    n_loads: int = -1
+
+    @classmethod
+    def of(cls, experiment, raw, start, *, discrete=False):
+        basis = experiment.basis
+        inputs = experiment.inputs if raw else experiment.drive
+        omega, n_phases = sampling(experiment)
+        if start is None:
+            observe = None if raw or not basis.harmonic else _observation(basis)
+            where = [int(basis.phase_index(time)[0]) for time in experiment.times()]
+            n_loads = -1
+        else:
+            where = [_where(psi, n_phases) for psi in experiment.phases]
+            inputs = [np.hstack([u, np.ones((len(u), 1))]) for u in inputs]
+            observe, n_loads = None, basis.most_loads
+        segments = list(zip(inputs, experiment.outputs, where, strict=True))
+        return cls(segments, omega, n_phases, observe, start, discrete, n_loads)
+
+    def fit(self, structure, theta, settings, *, bounds=None, gain0=None):
+        """A structure of the inputs and outputs, fitted from some start."""
+        whole, start = structure, np.asarray(theta, dtype=float)
+        if self.n_loads >= 0:
+            whole = with_loads(structure, self.n_loads)
+            loads = self.start.innovations.forced_response(max(1, self.n_loads))
+            start = np.concatenate([start, loads[: 2 * self.n_loads + 1].ravel()])
+            if bounds is not None:
+                wide = np.full(len(start) - len(theta), np.inf)
+                bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
+        form = Form(whole, self.omega, self.n_phases, self.observe, self.discrete)
+        if any(np.ndim(where) for *_, where in self.segments):
+            form = interpolating(form, start)
+        options = {"bounds": bounds, "max_iter": settings.max_iter}
+        if settings.predicts:
+            found = prediction_error(form, self.segments, start, gain0=gain0, **options)
+            return Fit(structure, found.form, found.result)
+        result = output_error_of(
+            form, self.segments, start, input_sigma=settings.input_noise, **options
+        )
+        return Fit(structure, form, result)
+
+    def sampled(self, fit, match):
+        """The predictor at samples, or the simulation of models of samples; else None."""
+        gain = fit.result.gain
+        structure, theta, n = fit.form.structure, fit.result.theta, fit.structure.n_states
+        step = 2.0 * np.pi / self.n_phases
+        if self.discrete:
+            moved = structure.coefficients(theta)
+        elif self.observe is not None:
+            moved = _coefficients(fit.form.response(_all(fit), sensitivities=False))
+        else:
+            moved = samples_of(structure.coefficients(theta), n, self.omega, step)
+        if self.n_loads < 0:
+            moved = np.concatenate([moved, np.zeros((*moved.shape[:2], 1))], axis=2)
+        gain = np.zeros((1, n, moved.shape[1] - n)) if gain is None else gain
+        innovations = PeriodicInnovations(moved, gain, fit.result.spread, step)
+        if match.sampled is not None:
+            return replace(match.sampled, innovations=innovations)
+        model, dt = match.model, 2.0 * np.pi / self.omega / self.n_phases
+        names = self._names(match)
+        return SampleModel(innovations, self.omega, dt, *names, model.feedthrough, n_loads=-1)
+
+    def _names(self, match):
+        if match.periodic is not None:
+            return match.periodic.input_names, match.periodic.output_names
+        return match.model.input_names, match.model.output_names
+
+
+def _all(fit):
+    gain = fit.result.gain
+    return np.concatenate([fit.result.theta, [] if gain is None else gain.ravel()])
+
+
+def _coefficients(response):
+    """Fourier coefficients of [A B; C D](ψ) from the samples of a turn."""
+    parts = [
+        sampled_harmonics(M, (len(M) - 1) // 2) if len(M) > 1 else M
+        for M in (response.Psi, response.Out)
+    ]
+    whole = np.zeros(
+        (max(map(len, parts)), parts[0].shape[1] + parts[1].shape[1], parts[0].shape[2])
+    )
+    whole[: len(parts[0]), : parts[0].shape[1]] = parts[0]
+    whole[: len(parts[1]), parts[0].shape[1] :] = parts[1]
+    return whole
+
+
+def _where(psi, n_phases):
+    """Phase of the first sample where samples lie on the phases of a whole number; else all ψ."""
+    first = psi[0] * n_phases / (2.0 * np.pi)
+    whole = max(abs(n_phases - round(n_phases)) * len(psi) / n_phases, abs(first - round(first)))
+    return round(first) if whole <= ALIGNED else psi
+
+
+def with_loads(structure, n_loads):
+    """A structure with one more input, which is 1, and moves the outputs by a Fourier series.
+
+    Parameters
+    ----------
+    structure : PeriodicStructure
+    n_loads : int
+        Harmonics; each coefficient of each output is a parameter, after the structure's own.
+    """
+    size, rows, columns = structure.constant.shape
+    n, size_all = structure.n_states, max(size, 2 * n_loads + 1)
+    constant = np.zeros((size_all, rows, columns + 1))
+    constant[:size, :, :-1] = structure.constant
+    basis = structure.basis.tocoo()
+    place = np.unravel_index(basis.coords[1], structure.constant.shape)
+    moved = np.ravel_multi_index(place, constant.shape)
+    h, i = np.divmod(np.arange((2 * n_loads + 1) * (rows - n)), rows - n)
+    loads = np.ravel_multi_index((h, n + i, np.full(len(h), columns)), constant.shape)
+    k = structure.n_parameters
+    table = sparse.coo_array(
+        (
+            np.concatenate([basis.data, np.ones(len(loads))]),
+            (
+                np.concatenate([basis.coords[0], k + np.arange(len(loads))]),
+                np.concatenate([moved, loads]),
+            ),
+        ),
+        shape=(k + len(loads), constant.size),
+    )
+    labels = harmonic_labels(range(n_loads + 1))
+    names = tuple(f"load[{j}]_{labels[which]}" for which, j in zip(h, i, strict=True))
+    return PeriodicStructure(constant, table.tocsr(), n, structure.parameter_names + names)
 
 
 def _n_harmonics_of_outputs(match, structure):
@@ -94,13 +388,12 @@ def _n_harmonics_of_outputs(match, structure):
     return periodic.highest("P")
 
 
-def uncertainty(structure, result, experiment, affine, seen):
-    """What a fit by output error says of its own precision."""
-    exponents, std = floquet_exponent_std(
-        structure, result.theta, result.covariance, *sampling(experiment)
-    )
+def _uncertainty(fit, affine, seen):
+    """What a fit says of its own precision."""
+    exponents, std = exponent_std(fit.form, _all(fit), fit.covariance)
+    result = fit.result
     return Uncertainty(
-        result.covariance, result.sigma, result.aic, result.bic, exponents, std, affine, seen
+        fit.covariance, result.sigma, result.aic, result.bic, exponents, std, affine, seen
     )
 
 
@@ -112,50 +405,13 @@ def sampling(experiment):
     return basis.omega, basis.samples_per_period
 
 
-def records(experiment, inputs):
-    """(inputs, outputs, first phase) of each segment."""
-    basis = experiment.basis
-    phases = [int(basis.phase_index(t)[0]) for t in experiment.times()]
-    return list(zip(inputs, experiment.outputs, phases, strict=True))
+def _observation(basis):
+    """What is measured of harmonic coefficients at each phase."""
+    spp = basis.samples_per_period
+    return basis.recomposition(2.0 * np.pi * np.arange(spp) / spp)
 
 
-def observation(experiment):
-    """What is measured of harmonic coefficients at each phase; None on plain data."""
-    basis = experiment.basis
-    if not basis.harmonic:
-        return None
-    return basis.recomposition(
-        2.0 * np.pi * np.arange(basis.samples_per_period) / basis.samples_per_period
-    )
-
-
-def refine_invariant(structure, theta, experiment, max_iter, input_noise=None, bounds=None):
-    """A time-invariant structure between the drive and the (harmonics of the) outputs."""
-    return output_error(
-        structure,
-        records(experiment, experiment.drive),
-        *sampling(experiment),
-        theta,
-        observe=observation(experiment),
-        input_sigma=input_noise,
-        bounds=bounds,
-        max_iter=max_iter,
-    )
-
-
-def refine_periodic(structure, theta, experiment, max_iter, input_noise=None):
-    """A periodic structure between the raw inputs and outputs."""
-    return output_error(
-        structure,
-        records(experiment, experiment.inputs),
-        *sampling(experiment),
-        theta,
-        input_sigma=input_noise,
-        max_iter=max_iter,
-    )
-
-
-def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=None):
+def _refine_harmonics(structure, start, fixed, data, settings):
     """A periodic structure with as many harmonics of F and G as the data show.
 
     From the number of the start up and down, as long as Akaike's criterion falls: first
@@ -170,35 +426,32 @@ def refine_harmonics(structure, start, fixed, experiment, max_iter, input_noise=
     start : PeriodicModel
     fixed : dict
         Number of harmonics of those among F, G and P that are not to be chosen.
-    experiment : Experiment
-    max_iter : int
-    input_noise : ndarray, shape (m,), optional
+    data : _Data
+    settings : LikelihoodSettings
 
     Returns
     -------
-    resolved : PeriodicStructure
-    result : LikelihoodResult
+    fit : Fit
     """
     names = start.state_names, start.input_names, start.output_names
-    highest = (experiment.basis.samples_per_period - 1) // 2
+    highest = int(np.ceil(data.n_phases / 2.0)) - 1
     counts = {"F": start.highest("F") // 2, "G": min(start.highest("G"), FIRST_INPUT_HARMONICS)}
 
-    def fit(counts, near, noise=None):
+    def fit(counts, near, settings):
         resolved = structure.resolve(*names, counts)
-        theta = resolved.nearest(near)
-        result = refine_periodic(resolved, theta, experiment, max_iter, noise)
-        return _Candidate(counts, resolved, result)
+        return _Candidate(counts, data.fit(resolved, resolved.nearest(near), settings))
 
-    best = fit({**counts, **fixed}, start.coefficients)
+    exact = replace(settings, input_noise=None)
+    best = fit({**counts, **fixed}, start.coefficients, exact)
     for name in "FG":
-        if name == "G" and input_noise is not None:
-            fit = partial(fit, noise=input_noise)
-            best = fit(best.counts, best.resolved.coefficients(best.result.theta))
+        if name == "G" and settings.input_noise is not None:
+            exact = settings
+            best = fit(best.counts, best.coefficients, exact)
         for step in () if name in fixed else (1, -1):
             now = best.counts[name]
             ahead = [k for k in N_HARMONICS if k <= highest and (k - now) * step > 0][::step]
-            best = _climb(best, name, ahead, fit)
-    return best.resolved, best.result
+            best = _climb(best, name, ahead, lambda counts, near, how=exact: fit(counts, near, how))
+    return best.fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,25 +459,29 @@ class _Candidate:
     """A fit with some numbers of harmonics."""
 
     counts: dict
-    resolved: PeriodicStructure
-    result: LikelihoodResult
+    fit: Fit
+
+    @property
+    def coefficients(self):
+        """Of its model."""
+        return self.fit.structure.coefficients(self.fit.theta)
 
 
 def _climb(best, name, ahead, fit):
     """The best candidate on the way through some numbers of harmonics."""
     at, worse = best, 0
     for count in ahead:
-        at = fit({**at.counts, name: count}, at.resolved.coefficients(at.result.theta))
-        worse = 0 if at.result.aic < best.result.aic else worse + 1
+        at = fit({**at.counts, name: count}, at.coefficients)
+        worse = 0 if at.fit.aic < best.fit.aic else worse + 1
         best = at if worse == 0 else best
-        if worse == PATIENCE or (count < best.counts[name] and _hopeless(at, best)):
+        if worse == PATIENCE or (count < best.counts[name] and _hopeless(at.fit, best.fit)):
             break
     return best
 
 
 def _hopeless(at, best):
     """Whether no part of a model class can have a smaller criterion: it fits worse, if anything."""
-    return 2.0 * at.result.cost >= best.result.aic
+    return 2.0 * at.result.cost >= best.aic
 
 
 def warn_closed_loop():
@@ -232,15 +489,15 @@ def warn_closed_loop():
     warn(
         "criterion='output_error' simulates the record and takes all that is left for noise of the "
         "sensors; where disturbances move the machine and feedback answers, this is biased, and "
-        "weighting='pbsid' has told that inputs may answer to outputs: use criterion='hinf', "
-        "or ignore this where nothing but sensors is noisy",
+        "weighting='pbsid' has told that inputs may answer to outputs: use "
+        "criterion='prediction_error', or ignore this where nothing but sensors is noisy",
         IdentifiabilityWarning,
     )
 
 
-def warn_refined(result):
+def warn_refined(result, settings, *, named=True):
     """Of a fit by maximum likelihood."""
-    if result.unidentified:
+    if named and result.unidentified:
         warn(
             f"the record does not determine {', '.join(result.unidentified)} (only some "
             f"combinations of them): their standard deviation is infinite; fix some, share a name, "

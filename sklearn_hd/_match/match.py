@@ -233,6 +233,8 @@ class Uncertainty:
         The time-invariant model, affine in some of the parameters.
     seen : ndarray of int
         Which parameters.
+    dt : float
+        Seconds between samples of that model; 0 in continuous time.
     """
 
     covariance: np.ndarray
@@ -241,12 +243,14 @@ class Uncertainty:
     bic: float
     exponents: np.ndarray
     exponents_std: np.ndarray
-    affine: AffineStructure
-    seen: np.ndarray
+    affine: AffineStructure | None
+    seen: np.ndarray | None
+    dt: float = 0.0
 
     def frequency_response(self, theta, frequencies):
         """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""
         points = 1j * check_frequencies(frequencies)
+        points = np.exp(points * self.dt) if self.dt else points
         response, slopes = self.affine.response_and_sensitivity(theta[self.seen], points)
         return response, propagate_std(slopes, self.covariance[np.ix_(self.seen, self.seen)])
 

@@ -88,6 +88,11 @@ def _periodic(model, experiment, structure):
     return periodic_match(full, theta, periodic, *_decomposed(model, basis))
 
 
+def decomposed_basis(match, experiment):
+    """The signals of the harmonic decomposition of a match of samples."""
+    return _decomposed(match.sampled, experiment.basis)[1]
+
+
 def _weights(found, model, experiment):
     """Of the errors of steps: those of predictions one step ahead, in parts of the innovations."""
     u, y = input_scale(experiment), output_scale(experiment)

@@ -86,9 +86,7 @@ class Form:
         theta = np.asarray(parameters, dtype=float)[: self.structure.n_parameters]
         n_points = self.n_phases if self.n_points is None else self.n_points
         if self.discrete:
-            found = evaluated_response(
-                self.structure, theta, n_points, sensitivities=sensitivities
-            )
+            found = evaluated_response(self.structure, theta, n_points, sensitivities=sensitivities)
         else:
             found = sampled_response(
                 self.structure,
@@ -105,14 +103,17 @@ class Form:
             gain = evaluate_harmonics(gain, psi)
         return replace(found, gain=gain, n_gain_harmonics=H or 0, n_phases=self.n_phases)
 
+    def turn(self, tables):
+        """Matrices of the samples of a turn, of those at the azimuths between which to go."""
+        if len(tables) == 1 or self.n_points is None:
+            return tables
+        psi = 2.0 * np.pi * np.arange(int(self.n_phases)) / self.n_phases
+        return evaluate_harmonics(sampled_harmonics(tables, len(tables) // 2), psi)
+
     def radius(self, response):
         """Size of the largest multiplier of the predictor over a turn, or a sample."""
-        closed = response.closed
-        if len(closed) > 1 and self.n_points is not None:
-            psi = 2.0 * np.pi * np.arange(int(self.n_phases)) / self.n_phases
-            closed = evaluate_harmonics(sampled_harmonics(closed, len(closed) // 2), psi)
         with np.errstate(over="ignore", invalid="ignore"):
-            return radius_of(product_of(closed))
+            return radius_of(product_of(self.turn(response.closed)))
 
     def resolves(self, parameters):
         """Whether the samples can follow the states at these parameters."""

@@ -115,12 +115,17 @@ class LinearSystem:
         steps = BoundedSteps(self.R[:, -1], self.R[:, :-1], lower, upper)
         return BoundedSystem(self.factors, self.states, self.promised_by_states, steps)
 
-    def covariance(self):
-        """(JᵀJ)⁻¹, and which parameters are not identified."""
+    def covariance(self, *, gauge=False):
+        """(JᵀJ)⁻¹, and which parameters are not identified.
+
+        With a gauge, directions that move no output do not count: (JᵀJ)⁺.
+        """
         kept = self.kept
         root = self.adjoint[kept].T / self.singular[kept] / self.size[:, None]
         covariance = root @ root.T
         unknown = np.linalg.norm(self.adjoint[~kept], axis=0) > UNKNOWN
+        if gauge:
+            return covariance, np.zeros_like(unknown)
         covariance[unknown, :] = covariance[:, unknown] = np.nan
         covariance[unknown, unknown] = np.inf
         return covariance, unknown

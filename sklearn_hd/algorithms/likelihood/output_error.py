@@ -107,7 +107,36 @@ def output_error(
     >>> bool(np.isclose(result.theta[0], 2.0, rtol=1e-13))
     True
     """
-    form = Form(structure, omega, n_phases, observe)
+    return output_error_of(
+        Form(structure, omega, n_phases, observe),
+        segments,
+        theta0,
+        free_initial_state=free_initial_state,
+        x0=x0,
+        sigma=sigma,
+        input_sigma=input_sigma,
+        bounds=bounds,
+        max_iter=max_iter,
+        tol=tol,
+        keep_stable=keep_stable,
+    )
+
+
+def output_error_of(
+    form,
+    segments,
+    theta0,
+    *,
+    free_initial_state=True,
+    x0=None,
+    sigma=None,
+    input_sigma=None,
+    bounds=None,
+    max_iter=50,
+    tol=1e-8,
+    keep_stable=True,
+):
+    """The same of a form, at any clock."""
     problem = likelihood_problem(form, segments, free_initial_state, sigma)
     point = start(problem, theta0, x0)
     options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable, "bounds": bounds}
@@ -150,5 +179,3 @@ def _with_noisy_inputs(problem, found, input_sigma, options):
         n_parameters=result.n_parameters + (len(sigma) if problem.sigma is None else 0),
         fit_percent=fit_percent(problem, plain.rss),
     )
-
-

@@ -171,7 +171,7 @@ def result_of(problem, search):
     k = form.structure.n_parameters
     n_fitted = len(point.theta) + (point.x0.size if problem.free_x0 else 0)
     system = problem.linearise(point)
-    covariance, unknown = system.covariance()
+    covariance, unknown = system.covariance(gauge=form.discrete)
     spread, n_noises = problem.spread(point.moments), 0
     if problem.sigma is None:
         spent, n = n_fitted / n_residuals, len(spread)

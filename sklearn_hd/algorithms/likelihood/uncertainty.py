@@ -5,7 +5,7 @@ unbiased estimate has a smaller covariance than its inverse (Cramér and Rao). F
 θ inherit their covariance to first order. An interval of confidence is θ ± z θ_std.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -175,7 +175,38 @@ def floquet_exponent_std(structure, theta, covariance, omega, n_phases):
     ([(-2+0j)], [(0.1+0j)])
     """
     response = sampled_response(structure, theta, omega, n_phases)
-    frequency = omega * n_phases / len(response.Psi)
+    return _exponents_of(response, omega * n_phases / len(response.Psi), covariance)
+
+
+def exponent_std(form, parameters, covariance):
+    """The same of a form, whatever its clock, or of one of steps.
+
+    Parameters
+    ----------
+    form : Form
+    parameters : ndarray
+        θ, then the coefficients of K.
+    covariance : ndarray, shape (k, k)
+        Of the first of the parameters.
+
+    Returns
+    -------
+    exponents, std : complex ndarray, shape (n,)
+    """
+    if not form.discrete:
+        theta, n_phases = parameters[: form.structure.n_parameters], int(np.ceil(form.n_phases))
+        wider = np.zeros((form.structure.n_parameters,) * 2)  # loads move no exponent
+        wider[: len(covariance), : len(covariance)] = covariance
+        return floquet_exponent_std(form.structure, theta, wider, form.omega, n_phases)
+    response = form.with_gain(None).response(parameters, sensitivities=True)
+    Psi, dPsi = form.turn(response.Psi), response.dPsi[: len(covariance)]
+    dPsi = form.turn(dPsi.swapaxes(0, 1)).swapaxes(0, 1)
+    frequency = form.omega * form.n_phases / len(Psi)
+    return _exponents_of(replace(response, Psi=Psi, dPsi=dPsi), frequency, covariance)
+
+
+def _exponents_of(response, frequency, covariance):
+    """Exponents of a turn of some frequency, and their standard deviations."""
     exponents = monodromy_exponents(response.monodromy, frequency)
     multipliers, left, right = linalg.eig(response.monodromy, left=True)
     own = [np.argmin(np.abs(multipliers - mu)) for mu in np.exp(exponents * 2 * np.pi / frequency)]

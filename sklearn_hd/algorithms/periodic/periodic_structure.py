@@ -213,7 +213,9 @@ class SampledResponse:
     @property
     def closed(self):
         """Transition matrices of the predictor, Φ − K C, shape (p, n, n)."""
-        return self.Phi if self.gain is None else self.Phi - self.gain @ self.Out[..., : self.n_states]
+        return (
+            self.Phi if self.gain is None else self.Phi - self.gain @ self.Out[..., : self.n_states]
+        )
 
     @cached_property
     def monodromy(self):

@@ -61,10 +61,7 @@ def recorded(structure, theta, rng, *, lengths=(150, 97), phases=(0, 5), noise=0
 def residual_vector(structure, theta, segments, x0, observe=None):
     response = sampled_response(structure, theta, OMEGA, N_PHASES, observe)
     records = as_records(segments, structure.n_inputs, response.Out.shape[1])
-    parts = [
-        residuals(response, record, start)
-        for record, start in zip(records, x0, strict=True)
-    ]
+    parts = [residuals(response, record, start) for record, start in zip(records, x0, strict=True)]
     return np.concatenate(parts)
 
 

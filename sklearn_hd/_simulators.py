@@ -1,0 +1,159 @@
+"""Simulation and prediction of a model over one segment."""
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd._guards import extremes
+from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._sample_model import AtSamples, SampleSimulator
+from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
+from sklearn_hd.algorithms.subspace.innovations import InnovationForm
+from sklearn_hd.exceptions import UnstableModelError
+
+__all__ = ["SegmentSimulator", "fit_initial_state", "predicted_ahead", "sample_simulators"]
+
+
+class SegmentSimulator:
+    """Free simulation of a model over one segment, linear in its initial state.
+
+    A continuous model steps at the data's own sample time. A discrete model steps from one row
+    that its reading reads to the next.
+
+    Parameters
+    ----------
+    model : LTIModel
+    basis : HarmonicBasis or PlainReading
+    drive : ndarray, shape (n_samples, n_drive)
+    time : ndarray, shape (n_samples,)
+    sample_time : float
+    """
+
+    def __init__(self, model, basis, drive, time, sample_time):
+        self.model, self.basis, self.time = model, basis, time
+        self.drive, self.rows = drive, None
+        self.A, self.B = model.A, model.B
+        if model.dt == 0.0:
+            self.A, self.B = continuous_to_discrete(model.A, model.B, sample_time)
+        else:
+            self.rows = basis.simulated_rows(time)
+        if self.rows is not None:
+            self.drive = basis.held_drive(drive, self.rows)
+
+    @property
+    def form(self):
+        """The innovation form of the model."""
+        model = self.model
+        return InnovationForm(model.A, model.B, model.C, model.D, model.kalman_gain)
+
+    def read(self, outputs):
+        """Outputs at the rows that the model steps through."""
+        return self.basis.outputs_read(outputs, self.time)
+
+    def n_read_within(self, stop):
+        """Rows of the model whose samples all lie before some sample."""
+        return self.basis.n_read_within(self.time, stop)
+
+    def at_samples(self):
+        """The model at the samples, whose outputs are what is measured."""
+        if self.rows is not None:
+            raise ValueError(
+                f"this model is one of whole windows or periods (reading="
+                f"{self.basis.reading!r}), whose residuals noise correlates, too; test those of "
+                f"the model brought to samples: SpuriousModeReducer or StructuredMatcher behind it"
+            )
+        R = self.basis.recomposition(self.basis.azimuth(self.time))
+        kept = highest_harmonic(self.basis.outputs) if self.basis.harmonic else 0
+        model = self.model
+        matrices = self.A, self.B, R @ model.C, R @ model.D, model.kalman_gain
+        return AtSamples.of(*matrices, self.drive, kept)
+
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
+        time = self.time[:n_samples]
+        drive = self.drive[: self._n_steps(len(time))]
+        Y = simulate(self.A, self.B, self.model.C, self.model.D, drive, x0)
+        if not np.isfinite(Y).all():
+            radius = np.max(np.abs(np.linalg.eigvals(self.A)))
+            raise UnstableModelError(
+                f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
+                f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
+                f"the order, or simulate a shorter span"
+            )
+        return self.observe(Y, time, recompose)
+
+    def free(self, n_samples):
+        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
+        n, steps = self.model.n_states, self._n_steps(n_samples)
+        states = propagate(self.A, np.zeros((n, steps, n)), np.eye(n))
+        return self.observe(states @ self.model.C.T, self.time[:n_samples])
+
+    def _n_steps(self, n_samples):
+        """Steps of the model that the first samples are made of."""
+        steps = n_samples if self.rows is None else int(np.sum(self.rows < n_samples)) + 1
+        return min(steps, len(self.drive))
+
+    def observe(self, Y, time, recompose=True):
+        """Model outputs brought to every sample, and recomposed to signals."""
+        if self.rows is not None:
+            Y = self._between_rows(Y, len(time))
+        return self.basis.recomposed(Y, time) if recompose else Y
+
+    def _between_rows(self, Y, n_samples):
+        rows = self.rows[: Y.shape[-2]]
+        if len(rows) == 0:
+            return np.zeros((*Y.shape[:-2], n_samples, Y.shape[-1]))
+        return self.basis.between_rows(Y, rows, n_samples)
+
+
+def sample_simulators(model, experiment):
+    """Simulators of a model of samples at their azimuths, one a segment."""
+    raw = model.input_names == tuple(experiment.basis.input_signals)
+    inputs = experiment.inputs if raw else experiment.drive
+    parts = zip(inputs, experiment.times(), experiment.phases, strict=True)
+    return [SampleSimulator(model, experiment.basis, *part) for part in parts]
+
+
+def fit_initial_state(simulator, outputs, rows):
+    """Initial state whose simulation fits the outputs best over some rows."""
+    largest = np.max(np.abs(extremes(outputs)), axis=0)
+    unit = np.where(largest > 0.0, largest, 1.0)  # so that each output counts alike
+    zero = np.zeros(simulator.model.n_states)
+    forced = simulator.outputs(zero, n_samples=rows.stop)[rows]
+    if simulator.model.n_states == 0:
+        return np.zeros(0)
+    free = simulator.free(rows.stop)[:, rows] / unit
+    regressors = free.reshape(len(free), -1).T
+    scale = np.linalg.norm(regressors, axis=0)
+    scale[scale == 0.0] = 1.0
+    target = ((outputs[rows] - forced) / unit).reshape(-1)
+    return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
+
+
+def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompose=True):
+    """Outputs of one segment, predicted some rows ahead.
+
+    Parameters
+    ----------
+    simulator : SegmentSimulator
+    outputs : ndarray, shape (n_samples, n_outputs)
+        Measured, trim subtracted.
+    horizon : int
+        Rows of the model from the last output used to the one predicted.
+    x0 : ndarray, shape (n_states,), optional
+        The state with the least innovations where not given.
+    rows : slice, optional
+        Samples that x0 is fitted to; all by default.
+    recompose : bool
+        False gives harmonics.
+
+    Returns
+    -------
+    predicted : ndarray, shape (n_samples, n_outputs)
+    """
+    model, u, form = simulator.model, simulator.drive, simulator.form
+    Y, seen = simulator.read(outputs), None
+    if rows is not None:
+        seen = max(1, simulator.n_read_within(rows.stop))
+    if x0 is None:
+        x0 = form.initial_state(u[: len(Y)][:seen], Y[:seen], model.innovations_covariance)
+    return simulator.observe(form.ahead(u, Y, x0, horizon), simulator.time, recompose)

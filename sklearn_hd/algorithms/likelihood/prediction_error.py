@@ -1,0 +1,155 @@
+"""Maximum likelihood of the innovations form: what shakes the machine itself has a gain.
+
+    x[k+1] = Φ_k x[k] + Γ_k u[k] + K(ψ_k) e[k],   y[k] = C_k x[k] + D_k u[k] + e[k]
+    −log L = ½ N log det (Σ e eᵀ / N) + const
+
+K is a Fourier series whose number of harmonics has the least of Akaike's criterion; without K at
+all it is the output error method. The first K is that of a Kalman filter: noise that moves the
+states so that outputs answer alike, of the size that leaves the most likely innovations.
+
+References: L. Ljung, *System Identification*, 1999, sections 4.3 and 7.4; T. McKelvey,
+A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable linear systems and
+their application to system identification", Automatica 40 (2004).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.likelihood import Problem, likelihood_problem
+from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, result_of, search, start
+from sklearn_hd.algorithms.linalg.rounding import HALF
+
+RATIOS = 10.0 ** np.arange(-8, 3, 2)  # of noise in states and outputs, in parts of their size
+MOST_HARMONICS = 4  # of K
+MOST_TURNS = 400  # of the Riccati equation
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionError:
+    """What a fit found, and of which form.
+
+    Attributes
+    ----------
+    form : Form
+    result : LikelihoodResult
+    problem : Problem
+    search : Search
+    """
+
+    form: Form
+    result: LikelihoodResult
+    problem: Problem
+    search: object
+
+
+def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_iter=50, tol=1e-8):
+    """Parameters and Kalman gain of largest likelihood.
+
+    Parameters
+    ----------
+    form : Form
+        Its number of harmonics of K is chosen here.
+    segments : list of (inputs, outputs, where)
+        As for :func:`sklearn_hd.algorithms.likelihood.predictor.as_records`.
+    theta0 : ndarray, shape (k,)
+        Of the structure.
+    gain0 : ndarray, shape (2 H + 1, n, l), optional
+        To start from, beside that of a Kalman filter.
+    bounds : tuple of ndarray, shape (k,), optional
+    max_iter : int, default=50
+    tol : float, default=1e-8
+
+    Returns
+    -------
+    found : PredictionError
+    """
+    settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
+    point = first_gain(form, segments, theta0, gain0)
+    best = _fit(form.with_gain(0), segments, point, settings)
+    theta = best.search.point.theta
+    if form.with_gain(None).radius(form.response(theta[: len(theta0)], sensitivities=False)) < 1.0:
+        without = _fit(form.with_gain(None), segments, theta[: len(theta0)], settings)
+        if without.result.aic <= best.result.aic:
+            return without
+    for count in range(1, _most(form) + 1):
+        more = best.form.structure.n_parameters
+        theta, gain = best.search.point.theta[:more], best.result.gain
+        wider = np.zeros((2 * count + 1, *gain.shape[1:]))
+        wider[: len(gain)] = gain
+        theta = np.concatenate([theta, wider.ravel()])
+        found = _fit(form.with_gain(count), segments, theta, settings)
+        if found.result.aic >= best.result.aic:
+            break
+        best = found
+    return best
+
+
+def _most(form):
+    """Highest harmonic of K to be tried."""
+    if not any(form.structure.varies) and form.observe is None:
+        return 0
+    return min(MOST_HARMONICS, int(np.ceil(form.n_phases / 2.0)) - 1)
+
+
+def _fit(form, segments, theta, settings):
+    """The most likely parameters from some start."""
+    problem = likelihood_problem(form, segments, True, correlated=True)
+    bounds = settings["bounds"]
+    if bounds is not None:
+        wide = np.full(form.n_gains, np.inf)
+        bounds = tuple(np.concatenate([b, s * wide]) for b, s in zip(bounds, (-1, 1), strict=True))
+    found = search(
+        problem, start(problem, theta), **{**settings, "bounds": bounds}, keep_stable=True
+    )
+    return PredictionError(form, result_of(problem, found), problem, found)
+
+
+def first_gain(form, segments, theta0, gain0=None):
+    """θ and a constant K: of several Kalman filters, that of the most likely innovations."""
+    form = form.with_gain(0)
+    problem = likelihood_problem(form, segments, True, correlated=True)
+    own = form.with_gain(None).response(theta0, sensitivities=False)
+    gains = [] if gain0 is None else [gain0[0]]
+    gains += [_filter_gain(form, own, problem.size, ratio) for ratio in RATIOS]
+    best = None
+    for gain in gains:
+        theta = np.concatenate([theta0, gain.ravel()])
+        point = problem.point(theta, np.zeros((len(problem.records), form.n_states)))
+        if best is None or point.cost < best.cost:
+            best = point
+    return best.theta
+
+
+def _filter_gain(form, response, size, ratio):
+    """Mean gain over a turn of the Kalman filter for noise of some size in the states."""
+    n = form.n_states
+    Phi, C = (form.turn(M) for M in (response.Phi, response.Out[..., :n] / size[:, None]))
+    count = max(len(Phi), len(C))
+    Phi, C = (np.broadcast_to(M, (count, *M.shape[1:])) for M in (Phi, C))
+    Q = ratio * _answering_alike(Phi, C)
+    R, P, before, gains = np.eye(len(size)), Q, None, np.zeros((count, n, len(size)))
+    for _ in range(MOST_TURNS):
+        for k in range(count):
+            spread = C[k] @ P @ C[k].T + R
+            gains[k] = Phi[k] @ np.linalg.solve(spread, C[k] @ P).T
+            P = Phi[k] @ P @ Phi[k].T + Q - gains[k] @ spread @ gains[k].T
+            P = 0.5 * (P + P.T)
+        if before is not None and np.max(np.abs(P - before)) <= HALF * np.max(np.abs(P)):
+            break
+        before = P
+    return np.mean(gains, axis=0) / size
+
+
+def _answering_alike(Phi, C):
+    """Covariance of states to which outputs answer alike, whatever their direction."""
+    n, count = Phi.shape[1], max(len(Phi), 2 * Phi.shape[1])
+    gramian, M = np.zeros((n, n)), np.eye(n)
+    for k in range(count):
+        seen = C[k % len(C)] @ M
+        gramian += seen.T @ seen / count
+        M = Phi[k % len(Phi)] @ M
+    values, vectors = np.linalg.eigh(gramian)
+    values = np.maximum(values, HALF * values[-1])
+    return (vectors / values) @ vectors.T
