@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import sparse, stats
 
-from sklearn_hd.algorithms.likelihood.predictor import as_records, simulate
 from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.predictor import as_records, simulate
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response

@@ -281,9 +281,10 @@ class _Data:
             if bounds is not None:
                 wide = np.full(len(start) - len(theta), np.inf)
                 bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
-        form = Form(whole, self.omega, self.n_phases, self.observe, self.discrete)
-        if any(np.ndim(where) for *_, where in self.segments):
-            form = interpolating(form, start)
+        between = any(np.ndim(where) for *_, where in self.segments)
+        n_phases = self.n_phases if between else round(self.n_phases)
+        form = Form(whole, self.omega, n_phases, self.observe, self.discrete)
+        form = interpolating(form, start) if between else form
         options = {"bounds": bounds, "max_iter": settings.max_iter}
         if settings.predicts:
             found = prediction_error(form, self.segments, start, gain0=gain0, **options)

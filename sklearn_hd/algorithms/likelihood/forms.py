@@ -1,6 +1,7 @@
 """What a likelihood has parameters of: a sampled periodic model with its Kalman gain."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 FEWEST = 63  # azimuths of a turn between which matrices are interpolated, odd
 MOST = 2047  # of them
-WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +70,15 @@ class Form:
             return 0
         return (2 * self.n_gain_harmonics + 1) * self.n_states * self.n_outputs
 
+    @cached_property
+    def linear(self):
+        """Places of the parameters of G and Q alone, in which outputs are linear."""
+        columns = np.unravel_index(self.structure.basis.indices, self.structure.constant.shape)[2]
+        drives = np.add.reduceat(
+            np.append(columns < self.n_states, False), self.structure.basis.indptr[:-1]
+        )
+        return np.flatnonzero(drives == 0)
+
     def with_gain(self, n_harmonics):
         """The same with a gain of some harmonics, or None."""
         return replace(self, n_gain_harmonics=n_harmonics)
@@ -101,7 +110,7 @@ class Form:
         if gain is not None:
             psi = 2.0 * np.pi * np.arange(n_points if H else 1) / n_points
             gain = evaluate_harmonics(gain, psi)
-        return replace(found, gain=gain, n_gain_harmonics=H or 0, n_phases=self.n_phases)
+        return replace(found, gain=gain, n_gain_harmonics=H, n_phases=self.n_phases)
 
     def turn(self, tables):
         """Matrices of the samples of a turn, of those at the azimuths between which to go."""
@@ -126,12 +135,7 @@ class Form:
 
 
 def interpolating(form, theta):
-    """The form at as many azimuths of a turn as tell its matrices at others.
-
-    Where a turn holds a whole number of samples, they are those.
-    """
-    if abs(form.n_phases - round(form.n_phases)) <= WHOLE:
-        return replace(form, n_phases=round(form.n_phases))
+    """The form at as many azimuths of a turn as tell its matrices at others."""
     n_points = FEWEST
     while n_points < MOST:
         response = replace(form, n_points=n_points).response(theta, sensitivities=False)

@@ -12,7 +12,7 @@ leave a small triangular system for δθ, and δx0 = −X⁺ (J δθ + r). Of [X
 factor is kept, so that digits last that JᵀJ would lose.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -31,6 +31,8 @@ ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
 SETTLED = 1e-12  # relative change of S between two steps of its search
 MOST_STEPS = 200  # of that search
+MOST_TURNS = 5  # of S and inputs in turn
+LITTLE = 1e-3  # of the likelihood, a row, that another turn is worth
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,8 +278,8 @@ class Problem:
         cost = self.cost(moments) if np.all(np.isfinite(moments)) else np.inf
         return Point(theta, x0, moments, cost, self.form.radius(response))
 
-    def whitened(self, point, spread, *, parameters=True):
-        """[∂ŷ/∂x0, ∂ŷ/∂θ, ŷ − y] times S^{-1/2}, piece by piece.
+    def whitened(self, point, spread, only=None):
+        """[∂ŷ/∂x0, ∂ŷ/∂θ, ŷ − y] times S^{-1/2}, piece by piece; of some parameters where told.
 
         Yields
         ------
@@ -285,7 +287,9 @@ class Problem:
             And the first sample of the piece.
         block : ndarray, shape (n_columns + 1, n_samples, l)
         """
-        response = self.form.response(point.theta, sensitivities=parameters)
+        response = self.form.response(point.theta, sensitivities=only is None or len(only) > 0)
+        if only is not None:
+            response = _of_some(response, only)
         roots = _roots(spread, self.patterns.there)
         for segment, (record, x0) in enumerate(zip(self.records, point.x0, strict=True)):
             which = self.patterns.which[segment]
@@ -296,21 +300,48 @@ class Problem:
                 else:
                     yield segment, start, np.einsum("tij,ctj->cti", roots[which[start:stop]], dy)
 
-    def factors(self, point, spread, *, parameters=True):
+    def factors(self, point, spread, only=None):
         """Triangular factor of the whitened columns of each segment."""
         factors = [None] * len(self.records)
-        for segment, _, block in self.whitened(point, spread, parameters=parameters):
+        for segment, _, block in self.whitened(point, spread, only):
             columns = block.reshape(len(block), -1)
             if factors[segment] is None:
                 factors[segment] = np.zeros((len(block), len(block)))
             factors[segment] = updated_factor(factors[segment], columns)
         return factors
 
-    def linearise(self, point, spread=None, *, parameters=True):
-        """Least-squares system for a step from a point."""
+    def linearise(self, point, spread=None, only=None):
+        """Least-squares system for a step from a point, of some parameters where told."""
         spread = self.spread(point.moments) if spread is None else spread
         n0 = self.form.n_states if self.free_x0 else 0
-        return eliminate_states(self.factors(point, spread, parameters=parameters), n0)
+        return eliminate_states(self.factors(point, spread, only), n0)
+
+    def with_best_inputs(self, point):
+        """The same F and P with the G, Q and initial states of largest likelihood.
+
+        Outputs are linear in these (Golub and Pereyra, 1973); S in turn with them.
+        """
+        linear = self.form.linear
+        for _ in range(MOST_TURNS):
+            system = self.linearise(point, only=linear)
+            step, theta = system.step(0.0), point.theta.copy()
+            theta[linear] += step
+            x0 = point.x0 - [states @ np.append(step, 1.0) for states in system.states]
+            trial = self.point(theta, x0 if self.free_x0 else point.x0)
+            if not trial.cost < point.cost:
+                break
+            fall, point = point.cost - trial.cost, trial
+            if not self.correlated or fall < LITTLE * self.n_residuals:
+                break
+        return point
+
+
+def _of_some(response, places):
+    """A response with the derivatives by some parameters alone."""
+    if not len(places):
+        return replace(response, dPsi=None, dOut=None, n_gain_harmonics=None)
+    some = {"dPsi": response.dPsi[places], "dOut": response.dOut[places]}
+    return replace(response, **some, n_gain_harmonics=None)
 
 
 def _completed(S, there, count, moment):

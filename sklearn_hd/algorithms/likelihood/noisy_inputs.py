@@ -201,9 +201,12 @@ class NoisyInputProblem(Problem):
         old = self.output_sigma**2
         return np.sqrt(np.maximum(old + (found - expected) / counts, 0.0))
 
-    def factors(self, point, spread, *, parameters=True):
+    def with_best_inputs(self, point):
+        return point
+
+    def factors(self, point, spread, only=None):
         """Triangular factor of the whitened [∂ŷ/∂x0, ∂ŷ/∂θ, r] of each segment."""
-        response = self.form.response(point.theta, sensitivities=parameters)
+        response = self.form.response(point.theta, sensitivities=True)
         return [
             self._factor(response, *each)
             for each in zip(

@@ -96,13 +96,11 @@ def _most(form):
 def _fit(form, segments, theta, settings):
     """The most likely parameters from some start."""
     problem = likelihood_problem(form, segments, True, correlated=True)
-    bounds = settings["bounds"]
-    if bounds is not None:
-        wide = np.full(form.n_gains, np.inf)
-        bounds = tuple(np.concatenate([b, s * wide]) for b, s in zip(bounds, (-1, 1), strict=True))
-    found = search(
-        problem, start(problem, theta), **{**settings, "bounds": bounds}, keep_stable=True
-    )
+    settings = {**settings, "keep_stable": True}
+    if settings["bounds"] is not None:
+        wide, (lower, upper) = np.full(form.n_gains, np.inf), settings["bounds"]
+        settings["bounds"] = np.append(lower, -wide), np.append(upper, wide)
+    found = search(problem, start(problem, theta), **settings)
     return PredictionError(form, result_of(problem, found), problem, found)
 
 
@@ -116,7 +114,7 @@ def first_gain(form, segments, theta0, gain0=None):
     best = None
     for gain in gains:
         theta = np.concatenate([theta0, gain.ravel()])
-        point = problem.point(theta, np.zeros((len(problem.records), form.n_states)))
+        point = start(problem, theta)
         if best is None or point.cost < best.cost:
             best = point
     return best.theta

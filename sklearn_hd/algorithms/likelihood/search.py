@@ -13,6 +13,7 @@ from sklearn_hd.algorithms.likelihood.likelihood import Point
 
 STALLED = 1e-2  # fall of the cost, in all where no step pays, per residual at rounding
 FIRST_DAMPING = 1e-6
+POOR = 0.5  # of the fall expected: what is linear is then solved for by itself
 DAMPING_LIMIT = 1e8  # times the squared singular values: steps have become rounding
 
 
@@ -137,7 +138,7 @@ def start(problem, theta0, x0=None):
         return point
     spread = np.diag((problem.size if problem.sigma is None else problem.sigma) ** 2)
     for _ in range(2):  # weighed by the outputs, then by what is left of them
-        system = problem.linearise(point, spread, parameters=False)
+        system = problem.linearise(point, spread, ())
         trial = problem.point(theta, point.x0 - [each[:, -1] for each in system.states])
         if not trial.cost < point.cost:
             break
@@ -155,9 +156,12 @@ def _damped_step(problem, point, system, damping, keep_stable):
         if problem.form.resolves(theta):
             trial = problem.point(theta, point.x0 + x0_step if problem.free_x0 else point.x0)
         unstable = trial is not None and trial.radius > 1.0 >= point.radius
-        if trial is not None and trial.cost < point.cost and not (keep_stable and unstable):
+        if trial is not None and np.isfinite(trial.cost) and not (keep_stable and unstable):
             at_rest = [0.0 * each for each in x0_step]
             expected = 0.5 * (system.left_at(0.0 * step, at_rest) - system.left_at(step, x0_step))
+            if point.cost - trial.cost < POOR * expected:
+                trial = problem.with_best_inputs(trial)
+        if trial is not None and trial.cost < point.cost and not (keep_stable and unstable):
             gain = (point.cost - trial.cost) / max(expected, 1e-300)
             fall = max(1e-2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             return trial, max(damping * fall, 1e-16)

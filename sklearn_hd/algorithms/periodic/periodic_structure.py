@@ -182,8 +182,8 @@ class SampledResponse:
     dOut : ndarray, shape (k, q, l', n + m), or None
     gain : ndarray, shape (p or 1, n, l'), or None
         K of the innovations form; None for a simulation.
-    n_gain_harmonics : int
-        Of K.
+    n_gain_harmonics : int or None
+        Of K; None where it is known.
     n_phases : float
         Samples a period.
     """
@@ -193,13 +193,14 @@ class SampledResponse:
     dPsi: np.ndarray | None = None
     dOut: np.ndarray | None = None
     gain: np.ndarray | None = None
-    n_gain_harmonics: int = 0
+    n_gain_harmonics: int | None = None
     n_phases: float = 1.0
 
     @property
     def n_gains(self):
         """Number of coefficients of K."""
-        return 0 if self.gain is None else (2 * self.n_gain_harmonics + 1) * self.gain[0].size
+        count = self.n_gain_harmonics
+        return 0 if count is None else (2 * count + 1) * self.gain[0].size
 
     @property
     def n_states(self):
