@@ -82,9 +82,9 @@ def free_heave(names):
 
 def test_harmonics_of_a_sliding_analyzer():
     """Refined on the signals themselves: no analyzer bias. The reducer, whose modes are of largest
-    likelihood, has left nothing for the matcher to gain."""
+    likelihood, has left the matcher a tenth of a standard deviation to gain."""
     data = make_flapping_wing("lti-signal", n_periods=120, start=10, snr=100, random_state=0)
-    names, errors = list(data.A_exact.columns), []
+    names, found = list(data.A_exact.columns), []
     exact = data.A_exact.to_numpy()
     for criterion in ("hinf", "output_error"):
         matcher = StructuredMatcher(structure=free_heave(names), criterion=criterion)
@@ -92,11 +92,11 @@ def test_harmonics_of_a_sliding_analyzer():
         pipe = Pipeline([*steps, ("match", matcher)])
         pipe["identify"].set_params(order=12)
         match = pipe.fit(data.inputs, data.outputs)["match"]
-        errors.append(np.linalg.norm(match.system_.A - exact) / np.linalg.norm(exact))
-    assert errors[1] < 0.01
-    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
-    A = match.theta_.to_numpy()[:9] - exact.ravel()
-    assert np.abs(A / match.theta_std_.to_numpy()[:9]).max() < 4.5
+        found.append(match.theta_.to_numpy()[:9])
+    std = match.theta_std_.to_numpy()[:9]
+    assert np.linalg.norm(found[1] - exact.ravel()) < 0.01 * np.linalg.norm(exact)
+    assert np.abs((found[1] - found[0]) / std).max() < 0.1
+    assert np.abs((found[1] - exact.ravel()) / std).max() < 4.5
     assert match.system_.state_labels == names
 
 

@@ -6,6 +6,7 @@ samples about a forced periodic response, whose Fourier coefficients are paramet
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -17,8 +18,8 @@ from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
 from sklearn_hd.algorithms.likelihood.output_error import output_error_of
-from sklearn_hd.algorithms.likelihood.prediction_error import prediction_error
-from sklearn_hd.algorithms.likelihood.search import LikelihoodResult
+from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain, prediction_error
+from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, OverflowingStartError
 from sklearn_hd.algorithms.likelihood.uncertainty import exponent_std
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
@@ -29,7 +30,9 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
-FIRST_INPUT_HARMONICS = 2  # more of G are tried afterwards
+FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
+FEW_STEPS = 30  # of a search with more harmonics: one that takes longer is not determined
+COARSE = 0.1  # of the likelihood, in all, by which a candidate may miss its best
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 ALIGNED = 1e-6  # of a sample, by which the first may miss a phase
 
@@ -116,11 +119,9 @@ def match_likelihood(match, structure, experiment, settings):
     bounds, given = None, match.structure
     if periodic is None:
         bounds = structure.lower, structure.upper
-    if periodic is not None and periodic.physical and None in map(wanted.n_harmonics, "FG"):
-        fixed = {name: wanted.n_harmonics(name) for name in "FG"}
-        fixed = {name: count for name, count in fixed.items() if count is not None}
-        fixed["P"] = _n_harmonics_of_outputs(match, wanted)
-        fit = _refine_harmonics(wanted, periodic, fixed, data, settings)
+    open_to = _open_counts(match, wanted)
+    if open_to:
+        fit = _refine_harmonics(match, wanted, open_to, data, settings)
     else:
         fit = data.fit(given, match.theta, settings, bounds=bounds)
     if periodic is None:
@@ -271,13 +272,21 @@ class _Data:
         segments = list(zip(inputs, experiment.outputs, where, strict=True))
         return cls(segments, omega, n_phases, observe, start, discrete, n_loads)
 
-    def fit(self, structure, theta, settings, *, bounds=None, gain0=None):
-        """A structure of the inputs and outputs, fitted from some start."""
+    def fit(self, structure, theta, settings, *, bounds=None, gain0=None, like=None, coarse=False):
+        """A structure of the inputs and outputs, fitted from some start.
+
+        ``like`` is a fit of another structure, of whose gain and loads this one has as many
+        harmonics, and starts from. A coarse one is to be compared with others.
+        """
         whole, start = structure, np.asarray(theta, dtype=float)
         if self.n_loads >= 0:
             whole = with_loads(structure, self.n_loads)
-            loads = self.start.innovations.forced_response(max(1, self.n_loads))
-            start = np.concatenate([start, loads[: 2 * self.n_loads + 1].ravel()])
+            if like is None:
+                loads = self.start.innovations.forced_response(max(1, self.n_loads))
+                loads = loads[: 2 * self.n_loads + 1].ravel()
+            else:
+                loads = like.result.theta[like.structure.n_parameters :]
+            start = np.concatenate([start, loads])
             if bounds is not None:
                 wide = np.full(len(start) - len(theta), np.inf)
                 bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
@@ -286,6 +295,13 @@ class _Data:
         form = Form(whole, self.omega, n_phases, self.observe, self.discrete)
         form = interpolating(form, start) if between else form
         options = {"bounds": bounds, "max_iter": settings.max_iter}
+        if coarse:
+            size = sum(y.size for _, y, _ in self.segments)
+            options |= {"max_iter": min(FEW_STEPS, settings.max_iter), "tol": COARSE / size}
+        if settings.predicts and like is not None:
+            form = form.with_gain(like.form.n_gain_harmonics)
+            found = fit_gain(form, self.segments, start, like.result.gain, **options)
+            return Fit(structure, form, found.result)
         if settings.predicts:
             found = prediction_error(form, self.segments, start, gain0=gain0, **options)
             return Fit(structure, found.form, found.result)
@@ -412,21 +428,56 @@ def _observation(basis):
     return basis.recomposition(2.0 * np.pi * np.arange(spp) / spp)
 
 
-def _refine_harmonics(structure, start, fixed, data, settings):
-    """A periodic structure with as many harmonics of F and G as the data show.
+def _open_counts(match, structure):
+    """Names of the matrices whose number of harmonics the data choose, first things first.
+
+    In Floquet coordinates F is constant, and shapes take up the difference.
+    """
+    if match.periodic is None:
+        return ""
+    names = "FG" if match.periodic.physical else "PG"
+    return "".join(name for name in names if structure.n_harmonics(name) is None)
+
+
+def _structures(match, structure, open_to):
+    """Structures by their numbers of harmonics."""
+    periodic = match.periodic
+    signals = periodic.state_names, periodic.input_names, periodic.output_names
+    if periodic.physical:
+        fixed = {name: structure.n_harmonics(name) for name in "FG" if name not in open_to}
+        fixed["P"] = _n_harmonics_of_outputs(match, structure)
+        return lambda counts: structure.resolve(*signals, {**fixed, **counts})
+    full, n = match.structure, periodic.n_states
+    entries = full.basis.tocoo()
+    harmonic, row, column = np.unravel_index(entries.coords[1], full.constant.shape)
+    own = (row >= n) if "P" in open_to else np.zeros(len(row), dtype=bool)
+    highest = {"P": own & (column < n), "G": (row < n) & (column >= n)}
+
+    def restricted(counts):
+        beyond = np.zeros(full.n_parameters, dtype=bool)
+        for name, count in counts.items():
+            beyond[entries.coords[0][highest[name] & (harmonic > 2 * count)]] = True
+        return full.restricted(np.flatnonzero(~beyond))
+
+    return restricted
+
+
+def _refine_harmonics(match, structure, open_to, data, settings):
+    """A periodic structure with as many harmonics as the data show.
 
     From the number of the start up and down, as long as Akaike's criterion falls: first
-    of F, then of G. It takes a harmonic too many now and then, which widens the intervals;
-    Schwarz's leaves out some that are there, and the intervals then miss the truth (the
-    rotor blade's by four standard deviations). Noise on the inputs, where it is allowed
-    for, looks like harmonics of G if it is not: it comes in before G is judged.
+    of F (of P in Floquet coordinates), then of G. It takes a harmonic too many now and then,
+    which widens the intervals; Schwarz's leaves out some that are there, and the intervals then
+    miss the truth (the rotor blade's by four standard deviations). Noise on the inputs, where it
+    is allowed for, looks like harmonics of G if it is not: it comes in before G is judged.
 
     Parameters
     ----------
+    match : Match
+        To start from.
     structure : HarmonicStructure
-    start : PeriodicModel
-    fixed : dict
-        Number of harmonics of those among F, G and P that are not to be chosen.
+    open_to : str
+        Names of the matrices whose number of harmonics is chosen.
     data : _Data
     settings : LikelihoodSettings
 
@@ -434,25 +485,33 @@ def _refine_harmonics(structure, start, fixed, data, settings):
     -------
     fit : Fit
     """
-    names = start.state_names, start.input_names, start.output_names
+    start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
-    counts = {"F": start.highest("F") // 2, "G": min(start.highest("G"), FIRST_INPUT_HARMONICS)}
+    first = {name: min(start.highest(name), FIRST_HARMONICS) for name in open_to}
+    if "F" in first:
+        first["F"] = start.highest("F") // 2
 
-    def fit(counts, near, settings):
-        resolved = structure.resolve(*names, counts)
-        return _Candidate(counts, data.fit(resolved, resolved.nearest(near), settings))
+    def fit(counts, near, settings, like=None):
+        chosen = of_counts(counts)
+        found = data.fit(chosen, chosen.nearest(near), settings, like=like, coarse=True)
+        return _Candidate(counts, found)
 
     exact = replace(settings, input_noise=None)
-    best = fit({**counts, **fixed}, start.coefficients, exact)
-    for name in "FG":
+    best = begun = fit(first, start.coefficients, exact)
+    if not begun.fit.result.converged:  # more harmonics would not be judged
+        return begun.fit
+    for name in open_to:
         if name == "G" and settings.input_noise is not None:
             exact = settings
             best = fit(best.counts, best.coefficients, exact)
-        for step in () if name in fixed else (1, -1):
+        for step in (1, -1):
             now = best.counts[name]
             ahead = [k for k in N_HARMONICS if k <= highest and (k - now) * step > 0][::step]
-            best = _climb(best, name, ahead, lambda counts, near, how=exact: fit(counts, near, how))
-    return best.fit
+            best = _climb(best, name, ahead, partial(fit, settings=exact))
+    if settings.predicts and best is not begun:  # K answers for what a structure cannot
+        again = fit(best.counts, best.coefficients, settings)
+        best = min(best, again, key=lambda candidate: candidate.fit.aic)
+    return data.fit(best.fit.structure, best.fit.theta, settings, like=best.fit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -472,7 +531,12 @@ def _climb(best, name, ahead, fit):
     """The best candidate on the way through some numbers of harmonics."""
     at, worse = best, 0
     for count in ahead:
-        at = fit({**at.counts, name: count}, at.coefficients)
+        try:
+            at = fit({**at.counts, name: count}, at.coefficients, like=at.fit)
+        except OverflowingStartError:
+            break
+        if not at.fit.result.converged:
+            break
         worse = 0 if at.fit.aic < best.fit.aic else worse + 1
         best = at if worse == 0 else best
         if worse == PATIENCE or (count < best.counts[name] and _hopeless(at.fit, best.fit)):

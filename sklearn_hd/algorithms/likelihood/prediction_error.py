@@ -45,7 +45,7 @@ class PredictionError:
 
 
 def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_iter=50, tol=1e-8):
-    """Parameters and Kalman gain of largest likelihood.
+    """Parameters and Kalman gain of largest likelihood, K of as many harmonics as the data show.
 
     Parameters
     ----------
@@ -65,25 +65,40 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     -------
     found : PredictionError
     """
-    settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
+    settings, k = {"bounds": bounds, "max_iter": max_iter, "tol": tol}, len(theta0)
     point = first_gain(form, segments, theta0, gain0)
-    best = _fit(form.with_gain(0), segments, point, settings)
-    theta = best.search.point.theta
-    if form.with_gain(None).radius(form.response(theta[: len(theta0)], sensitivities=False)) < 1.0:
-        without = _fit(form.with_gain(None), segments, theta[: len(theta0)], settings)
-        if without.result.aic <= best.result.aic:
-            return without
+    best = fit_gain(form.with_gain(0), segments, point[:k], point[k:], **settings)
+    if not best.result.converged:  # other gains would not judge it
+        return best
+    theta = best.search.point.theta[:k]
+    without = form.with_gain(None)
+    if without.radius(without.response(theta, sensitivities=False)) < 1.0:
+        simulated = fit_gain(without, segments, theta, None, **settings)
+        if simulated.result.aic <= best.result.aic:
+            return simulated
     for count in range(1, _most(form) + 1):
-        more = best.form.structure.n_parameters
-        theta, gain = best.search.point.theta[:more], best.result.gain
-        wider = np.zeros((2 * count + 1, *gain.shape[1:]))
-        wider[: len(gain)] = gain
-        theta = np.concatenate([theta, wider.ravel()])
-        found = _fit(form.with_gain(count), segments, theta, settings)
-        if found.result.aic >= best.result.aic:
+        theta, gain = best.search.point.theta[:k], best.result.gain
+        found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
+        if found.result.aic >= best.result.aic or not found.result.converged:
             break
         best = found
     return best
+
+
+def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-8):
+    """The same with a number of harmonics of K that is the form's; zero beyond those given."""
+    wider = np.zeros(form.n_gains)
+    if gain0 is not None:
+        wider[: np.size(gain0)] = np.ravel(gain0)
+    problem = likelihood_problem(form, segments, True, correlated=True)
+    if bounds is not None:
+        wide = np.full(form.n_gains, np.inf)
+        bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
+    point = start(problem, np.concatenate([theta0, wider]))
+    found = search(
+        problem, point, bounds=bounds, max_iter=max_iter, tol=tol, keep_stable=True
+    )
+    return PredictionError(form, result_of(problem, found), problem, found)
 
 
 def _most(form):
@@ -91,17 +106,6 @@ def _most(form):
     if not any(form.structure.varies) and form.observe is None:
         return 0
     return min(MOST_HARMONICS, int(np.ceil(form.n_phases / 2.0)) - 1)
-
-
-def _fit(form, segments, theta, settings):
-    """The most likely parameters from some start."""
-    problem = likelihood_problem(form, segments, True, correlated=True)
-    settings = {**settings, "keep_stable": True}
-    if settings["bounds"] is not None:
-        wide, (lower, upper) = np.full(form.n_gains, np.inf), settings["bounds"]
-        settings["bounds"] = np.append(lower, -wide), np.append(upper, wide)
-    found = search(problem, start(problem, theta), **settings)
-    return PredictionError(form, result_of(problem, found), problem, found)
 
 
 def first_gain(form, segments, theta0, gain0=None):

@@ -17,6 +17,10 @@ POOR = 0.5  # of the fall expected: what is linear is then solved for by itself
 DAMPING_LIMIT = 1e8  # times the squared singular values: steps have become rounding
 
 
+class OverflowingStartError(ValueError):
+    """A start whose response numbers cannot hold."""
+
+
 @dataclass(frozen=True, eq=False)
 class LikelihoodResult:
     """What maximum likelihood found.
@@ -130,7 +134,7 @@ def start(problem, theta0, x0=None):
         )
     point = problem.point(theta, start)
     if not np.isfinite(point.cost):
-        raise ValueError(
+        raise OverflowingStartError(
             f"the response at theta0 overflows (spectral radius {point.radius:.4g} of the "
             f"monodromy matrix); start from a stable system, or cut the record into segments"
         )
