@@ -474,11 +474,13 @@ def test_only_maximum_likelihood_has_deviations(data):
 def test_criterion_and_structure_are_checked(data):
     with pytest.raises(ValueError, match=r"criterion='ml' is not known; use one of 'hinf'"):
         synchronous(2.0, criterion="ml").fit(*data)
-    u = np.random.default_rng(0).standard_normal((200, 1))
-    y = np.convolve(u[:, 0], [0.0, 1.0, 0.5])[:200]
-    matcher = StructuredMatcher(MOESPRegressor(order=1, block_rows=5), criterion="output_error")
+    sliding = Pipeline([
+        ("harmonics", HarmonicAnalyzer(2.0, output_harmonics=1)),
+        ("identify", MOESPRegressor(order=4)),
+        ("match", StructuredMatcher(criterion="output_error")),
+    ])  # fmt: skip
     with pytest.raises(ValueError, match=r"needs a structure whose parameters the record determ"):
-        matcher.fit(u, y)
+        sliding.fit(*data)
 
 
 def test_a_structure_without_parameters_is_refused_through_a_window_too():

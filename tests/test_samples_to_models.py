@@ -292,7 +292,6 @@ def test_time_invariant_models_are_matched_in_continuous_time():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"criterion": "output_error"}, r"a model of samples has.*reading='period'"),
         ({"output_weights": 2.0}, "closed form, where nothing is weighed"),
         ({"input_noise": 0.1}, "maximum likelihood only"),
         ({"structure": OSCILLATOR}, r"MatrixStructure is time-invariant.*output_harmonics=0"),

@@ -14,13 +14,14 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._match.match import Match, Uncertainty, periodic_match
 from sklearn_hd._match.samples import decomposed_basis, match_samples
+from sklearn_hd._match.trust import trusted, warn_of_length
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
 from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain, prediction_error
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, OverflowingStartError
-from sklearn_hd.algorithms.likelihood.uncertainty import exponent_std
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -124,24 +125,26 @@ def match_likelihood(match, structure, experiment, settings):
         fit = _refine_harmonics(match, wanted, open_to, data, settings)
     else:
         fit = data.fit(given, match.theta, settings, bounds=bounds)
+    sampled = data.sampled(fit, match)
+    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), _all(fit))
+    warn_of_length(fit, trust.exponents, experiment)
     if periodic is None:
-        refined = _invariant(match, structure, fit)
+        refined = _invariant(match, structure, fit, trust)
     else:
         basis = experiment.basis if match.sampled is None else decomposed_basis(match, experiment)
-        refined = _periodic(match, fit, basis)
-    sampled = data.sampled(fit, match)
+        refined = _periodic(match, fit, basis, trust)
     warn_refined(fit.result, settings)
     return replace(refined, n_iter=fit.result.n_iter, sampled=sampled)
 
 
-def _periodic(match, fit, basis):
+def _periodic(match, fit, basis, trust):
     periodic = replace(match.periodic, coefficients=fit.structure.coefficients(fit.theta))
     affine, seen = periodic.decomposed_structure(fit.structure, basis)
     refined = periodic_match(fit.structure, fit.theta, periodic, match.model, basis)
-    return replace(refined, uncertainty=_uncertainty(fit, affine, seen))
+    return replace(refined, uncertainty=_uncertainty(fit, trust, affine, seen))
 
 
-def _invariant(match, structure, fit):
+def _invariant(match, structure, fit, trust):
     matrices = [M[0] for M in fit.structure.matrices(fit.theta)]
     everything = np.arange(fit.structure.n_parameters)
     return replace(
@@ -149,7 +152,7 @@ def _invariant(match, structure, fit):
         model=match.model.in_continuous_time(*matrices, state_names=match.model.state_names),
         theta=fit.theta,
         found=None,  # that of the start
-        uncertainty=_uncertainty(fit, structure.affine, everything),
+        uncertainty=_uncertainty(fit, trust, structure.affine, everything),
     )
 
 
@@ -177,7 +180,9 @@ def free_likelihood(model, experiment, settings):
     fit = data.fit(structure, structure.nearest(free), settings, gain0=gain)
     sampled = data.sampled(fit, replace(Match(model, (), fit.theta, None), sampled=start))
     warn_refined(fit.result, settings, named=False)
-    uncertainty = _uncertainty(fit, None, None)
+    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), _all(fit))
+    warn_of_length(fit, trust.exponents, experiment)
+    uncertainty = _uncertainty(fit, trust, None, None)
     if not of_samples:
         A, B, C, D = (M[0] for M in structure.matrices(fit.theta))
         noise = {}
@@ -405,12 +410,20 @@ def _n_harmonics_of_outputs(match, structure):
     return periodic.highest("P")
 
 
-def _uncertainty(fit, affine, seen):
+def _uncertainty(fit, trust, affine, seen):
     """What a fit says of its own precision."""
-    exponents, std = exponent_std(fit.form, _all(fit), fit.covariance)
     result = fit.result
     return Uncertainty(
-        fit.covariance, result.sigma, result.aic, result.bic, exponents, std, affine, seen
+        trust.covariance,
+        result.sigma,
+        result.aic,
+        result.bic,
+        trust.exponents,
+        trust.exponents_std,
+        affine,
+        seen,
+        kind=trust.kind,
+        tests=trust.tests,
     )
 
 

@@ -235,6 +235,10 @@ class Uncertainty:
         Which parameters.
     dt : float
         Seconds between samples of that model; 0 in continuous time.
+    kind : {"information", "robust"}
+        What the covariance is made of.
+    tests : DataFrame or None
+        Residual tests of the record fitted.
     """
 
     covariance: np.ndarray
@@ -246,6 +250,8 @@ class Uncertainty:
     affine: AffineStructure | None
     seen: np.ndarray | None
     dt: float = 0.0
+    kind: str = "information"
+    tests: object = None
 
     def frequency_response(self, theta, frequencies):
         """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.likelihood import Problem, likelihood_problem
+from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, result_of, search, start
 from sklearn_hd.algorithms.linalg.rounding import HALF
 
@@ -34,14 +34,10 @@ class PredictionError:
     ----------
     form : Form
     result : LikelihoodResult
-    problem : Problem
-    search : Search
     """
 
     form: Form
     result: LikelihoodResult
-    problem: Problem
-    search: object
 
 
 def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_iter=50, tol=1e-8):
@@ -70,14 +66,14 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     best = fit_gain(form.with_gain(0), segments, point[:k], point[k:], **settings)
     if not best.result.converged:  # other gains would not judge it
         return best
-    theta = best.search.point.theta[:k]
+    theta = best.result.theta
     without = form.with_gain(None)
     if without.radius(without.response(theta, sensitivities=False)) < 1.0:
         simulated = fit_gain(without, segments, theta, None, **settings)
         if simulated.result.aic <= best.result.aic:
             return simulated
     for count in range(1, _most(form) + 1):
-        theta, gain = best.search.point.theta[:k], best.result.gain
+        theta, gain = best.result.theta, best.result.gain
         found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
         if found.result.aic >= best.result.aic or not found.result.converged:
             break
@@ -95,10 +91,8 @@ def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-
         wide = np.full(form.n_gains, np.inf)
         bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
     point = start(problem, np.concatenate([theta0, wider]))
-    found = search(
-        problem, point, bounds=bounds, max_iter=max_iter, tol=tol, keep_stable=True
-    )
-    return PredictionError(form, result_of(problem, found), problem, found)
+    found = search(problem, point, bounds=bounds, max_iter=max_iter, tol=tol, keep_stable=True)
+    return PredictionError(form, result_of(problem, found))
 
 
 def _most(form):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import Point
+from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem
 
 STALLED = 1e-2  # fall of the cost, in all where no step pays, per residual at rounding
 FIRST_DAMPING = 1e-6
@@ -54,6 +54,9 @@ class LikelihoodResult:
         Parameters that the data do not determine.
     fit_percent : ndarray, shape (l,)
         100 (1 − |ŷ − y| / |y − mean y|).
+    problem : Problem
+    point : Point
+        Where the search ended.
     """
 
     theta: np.ndarray
@@ -69,6 +72,8 @@ class LikelihoodResult:
     relative_decrease: float
     unidentified: tuple
     fit_percent: np.ndarray
+    problem: Problem
+    point: Point
 
     @property
     def sigma(self):
@@ -200,6 +205,8 @@ def result_of(problem, search):
         relative_decrease=system.promised / n_residuals,
         unidentified=tuple(np.array(form.structure.parameter_names, dtype=object)[unknown[:k]]),
         fit_percent=fit_percent(problem, point.rss),
+        problem=problem,
+        point=point,
     )
 
 

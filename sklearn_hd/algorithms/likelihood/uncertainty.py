@@ -174,39 +174,34 @@ def floquet_exponent_std(structure, theta, covariance, omega, n_phases):
     >>> exponents.round(12).tolist(), std.round(12).tolist()
     ([(-2+0j)], [(0.1+0j)])
     """
-    response = sampled_response(structure, theta, omega, n_phases)
-    return _exponents_of(response, omega * n_phases / len(response.Psi), covariance)
+    exponents, slopes = exponent_slopes(Form(structure, omega, n_phases), theta)
+    return exponents, propagate_std(slopes, covariance)
 
 
-def exponent_std(form, parameters, covariance):
-    """The same of a form, whatever its clock, or of one of steps.
+def exponent_slopes(form, parameters):
+    """Floquet exponents of a form, and their derivatives by the parameters of its structure.
 
     Parameters
     ----------
     form : Form
+        At any clock, in continuous time or of steps.
     parameters : ndarray
-        θ, then the coefficients of K.
-    covariance : ndarray, shape (k, k)
-        Of the first of the parameters.
+        θ; others after it do not count.
 
     Returns
     -------
-    exponents, std : complex ndarray, shape (n,)
+    exponents : complex ndarray, shape (n,)
+    slopes : complex ndarray, shape (n, k)
     """
-    if not form.discrete:
+    if form.discrete:
+        response = form.with_gain(None).response(parameters, sensitivities=True)
+        Psi, dPsi = form.turn(response.Psi), form.turn(response.dPsi.swapaxes(0, 1))
+        response = replace(response, Psi=Psi, dPsi=dPsi.swapaxes(0, 1))
+        frequency = form.omega * form.n_phases / len(Psi)
+    else:
         theta, n_phases = parameters[: form.structure.n_parameters], int(np.ceil(form.n_phases))
-        wider = np.zeros((form.structure.n_parameters,) * 2)  # loads move no exponent
-        wider[: len(covariance), : len(covariance)] = covariance
-        return floquet_exponent_std(form.structure, theta, wider, form.omega, n_phases)
-    response = form.with_gain(None).response(parameters, sensitivities=True)
-    Psi, dPsi = form.turn(response.Psi), response.dPsi[: len(covariance)]
-    dPsi = form.turn(dPsi.swapaxes(0, 1)).swapaxes(0, 1)
-    frequency = form.omega * form.n_phases / len(Psi)
-    return _exponents_of(replace(response, Psi=Psi, dPsi=dPsi), frequency, covariance)
-
-
-def _exponents_of(response, frequency, covariance):
-    """Exponents of a turn of some frequency, and their standard deviations."""
+        response = sampled_response(form.structure, theta, form.omega, n_phases)
+        frequency = form.omega * n_phases / len(response.Psi)
     exponents = monodromy_exponents(response.monodromy, frequency)
     multipliers, left, right = linalg.eig(response.monodromy, left=True)
     own = [np.argmin(np.abs(multipliers - mu)) for mu in np.exp(exponents * 2 * np.pi / frequency)]
@@ -214,7 +209,7 @@ def _exponents_of(response, frequency, covariance):
     slopes = np.einsum("ie,kij,je->ek", left.conj(), _monodromy_derivative(response), right)
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = slopes / (np.sum(left.conj() * right, axis=0) * multipliers)[:, None]
-    return exponents, propagate_std(slopes * frequency / (2 * np.pi), covariance)
+    return exponents, slopes * frequency / (2 * np.pi)
 
 
 def _monodromy_derivative(response):

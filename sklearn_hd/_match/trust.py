@@ -1,0 +1,173 @@
+"""How far the deviations of a fit can be trusted: residual tests, and parts of the record."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd._residuals import LEVEL, remainder, scored
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
+from sklearn_hd.algorithms.likelihood.predictor import simulate
+from sklearn_hd.algorithms.likelihood.robust import (
+    blocks_in_time,
+    by_direction,
+    by_size,
+    part_scores,
+    whole_covariance,
+)
+from sklearn_hd.algorithms.likelihood.uncertainty import exponent_slopes, propagate_std
+from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
+
+WORDS = {
+    "size": "from small to large motions",
+    "direction": "from one side of the motion to the other",
+}
+TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """Deviations, and what they rest on.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (k, k)
+        Of the structure's parameters.
+    exponents, exponents_std : complex ndarray, shape (n,)
+    kind : {"information", "robust"}
+    tests : DataFrame or None
+        Residual tests; None where a simulation overflows, or rows are few.
+    """
+
+    covariance: np.ndarray
+    exponents: np.ndarray
+    exponents_std: np.ndarray
+    kind: str
+    tests: object
+
+
+def trusted(fit, experiment, simulators, parameters):
+    """Deviations of a fit that hold, if need be, where what it leaves is no white noise.
+
+    Parameters
+    ----------
+    fit : Fit
+    experiment : Experiment
+    simulators : list
+        Of the fitted model, one a segment.
+    parameters : ndarray
+        All of the form.
+
+    Returns
+    -------
+    trust : Trust
+    """
+    result, k = fit.result, fit.structure.n_parameters
+    exponents, slopes = exponent_slopes(fit.form, parameters)
+    slopes, n = slopes[:, :k], len(slopes)
+    plain = propagate_std(slopes, fit.covariance)
+    if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
+        return Trust(fit.covariance, exponents, plain, "information", None)
+    tests = _tests(experiment, simulators)
+    divisions = _divisions(result, fit.form)
+    parts = part_scores(result.problem, result.point, divisions)
+    white = whole_covariance(result)
+    robust = tests is not None and not tests["passed"].all()
+    found = parts["time"].sandwich(white) if robust else white
+    gradients = np.zeros((k + 2 * n, len(white)))
+    gradients[:, :k] = np.vstack([np.eye(k), slopes.real, slopes.imag])
+    own, by_noise = (np.einsum("rk,kj,rj->r", gradients, C, gradients) for C in (found, white))
+    excess = np.maximum(1.0, own / np.where(by_noise > 0.0, by_noise, np.inf))
+    more, apart = np.zeros(len(own)), {}
+    for name in WORDS:
+        comparison = parts[name].compared(white, gradients, excess)
+        differ = comparison.p_value < LEVEL / (len(WORDS) * len(own))
+        more = np.maximum(more, np.where(differ, comparison.variance, 0.0))
+        apart[name] = comparison.offsets[k:], differ[k:]
+    kind = "robust" if robust else "information"
+    _warn_of_tests(tests, kind, fit.form)
+    _warn_of_parts(exponents, apart, own[k:], more[k:])
+    wider = np.sqrt(1.0 + more / np.where(own > 0.0, own, np.inf))[:k]
+    covariance = found[:k, :k] * wider[:, None] * wider
+    std = np.sqrt(own + more)[k:]
+    std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
+    known = np.isfinite(fit.covariance)
+    return Trust(np.where(known, covariance, fit.covariance), exponents, std, kind, tests)
+
+
+def _tests(experiment, simulators):
+    """Residual tests; None where there is nothing to test."""
+    try:
+        return scored(remainder(experiment, simulators), None, LEVEL)
+    except (UnstableModelError, ValueError):  # it overflows, or rows are too few
+        return None
+
+
+def _divisions(result, form):
+    """Parts of the record: in time, by the size and by the direction of the motion."""
+    problem, point, motions = result.problem, result.point, []
+    response = form.response(point.theta, sensitivities=False)
+    for record, x0 in zip(problem.records, point.x0, strict=True):
+        motion = simulate(response, record, x0)[1]
+        motions.append(motion - motion.mean(axis=0))
+    return {
+        "time": blocks_in_time([len(motion) for motion in motions]),
+        "size": by_size(motions, max(1, round(form.n_phases))),
+        "direction": by_direction(motions),
+    }
+
+
+def _warn_of_tests(tests, kind, form):
+    """Of what is left that is no noise, with the figure that shows it."""
+    if kind == "information":
+        return
+    failed = tests[~tests["passed"]].sort_values("share", ascending=False)
+    name, worst = failed.index[0], failed.iloc[0]
+    way = "a higher order, more harmonics or loads, or smaller motions may mend it"
+    if list(failed.index) == ["autocorrelation"] and form.n_gain_harmonics is None:
+        way = "noise shakes the machine itself: use criterion='prediction_error'"
+    warn(
+        f"what the fit leaves is no white noise: the test {name!r} has {worst['statistic']:.4g} "
+        f"where {worst['degrees']:.0f} are expected, {worst['share']:.2g} of it; standard "
+        f"deviations are those of blocks of the record against each other (robust), and do not "
+        f"see what all blocks share; {way}",
+        IdentifiabilityWarning,
+    )
+
+
+def _warn_of_parts(exponents, apart, own, more):
+    """Of parts of the record that put an exponent elsewhere."""
+    n, told = len(exponents), None
+    for name, (offsets, differ) in apart.items():
+        for r in np.flatnonzero(differ):
+            span = np.ptp(offsets[r])
+            if told is None or span**2 / own[r] > told[0]:
+                told = span**2 / own[r], name, r, offsets[r]
+    if told is None:
+        return
+    _, name, r, offsets = told
+    value = exponents[r % n]
+    what = "real" if r < n else "imaginary"
+    centre = value.real if r < n else value.imag
+    warn(
+        f"parts of the record disagree: {WORDS[name]} the {what} part of the exponent "
+        f"{value:.4g} goes from {centre + offsets[0]:.5g} to {centre + offsets[-1]:.5g} 1/s "
+        f"(standard deviation {np.sqrt(own[r]):.2g}): the response is not that of one linear "
+        f"system; its deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; use smaller motions",
+        IdentifiabilityWarning,
+    )
+
+
+def warn_of_length(fit, exponents, experiment):
+    """Of a record of few time constants of a mode that noise shakes, too."""
+    if fit.result.gain is None:
+        return
+    lasting = sum(time[-1] - time[0] for time in experiment.times())
+    slowest = np.max(exponents.real)
+    if slowest < 0.0 and -slowest * lasting < TIME_CONSTANTS:
+        warn(
+            f"the record lasts {-slowest * lasting:.0f} time constants of the slowest mode "
+            f"({slowest:.3g} 1/s), which noise shakes: intervals are those of a long record, and "
+            f"hold less often than they say; {TIME_CONSTANTS} are enough",
+            IdentifiabilityWarning,
+        )

@@ -1,0 +1,173 @@
+"""Deviations that hold where what a fit leaves is no white noise, or the system not linear.
+
+At the optimum θ̂ the scores s_c = −J_cᵀ r_c of some parts c of the record sum to zero. White noise
+gives them the covariance of the information I_c = J_cᵀ J_c that the parts hold. For one quantity
+λ = gᵀθ, with v = I⁻¹ g, a part by itself would put λ at
+
+    λ̂_c = λ̂ + (vᵀ s_c) gᵀv / (vᵀ I_c v)     ± gᵀv / √(vᵀ I_c v),
+
+and λ̂ is their mean, weighed by vᵀ I_c v. Of blocks in time the scores themselves give the
+covariance, whatever colours the noise (the sandwich I⁻¹ Σ s_b s_bᵀ I⁻¹). Of parts that differ in
+the size or the direction of the motion they tell whether one linear model holds for all: where
+they differ by more than their deviations, their spread is that of λ (DerSimonian and Laird, 1986).
+
+References: H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50
+(1982); W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
+autocorrelation consistent covariance matrix", Econometrica 55 (1987).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
+
+N_BLOCKS = 40  # of a record, in time
+LEVELS = 3  # of the size of the motion, of which each holds as much of its square
+FEWEST = 10  # rows of a block
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Scores and information of the parts of a record.
+
+    Attributes
+    ----------
+    scores : ndarray, shape (c, k)
+    information : ndarray, shape (c, k, k)
+    """
+
+    scores: np.ndarray
+    information: np.ndarray
+
+    def sandwich(self, covariance):
+        """Covariance of θ from the scores of blocks in time, neighbours at half their weight."""
+        s = self.scores - self.scores.mean(axis=0)
+        beside = 0.5 * s[1:].T @ s[:-1]
+        meat = (s.T @ s + beside + beside.T) * len(s) / max(1, len(s) - 1)
+        return covariance @ meat @ covariance
+
+    def compared(self, covariance, gradients, excess):
+        """What each part would have some quantities be, against each other.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (k, k)
+            Of θ, if white noise is left.
+        gradients : ndarray, shape (r, k)
+            Of the quantities.
+        excess : ndarray, shape (r,)
+            Their variance in parts of that of white noise.
+
+        Returns
+        -------
+        comparison : Comparison
+        """
+        v = gradients @ covariance
+        size = np.einsum("rk,rk->r", v, gradients)
+        told = np.einsum("rk,ckj,rj->rc", v, self.information, v)
+        pull = v @ self.scores.T
+        weight = np.where(told > 0.0, told, np.inf)
+        statistic = np.sum(pull**2 / weight, axis=1) / excess
+        degrees, total = max(1, len(self.scores) - 1), told.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = excess * (statistic - degrees) * size**2
+            spread = spread / (total - np.sum(told**2, axis=1) / total)
+        spread = np.where(np.isfinite(spread), np.maximum(spread, 0.0), 0.0)
+        return Comparison(pull * size[:, None] / weight, spread, chi2.sf(statistic, degrees))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Quantities as the parts of a record tell them.
+
+    Attributes
+    ----------
+    offsets : ndarray, shape (r, c)
+        From the estimate of all.
+    variance : ndarray, shape (r,)
+        Between the parts, beyond what noise explains.
+    p_value : ndarray, shape (r,)
+    """
+
+    offsets: np.ndarray
+    variance: np.ndarray
+    p_value: np.ndarray
+
+
+def part_scores(problem, point, divisions):
+    """Scores and information of the parts of several divisions of a record.
+
+    Parameters
+    ----------
+    problem : Problem
+    point : Point
+        Where a search ended.
+    divisions : dict of list of ndarray of int, shapes (n_samples,)
+        Part of each row of each record.
+
+    Returns
+    -------
+    parts : dict of Parts
+    """
+    spread = problem.spread(point.moments)
+    system = problem.linearise(point, spread)
+    width = system.R.shape[1]
+    sums = {
+        name: np.zeros((1 + max(int(part.max()) for part in parts), width, width))
+        for name, parts in divisions.items()
+    }
+    for segment, begin, block in problem.whitened(point, spread):
+        states = system.states[segment]
+        start = block[: len(block) - width]
+        rest = block[len(block) - width :]
+        if len(start):
+            rest = rest - np.tensordot(states.T, start, 1)
+        for name, parts in divisions.items():
+            which = parts[segment][begin : begin + rest.shape[1]]
+            for part in np.unique(which):
+                some = rest[:, which == part].reshape(width, -1)
+                sums[name][part] += some @ some.T
+    return {name: Parts(-G[:, :-1, -1], G[:, :-1, :-1]) for name, G in sums.items()}
+
+
+def whole_covariance(result):
+    """Covariance of all parameters, gain and loads included, if white noise is left."""
+    problem, point = result.problem, result.point
+    covariance, _ = problem.linearise(point).covariance(gauge=True)
+    if problem.sigma is None:
+        covariance = covariance / max(1.0 - result.n_parameters / result.n_residuals, 1e-3)
+    return covariance
+
+
+def blocks_in_time(lengths):
+    """Part of each row: some forty blocks of rows that follow each other, none over two records."""
+    longest = max(FEWEST, -(-sum(lengths) // N_BLOCKS))
+    first, found = 0, []
+    for length in lengths:
+        count = max(1, round(length / longest))
+        found.append(first + np.minimum(np.arange(length) * count // length, count - 1))
+        first += count
+    return found
+
+
+def by_size(motions, window):
+    """Part of each row: thirds of the motion's square, by its size over some rows."""
+    size = np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    squares = [
+        uniform_filter1d(np.mean((motion / size) ** 2, axis=1), window, mode="nearest")
+        for motion in motions
+    ]
+    ordered = np.sort(np.concatenate(squares))
+    held = np.cumsum(ordered)
+    edges = ordered[np.searchsorted(held, held[-1] * np.arange(1, LEVELS) / LEVELS)]
+    return [np.searchsorted(edges, each) for each in squares]
+
+
+def by_direction(motions):
+    """Part of each row: on which side of its middle the motion is, along its largest extent."""
+    size = np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
+    scaled = [motion / np.where(size > 0.0, size, 1.0) for motion in motions]
+    along = np.linalg.eigh(sum(each.T @ each for each in scaled))[1][:, -1]
+    return [(each @ along > 0.0).astype(int) for each in scaled]
