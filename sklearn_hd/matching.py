@@ -382,6 +382,16 @@ class StructuredMatcher(ModelStep):
         return pd.DataFrame(covariance, index=names, columns=names)
 
     @property
+    def covariance_type_(self):
+        """``"information"``: as white noise has it; ``"robust"``: from blocks of the record."""
+        return self._likelihood("covariance_type_").kind
+
+    @property
+    def residual_tests_(self):
+        """Residual tests of the record fitted, as :meth:`residual_tests` gives them."""
+        return self._likelihood("residual_tests_").tests
+
+    @property
     def noise_std_(self):
         """Standard deviation of each output's noise, as a Series, in the units of y."""
         found, names = self._likelihood("noise_std_"), list(self.target_names_)

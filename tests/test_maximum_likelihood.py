@@ -1,5 +1,7 @@
 """StructuredMatcher(criterion="output_error") with time-invariant structures."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -110,7 +112,9 @@ def test_a_matrix_structure_period_by_period():
         harmonics={"w": [0], "phi_dot": [1]},
         criterion="output_error",
     )
-    match = pipe.fit(data.inputs, data.outputs)["match"]
+    with pytest.warns(IdentifiabilityWarning, match="parts of the record disagree"):
+        match = pipe.fit(data.inputs, data.outputs)["match"]
+    assert match.covariance_type_ == "information"
     assert np.isfinite(match.theta_std_).all()
     assert np.isnan(match.hinf_error_)
     assert pipe.score(data.inputs, data.outputs) > 0.995
@@ -143,7 +147,8 @@ def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():
     steps = heave_pipeline(data.omega, n_states=3).steps
     structure = HarmonicStructure(F=1, G={"1c": [[0.0], ["gain"]]})
     matcher = StructuredMatcher(structure=structure, criterion="output_error")
-    match = Pipeline([*steps, ("match", matcher)]).fit(data.inputs, data.outputs)["match"]
+    with pytest.warns(IdentifiabilityWarning, match="no white noise"):  # F has more harmonics
+        match = Pipeline([*steps, ("match", matcher)]).fit(data.inputs, data.outputs)["match"]
     assert match.ltp_.state_names == ("w", "phi_dot")
     assert np.isfinite(match.noise_std_).all()
 
@@ -159,8 +164,8 @@ def noisy_inputs(seed):
     return data, float(data.inputs_clean.std().iloc[0]) / 20
 
 
-def test_allowing_for_noise_on_the_inputs_widens_the_intervals():
-    """Ignored, it leaves parameters that look better known than they are."""
+def test_noise_on_the_inputs_is_allowed_for_or_told():
+    """Ignored, it colours what is left: deviations are those of blocks of the record."""
     data, sigma = noisy_inputs(0)
     std = {}
     for allowed in (False, True):
@@ -171,13 +176,15 @@ def test_allowing_for_noise_on_the_inputs_widens_the_intervals():
             harmonics={"w": [0], "phi_dot": [1]},
             criterion="output_error",
             input_noise={"U": sigma} if allowed else None,
-        ).fit(data.inputs, data.outputs)
+        )
+        with nullcontext() if allowed else pytest.warns(IdentifiabilityWarning, match="no white"):
+            pipe.fit(data.inputs, data.outputs)
         std[allowed] = pipe["match"].theta_std_
+        assert pipe["match"].covariance_type_ == ("information" if allowed else "robust")
         true = data.outputs_clean.std() / 20
         assert (abs(pipe["match"].noise_std_ / true - 1) < 0.05).all()
     ratio = std[True] / std[False]
-    assert ratio.between(0.9, 3.0).all()
-    assert ratio["F[phi_dot,phi_dot]_0"] > 1.3  # the fast damping, which the inputs' edges tell
+    assert ratio.between(0.7, 3.0).all()
 
 
 WRONG_NOISE = [

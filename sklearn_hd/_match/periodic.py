@@ -69,8 +69,9 @@ def match_periodic(model, experiment, structure, simulated=True):
     match : Match
     """
     found = realize(model, experiment, structure)
-    warn_realized(found)
-    if simulated:
+    warn_coordinates(found.model)
+    if simulated:  # what it is refined to is tested by itself
+        warn_realized(found)
         warn_growing(found.model, model, experiment)
     return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
@@ -379,7 +380,6 @@ def _seen(experiment):
 
 def warn_realized(found):
     """Of a periodic model in closed form."""
-    warn_coordinates(found.model)
     if found.r2 < POOR_FIT:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "

@@ -76,7 +76,9 @@ def trusted(fit, experiment, simulators, parameters):
     found = parts["time"].sandwich(white) if robust else white
     gradients = np.zeros((k + 2 * n, len(white)))
     gradients[:, :k] = np.vstack([np.eye(k), slopes.real, slopes.imag])
-    own, by_noise = (np.einsum("rk,kj,rj->r", gradients, C, gradients) for C in (found, white))
+    own, by_noise = (
+        np.maximum(np.einsum("rk,kj,rj->r", gradients, C, gradients), 0.0) for C in (found, white)
+    )
     excess = np.maximum(1.0, own / np.where(by_noise > 0.0, by_noise, np.inf))
     more, apart = np.zeros(len(own)), {}
     for name in WORDS:
@@ -123,14 +125,17 @@ def _warn_of_tests(tests, kind, form):
         return
     failed = tests[~tests["passed"]].sort_values("share", ascending=False)
     name, worst = failed.index[0], failed.iloc[0]
-    way = "a higher order, more harmonics or loads, or smaller motions may mend it"
+    way = (
+        "a higher order, more harmonics or loads, noise on the inputs (input_noise) or smaller "
+        "motions may mend it"
+    )
     if list(failed.index) == ["autocorrelation"] and form.n_gain_harmonics is None:
         way = "noise shakes the machine itself: use criterion='prediction_error'"
     warn(
-        f"what the fit leaves is no white noise: the test {name!r} has {worst['statistic']:.4g} "
-        f"where {worst['degrees']:.0f} are expected, {worst['share']:.2g} of it; standard "
-        f"deviations are those of blocks of the record against each other (robust), and do not "
-        f"see what all blocks share; {way}",
+        f"what the fit leaves is no white noise: the test {name!r} gives {worst['statistic']:.4g} "
+        f"where noise gives {worst['degrees']:.0f}, {worst['share']:.2g} of the residuals' "
+        f"variance; deviations come from blocks of the record against each other (robust), and "
+        f"do not see what all blocks share; {way}",
         IdentifiabilityWarning,
     )
 

@@ -4,7 +4,9 @@
     −log L = ½ N log det (Σ e eᵀ / N) + const
 
 K is a Fourier series whose number of harmonics has the least of Akaike's criterion; without K at
-all it is the output error method. The first K is that of a Kalman filter: noise that moves the
+all it is the output error method. Where no process noise is, K tends to a predictor that forgets
+nothing, which takes a lasting pattern of the noise out: that K, whose search does not end inside
+the stable ones, has to win by Schwarz's criterion. The first K is that of a Kalman filter: noise that moves the
 states so that outputs answer alike, of the size that leaves the most likely innovations.
 
 References: L. Ljung, *System Identification*, 1999, sections 4.3 and 7.4; T. McKelvey,
@@ -64,14 +66,15 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     settings, k = {"bounds": bounds, "max_iter": max_iter, "tol": tol}, len(theta0)
     point = first_gain(form, segments, theta0, gain0)
     best = fit_gain(form.with_gain(0), segments, point[:k], point[k:], **settings)
-    if not best.result.converged:  # other gains would not judge it
-        return best
     theta = best.result.theta
     without = form.with_gain(None)
     if without.radius(without.response(theta, sensitivities=False)) < 1.0:
         simulated = fit_gain(without, segments, theta, None, **settings)
-        if simulated.result.aic <= best.result.aic:
+        one, other = simulated.result, best.result
+        if one.aic <= other.aic or (not other.converged and one.bic <= other.bic):
             return simulated
+    if not best.result.converged:  # more harmonics would not be judged
+        return best
     for count in range(1, _most(form) + 1):
         theta, gain = best.result.theta, best.result.gain
         found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
