@@ -18,6 +18,7 @@ from sklearn_hd._readings import coefficient_names
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.periodic.behind_samples import nearest_steps, turn_of
+from sklearn_hd.algorithms.periodic.floquet_coordinates import fixed_scale
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
@@ -85,6 +86,8 @@ def _periodic(model, experiment, structure):
     theta = nearest_steps(full, found.coefficients, model.omega, n_phases, weights)
     periodic = PeriodicModel(full.coefficients(theta), model.omega, *signals)
     warn_coordinates(periodic)
+    if found.form is not None:
+        full, theta = fixed_scale(full, theta, found.form)
     return periodic_match(full, theta, periodic, *_decomposed(model, basis))
 
 

@@ -79,6 +79,7 @@ def trusted(fit, experiment, simulators, parameters):
     own, by_noise = (
         np.maximum(np.einsum("rk,kj,rj->r", gradients, C, gradients), 0.0) for C in (found, white)
     )
+    own = np.maximum(own, by_noise)  # few blocks tell few things: never less than noise alone
     excess = np.maximum(1.0, own / np.where(by_noise > 0.0, by_noise, np.inf))
     more, apart = np.zeros(len(own)), {}
     for name in WORDS:
@@ -89,7 +90,8 @@ def trusted(fit, experiment, simulators, parameters):
     kind = "robust" if robust else "information"
     _warn_of_tests(tests, kind, fit.form)
     _warn_of_parts(exponents, apart, own[k:], more[k:])
-    wider = np.sqrt(1.0 + more / np.where(own > 0.0, own, np.inf))[:k]
+    variance = np.diag(found)[:k]
+    wider = np.sqrt((own + more)[:k] / np.where(variance > 0.0, variance, np.inf))
     covariance = found[:k, :k] * wider[:, None] * wider
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
@@ -113,7 +115,7 @@ def _divisions(result, form):
         motion = simulate(response, record, x0)[1]
         motions.append(motion - motion.mean(axis=0))
     return {
-        "time": blocks_in_time([len(motion) for motion in motions]),
+        "time": blocks_in_time(motions),
         "size": by_size(motions, max(1, round(form.n_phases))),
         "direction": by_direction(motions),
     }

@@ -140,24 +140,34 @@ def whole_covariance(result):
     return covariance
 
 
-def blocks_in_time(lengths):
-    """Part of each row: some forty blocks of rows that follow each other, none over two records."""
-    longest = max(FEWEST, -(-sum(lengths) // N_BLOCKS))
+def blocks_in_time(motions):
+    """Part of each row: some forty blocks of rows that follow each other, none over two records.
+
+    Each holds as much of the motion's square, and with it of what the record tells.
+    """
+    squares = [np.sum(each, axis=1) for each in _squares(motions)]
+    total, rows = sum(map(np.sum, squares)), sum(map(len, squares))
     first, found = 0, []
-    for length in lengths:
-        count = max(1, round(length / longest))
-        found.append(first + np.minimum(np.arange(length) * count // length, count - 1))
+    for square in squares:
+        weight = square / total + 1.0 / rows  # where nothing moves, too
+        count = max(1, min(round(N_BLOCKS * np.sum(weight) / 2.0), len(square) // FEWEST))
+        held = np.cumsum(weight) / np.sum(weight)
+        found.append(first + np.minimum((held * count).astype(int), count - 1))
         first += count
     return found
 
 
+def _squares(motions):
+    """Squares of motions in parts of their mean."""
+    size = np.mean(np.concatenate(motions) ** 2, axis=0)
+    return [each**2 / np.where(size > 0.0, size, 1.0) for each in motions]
+
+
 def by_size(motions, window):
     """Part of each row: thirds of the motion's square, by its size over some rows."""
-    size = np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
-    size = np.where(size > 0.0, size, 1.0)
     squares = [
-        uniform_filter1d(np.mean((motion / size) ** 2, axis=1), window, mode="nearest")
-        for motion in motions
+        uniform_filter1d(np.mean(square, axis=1), window, mode="nearest")
+        for square in _squares(motions)
     ]
     ordered = np.sort(np.concatenate(squares))
     held = np.cumsum(ordered)
