@@ -6,8 +6,9 @@
 K is a Fourier series whose number of harmonics has the least of Akaike's criterion; without K at
 all it is the output error method. Where no process noise is, K tends to a predictor that forgets
 nothing, which takes a lasting pattern of the noise out: that K, whose search does not end inside
-the stable ones, has to win by Schwarz's criterion. The first K is that of a Kalman filter: noise that moves the
-states so that outputs answer alike, of the size that leaves the most likely innovations.
+the stable ones, has to win by Schwarz's criterion. The first K is that of a Kalman filter: noise
+that moves the states so that outputs answer alike, of the size that leaves the most likely
+innovations.
 
 References: L. Ljung, *System Identification*, 1999, sections 4.3 and 7.4; T. McKelvey,
 A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable linear systems and
