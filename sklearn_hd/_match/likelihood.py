@@ -519,7 +519,8 @@ def _refine_harmonics(match, structure, open_to, data, settings):
             best = fit(best.counts, best.coefficients, exact)
         for step in (1, -1):
             now = best.counts[name]
-            ahead = [k for k in N_HARMONICS if k <= highest and (k - now) * step > 0][::step]
+            most = highest if start.physical else start.highest(name)
+            ahead = [k for k in N_HARMONICS if k <= most and (k - now) * step > 0][::step]
             best = _climb(best, name, ahead, partial(fit, settings=exact))
     if settings.predicts and best is not begun:  # K answers for what a structure cannot
         again = fit(best.counts, best.coefficients, settings)
@@ -583,8 +584,15 @@ def warn_refined(result, settings, *, named=True):
             IdentifiabilityWarning,
         )
     if not result.converged:
+        way = "raise max_iter"
+        if result.n_iter < settings.max_iter:
+            way = (
+                "the start may be of another order or unstable, or the record does not determine "
+                "the parameters: change the order, or give numbers of harmonics, "
+                "HarmonicStructure(F=..., G=...)"
+            )
         warn(
             f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
-            f"lower the sum of squares by {result.relative_decrease:.2g} of itself; raise max_iter",
+            f"lower the sum of squares by {result.relative_decrease:.2g} of itself; {way}",
             ConvergenceWarning,
         )

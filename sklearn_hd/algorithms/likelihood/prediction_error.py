@@ -15,7 +15,7 @@ A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable lin
 their application to system identification", Automatica 40 (2004).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, result_of, search, start
 from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 RATIOS = 10.0 ** np.arange(-8, 3, 2)  # of noise in states and outputs, in parts of their size
 MOST_HARMONICS = 4  # of K
@@ -65,8 +66,8 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     found : PredictionError
     """
     settings, k = {"bounds": bounds, "max_iter": max_iter, "tol": tol}, len(theta0)
-    point = first_gain(form, segments, theta0, gain0)
-    best = fit_gain(form.with_gain(0), segments, point[:k], point[k:], **settings)
+    first, gain = first_gain(form, segments, theta0, gain0)
+    best = fit_gain(form.with_gain(first), segments, theta0, gain, **settings)
     theta = best.result.theta
     without = form.with_gain(None)
     if without.radius(without.response(theta, sensitivities=False)) < 1.0:
@@ -76,12 +77,13 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
             return simulated
     if not best.result.converged:  # more harmonics would not be judged
         return best
-    for count in range(1, _most(form) + 1):
-        theta, gain = best.result.theta, best.result.gain
-        found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
-        if found.result.aic >= best.result.aic or not found.result.converged:
-            break
-        best = found
+    for counts in (range(first + 1, most_harmonics(form) + 1), range(first - 1, -1, -1)):
+        for count in counts:
+            theta, gain = best.result.theta[:k], best.result.gain
+            found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
+            if found.result.aic >= best.result.aic or not found.result.converged:
+                break
+            best = found
     return best
 
 
@@ -89,7 +91,8 @@ def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-
     """The same with a number of harmonics of K that is the form's; zero beyond those given."""
     wider = np.zeros(form.n_gains)
     if gain0 is not None:
-        wider[: np.size(gain0)] = np.ravel(gain0)
+        known = np.ravel(gain0)[: len(wider)]
+        wider[: len(known)] = known
     problem = likelihood_problem(form, segments, True, correlated=True)
     if bounds is not None:
         wide = np.full(form.n_gains, np.inf)
@@ -99,7 +102,7 @@ def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-
     return PredictionError(form, result_of(problem, found))
 
 
-def _most(form):
+def most_harmonics(form):
     """Highest harmonic of K to be tried."""
     if not any(form.structure.varies) and form.observe is None:
         return 0
@@ -107,23 +110,37 @@ def _most(form):
 
 
 def first_gain(form, segments, theta0, gain0=None):
-    """θ and a constant K: of several Kalman filters, that of the most likely innovations."""
-    form = form.with_gain(0)
-    problem = likelihood_problem(form, segments, True, correlated=True)
+    """Number of harmonics and coefficients of K: of several Kalman filters', the most likely.
+
+    Akaike's criterion decides between them.
+    """
     own = form.with_gain(None).response(theta0, sensitivities=False)
-    gains = [] if gain0 is None else [gain0[0]]
-    gains += [_filter_gain(form, own, problem.size, ratio) for ratio in RATIOS]
-    best = None
+    problem = likelihood_problem(form.with_gain(0), segments, True, correlated=True)
+    gains = [_filter_gains(form, own, problem.size, ratio) for ratio in RATIOS]
+    highest, best = most_harmonics(form), None
+    coefficients = [] if gain0 is None else [gain0[: 2 * highest + 1]]
     for gain in gains:
-        theta = np.concatenate([theta0, gain.ravel()])
-        point = start(problem, theta)
-        if best is None or point.cost < best.cost:
-            best = point
-    return best.theta
+        most = min(highest, (len(gain) - 1) // 2)
+        functions = _functions(len(gain), form.n_phases, most)
+        coefficients.append(np.tensordot(np.linalg.pinv(functions), gain, 1))
+    for gain in coefficients:
+        for count in range(len(gain) // 2 + 1):
+            problem = replace(problem, form=form.with_gain(count))
+            some = gain[: 2 * count + 1]
+            point = start(problem, np.concatenate([theta0, some.ravel()]))
+            if best is None or point.cost + some.size < best[0]:
+                best = point.cost + some.size, count, some
+    return best[1:]
 
 
-def _filter_gain(form, response, size, ratio):
-    """Mean gain over a turn of the Kalman filter for noise of some size in the states."""
+def _functions(count, n_phases, n_harmonics):
+    """1, cos ψ, sin ψ, … at the samples of a turn."""
+    psi = 2.0 * np.pi * np.arange(count) / n_phases
+    return harmonic_functions(psi, range(n_harmonics + 1))
+
+
+def _filter_gains(form, response, size, ratio):
+    """Gains over a turn of the Kalman filter for noise of some size in the states."""
     n = form.n_states
     Phi, C = (form.turn(M) for M in (response.Phi, response.Out[..., :n] / size[:, None]))
     count = max(len(Phi), len(C))
@@ -139,7 +156,7 @@ def _filter_gain(form, response, size, ratio):
         if before is not None and np.max(np.abs(P - before)) <= HALF * np.max(np.abs(P)):
             break
         before = P
-    return np.mean(gains, axis=0) / size
+    return gains / size
 
 
 def _answering_alike(Phi, C):
