@@ -14,7 +14,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._match.match import Match, Uncertainty, periodic_match
 from sklearn_hd._match.samples import decomposed_basis, match_samples
-from sklearn_hd._match.trust import trusted, warn_of_length
+from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
@@ -127,7 +127,7 @@ def match_likelihood(match, structure, experiment, settings):
         fit = data.fit(given, match.theta, settings, bounds=bounds)
     sampled = data.sampled(fit, match)
     trust = trusted(fit, experiment, sample_simulators(sampled, experiment), _all(fit))
-    warn_of_length(fit, trust.exponents, experiment)
+    warn_of_slow(fit, trust.exponents, experiment)
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
     else:
@@ -181,7 +181,7 @@ def free_likelihood(model, experiment, settings):
     sampled = data.sampled(fit, replace(Match(model, (), fit.theta, None), sampled=start))
     warn_refined(fit.result, settings, named=False)
     trust = trusted(fit, experiment, sample_simulators(sampled, experiment), _all(fit))
-    warn_of_length(fit, trust.exponents, experiment)
+    warn_of_slow(fit, trust.exponents, experiment)
     uncertainty = _uncertainty(fit, trust, None, None)
     if not of_samples:
         A, B, C, D = (M[0] for M in structure.matrices(fit.theta))

@@ -22,6 +22,7 @@ WORDS = {
     "size": "from small to large motions",
     "direction": "from one side of the motion to the other",
 }
+ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
 
 
@@ -103,7 +104,12 @@ def _tests(experiment, simulators):
     """Residual tests; None where there is nothing to test."""
     try:
         return scored(remainder(experiment, simulators), None, LEVEL)
-    except (UnstableModelError, ValueError):  # it overflows, or rows are too few
+    except (UnstableModelError, ValueError) as reason:  # it overflows, or rows are too few
+        warn(
+            f"nobody knows whether what the fit leaves is noise: {reason}; its deviations hold "
+            f"only if it is",
+            IdentifiabilityWarning,
+        )
         return None
 
 
@@ -165,16 +171,28 @@ def _warn_of_parts(exponents, apart, own, more):
     )
 
 
-def warn_of_length(fit, exponents, experiment):
-    """Of a record of few time constants of a mode that noise shakes, too."""
-    if fit.result.gain is None:
-        return
-    lasting = sum(time[-1] - time[0] for time in experiment.times())
-    slowest = np.max(exponents.real)
-    if slowest < 0.0 and -slowest * lasting < TIME_CONSTANTS:
+def warn_of_slow(fit, exponents, experiment):
+    """Of modes that last longer than the record, and of intervals of a short one."""
+    spans = [time[-1] - time[0] for time in experiment.times()]
+    slowest = exponents[np.argmax(exponents.real)].real if len(exponents) else -np.inf
+    decays = -slowest * max(spans)
+    if abs(decays) < ONE_TIME_CONSTANT:
+        words = "give the trim that they were measured about (trim_span), or read the record with "
+        words = f"{words}HarmonicAnalyzer(reading='sample'), which identifies it"
+        if experiment.basis.output_trim is not None or experiment.basis.reading == "sample":
+            words = "whatever is slow passes for it; use a longer record"
         warn(
-            f"the record lasts {-slowest * lasting:.0f} time constants of the slowest mode "
-            f"({slowest:.3g} 1/s), which noise shakes: intervals are those of a long record, and "
-            f"hold less often than they say; {TIME_CONSTANTS} are enough",
+            f"a mode ({slowest:.3g} 1/s) lasts longer than the record, of which {max(spans):.3g} s "
+            f"are {abs(decays):.2g} of its time constants: it may be the mean of the outputs, or a "
+            f"drift; {words}",
+            IdentifiabilityWarning,
+        )
+        return
+    total = -slowest * sum(spans)
+    if fit.result.gain is not None and 0.0 < total < TIME_CONSTANTS:
+        warn(
+            f"the record lasts {total:.0f} time constants of the slowest mode ({slowest:.3g} 1/s), "
+            f"which noise shakes: intervals are those of a long record, and hold less often than "
+            f"they say; {TIME_CONSTANTS} are enough",
             IdentifiabilityWarning,
         )
