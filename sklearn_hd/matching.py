@@ -11,9 +11,9 @@ from sklearn_hd._checks import check_choice, check_count, check_fraction, check_
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
+from sklearn_hd._match.free import match_free
 from sklearn_hd._match.likelihood import (
     LikelihoodSettings,
-    free_likelihood,
     match_likelihood,
     warn_closed_loop,
 )
@@ -230,7 +230,7 @@ class StructuredMatcher(ModelStep):
             return match_samples(model, experiment, self.structure, self._norm_settings())
         settings = self._likelihood_settings(noise)
         if self.structure is None:
-            return free_likelihood(model, experiment, settings)
+            return match_free(model, experiment, settings)
         match = match_samples(model, experiment, self.structure, self._norm_settings())
         return match_likelihood(match, self.structure, experiment, settings)
 
@@ -245,7 +245,7 @@ class StructuredMatcher(ModelStep):
             self._checked_together(experiment.basis, lifted, periodic)
         )
         if self._likely and structure is None and not experiment.basis.harmonic:
-            return free_likelihood(model, experiment, settings)
+            return match_free(model, experiment, settings)
         if lifted:
             simulated = not (periodic and self._likely)
             route = structure if periodic else HarmonicStructure()
@@ -264,7 +264,8 @@ class StructuredMatcher(ModelStep):
         return self.criterion in LIKELIHOODS
 
     def _likelihood_settings(self, noise):
-        return LikelihoodSettings(self.criterion, self.max_iter, noise)
+        starts = self.n_starts, self.random_state
+        return LikelihoodSettings(self.criterion, self.max_iter, noise, *starts)
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
