@@ -44,6 +44,8 @@ MOST_DAMPING = 1e8  # of the largest curvature: steps have become rounding
 LEAST_DAMPING = 1e-12
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
+MOST_ROWS = 2500  # on which starts are judged
+PARTS = ("inputs", "outputs", "present")
 REACH = (0.3, 1.0, None)  # of starts about the best, one after another; None is anywhere
 
 
@@ -115,18 +117,18 @@ def free_form(
     if gain is not None:
         closed = columns.copy()
         closed[:, :n] -= product(gain * size, C)[:count]
-    settings = {"max_iter": max_iter, "tol": tol, "random_state": random_state}
-    settings["n_starts"] = n_starts if count == 1 else 0
+    settings = {"max_iter": max_iter, "tol": tol}
     family = _family(form, segments, free, size, count if predicts else 0, predicts)
     order = (closed, columns) if predicts else (columns, closed)
-    found = family.best(_charts(family, order), **settings)
+    charts = _charts(family, order)
+    if count == 1:
+        charts = family.starts(charts, **settings, n_starts=n_starts, random_state=random_state)
+    found = family.best(charts, **settings)
     if predicts:
         without = _family(form, segments, free, size, 0, predicts)
         more = len(np.flatnonzero(family.drives)) - len(np.flatnonzero(without.drives))
         beat = found[0].point.cost + more
-        simple = without.best(
-            _charts(without, (columns,)), **{**settings, "n_starts": 0}, beat=beat
-        )
+        simple = without.best(_charts(without, (columns,)), **settings, beat=beat)
         if simple[0].point.cost <= beat:
             found, predicts = simple, False
     return _in_innovations_form(*found, size, predicts)
@@ -186,33 +188,35 @@ def _in_innovations_form(model, search, size, predicts):
     slopes = structure.basis.toarray().reshape(-1, *now.shape)
     for each in (now, slopes):
         each[..., n:, :] *= size[:, None]
-        each[..., n + m :] /= size
-    gain = now[:, :n, n + m :]
-    fed = [_fed(dM, now, n, m) + _fed(now, dM, n, m) for dM in slopes]
-    slopes = _wider(slopes[..., : n + m], fed[0].shape[0], 1) + np.array(fed)
-    fed = _fed(now, now, n, m)
-    now = _wider(now[..., : n + m], len(fed)) + fed
+    gain = None
+    if predicts:
+        gain = now[:, :n, n + m :] / size
+        fed = product(gain, now[:, n:, : n + m])
+        slopes = np.array([_opened(each, now, n, m, size) for each in slopes])
+        now = _wider(now[..., : n + m], len(fed))
+        now[:, :n] += fed
+        gain = gain[: 2 * _highest(gain) + 1]
     most = 2 * max(_highest(now), _highest(slopes.swapaxes(0, 1))) + 1
     now, slopes = now[:most], slopes[:, :most]
     flat = slopes.reshape(len(slopes), -1)
     spread = result.spread * size[:, None] * size
     cost = result.cost + float(problem.counts @ np.log(size))
     result = replace(result, spread=spread, cost=cost)
-    gain = gain[: 2 * _highest(gain) + 1] if predicts else None
     return FreeFit(now, gain, flat.T @ result.covariance @ flat, result)
 
 
-def _fed(gains, seen, n, m):
-    """K [C D] of two matrices [A B K; C D ·](ψ), zero for outputs."""
-    fed = product(gains[:, :n, n + m :], seen[:, n:, : n + m])
-    return np.pad(fed, ((0, 0), (0, seen.shape[1] - n), (0, 0)))
+def _opened(change, now, n, m, size):
+    """How [A + K C, B + K D; C, D](ψ) changes with [A B K; C D ·](ψ)."""
+    fed = product(change[:, :n, n + m :] / size, now[:, n:, : n + m])
+    fed += product(now[:, :n, n + m :] / size, change[:, n:, : n + m])
+    opened = _wider(change[..., : n + m], len(fed))
+    opened[:, :n] += fed
+    return opened
 
 
-def _wider(coefficients, count, axis=0):
+def _wider(coefficients, count):
     """With zeros for further harmonics."""
-    padding = [(0, 0)] * coefficients.ndim
-    padding[axis] = (0, count - coefficients.shape[axis])
-    return np.pad(coefficients, padding)
+    return np.pad(coefficients, [(0, count - len(coefficients)), (0, 0), (0, 0)])
 
 
 def _highest(coefficients):
@@ -316,27 +320,41 @@ class FreeForm:
             damping, growth = damping * growth, 2.0 * growth
         return None, damping, None, True
 
-    def best(self, charts, max_iter, tol, n_starts=0, random_state=0, beat=np.inf):
-        """The most likely model from several starts, and about the best at random."""
-        random = np.random.default_rng(random_state)
+    def best(self, charts, max_iter, tol, beat=np.inf):
+        """The most likely model from several starts."""
         best, n_iter = None, 0
-        n_samples = max(len(record.inputs) for record in self.problem.records)
-        for number in range(len(charts) + n_starts):
-            if number < len(charts):
-                chart = charts[number]
-            elif (reach := REACH[number % len(REACH)]) is not None:
-                chart = best[0].chart.about(reach, random)
-            else:
-                chart = best[0].chart.anywhere(n_samples, random)
+        for chart in charts:
             start = self.model(chart)
-            if best is not None and not np.isfinite(start.point.cost):
-                continue
-            known = beat if best is None else best[0].point.cost
+            known = beat if best is None else min(beat, best[0].point.cost)
             found = self.search(start, max_iter, tol, known - tol * self.problem.n_residuals)
             n_iter += found[1].n_iter
             if best is None or found[0].point.cost < best[0].point.cost:
                 best = found
         return best[0], replace(best[1], n_iter=n_iter)
+
+    def starts(self, charts, max_iter, tol, n_starts, random_state):
+        """The best of some charts, and of others at random, on part of the record."""
+        records, n_rows = [], 0
+        for record in self.problem.records:
+            rows = slice(0, MOST_ROWS - n_rows)
+            psi = None if record.psi is None else record.psi[rows]
+            parts = record.inputs[rows], record.outputs[rows], record.present[rows]
+            records.append(replace(record, **dict(zip(PARTS, parts, strict=True)), psi=psi))
+            n_rows += len(records[-1].inputs)
+            if n_rows >= MOST_ROWS:
+                break
+        part = replace(self, problem=replace(self.problem, records=records))
+        random = np.random.default_rng(random_state)
+        best = part.best(charts, max_iter, tol)[0]
+        for number in range(n_starts):
+            reach = REACH[number % len(REACH)]
+            if reach is None:
+                chart = best.chart.anywhere(max(len(record.inputs) for record in records), random)
+            else:
+                chart = best.chart.about(reach, random)
+            found = part.best([chart], max_iter, tol, best.point.cost)[0]
+            best = found if found.point.cost < best.point.cost else best
+        return [best.chart]
 
 
 @dataclass(frozen=True, eq=False)
