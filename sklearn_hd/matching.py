@@ -106,6 +106,11 @@ class StructuredMatcher(ModelStep):
     theta_least_squares_ : Series, shape (n_parameters,)
         The match in the mean square over frequency, usually the better
         estimate of parameters where no exact match exists.
+    kalman_gain_ : ndarray, shape (n_states, n_outputs)
+        K of the innovations form, for ``criterion="prediction_error"``; Fourier coefficients,
+        shape (2 H + 1, n_states, n_outputs), where it varies.
+    innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
+        For ``criterion="prediction_error"``; in the units of the outputs.
     hinf_error_ : float
         ‖W_o (G_c − G_s(θ)) W_i‖_∞, channel scales included in the weights; NaN where
         nothing was matched in a norm.
@@ -356,6 +361,25 @@ class StructuredMatcher(ModelStep):
                 f"structure={self.structure!r}"
             )
         return self.match_.periodic.to_system()
+
+    @property
+    def kalman_gain_(self):
+        """K of the innovations form; its Fourier coefficients where it varies."""
+        return self._noise("kalman_gain")
+
+    @property
+    def innovations_covariance_(self):
+        """Covariance of the innovations, in the units of the outputs."""
+        return self._noise("innovations_covariance")
+
+    def _noise(self, name):
+        check_is_fitted(self)
+        if self.criterion != "prediction_error":
+            raise AttributeError(
+                f"{name}_ is there for criterion='prediction_error' only; this match was made with "
+                f"criterion={self.criterion!r}"
+            )
+        return getattr(self.match_.sampled, name)
 
     @property
     def theta_(self):

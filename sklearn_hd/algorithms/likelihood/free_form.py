@@ -19,6 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.likelihood import (
+    NOISELESS,
     Point,
     Problem,
     likelihood_problem,
@@ -31,6 +32,7 @@ from sklearn_hd.algorithms.likelihood.search import (
     LikelihoodResult,
     Search,
     result_of,
+    search,
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
@@ -124,6 +126,12 @@ def free_form(
     if count == 1:
         charts = family.starts(charts, **settings, n_starts=n_starts, random_state=random_state)
     found = family.best(charts, **settings)
+    problem = found[0].problem
+    exact = found[0].point.rss <= problem.counts * (NOISELESS * problem.size) ** 2
+    if exact.any() and not exact.all():  # an output without noise outweighs all others
+        alike = replace(family, problem=replace(family.problem, sigma=family.problem.size))
+        charts = [alike.best(_charts(family, order), **settings)[0].chart]
+        found = family.best(charts, **settings)
     if predicts:
         without = _family(form, segments, free, size, 0, predicts)
         more = len(np.flatnonzero(family.drives)) - len(np.flatnonzero(without.drives))
@@ -284,6 +292,16 @@ class FreeForm:
 
     def search(self, model, max_iter, tol, beat=np.inf):
         """The most likely model from one, given up where it cannot beat a cost."""
+        if isinstance(model.chart, AllEntries):
+            found = search(
+                model.problem,
+                model.point,
+                max_iter=max_iter,
+                tol=tol,
+                keep_stable=True,
+                bounds=None,
+            )
+            return replace(model, point=found.point), found
         damping, before, curvature = FIRST_DAMPING, None, 0.0
         n_residuals, count = self.problem.n_residuals, int(self.drives.sum())
         for n_iter in range(1, max_iter + 1):

@@ -113,13 +113,6 @@ class AllEntries:
     def tangents(self):
         return np.eye(self.columns.size).reshape(-1, *self.columns.shape)
 
-    @property
-    def walls(self):
-        return np.zeros((0, self.columns.size))
-
-    def moved(self, step):
-        return AllEntries(self.columns + step.reshape(self.columns.shape))
-
 
 def _normal(A, C):
     """Orthonormal [A/ρ; C] of the same model, its states changed as little as may be."""
