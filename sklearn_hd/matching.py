@@ -76,7 +76,8 @@ class StructuredMatcher(ModelStep):
         the diagonals of W_o and W_i. They stand beside scales that make all channels of G_c
         count alike, whatever their units.
     n_starts : int, default=6
-        Number of random starts where no exact match is found before.
+        Number of random starts where no exact match is found before, and of likelihoods of
+        time-invariant models with all entries free, which may have several maxima.
     random_state : int, default=0
         Seed of the starts.
     max_iter : int, default=100

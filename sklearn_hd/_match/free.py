@@ -14,7 +14,7 @@ from sklearn_hd._match.likelihood import Fit, RecordData, uncertainty_of, warn_r
 from sklearn_hd._match.match import Match
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd.algorithms.likelihood.free_form import free_form
+from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -89,7 +89,9 @@ def _free(start, data, settings):
         n_starts=settings.n_starts,
         random_state=settings.random_state,
     )
-    entries = found.coefficients
+    entries = found.coefficients.copy()
+    own = entries[..., : free.shape[2] - (data.n_loads >= 0)]
+    own[2 * highest(own) + 1 :] = 0.0  # rounding of products
     if data.n_loads < 0:
         entries = np.concatenate([entries, np.zeros((*entries.shape[:2], 1))], axis=2)
     gain = np.zeros((1, n, entries.shape[1] - n)) if found.gain is None else found.gain

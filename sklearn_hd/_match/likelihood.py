@@ -219,6 +219,8 @@ class RecordData:
         between = any(np.ndim(where) for *_, where in self.segments)
         n_phases = self.n_phases if between else round(self.n_phases)
         form = Form(structure, self.omega, n_phases, self.observe, self.discrete)
+        if between and self.discrete:  # products of two matrices have twice the harmonics
+            return replace(form, n_points=4 * max(structure.n_harmonics, self.n_loads) + 1)
         return interpolating(form, theta) if between else form
 
     def sampled(self, fit, match):

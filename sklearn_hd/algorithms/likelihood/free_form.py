@@ -48,7 +48,7 @@ POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no
 WARM = 5  # steps that a start is given before it is judged
 MOST_ROWS = 2500  # on which starts are judged
 PARTS = ("inputs", "outputs", "present")
-REACH = (0.3, 1.0, None)  # of starts about the best, one after another; None is anywhere
+DRAWS = 8  # of which the most likely is a start
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +203,8 @@ def _in_innovations_form(model, search, size, predicts):
         slopes = np.array([_opened(each, now, n, m, size) for each in slopes])
         now = _wider(now[..., : n + m], len(fed))
         now[:, :n] += fed
-        gain = gain[: 2 * _highest(gain) + 1]
-    most = 2 * max(_highest(now), _highest(slopes.swapaxes(0, 1))) + 1
+        gain = gain[: 2 * highest(gain) + 1]
+    most = 2 * max(highest(now), highest(slopes.swapaxes(0, 1))) + 1
     now, slopes = now[:most], slopes[:, :most]
     flat = slopes.reshape(len(slopes), -1)
     spread = result.spread * size[:, None] * size
@@ -227,7 +227,7 @@ def _wider(coefficients, count):
     return np.pad(coefficients, [(0, count - len(coefficients)), (0, 0), (0, 0)])
 
 
-def _highest(coefficients):
+def highest(coefficients):
     """Highest harmonic that is not rounding."""
     sizes = np.max(np.abs(coefficients), axis=tuple(range(1, coefficients.ndim)), initial=0.0)
     return (int(np.flatnonzero(sizes > EXACT * np.max(sizes, initial=EPS))[-1]) + 1) // 2
@@ -275,7 +275,7 @@ class FreeForm:
         count, tangents = len(places), chart.tangents
         constant, basis = np.zeros(self.drives.shape), np.zeros((count, *self.drives.shape))
         constant[: len(chart.columns), :, :n] = chart.columns
-        basis.reshape(count, -1)[np.arange(count), places] = 1.0
+        basis.reshape(count, constant.size)[np.arange(count), places] = 1.0
         basis = np.concatenate([basis, np.zeros((len(tangents), *self.drives.shape))])
         basis[count:, : len(chart.columns), :, :n] = tangents
         structure = PeriodicStructure(constant, basis, n, tuple(map(str, range(len(basis)))))
@@ -293,14 +293,11 @@ class FreeForm:
     def search(self, model, max_iter, tol, beat=np.inf):
         """The most likely model from one, given up where it cannot beat a cost."""
         if isinstance(model.chart, AllEntries):
-            found = search(
-                model.problem,
-                model.point,
-                max_iter=max_iter,
-                tol=tol,
-                keep_stable=True,
-                bounds=None,
-            )
+            options = {"tol": tol, "keep_stable": True, "bounds": None}
+            found = search(model.problem, model.point, max_iter=WARM, **options)
+            reach = 2.0 * found.point.cost - model.point.cost  # as far again as it came
+            if not found.converged and reach <= beat:
+                found = search(model.problem, found.point, max_iter=max_iter, **options)
             return replace(model, point=found.point), found
         damping, before, curvature = FIRST_DAMPING, None, 0.0
         n_residuals, count = self.problem.n_residuals, int(self.drives.sum())
@@ -364,12 +361,14 @@ class FreeForm:
         part = replace(self, problem=replace(self.problem, records=records))
         random = np.random.default_rng(random_state)
         best = part.best(charts, max_iter, tol)[0]
+        n_samples = max(len(record.inputs) for record in records)
         for number in range(n_starts):
-            reach = REACH[number % len(REACH)]
-            if reach is None:
-                chart = best.chart.anywhere(max(len(record.inputs) for record in records), random)
+            if number % 3 < 2:
+                charts = [best.chart.anywhere(n_samples, number % 3, random) for _ in range(DRAWS)]
             else:
-                chart = best.chart.about(reach, random)
+                charts = [best.chart.about(random)]
+            drawn = [part.model(chart) for chart in charts]
+            chart = min(drawn, key=lambda model: model.point.cost).chart
             found = part.best([chart], max_iter, tol, best.point.cost)[0]
             best = found if found.point.cost < best.point.cost else best
         return [best.chart]

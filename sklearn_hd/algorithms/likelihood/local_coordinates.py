@@ -81,14 +81,17 @@ class OutputNormal:
             self, frame=frame, across=_orthonormal(self.across - frame @ (frame.T @ self.across))
         )
 
-    def about(self, reach, random):
-        """Those at random, at about some distance."""
-        shape = self.across.shape[1], self.frame.shape[1]
-        return self.moved(reach / np.sqrt(np.prod(shape)) * random.standard_normal(shape))
+    def about(self, random):
+        """Those at random at about distance one."""
+        size = self.frame.shape[1] * self.across.shape[1]
+        return self.moved(random.standard_normal(size) / np.sqrt(size))
 
-    def anywhere(self, n_samples, random):
-        """Those at random: modes last, and turn once in, one sample to all of them."""
+    def anywhere(self, n_samples, slow, random):
+        """Those at random: any frame, or modes that last, and turn once in, up to n_samples."""
         n, n_outputs = self.frame.shape[1], self.across.shape[1]
+        if not slow:
+            frame = _orthonormal(random.standard_normal(self.frame.shape))
+            return self.of(frame[:n], frame[n:])
         A = np.zeros((n, n))
         for i in range(0, n, 2):
             last, turn = n_samples ** random.random(2)

@@ -7,7 +7,7 @@ from conftest import random_stable
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.free_form import FreeForm, free_form, product
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.local_coordinates import AllEntries, OutputNormal
+from sklearn_hd.algorithms.likelihood.local_coordinates import OutputNormal
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 
@@ -106,7 +106,9 @@ def test_slopes_are_those_of_the_likelihood_with_all_else_at_its_optimum(rng, co
         - family.model(model.chart.moved(-h * d)).point.cost
         for d in np.eye(6)
     ]
-    assert np.allclose(slope, np.array(found) / (2 * h), rtol=1e-4, atol=1e-4 * np.max(np.abs(slope)))
+    assert np.allclose(
+        slope, np.array(found) / (2 * h), rtol=1e-4, atol=1e-4 * np.max(np.abs(slope))
+    )
 
 
 def test_without_noise_the_machine_is_found(rng):
@@ -156,8 +158,12 @@ def test_records_may_be_cut_where_states_are_known(rng):
     assert np.allclose(
         units.result.spread, one.result.spread * scale[:, None] * scale, rtol=1e-5, atol=0.0
     )
-    two = free_form(form, [(u[:1000], y[:1000], 0), (u[1000:], y[1000:], 0)], start, free, gain=K[None])
-    poles = [np.sort_complex(np.linalg.eigvals(fit.coefficients[0, :2, :2])) for fit in (one, units, two)]
+    two = free_form(
+        form, [(u[:1000], y[:1000], 0), (u[1000:], y[1000:], 0)], start, free, gain=K[None]
+    )
+    poles = [
+        np.sort_complex(np.linalg.eigvals(fit.coefficients[0, :2, :2])) for fit in (one, units, two)
+    ]
     assert np.allclose(poles[0], poles[1], atol=1e-4)
     assert np.allclose(poles[0], poles[2], atol=1e-2)
 
@@ -168,7 +174,7 @@ def test_no_gain_is_taken_where_only_sensors_are_noisy(rng):
     free[:, :2] = True
     fit = free_form(form_of(2, 1, 1), [(u, y, 0)], whole(A, B, C), free)
     assert fit.gain is None
-    (A, B, C, K), u, y = innovations(rng, 2, 1, 1000, gain=1.0)
+    (A, B, C, _), u, y = innovations(rng, 2, 1, 1000, gain=1.0)
     fit = free_form(form_of(2, 1, 1), [(u, y, 0)], whole(A, B, C), free)
     assert fit.gain.shape == (1, 2, 1)
 
@@ -178,10 +184,3 @@ def test_products_of_periodic_matrices_are_those_of_their_values(rng):
     psi = rng.uniform(0.0, 6.0, 7)
     values = evaluate_harmonics(left, psi) @ evaluate_harmonics(right, psi)
     assert np.allclose(evaluate_harmonics(product(left, right), psi), values)
-
-
-def test_all_entries_of_a_periodic_model_are_coordinates(rng):
-    chart = AllEntries(rng.standard_normal((3, 3, 2)))
-    step = rng.standard_normal(18)
-    moved = chart.columns + np.tensordot(step, chart.tangents, 1)
-    assert np.allclose(chart.moved(step).columns, moved)
