@@ -306,7 +306,7 @@ class FreeForm:
             R = model.problem.linearise(point).R[count:, count:]
             J, left = R[:, :-1], R[:, -1]
             slope, hessian = J.T @ left, J.T @ J
-            curvature = _learned(curvature, hessian, slope, before)
+            curvature = _learned(curvature, hessian, slope, None if len(walls) else before)
             plain = Quadratic(hessian, slope, walls)
             quadratic = Quadratic(hessian + curvature, slope, walls)
             promised = min(plain.promised, quadratic.promised)
@@ -408,7 +408,7 @@ class Quadratic:
 def _learned(curvature, hessian, slope, before):
     """What Gauss and Newton leave out of the Hessian, from how the slope changed (rank one)."""
     if before is None:
-        return curvature
+        return 0.0
     step, old = before
     missing = slope - old - (hessian + curvature) @ step
     size = missing @ step
