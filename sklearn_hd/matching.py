@@ -11,9 +11,9 @@ from sklearn_hd._checks import check_choice, check_count, check_fraction, check_
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
+from sklearn_hd._match.free import match_free
 from sklearn_hd._match.likelihood import (
     LikelihoodSettings,
-    free_likelihood,
     match_likelihood,
     warn_closed_loop,
 )
@@ -76,7 +76,8 @@ class StructuredMatcher(ModelStep):
         the diagonals of W_o and W_i. They stand beside scales that make all channels of G_c
         count alike, whatever their units.
     n_starts : int, default=6
-        Number of random starts where no exact match is found before.
+        Number of random starts where no exact match is found before, and of likelihoods of
+        time-invariant models with all entries free, which may have several maxima.
     random_state : int, default=0
         Seed of the starts.
     max_iter : int, default=100
@@ -106,6 +107,11 @@ class StructuredMatcher(ModelStep):
     theta_least_squares_ : Series, shape (n_parameters,)
         The match in the mean square over frequency, usually the better
         estimate of parameters where no exact match exists.
+    kalman_gain_ : ndarray, shape (n_states, n_outputs)
+        K of the innovations form, for ``criterion="prediction_error"``; Fourier coefficients,
+        shape (2 H + 1, n_states, n_outputs), where it varies.
+    innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
+        For ``criterion="prediction_error"``; in the units of the outputs.
     hinf_error_ : float
         ‖W_o (G_c − G_s(θ)) W_i‖_∞, channel scales included in the weights; NaN where
         nothing was matched in a norm.
@@ -230,7 +236,7 @@ class StructuredMatcher(ModelStep):
             return match_samples(model, experiment, self.structure, self._norm_settings())
         settings = self._likelihood_settings(noise)
         if self.structure is None:
-            return free_likelihood(model, experiment, settings)
+            return match_free(model, experiment, settings)
         match = match_samples(model, experiment, self.structure, self._norm_settings())
         return match_likelihood(match, self.structure, experiment, settings)
 
@@ -245,7 +251,7 @@ class StructuredMatcher(ModelStep):
             self._checked_together(experiment.basis, lifted, periodic)
         )
         if self._likely and structure is None and not experiment.basis.harmonic:
-            return free_likelihood(model, experiment, settings)
+            return match_free(model, experiment, settings)
         if lifted:
             simulated = not (periodic and self._likely)
             route = structure if periodic else HarmonicStructure()
@@ -264,7 +270,8 @@ class StructuredMatcher(ModelStep):
         return self.criterion in LIKELIHOODS
 
     def _likelihood_settings(self, noise):
-        return LikelihoodSettings(self.criterion, self.max_iter, noise)
+        starts = self.n_starts, self.random_state
+        return LikelihoodSettings(self.criterion, self.max_iter, noise, *starts)
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
@@ -355,6 +362,25 @@ class StructuredMatcher(ModelStep):
                 f"structure={self.structure!r}"
             )
         return self.match_.periodic.to_system()
+
+    @property
+    def kalman_gain_(self):
+        """K of the innovations form; its Fourier coefficients where it varies."""
+        return self._noise("kalman_gain")
+
+    @property
+    def innovations_covariance_(self):
+        """Covariance of the innovations, in the units of the outputs."""
+        return self._noise("innovations_covariance")
+
+    def _noise(self, name):
+        check_is_fitted(self)
+        if self.criterion != "prediction_error":
+            raise AttributeError(
+                f"{name}_ is there for criterion='prediction_error' only; this match was made with "
+                f"criterion={self.criterion!r}"
+            )
+        return getattr(self.match_.sampled, name)
 
     @property
     def theta_(self):

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import sparse
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._match.match import Match, Uncertainty, periodic_match
-from sklearn_hd._match.samples import decomposed_basis, match_samples
+from sklearn_hd._match.match import Uncertainty, periodic_match
+from sklearn_hd._match.samples import decomposed_basis
 from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
@@ -22,7 +22,6 @@ from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
 from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain, prediction_error
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, OverflowingStartError
-from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -47,11 +46,15 @@ class LikelihoodSettings:
     criterion : {"output_error", "prediction_error"}
     max_iter : int
     input_noise : ndarray, shape (m,), or None
+    n_starts, random_state : int
+        Further starts at random, of models with all entries free.
     """
 
     criterion: str
     max_iter: int
     input_noise: np.ndarray | None = None
+    n_starts: int = 0
+    random_state: int | None = 0
 
     @property
     def predicts(self):
@@ -70,11 +73,14 @@ class Fit:
     form : Form
         With loads and gain.
     result : LikelihoodResult
+    into : ndarray, shape (k, k'), or None
+        How the structure's parameters change with those of the search, where these are others.
     """
 
     structure: PeriodicStructure
     form: Form
     result: LikelihoodResult
+    into: np.ndarray | None = None
 
     @property
     def theta(self):
@@ -115,7 +121,7 @@ def match_likelihood(match, structure, experiment, settings):
             f"determines; give a MatrixStructure or a HarmonicStructure"
         )
     periodic = match.periodic
-    data = _Data.of(experiment, periodic is not None, match.sampled)
+    data = RecordData.of(experiment, periodic is not None, match.sampled)
     wanted = HarmonicStructure() if structure is None else structure
     bounds, given = None, match.structure
     if periodic is None:
@@ -126,7 +132,7 @@ def match_likelihood(match, structure, experiment, settings):
     else:
         fit = data.fit(given, match.theta, settings, bounds=bounds)
     sampled = data.sampled(fit, match)
-    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), _all(fit))
+    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), all_parameters(fit))
     warn_of_slow(fit, trust.exponents, experiment)
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
@@ -141,7 +147,7 @@ def _periodic(match, fit, basis, trust):
     periodic = replace(match.periodic, coefficients=fit.structure.coefficients(fit.theta))
     affine, seen = periodic.decomposed_structure(fit.structure, basis)
     refined = periodic_match(fit.structure, fit.theta, periodic, match.model, basis)
-    return replace(refined, uncertainty=_uncertainty(fit, trust, affine, seen))
+    return replace(refined, uncertainty=uncertainty_of(fit, trust, affine, seen))
 
 
 def _invariant(match, structure, fit, trust):
@@ -152,94 +158,12 @@ def _invariant(match, structure, fit, trust):
         model=match.model.in_continuous_time(*matrices, state_names=match.model.state_names),
         theta=fit.theta,
         found=None,  # that of the start
-        uncertainty=_uncertainty(fit, trust, structure.affine, everything),
+        uncertainty=uncertainty_of(fit, trust, structure.affine, everything),
     )
-
-
-def free_likelihood(model, experiment, settings):
-    """A discrete model refined, every entry of its matrices free.
-
-    Parameters
-    ----------
-    model : LTIModel or SampleModel
-        Of rows, or of samples at their azimuths.
-    experiment : Experiment
-    settings : LikelihoodSettings
-
-    Returns
-    -------
-    match : Match
-    """
-    of_samples = isinstance(model, SampleModel)
-    start = model if of_samples else _as_samples(model)
-    innovations, n = start.innovations, model.n_states
-    free = innovations.coefficients[: 2 * innovations.n_harmonics + 1, :, :-1]
-    structure = _free_structure(free.shape, n, model.feedthrough, model)
-    data = _Data.of(experiment, True, model if of_samples else None, discrete=True)
-    gain = innovations.gain if innovations.gain.any() else None
-    fit = data.fit(structure, structure.nearest(free), settings, gain0=gain)
-    sampled = data.sampled(fit, replace(Match(model, (), fit.theta, None), sampled=start))
-    warn_refined(fit.result, settings, named=False)
-    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), _all(fit))
-    warn_of_slow(fit, trust.exponents, experiment)
-    uncertainty = _uncertainty(fit, trust, None, None)
-    if not of_samples:
-        A, B, C, D = (M[0] for M in structure.matrices(fit.theta))
-        noise = {}
-        if settings.predicts:
-            gain = sampled.innovations.gain[0]
-            noise = {"kalman_gain": gain, "innovations_covariance": fit.result.spread}
-        matched = replace(model, A=A, B=B, C=C, D=D, **noise)
-        affine = AffineStructure(
-            structure.constant[0], _dense(structure), n, structure.parameter_names
-        )
-        everything = np.arange(structure.n_parameters)
-        uncertainty = replace(uncertainty, affine=affine, seen=everything, dt=model.dt)
-        match = Match(matched, structure.parameter_names, fit.theta, None)
-    else:
-        match = match_samples(sampled, experiment, None, None)
-        match = replace(match, names=structure.parameter_names, theta=fit.theta)
-    return replace(
-        match, n_iter=fit.result.n_iter, uncertainty=uncertainty, sampled=sampled, structure=None
-    )
-
-
-def _dense(structure):
-    return structure.basis.toarray().reshape(-1, *structure.constant.shape[1:])
-
-
-def _as_samples(model):
-    """A discrete model without harmonics as one of samples."""
-    n, (n_outputs, n_inputs) = model.n_states, model.D.shape
-    whole = np.zeros((1, n + n_outputs, n + n_inputs + 1))
-    whole[0, :n, :n], whole[0, :n, n:-1] = model.A, model.B
-    whole[0, n:, :n], whole[0, n:, n:-1] = model.C, model.D
-    gain = np.zeros((1, n, n_outputs)) if model.kalman_gain is None else model.kalman_gain[None]
-    innovations = PeriodicInnovations(whole, gain, np.eye(n_outputs), 2.0 * np.pi)
-    names = model.input_names, model.output_names
-    return SampleModel(innovations, 2.0 * np.pi / model.dt, model.dt, *names, model.feedthrough)
-
-
-def _free_structure(shape, n, feedthrough, model):
-    """[A B; C D](ψ) of some harmonics, all entries parameters, D only where there is one."""
-    free = np.ones(shape, dtype=bool)
-    free[:, n:, n:] = feedthrough
-    places = np.flatnonzero(free)
-    size = int(np.prod(shape))
-    basis = sparse.csr_array(
-        (np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), size)
-    )
-    labels = harmonic_labels(range(len(free) // 2 + 1))
-    names = []
-    for h, i, j in np.argwhere(free):
-        row, column = i - n * (i >= n), j - n * (j >= n)
-        label = "" if len(free) == 1 else f"_{labels[h]}"
-        names.append(f"{'ABCD'[2 * (i >= n) + (j >= n)]}[{row},{column}]{label}")
-    return PeriodicStructure(np.zeros(shape), basis, n, tuple(names))
 
 
 @dataclass(frozen=True, eq=False)
-class _Data:
+class RecordData:
     """A record as a likelihood sees it.
 
     Attributes
@@ -295,10 +219,7 @@ class _Data:
             if bounds is not None:
                 wide = np.full(len(start) - len(theta), np.inf)
                 bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
-        between = any(np.ndim(where) for *_, where in self.segments)
-        n_phases = self.n_phases if between else round(self.n_phases)
-        form = Form(whole, self.omega, n_phases, self.observe, self.discrete)
-        form = interpolating(form, start) if between else form
+        form = self.form(whole, start)
         options = {"bounds": bounds, "max_iter": settings.max_iter}
         if coarse:
             size = sum(y.size for _, y, _ in self.segments)
@@ -315,6 +236,15 @@ class _Data:
         )
         return Fit(structure, form, result)
 
+    def form(self, structure, theta):
+        """A structure at the clock of the record."""
+        between = any(np.ndim(where) for *_, where in self.segments)
+        n_phases = self.n_phases if between else round(self.n_phases)
+        form = Form(structure, self.omega, n_phases, self.observe, self.discrete)
+        if between and self.discrete:  # products of two matrices have twice the harmonics
+            return replace(form, n_points=4 * max(structure.n_harmonics, self.n_loads) + 1)
+        return interpolating(form, theta) if between else form
+
     def sampled(self, fit, match):
         """The predictor at samples, or the simulation of models of samples; else None."""
         gain = fit.result.gain
@@ -323,7 +253,7 @@ class _Data:
         if self.discrete:
             moved = structure.coefficients(theta)
         elif self.observe is not None:
-            moved = _coefficients(fit.form.response(_all(fit), sensitivities=False))
+            moved = _coefficients(fit.form.response(all_parameters(fit), sensitivities=False))
         else:
             moved = samples_of(structure.coefficients(theta), n, self.omega, step)
         if self.n_loads < 0:
@@ -342,7 +272,7 @@ class _Data:
         return match.model.input_names, match.model.output_names
 
 
-def _all(fit):
+def all_parameters(fit):
     gain = fit.result.gain
     return np.concatenate([fit.result.theta, [] if gain is None else gain.ravel()])
 
@@ -410,7 +340,7 @@ def _n_harmonics_of_outputs(match, structure):
     return periodic.highest("P")
 
 
-def _uncertainty(fit, trust, affine, seen):
+def uncertainty_of(fit, trust, affine, seen):
     """What a fit says of its own precision."""
     result = fit.result
     return Uncertainty(
@@ -491,7 +421,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     structure : HarmonicStructure
     open_to : str
         Names of the matrices whose number of harmonics is chosen.
-    data : _Data
+    data : RecordData
     settings : LikelihoodSettings
 
     Returns

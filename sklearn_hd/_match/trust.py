@@ -70,13 +70,13 @@ def trusted(fit, experiment, simulators, parameters):
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
         return Trust(fit.covariance, exponents, plain, "information", None)
     tests = _tests(experiment, simulators)
-    divisions = _divisions(result, fit.form)
+    divisions = _divisions(result)
     parts = part_scores(result.problem, result.point, divisions)
     white = whole_covariance(result)
     robust = tests is not None and not tests["passed"].all()
     found = parts["time"].sandwich(white) if robust else white
-    gradients = np.zeros((k + 2 * n, len(white)))
-    gradients[:, :k] = np.vstack([np.eye(k), slopes.real, slopes.imag])
+    into = np.eye(k, len(white)) if fit.into is None else fit.into
+    gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
     own, by_noise = (
         np.maximum(np.einsum("rk,kj,rj->r", gradients, C, gradients), 0.0) for C in (found, white)
     )
@@ -91,9 +91,10 @@ def trusted(fit, experiment, simulators, parameters):
     kind = "robust" if robust else "information"
     _warn_of_tests(tests, kind, fit.form)
     _warn_of_parts(exponents, apart, own[k:], more[k:])
-    variance = np.diag(found)[:k]
+    covariance = into @ found @ into.T
+    variance = np.diag(covariance)
     wider = np.sqrt((own + more)[:k] / np.where(variance > 0.0, variance, np.inf))
-    covariance = found[:k, :k] * wider[:, None] * wider
+    covariance = covariance * wider[:, None] * wider
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
     known = np.isfinite(fit.covariance)
@@ -113,9 +114,10 @@ def _tests(experiment, simulators):
         return None
 
 
-def _divisions(result, form):
+def _divisions(result):
     """Parts of the record: in time, by the size and by the direction of the motion."""
     problem, point, motions = result.problem, result.point, []
+    form = problem.form
     response = form.response(point.theta, sensitivities=False)
     for record, x0 in zip(problem.records, point.x0, strict=True):
         motion = simulate(response, record, x0)[1]

@@ -182,8 +182,9 @@ def result_of(problem, search):
     """Estimates with their covariance where a search ended."""
     form, point, n_residuals = problem.form, search.point, problem.n_residuals
     k = form.structure.n_parameters
-    n_fitted = len(point.theta) + (point.x0.size if problem.free_x0 else 0)
     system = problem.linearise(point)
+    n_theta = int(np.sum(system.kept)) if form.discrete else len(point.theta)  # no similarities
+    n_fitted = n_theta + (point.x0.size if problem.free_x0 else 0)
     covariance, unknown = system.covariance(gauge=form.discrete)
     spread, n_noises = problem.spread(point.moments), 0
     if problem.sigma is None:
