@@ -89,7 +89,7 @@ def trusted(fit, experiment, simulators, parameters):
         more = np.maximum(more, np.where(differ, comparison.variance, 0.0))
         apart[name] = comparison.offsets[k:], differ[k:]
     kind = "robust" if robust else "information"
-    _warn_of_tests(tests, kind, fit.form)
+    _warn_of_tests(tests, kind, result.gain is None)
     _warn_of_parts(exponents, apart, own[k:], more[k:])
     covariance = into @ found @ into.T
     variance = np.diag(covariance)
@@ -129,7 +129,7 @@ def _divisions(result):
     }
 
 
-def _warn_of_tests(tests, kind, form):
+def _warn_of_tests(tests, kind, simulated):
     """Of what is left that is no noise, with the figure that shows it."""
     if kind == "information":
         return
@@ -139,7 +139,7 @@ def _warn_of_tests(tests, kind, form):
         "a higher order, more harmonics or loads, noise on the inputs (input_noise) or smaller "
         "motions may mend it"
     )
-    if list(failed.index) == ["autocorrelation"] and form.n_gain_harmonics is None:
+    if list(failed.index) == ["autocorrelation"] and simulated:
         way = "noise shakes the machine itself: use criterion='prediction_error'"
     warn(
         f"what the fit leaves is no white noise: the test {name!r} gives {worst['statistic']:.4g} "
