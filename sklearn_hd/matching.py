@@ -415,7 +415,8 @@ class StructuredMatcher(ModelStep):
     @property
     def residual_tests_(self):
         """Residual tests of the record fitted, as :meth:`residual_tests` gives them."""
-        return self._likelihood("residual_tests_").tests
+        tests = self._likelihood("residual_tests_").tests
+        return None if tests is None else pd.DataFrame(tests).set_index("test")
 
     @property
     def noise_std_(self):

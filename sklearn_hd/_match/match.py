@@ -237,8 +237,8 @@ class Uncertainty:
         Seconds between samples of that model; 0 in continuous time.
     kind : {"information", "robust"}
         What the covariance is made of.
-    tests : DataFrame or None
-        Residual tests of the record fitted.
+    tests : dict of list, or None
+        Columns of the residual tests of the record fitted.
     """
 
     covariance: np.ndarray

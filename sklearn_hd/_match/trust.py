@@ -36,8 +36,8 @@ class Trust:
         Of the structure's parameters.
     exponents, exponents_std : complex ndarray, shape (n,)
     kind : {"information", "robust"}
-    tests : DataFrame or None
-        Residual tests; None where a simulation overflows, or rows are few.
+    tests : dict of list, or None
+        Columns of the residual tests; None where a simulation overflows, or rows are few.
     """
 
     covariance: np.ndarray
@@ -98,7 +98,9 @@ def trusted(fit, experiment, simulators, parameters):
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
     known = np.isfinite(fit.covariance)
-    return Trust(np.where(known, covariance, fit.covariance), exponents, std, kind, tests)
+    covariance = np.where(known, covariance, fit.covariance)
+    stored = None if tests is None else tests.reset_index().to_dict("list")
+    return Trust(covariance, exponents, std, kind, stored)
 
 
 def _tests(experiment, simulators):
