@@ -131,7 +131,8 @@ def _warn_of_tests(tests, kind, form):
         "a higher order, more harmonics or loads, noise on the inputs (input_noise) or smaller "
         "motions may mend it"
     )
-    if list(failed.index) == ["autocorrelation"] and form.n_gain_harmonics is None:
+    coloured = all(test.startswith("autocorrelation") for test in failed.index)
+    if coloured and form.n_gain_harmonics is None:
         way = "noise shakes the machine itself: use criterion='prediction_error'"
     warn(
         f"what the fit leaves is no white noise: the test {name!r} gives {worst['statistic']:.4g} "
