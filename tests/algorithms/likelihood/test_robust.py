@@ -63,7 +63,7 @@ def test_information_and_scores_are_those_of_least_squares(rng):
     np.testing.assert_allclose(white, covariance, rtol=4 / N)
 
 
-def spread_of_slopes(colour, n_records=60):
+def spread_of_slopes(colour, n_records=40):
     """Deviation of slopes over many records, and what the two covariances say of it."""
     slopes, robust, plain = [], [], []
     for seed in range(n_records):
@@ -89,7 +89,7 @@ def test_of_coloured_noise_the_one_from_blocks_is_right_and_the_other_too_small(
 
 def test_alike_parts_differ_as_often_as_chance_has_it():
     p = []
-    for seed in range(150):
+    for seed in range(80):
         rng = np.random.default_rng(seed)
         u, y = line(rng, rng.standard_normal(N))
         _, parts, white = fit(u, y, {"thirds": [np.arange(N) * 3 // N]})
