@@ -379,7 +379,7 @@ def test_parts_of_a_record_that_disagree_are_told():
         match = pipeline().fit(X, y)["match"]
     words = " ".join(str(each.message) for each in w)
     stated = float(words.split("its deviation is widened to ")[1].split(";")[0])
-    assert stated == pytest.approx(exponent({"match": match})[2], rel=0.01)
+    assert stated == pytest.approx(exponent({"match": match})[2], rel=0.05)
     assert stated > 0.02  # its two machines lie 0.09 apart
     assert match.covariance_type_ == "information"
 
