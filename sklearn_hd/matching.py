@@ -297,9 +297,9 @@ class StructuredMatcher(ModelStep):
         if self.output_weights is not None or self.input_weights is not None:
             if likelihood:
                 raise ValueError(
-                    "criterion='output_error' weighs each output by its noise; output_weights "
-                    "and input_weights are those of a norm, so leave them None, or use "
-                    "criterion='hinf' or 'least_squares'"
+                    f"criterion={self.criterion!r} weighs each output by its noise; output_weights "
+                    f"and input_weights are those of a norm, so leave them None, or use "
+                    f"criterion='hinf' or 'least_squares'"
                 )
             if lifted and periodic:
                 raise ValueError(
@@ -314,6 +314,17 @@ class StructuredMatcher(ModelStep):
             raise ValueError(
                 f"input_noise={given!r} is allowed for by maximum likelihood only; fit with "
                 f"criterion='output_error', or leave input_noise=None"
+            )
+        if self.criterion == "prediction_error":
+            raise ValueError(
+                f"input_noise={given!r} is allowed for in simulations only, and "
+                f"criterion='prediction_error' predicts; fit with criterion='output_error', or "
+                f"leave input_noise=None, where noise on the inputs counts as gusts"
+            )
+        if basis.reading == "sample":
+            raise ValueError(
+                f"input_noise={given!r} cannot be told from loads, which a model of samples has; "
+                f"use HarmonicAnalyzer(reading='period'), or leave input_noise=None"
             )
         if not periodic and not np.all(basis.held):
             raise ValueError(

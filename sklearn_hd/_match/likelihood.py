@@ -195,7 +195,7 @@ class RecordData:
             where = [int(basis.phase_index(time)[0]) for time in experiment.times()]
             n_loads = -1
         else:
-            where = [_where(psi, n_phases) for psi in experiment.phases]
+            where = _where(experiment.phases, n_phases)
             inputs = [np.hstack([u, np.ones((len(u), 1))]) for u in inputs]
             observe, n_loads = None, basis.most_loads
         segments = list(zip(inputs, experiment.outputs, where, strict=True))
@@ -291,11 +291,13 @@ def _coefficients(response):
     return whole
 
 
-def _where(psi, n_phases):
-    """Phase of the first sample where samples lie on the phases of a whole number; else all ψ."""
-    first = psi[0] * n_phases / (2.0 * np.pi)
-    whole = max(abs(n_phases - round(n_phases)) * len(psi) / n_phases, abs(first - round(first)))
-    return round(first) if whole <= ALIGNED else psi
+def _where(phases, n_phases):
+    """First phase of each segment where all samples lie on those of a whole number; else all ψ."""
+    first = np.array([psi[0] for psi in phases]) * n_phases / (2.0 * np.pi)
+    drift = abs(n_phases - round(n_phases)) / n_phases * max(map(len, phases))
+    if max(drift, np.max(np.abs(first - np.round(first)))) <= ALIGNED:
+        return [round(each) for each in first]
+    return list(phases)
 
 
 def with_loads(structure, n_loads):

@@ -1,6 +1,7 @@
 """What a likelihood has parameters of: a sampled periodic model with its Kalman gain."""
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +21,7 @@ from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 FEWEST = 63  # azimuths of a turn between which matrices are interpolated, odd
 MOST = 2047  # of them
+MOST_TURNS = 40  # of which one comes nearest to whole samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,17 +114,22 @@ class Form:
             gain = evaluate_harmonics(gain, psi)
         return replace(found, gain=gain, n_gain_harmonics=H, n_phases=self.n_phases)
 
-    def turn(self, tables):
-        """Matrices of the samples of a turn, of those at the azimuths between which to go."""
+    @cached_property
+    def turns(self):
+        """Samples of as many turns as come nearest to whole samples, and these turns."""
+        return Fraction(self.n_phases).limit_denominator(MOST_TURNS).as_integer_ratio()
+
+    def through(self, tables):
+        """Matrices of the samples of these turns, of those at the azimuths between which to go."""
         if len(tables) == 1 or self.n_points is None:
             return tables
-        psi = 2.0 * np.pi * np.arange(int(self.n_phases)) / self.n_phases
+        psi = 2.0 * np.pi * np.arange(self.turns[0]) / self.n_phases
         return evaluate_harmonics(sampled_harmonics(tables, len(tables) // 2), psi)
 
     def radius(self, response):
         """Size of the largest multiplier of the predictor over a turn, or a sample."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return radius_of(product_of(self.turn(response.closed)))
+            return radius_of(product_of(self.through(response.closed))) ** (1.0 / self.turns[1])
 
     def resolves(self, parameters):
         """Whether the samples can follow the states at these parameters."""
@@ -136,7 +143,7 @@ class Form:
 
 def interpolating(form, theta):
     """The form at as many azimuths of a turn as tell its matrices at others."""
-    n_points = FEWEST
+    n_points = max(FEWEST, 4 * form.structure.n_harmonics + 3)
     while n_points < MOST:
         response = replace(form, n_points=n_points).response(theta, sensitivities=False)
         moving = [M for M in (response.Psi, response.Out) if len(M) > 1]

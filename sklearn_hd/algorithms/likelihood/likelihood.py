@@ -326,8 +326,10 @@ class Problem:
             system = self.linearise(point, only=linear)
             step, theta = system.step(0.0), point.theta.copy()
             theta[linear] += step
-            x0 = point.x0 - [states @ np.append(step, 1.0) for states in system.states]
-            trial = self.point(theta, x0 if self.free_x0 else point.x0)
+            x0 = point.x0
+            if self.free_x0:
+                x0 = x0 - [states @ np.append(step, 1.0) for states in system.states]
+            trial = self.point(theta, x0)
             if not trial.cost < point.cost:
                 break
             fall, point = point.cost - trial.cost, trial

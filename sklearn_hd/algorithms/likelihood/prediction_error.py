@@ -142,12 +142,12 @@ def _functions(count, n_phases, n_harmonics):
 def _filter_gains(form, response, size, ratio):
     """Gains over a turn of the Kalman filter for noise of some size in the states."""
     n = form.n_states
-    Phi, C = (form.turn(M) for M in (response.Phi, response.Out[..., :n] / size[:, None]))
+    Phi, C = (form.through(M) for M in (response.Phi, response.Out[..., :n] / size[:, None]))
     count = max(len(Phi), len(C))
     Phi, C = (np.broadcast_to(M, (count, *M.shape[1:])) for M in (Phi, C))
     Q = ratio * _answering_alike(Phi, C)
     R, P, before, gains = np.eye(len(size)), Q, None, np.zeros((count, n, len(size)))
-    for _ in range(MOST_TURNS):
+    for _ in range(max(2, MOST_TURNS // form.turns[1])):
         for k in range(count):
             spread = C[k] @ P @ C[k].T + R
             gains[k] = Phi[k] @ np.linalg.solve(spread, C[k] @ P).T

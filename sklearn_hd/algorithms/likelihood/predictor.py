@@ -165,6 +165,8 @@ class _Course:
                 gain = _each(gain, len(record.inputs)) * record.present[:, None]
             self.gain, both = gain, _alike(gain, self.C, self.closed)
             self.closed = both[2] - both[0] @ both[1]
+            if not record.present.all():
+                self.closed = self.closed[: len(record.inputs)]
         complete = self.gain is None or record.present.all()
         self.repeats = len(self.closed) == 1 or (record.psi is None and complete)
         turn = response.Psi, response.Out, response.closed

@@ -146,7 +146,7 @@ def blocks_in_time(motions):
     Each holds as much of the motion's square, and with it of what the record tells.
     """
     squares = [np.sum(each, axis=1) for each in _squares(motions)]
-    total, rows = sum(map(np.sum, squares)), sum(map(len, squares))
+    total, rows = sum(map(np.sum, squares)) or 1.0, sum(map(len, squares))
     first, found = 0, []
     for square in squares:
         weight = square / total + 1.0 / rows  # where nothing moves, too

@@ -5,15 +5,18 @@ unbiased estimate has a smaller covariance than its inverse (Cramér and Rao). F
 θ inherit their covariance to first order. An interval of confidence is θ ± z θ_std.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
-from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents
+from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents, on_branch
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
+
+STEP = 1e-6  # of parameters, where exponents are differenced
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,11 +196,11 @@ def exponent_slopes(form, parameters):
     exponents : complex ndarray, shape (n,)
     slopes : complex ndarray, shape (n, k)
     """
+    if form.discrete and form.n_points is not None and form.structure.varies[0]:
+        return _slopes_of_longer_steps(form, np.asarray(parameters, dtype=float))
     if form.discrete:
         response = form.with_gain(None).response(parameters, sensitivities=True)
-        Psi, dPsi = form.turn(response.Psi), form.turn(response.dPsi.swapaxes(0, 1))
-        response = replace(response, Psi=Psi, dPsi=dPsi.swapaxes(0, 1))
-        frequency = form.omega * form.n_phases / len(Psi)
+        frequency = form.omega * form.n_phases / len(response.Psi)
     else:
         theta, n_phases = parameters[: form.structure.n_parameters], int(np.ceil(form.n_phases))
         response = sampled_response(form.structure, theta, form.omega, n_phases)
@@ -210,6 +213,29 @@ def exponent_slopes(form, parameters):
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = slopes / (np.sum(left.conj() * right, axis=0) * multipliers)[:, None]
     return exponents, slopes * frequency / (2 * np.pi)
+
+
+def _slopes_of_longer_steps(form, parameters):
+    """The same of steps of which a turn holds no whole number, by central differences."""
+    structure, found = form.structure, []
+    theta, gain = parameters[: structure.n_parameters], np.zeros((1, form.n_states, form.n_outputs))
+
+    def exponents_at(theta):
+        M = np.pad(structure.coefficients(theta), [(0, 0), (0, 0), (0, 1)])
+        step, noise = 2.0 * np.pi / form.n_phases, np.eye(form.n_outputs)
+        logarithms = PeriodicInnovations(M, gain, noise, step).multiplier_logarithms()
+        return on_branch(logarithms * form.omega / (2.0 * np.pi), form.omega)
+
+    exponents = exponents_at(theta)
+    for k in range(len(theta)):
+        step = STEP * max(1.0, abs(theta[k])) * (np.arange(len(theta)) == k)
+        gaps = []
+        for moved in (exponents_at(theta + step), exponents_at(theta - step)):
+            gap = moved - exponents[:, None]
+            gap = gap - 1j * form.omega * np.round(gap.imag / form.omega)
+            gaps.append(gap[np.arange(len(gap)), np.argmin(np.abs(gap), axis=1)])
+        found.append((gaps[0] - gaps[1]) / (2.0 * step[k]))
+    return exponents, np.array(found).reshape(len(theta), len(exponents)).T
 
 
 def _monodromy_derivative(response):

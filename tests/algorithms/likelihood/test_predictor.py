@@ -1,0 +1,160 @@
+"""Laws of predictions of sampled models with a gain, and of their derivatives."""
+
+import numpy as np
+import pytest
+from predictor_cases import (
+    FORMS,
+    gain_of,
+    oscillator,
+    plain_predictions,
+    record_of,
+)
+
+from sklearn_hd.algorithms.likelihood import predictor
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.predictor import (
+    as_records,
+    n_columns,
+    output_sensitivities,
+    residuals,
+    simulate,
+)
+
+GAINS = [None, 0, 1]
+
+
+def case(name, n_gain_harmonics, rng):
+    form, theta = FORMS[name]()
+    form = form.with_gain(n_gain_harmonics)
+    return form, np.concatenate([theta, gain_of(form, rng)])
+
+
+def predictions(form, parameters, record, x0):
+    return simulate(form.response(parameters, sensitivities=False), record, x0)[1]
+
+
+@pytest.mark.parametrize("missing", [None, "single"])
+@pytest.mark.parametrize("n_gain_harmonics", GAINS)
+@pytest.mark.parametrize("name", FORMS)
+def test_predictions_are_those_of_a_plain_loop(name, n_gain_harmonics, missing, rng):
+    form, parameters = case(name, n_gain_harmonics, rng)
+    record, psi = record_of(form, rng, 27, missing=missing)
+    x0 = rng.standard_normal(2)
+    expected = plain_predictions(form, parameters, record, psi, x0)
+    found = predictions(form, parameters, record, x0)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    left = residuals(form.response(parameters, sensitivities=False), record, x0)
+    assert np.all(left[~record.present] == 0.0)
+    np.testing.assert_allclose(
+        left[record.present], (expected - record.outputs)[record.present], atol=1e-9
+    )
+
+
+def differences(form, parameters, record, x0, step=1e-6):
+    """Central differences of the residuals by x0 and all parameters, (c, n_samples, l)."""
+    point, found = np.concatenate([x0, parameters]), []
+    for k in range(len(point)):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = point.copy()
+            moved[k] += sign * step
+            response = form.response(moved[len(x0) :], sensitivities=False)
+            ends.append(residuals(response, record, moved[: len(x0)]))
+        found.append((ends[0] - ends[1]) / (2.0 * step))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("piece", [1, 10**9])
+@pytest.mark.parametrize("missing", [None, "single"])
+@pytest.mark.parametrize("n_gain_harmonics", [None, 1])
+@pytest.mark.parametrize("name", FORMS)
+def test_derivatives_are_central_differences(
+    name, n_gain_harmonics, missing, piece, rng, monkeypatch
+):
+    """By x0, θ and the coefficients of K; all at once or piece by piece."""
+    monkeypatch.setattr(predictor, "PIECE", piece)
+    form, parameters = case(name, n_gain_harmonics, rng)
+    record, _ = record_of(form, rng, 45, missing=missing)
+    x0 = rng.standard_normal(2)
+    response = form.response(parameters, sensitivities=True)
+    pieces = list(output_sensitivities(response, record, x0))
+    assert [start for start, *_ in pieces] == [0, *(stop for _, stop, _ in pieces[:-1])]
+    assert pieces[-1][1] == 45
+    assert (len(pieces) > 1) == (piece == 1)
+    found = np.concatenate([dy for *_, dy in pieces], axis=1)
+    assert len(found) == n_columns(response, free_x0=True) + 1 == len(parameters) + 3
+    expected = differences(form, parameters, record, x0)
+    np.testing.assert_allclose(found[:-1], expected, atol=2e-8 * np.max(np.abs(expected)))
+    np.testing.assert_array_equal(found[-1], residuals(response, record, x0))
+    fixed = [dy for *_, dy in output_sensitivities(response, record, x0, free_x0=False)]
+    np.testing.assert_allclose(np.concatenate(fixed, axis=1), found[2:], atol=1e-12)
+
+
+@pytest.mark.parametrize("missing", [None, "single"])
+@pytest.mark.parametrize("n_samples", [2, 5, 8, 9])
+@pytest.mark.parametrize("name", ["whole", "awkward", "constant"])
+def test_records_may_be_shorter_than_a_turn(name, n_samples, missing, rng):
+    form, parameters = case(name, 1, rng)
+    record, psi = record_of(form, rng, n_samples, missing=missing)
+    x0 = rng.standard_normal(2)
+    expected = plain_predictions(form, parameters, record, psi, x0)
+    np.testing.assert_allclose(predictions(form, parameters, record, x0), expected, atol=1e-9)
+    response = form.response(parameters, sensitivities=True)
+    found = np.concatenate([dy for *_, dy in output_sensitivities(response, record, x0)], axis=1)
+    expected = differences(form, parameters, record, x0)
+    np.testing.assert_allclose(found[:-1], expected, atol=2e-8 * max(1, np.max(np.abs(expected))))
+
+
+@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_gain_of_zero_is_a_simulation(name, count, rng):
+    form, theta = FORMS[name]()
+    record, _ = record_of(form, rng, 40, missing="single")
+    x0 = rng.standard_normal(2)
+    still = form.with_gain(count)
+    found = predictions(still, np.append(theta, np.zeros(still.n_gains)), record, x0)
+    np.testing.assert_allclose(found, predictions(form, theta, record, x0), atol=1e-12)
+
+
+def test_a_deadbeat_gain_forgets_the_start(rng):
+    """K = Φ C⁻¹: the state follows the last output alone."""
+    structure, theta = oscillator(steps=True, varies="")
+    form = Form(structure, 1.0, 1, discrete=True, n_gain_harmonics=0)
+    coefficients = structure.coefficients(theta)[0]
+    gain = coefficients[:2, :2] @ np.linalg.inv(coefficients[2:, :2])
+    parameters = np.concatenate([theta, gain.ravel()])
+    record, _ = record_of(form, rng)
+    one, other = (predictions(form, parameters, record, x0) for x0 in rng.standard_normal((2, 2)))
+    assert np.max(np.abs(one[0] - other[0])) > 0.1
+    np.testing.assert_allclose(one[1:], other[1:], atol=1e-12)
+    response = form.response(parameters, sensitivities=False)
+    np.testing.assert_allclose(response.closed, 0.0, atol=1e-14)
+    assert form.radius(response) < 1e-6
+
+
+def test_an_unstable_model_with_a_stable_predictor_is_predicted(rng):
+    structure, theta = oscillator(steps=True, varies="")
+    form = Form(structure, 1.0, 1, discrete=True)
+    theta = theta.copy()
+    theta[:2] = 1.3, 0.2  # grows by thousands of powers of ten over the record
+    record, _ = record_of(form, rng, 20_000)
+    with_gain = form.with_gain(0)
+    M = structure.coefficients(theta)[0]
+    gain = 0.9 * M[:2, :2] @ np.linalg.inv(M[2:, :2])
+    parameters = np.concatenate([theta, gain.ravel()])
+    assert form.radius(form.response(theta, sensitivities=False)) > 1.0
+    assert with_gain.radius(with_gain.response(parameters, sensitivities=False)) < 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert not np.all(np.isfinite(predictions(form, theta, record, np.ones(2))))
+    assert np.max(np.abs(predictions(with_gain, parameters, record, np.ones(2)))) < 100.0
+
+
+def test_records_are_refused_where_they_cannot_be_read():
+    with pytest.raises(ValueError, match=r"segment 1 has inputs of shape \(4, 2\)"):
+        as_records([(np.ones((4, 1)), None, 0), (np.ones((4, 2)), None, 0)], 1, 1)
+    with pytest.raises(ValueError, match="segment 0 has inputs of shape"):
+        as_records([(np.ones((0, 1)), None, 0)], 1, 1)
+    with pytest.raises(ValueError, match="inputs of segment 0 hold NaN"):
+        as_records([(np.full((4, 1), np.nan), None, 0)], 1, 1)
+    with pytest.raises(ValueError, match=r"outputs have \[4, 0\] values in 1 segments"):
+        as_records([(np.ones((4, 1)), np.column_stack([np.ones(4), np.full(4, np.nan)]), 0)], 1, 2)
