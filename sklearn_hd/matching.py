@@ -159,8 +159,9 @@ class StructuredMatcher(ModelStep):
     ValueError
         At ``fit``, if there is no model, or the structure or criterion does not fit it.
     UnstableModelError
-        If the model is unstable: its response has no H∞ norm, and ``"output_error"`` cannot
-        simulate it over a record. If the periodic model of a HarmonicStructure, matched in a norm, explains less of its own record than nothing.
+        If the model is unstable: it has no H∞ norm, and ``"output_error"`` cannot simulate it over
+        a record. If the periodic model of a HarmonicStructure, matched in a norm, explains less of
+        its own record than nothing.
 
     Warns
     -----
