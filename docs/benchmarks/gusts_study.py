@@ -3,9 +3,9 @@
 - ``mathieu``: ÿ + 0.1 ẏ + (2 − cos 2t) y = u + gust, input of random steps, 32 samples a period,
   2 % noise on both outputs. The gust is not measured, white from sample to sample, and moves the
   outputs by the given part of what u does. F=1 and G=0 harmonics, as in truth.
-- ``hawkmoth``: two flights of 60 wingbeats of 32 samples under feedback, steps of 5e-3 rad, noise of
-  2 %, gusts of 0.02 m/s, F=3 and G=3 harmonics; the growing pair of exponents of the moth without
-  feedback. The moth is not in this model class: its F(ψ) has kinks.
+- ``hawkmoth``: two flights of 60 wingbeats of 32 samples under feedback, steps of 5e-3 rad, noise
+  of 2 %, gusts of 0.02 m/s, F=3 and G=3 harmonics; the growing pair of exponents of the moth
+  without feedback. The moth is not in this model class: its F(ψ) has kinks.
 
 Printed are, over seeds and for the real and the imaginary part of the Floquet exponent, the rms
 error, the rms of error over stated deviation, and the share of 95 % intervals that hold; how often
