@@ -92,11 +92,11 @@ ResidualDisplay.from_estimator(pipes["prediction_error"], u, y)
 # %%
 # Intervals beside the truth
 # --------------------------
-# Eight records, each with gusts of its own: the decay found, and its 95 % interval.
+# Six records, each with gusts of its own: the decay found, and its 95 % interval.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True, layout="constrained")
 for ax, criterion, color in zip(axes, CRITERIA, ["C0", "C1"], strict=True):
-    for seed in range(8):
+    for seed in range(6):
         pipe = pipes[criterion] if seed == 0 else fitted(criterion, *record(seed)[::2])[0]
         found, std, _ = pipe["match"].eigenvalues_.iloc[0]
         ax.errorbar(seed, found.real, 1.96 * np.real(std), fmt="o", color=color, capsize=3)
