@@ -18,7 +18,14 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sklearn_hd"
 TOOLS = {"exceptions", "_checks", "_guards", "_tables", "_warn"}
 STEPS = ("harmonics", "subspace", "reduction", "matching")
-SIDE_BY_SIDE = (*STEPS, "_model_step", "_simulators", "_identify", "_reduce", "_match")  # others by name
+SIDE_BY_SIDE = (
+    *STEPS,
+    "_model_step",
+    "_simulators",
+    "_identify",
+    "_reduce",
+    "_match",
+)  # others by name
 
 
 def layers():

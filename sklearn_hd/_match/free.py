@@ -44,7 +44,7 @@ def match_free(model, experiment, settings):
     fit, sampled = (_free if complete else _near)(start, data, settings)
     warn_refined(fit.result, settings, named=False)
     trust = trusted(fit, experiment, sample_simulators(sampled, experiment), fit.theta)
-    warn_of_slow(fit, trust.exponents, experiment)
+    warn_of_slow(fit, trust, experiment)
     uncertainty, structure = uncertainty_of(fit, trust, None, None), fit.structure
     if of_samples:
         match = match_samples(sampled, experiment, None, None)

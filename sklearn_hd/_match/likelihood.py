@@ -133,7 +133,7 @@ def match_likelihood(match, structure, experiment, settings):
         fit = data.fit(given, match.theta, settings, bounds=bounds)
     sampled = data.sampled(fit, match)
     trust = trusted(fit, experiment, sample_simulators(sampled, experiment), all_parameters(fit))
-    warn_of_slow(fit, trust.exponents, experiment)
+    warn_of_slow(fit, trust, experiment)
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
     else:

@@ -176,10 +176,10 @@ def _warn_of_parts(exponents, apart, own, more):
     )
 
 
-def warn_of_slow(fit, exponents, experiment):
+def warn_of_slow(fit, trust, experiment):
     """Of modes that last longer than the record, and of intervals of a short one."""
     spans = [time[-1] - time[0] for time in experiment.times()]
-    slowest = exponents[np.argmax(exponents.real)].real if len(exponents) else -np.inf
+    slowest = np.max(trust.exponents.real, initial=-np.inf)
     decays = -slowest * max(spans)
     if abs(decays) < ONE_TIME_CONSTANT:
         words = "give the trim that they were measured about (trim_span), or read the record with "
@@ -194,7 +194,8 @@ def warn_of_slow(fit, exponents, experiment):
         )
         return
     total = -slowest * sum(spans)
-    if fit.result.gain is not None and 0.0 < total < TIME_CONSTANTS:
+    shaken = fit.result.gain is not None or trust.kind == "robust"
+    if shaken and 0.0 < total < TIME_CONSTANTS:
         warn(
             f"the record lasts {total:.0f} time constants of the slowest mode ({slowest:.3g} 1/s), "
             f"which noise shakes: intervals are those of a long record, and hold less often than "

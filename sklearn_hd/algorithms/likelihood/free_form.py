@@ -101,7 +101,7 @@ def free_form(
     gain : ndarray, shape (2 H'' + 1, n, l), optional
         Of K(ψ), where to start.
     predicts : bool
-        Whether there is a gain; none is taken where it does not pay (Akaike's criterion).
+        Whether there is a gain; none is taken where it does not pay (Schwarz's criterion).
     max_iter, tol
         As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error`, for each start.
     n_starts, random_state : int
@@ -135,7 +135,7 @@ def free_form(
     if predicts:
         without = _family(form, segments, free, size, 0, predicts)
         more = len(np.flatnonzero(family.drives)) - len(np.flatnonzero(without.drives))
-        beat = found[0].point.cost + more
+        beat = found[0].point.cost + 0.5 * more * np.log(problem.n_residuals)
         simple = without.best(_charts(without, (columns,)), **settings, beat=beat)
         if simple[0].point.cost <= beat:
             found, predicts = simple, False

@@ -3,12 +3,11 @@
     x[k+1] = Φ_k x[k] + Γ_k u[k] + K(ψ_k) e[k],   y[k] = C_k x[k] + D_k u[k] + e[k]
     −log L = ½ N log det (Σ e eᵀ / N) + const
 
-K is a Fourier series whose number of harmonics has the least of Akaike's criterion; without K at
-all it is the output error method. Where no process noise is, K tends to a predictor that forgets
-nothing, which takes a lasting pattern of the noise out: that K, whose search does not end inside
-the stable ones, has to win by Schwarz's criterion. The first K is that of a Kalman filter: noise
-that moves the states so that outputs answer alike, of the size that leaves the most likely
-innovations.
+K is a Fourier series whose number of harmonics has the least of Akaike's criterion. Without K at
+all it is the output error method; where no process noise is, K tends to a predictor that forgets
+nothing, and takes a lasting pattern of the noise out: to have one at all has to win by Schwarz's
+criterion. The first K is that of a Kalman filter: noise that moves the states so that outputs
+answer alike, of the size that leaves the most likely innovations.
 
 References: L. Ljung, *System Identification*, 1999, sections 4.3 and 7.4; T. McKelvey,
 A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable linear systems and
@@ -72,8 +71,7 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     without = form.with_gain(None)
     if without.radius(without.response(theta, sensitivities=False)) < 1.0:
         simulated = fit_gain(without, segments, theta, None, **settings)
-        one, other = simulated.result, best.result
-        if one.aic <= other.aic or (not other.converged and one.bic <= other.bic):
+        if simulated.result.bic <= best.result.bic:
             return simulated
     if not best.result.converged:  # more harmonics would not be judged
         return best

@@ -92,7 +92,8 @@ def simulate(response, record, x0):
 
     With a gain they are predictions one sample ahead.
     """
-    return _Course(response, record).predicted(x0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _Course(response, record).predicted(x0)
 
 
 def residuals(response, record, x0):

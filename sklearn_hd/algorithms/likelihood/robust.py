@@ -135,9 +135,7 @@ def whole_covariance(result):
     """Covariance of all parameters, gain and loads included, if white noise is left."""
     problem, point = result.problem, result.point
     covariance, _ = problem.linearise(point).covariance(gauge=True)
-    if problem.sigma is None:
-        covariance = covariance / max(1.0 - result.n_parameters / result.n_residuals, 1e-3)
-    return covariance
+    return covariance * result.correction
 
 
 def blocks_in_time(motions):

@@ -57,6 +57,8 @@ class LikelihoodResult:
     problem : Problem
     point : Point
         Where the search ended.
+    correction : float
+        For the degrees of freedom that the fit has used, in the covariances.
     """
 
     theta: np.ndarray
@@ -74,6 +76,7 @@ class LikelihoodResult:
     fit_percent: np.ndarray
     problem: Problem
     point: Point
+    correction: float
 
     @property
     def sigma(self):
@@ -186,7 +189,7 @@ def result_of(problem, search):
     n_theta = int(np.sum(system.kept)) if form.discrete else len(point.theta)  # no similarities
     n_fitted = n_theta + (point.x0.size if problem.free_x0 else 0)
     covariance, unknown = system.covariance(gauge=form.discrete)
-    spread, n_noises = problem.spread(point.moments), 0
+    spread, n_noises, correction = problem.spread(point.moments), 0, 1.0
     if problem.sigma is None:
         spent, n = n_fitted / n_residuals, len(spread)
         n_noises = n * (n + 1) // 2 if problem.correlated else n
@@ -208,6 +211,7 @@ def result_of(problem, search):
         fit_percent=fit_percent(problem, point.rss),
         problem=problem,
         point=point,
+        correction=correction,
     )
 
 
