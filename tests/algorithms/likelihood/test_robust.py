@@ -133,7 +133,8 @@ def test_one_part_differs_from_nothing(rng):
 def test_known_noise_is_taken_as_known(rng):
     u, y = line(rng, rng.standard_normal(N))
     problem = likelihood_problem(static(), [(u, y, 0)], True, sigma=[2.0])
-    result = SimpleNamespace(problem=problem, point=problem.point(np.zeros(2), np.zeros((1, 0))))
+    point = problem.point(np.zeros(2), np.zeros((1, 0)))
+    result = SimpleNamespace(problem=problem, point=point, correction=1.0)
     expected = np.linalg.inv(u.T @ u) * 4.0
     np.testing.assert_allclose(whole_covariance(result), expected, rtol=1e-9)
 
