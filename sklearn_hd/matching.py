@@ -61,9 +61,9 @@ class StructuredMatcher(ModelStep):
         (θ, K)* = arg min ½ N log det S(θ, K),   S(θ, K) = Σ_k e[k] e[k]ᵀ / N
 
     S is concentrated out: it is at its own optimum for each θ and K. The number of harmonics of K
-    is chosen by Akaike's criterion, that there is one by Schwarz's. Unstable machines measured in closed
-    loop want ``"prediction_error"``, for a simulation of them diverges. ``predict_ahead`` then
-    predicts. Samples may be missing, and models of samples (``reading="sample"``) take both
+    is chosen by Akaike's criterion, that there is a K by Schwarz's. Unstable machines measured in
+    closed loop want ``"prediction_error"``, for a simulation of them diverges. ``predict_ahead``
+    then predicts. Samples may be missing, and models of samples (``reading="sample"``) take both
     likelihoods too; their forced periodic response is estimated along.
 
     Parameters
