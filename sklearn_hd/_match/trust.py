@@ -44,7 +44,16 @@ class Trust:
     exponents: np.ndarray
     exponents_std: np.ndarray
     kind: str
-    tests: object
+    tests: dict | None
+
+    @property
+    def coloured(self):
+        """Whether what is left is noise that goes with the noise before."""
+        return self.kind == "robust" and _coloured(
+            name
+            for name, passed in zip(self.tests["test"], self.tests["passed"], strict=True)
+            if not passed
+        )
 
 
 def trusted(fit, experiment, simulators, parameters):
@@ -141,8 +150,7 @@ def _warn_of_tests(tests, kind, simulated):
         "a higher order, more harmonics or loads, noise on the inputs (input_noise) or smaller "
         "motions may mend it"
     )
-    coloured = all(test.startswith("autocorrelation") for test in failed.index)
-    if coloured and simulated:
+    if _coloured(failed.index) and simulated:
         way = "noise shakes the machine itself: use criterion='prediction_error'"
     warn(
         f"what the fit leaves is no white noise: the test {name!r} gives {worst['statistic']:.4g} "
@@ -151,6 +159,11 @@ def _warn_of_tests(tests, kind, simulated):
         f"do not see what all blocks share; {way}",
         IdentifiabilityWarning,
     )
+
+
+def _coloured(failed):
+    """Whether tests of noise against the noise before are all that failed."""
+    return all(name.startswith("autocorrelation") for name in failed)
 
 
 def _warn_of_parts(exponents, apart, own, more):
@@ -194,8 +207,7 @@ def warn_of_slow(fit, trust, experiment):
         )
         return
     total = -slowest * sum(spans)
-    shaken = fit.result.gain is not None or trust.kind == "robust"
-    if shaken and 0.0 < total < TIME_CONSTANTS:
+    if (fit.result.gain is not None or trust.coloured) and 0.0 < total < TIME_CONSTANTS:
         warn(
             f"the record lasts {total:.0f} time constants of the slowest mode ({slowest:.3g} 1/s), "
             f"which noise shakes: intervals are those of a long record, and hold less often than "
