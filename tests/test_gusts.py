@@ -261,6 +261,7 @@ def test_what_is_said_before_a_fit_and_after_one_in_a_norm(recorded):
 # ---- as an estimator ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_is_cloned_pickled_and_searched(fitted, recorded):
     X, y = recorded
     again = pickle.loads(pickle.dumps(fitted))
@@ -283,6 +284,7 @@ def test_it_is_cloned_pickled_and_searched(fitted, recorded):
     assert np.all(np.array(grid.cv_results_["mean_test_score"]) > 0.5)
 
 
+@pytest.mark.slow
 def test_arrays_and_records_are_as_good_as_one_frame(recorded, fitted):
     X, y = recorded
     cut = 30 * SAMPLES
@@ -356,6 +358,7 @@ def test_short_records_are_told(recorded):
         pipeline().fit(*gusty(0, periods=125))
 
 
+@pytest.mark.slow
 def test_a_machine_that_is_not_linear_is_said_to_be_so():
     X, y = gusty(0, gust=0.0, curved=0.3)
     for criterion in ("output_error", "prediction_error"):
@@ -368,6 +371,7 @@ def test_a_machine_that_is_not_linear_is_said_to_be_so():
         assert not match.residual_tests_["passed"].all()
 
 
+@pytest.mark.slow
 def test_parts_of_a_record_that_disagree_are_told():
     """Small motions of one machine, large ones of another: two records, of the same noise."""
     small, large = gusty(0, gust=0.67, noise=0.067, periods=250), gusty(1, swing=1.6)

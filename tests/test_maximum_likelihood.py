@@ -82,6 +82,7 @@ def free_heave(names):
     return MatrixStructure(pd.DataFrame(np.nan, names, names), pd.DataFrame(np.nan, names, ["U_0"]))
 
 
+@pytest.mark.slow
 def test_harmonics_of_a_sliding_analyzer():
     """Refined on the signals themselves: no analyzer bias. The reducer, whose modes are of largest
     likelihood, has left the matcher a tenth of a standard deviation to gain."""
@@ -102,6 +103,7 @@ def test_harmonics_of_a_sliding_analyzer():
     assert match.system_.state_labels == names
 
 
+@pytest.mark.slow
 def test_a_matrix_structure_period_by_period():
     """Three harmonics fit the signals of the periodic system best 9 % away from its own."""
     data = make_flapping_wing("ltp", n_periods=60, start=5, snr=100, random_state=1)
@@ -141,6 +143,7 @@ def test_a_search_cut_short_is_said():
         pipe.fit(u, y)
 
 
+@pytest.mark.filterwarnings("ignore:the record lasts")
 def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():
     """From the decomposition with eight numbers in A to all coefficients of F that show."""
     data = make_flapping_wing("lti-signal", n_periods=120, start=10)
@@ -164,6 +167,7 @@ def noisy_inputs(seed):
     return data, float(data.inputs_clean.std().iloc[0]) / 20
 
 
+@pytest.mark.filterwarnings("ignore:the record lasts")
 def test_noise_on_the_inputs_is_allowed_for_or_told():
     """Ignored, it colours what is left: deviations are those of blocks of the record."""
     data, sigma = noisy_inputs(0)
