@@ -118,8 +118,8 @@ def _tests(experiment, simulators):
         return scored(remainder(experiment, simulators), None, LEVEL)
     except (UnstableModelError, ValueError) as reason:  # it overflows, or rows are too few
         warn(
-            f"nobody knows whether what the fit leaves is noise: {reason}; its deviations hold "
-            f"only if it is",
+            f"what the fit leaves could not be tested: {reason}; its deviations hold only if that "
+            f"is white noise",
             IdentifiabilityWarning,
         )
         return None
