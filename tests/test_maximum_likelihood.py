@@ -1,5 +1,6 @@
 """StructuredMatcher(criterion="output_error") with time-invariant structures."""
 
+import warnings
 from contextlib import nullcontext
 
 import numpy as np
@@ -18,11 +19,11 @@ LAG = MatrixStructure([["-a"]], [["b"]])
 TRUE_LAG = {"a": -np.log(0.8), "b": -np.log(0.8) / 0.2}  # of y[k+1] = 0.8 y + u
 
 
-def lag_record(seed, noise=0.1, n_samples=400):
+def lag_record(seed, noise=0.1, n_samples=400, pole=0.8):
     rng = np.random.default_rng(seed)
     u, y = rng.standard_normal((n_samples, 1)), np.zeros((n_samples, 1))
     for k in range(n_samples - 1):
-        y[k + 1] = 0.8 * y[k] + u[k]
+        y[k + 1] = pole * y[k] + u[k]
     return u, y + noise * rng.standard_normal(y.shape)
 
 
@@ -120,6 +121,29 @@ def test_a_matrix_structure_period_by_period():
     assert np.isfinite(match.theta_std_).all()
     assert np.isnan(match.hinf_error_)
     assert pipe.score(data.inputs, data.outputs) > 0.995
+
+
+def test_records_of_two_machines_disagree():
+    """They are told, and the interval is widened until it holds both."""
+    exponents, told = [], []
+    for pole in (0.8, 0.78):
+        pairs = zip(lag_record(0), lag_record(1, pole=pole), strict=True)
+        time = pd.Index(0.1 * np.arange(400), name="time")
+        u, y = (
+            pd.concat([pd.DataFrame(each, time) for each in pair], keys=[1, 2], names=["record"])
+            for pair in pairs
+        )
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            match = matched_lag(u, y)
+        told.append(" ".join(str(each.message) for each in said))
+        exponents.append(match.eigenvalues_.iloc[0].to_numpy().real)
+    assert told[0] == ""
+    assert "from the first record to the last" in told[1]
+    (_, alike, _), (value, std, _) = exponents
+    assert alike < 0.02
+    for pole in (0.8, 0.78):
+        assert abs(np.log(pole) / 0.1 - value) < 1.96 * std
 
 
 def test_parameters_that_the_record_leaves_open_are_infinite():

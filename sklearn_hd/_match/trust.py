@@ -21,6 +21,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 WORDS = {
     "size": "from small to large motions",
     "direction": "from one side of the motion to the other",
+    "record": "from the first record to the last",
 }
 ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
@@ -126,7 +127,7 @@ def _tests(experiment, simulators):
 
 
 def _divisions(result):
-    """Parts of the record: in time, by the size and by the direction of the motion."""
+    """Parts of the record: in time, by size and direction of the motion, and segment by segment."""
     problem, point, motions = result.problem, result.point, []
     form = problem.form
     response = form.response(point.theta, sensitivities=False)
@@ -137,6 +138,7 @@ def _divisions(result):
         "time": blocks_in_time(motions),
         "size": by_size(motions, max(1, round(form.n_phases))),
         "direction": by_direction(motions),
+        "record": [np.full(len(motion), k) for k, motion in enumerate(motions)],
     }
 
 
@@ -184,7 +186,8 @@ def _warn_of_parts(exponents, apart, own, more):
         f"parts of the record disagree: {WORDS[name]} the {what} part of the exponent "
         f"{value:.4g} goes from {centre + offsets[0]:.5g} to {centre + offsets[-1]:.5g} 1/s "
         f"(standard deviation {np.sqrt(own[r]):.2g}): the response is not that of one linear "
-        f"system; its deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; use smaller motions",
+        f"system; its deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; use smaller "
+        f"motions, or fit the parts by themselves",
         IdentifiabilityWarning,
     )
 
