@@ -363,6 +363,12 @@ class StructuredMatcher(ModelStep):
                 f"criterion='prediction_error' predicts; fit with criterion='output_error', or "
                 f"leave input_noise=None, where noise on the inputs counts as gusts"
             )
+        if self.structure is None and not basis.harmonic:
+            raise ValueError(
+                f"input_noise={given!r} is allowed for with the parameters of a structure, and "
+                f"structure=None leaves every entry free; give a MatrixStructure, or leave "
+                f"input_noise=None"
+            )
         if basis.reading == "sample":
             raise ValueError(
                 f"input_noise={given!r} cannot be told from loads, which a model of samples has; "

@@ -7,6 +7,10 @@ from innovation_cases import InnovationSystem
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import MOESPRegressor, StructuredMatcher
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.free_form import free_form
+from sklearn_hd.algorithms.likelihood.local_coordinates import OutputNormal
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.datasets import load_power_plant, load_slicot_example
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -135,3 +139,21 @@ def test_gains_are_those_of_predictions_alone(rng):
     assert match.covariance_type_ == "robust"
     with pytest.raises(AttributeError, match="kalman_gain_ is there for criterion='prediction_err"):
         _ = match.kalman_gain_
+
+
+def test_noise_on_the_inputs_needs_a_structure(rng):
+    u, y, _ = system().simulate(rng, 400)
+    with pytest.raises(ValueError, match="give a MatrixStructure, or leave input_noise=None"):
+        StructuredMatcher(MOESPRegressor(3), criterion="output_error", input_noise=0.1).fit(u, y)
+
+
+def test_a_start_without_a_stable_predictor_is_refused():
+    """As a model of many states may be, of few rows."""
+    unused = PeriodicStructure(np.zeros((1, 2, 2)), np.zeros((0, 4)), 1, ())
+    form, rows = Form(unused, 1.0, 1, discrete=True), np.arange(50.0)[:, None]
+    free = np.ones((1, 2, 1), dtype=bool)
+    lost = OutputNormal(np.array([[np.nan], [1.0]]), np.array([[1.0], [0.0]]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OutputNormal, "of", lambda A, C: lost)
+        with pytest.raises(ValueError, match="order 1, has no stable predictor"):
+            free_form(form, [(rows, rows, 0)], np.ones((1, 2, 2)), free, n_starts=0)

@@ -110,6 +110,11 @@ def free_form(
     Returns
     -------
     fit : FreeFit
+
+    Raises
+    ------
+    ValueError
+        If there is no stable predictor to start from.
     """
     n, count = form.n_states, len(coefficients)
     size = likelihood_problem(form, segments, True).size
@@ -127,6 +132,11 @@ def free_form(
         charts = family.starts(charts, **settings, n_starts=n_starts, random_state=random_state)
     found = family.best(charts, **settings)
     problem = found[0].problem
+    if not np.isfinite(found[0].point.cost):
+        raise ValueError(
+            f"the model identified, of order {n}, has no stable predictor to start maximum "
+            f"likelihood from; lower the order, or use a longer record"
+        )
     exact = found[0].point.rss <= problem.counts * (NOISELESS * problem.size) ** 2
     if exact.any() and not exact.all():  # an output without noise outweighs all others
         alike = replace(family, problem=replace(family.problem, sigma=family.problem.size))
@@ -291,6 +301,8 @@ class FreeForm:
 
     def search(self, model, max_iter, tol, beat=np.inf):
         """The most likely model from one, given up where it cannot beat a cost."""
+        if not np.isfinite(model.point.cost):  # no stable model to begin with
+            return model, Search(model.point, 0, False)
         if isinstance(model.chart, AllEntries):
             options = {"tol": tol, "keep_stable": True, "bounds": None}
             found = search(model.problem, model.point, max_iter=WARM, **options)
