@@ -379,7 +379,7 @@ def test_parts_of_a_record_that_disagree_are_told():
     pairs = zip(small, large, strict=True)
     X, y = (pd.concat(each, keys=["a", "b"], names=["record"]) for each in pairs)
     with pytest.warns(
-        IdentifiabilityWarning, match="parts of the record disagree: from small"
+        IdentifiabilityWarning, match="parts of the record disagree: from the first record"
     ) as w:
         match = pipeline().fit(X, y)["match"]
     words = " ".join(str(each.message) for each in w)
