@@ -395,7 +395,6 @@ def test_maximum_likelihood_of_the_noisy_wing():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:what the fit leaves")  # of one of them, by chance
 def test_maximum_likelihood_beats_the_closed_form():
     """The bound is 1 % for four harmonics; closed forms have 1 to 7 %."""
     errors = []

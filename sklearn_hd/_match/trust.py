@@ -23,6 +23,7 @@ WORDS = {
     "direction": "from one side of the motion to the other",
     "record": "from the first record to the last",
 }
+ALARM = 1e-4  # level of the tests: where few rows hold the motion, χ² is too narrow for them
 ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
 
@@ -116,7 +117,7 @@ def trusted(fit, experiment, simulators, parameters):
 def _tests(experiment, simulators):
     """Residual tests; None where there is nothing to test."""
     try:
-        return scored(remainder(experiment, simulators), None, LEVEL)
+        return scored(remainder(experiment, simulators), None, ALARM)
     except (UnstableModelError, ValueError) as reason:  # it overflows, or rows are too few
         warn(
             f"what the fit leaves could not be tested: {reason}; its deviations hold only if that "
