@@ -473,7 +473,7 @@ class StructuredMatcher(ModelStep):
 
     @property
     def residual_tests_(self):
-        """Residual tests of the record fitted, as :meth:`residual_tests` gives them (level 1e-4)."""
+        """Residual tests of the record fitted, by :meth:`residual_tests` (level 1e-4)."""
         tests = self._likelihood("residual_tests_").tests
         return None if tests is None else pd.DataFrame(tests).set_index("test")
 
