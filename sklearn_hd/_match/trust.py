@@ -23,7 +23,7 @@ WORDS = {
     "direction": "from one side of the motion to the other",
     "record": "from the first record to the last",
 }
-ALARM = 1e-4  # level of the tests: where few rows hold the motion, χ² is too narrow for them
+ALARM = 1e-4  # level of the tests at fit: a tenth of that of residual_tests, which are asked for
 ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
 
