@@ -2,6 +2,7 @@
 
 import math
 import numbers
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -40,10 +41,13 @@ from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
 from sklearn_hd._tables import STANDARD_ERRORS, check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
+from sklearn_hd.algorithms.signals.rest import changes, energy_by_turn, rests
 from sklearn_hd.exceptions import TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]
 
+AUTO = "auto"
+LEAST_TURNS = 12  # of which some rest: fewer tell no Poincaré map
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 
@@ -83,13 +87,17 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         end at the row that they are for, as a causal analyzer must;
         ``"centred-boxcar"``, ``"centred-triangle"`` and ``"centred-hann"``
         are centred on it.
-    reading : {"sliding", "period", "sample"}, default="sliding"
-        How model steps read the record. ``"sliding"`` is the paper's: coefficients through
-        the window, every ``hop`` samples. ``"period"`` decomposes whole periods, one after
+    reading : {"auto", "period", "sample", "sliding"}, default="auto"
+        How model steps read the record. ``"period"`` decomposes whole periods, one after
         another (the blockwise Fourier transform), whatever the window: sampled once a period,
         a periodic system is time-invariant. ``"sample"`` takes each row as a sample with its
         azimuth, for records in service: inputs that always move, loads at every turn,
-        turbulence, any number of samples in a turn; nothing is decomposed.
+        turbulence, any number of samples in a turn; nothing is decomposed. ``"sliding"`` is the
+        paper's: coefficients through the window, every ``hop`` samples. ``"auto"`` takes
+        ``"period"`` where the inputs rest in most turns, but for noise, and ``"sample"`` where
+        they do not, or turns are fewer than 12; ``"sliding"`` where there is no y, or a hop, a
+        window, harmonics of inputs or harmonics by signal are asked for. ``basis_.reading``
+        says which.
     hop : int or None, default=None
         Samples from one row read by the model steps to the next. With ``reading="sliding"`` a
         divisor of the samples in a period; None reads at least eight rows a period, and
@@ -217,7 +225,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         output_harmonics=None,
         load_harmonics=None,
         window="boxcar",
-        reading="sliding",
+        reading=AUTO,
         hop=None,
         trim_span=None,
         sample_time=None,
@@ -275,21 +283,47 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
-        basis = self._basis(inputs, output_names, timing)
-        if self.reading == "sample" and self.hop is None and outputs is not None:
+        reading = self._reading(inputs, outputs)
+        basis = self._basis(reading, inputs, output_names, timing)
+        if reading == "sample" and self.hop is None and outputs is not None:
             basis = _without_loss(basis, inputs, outputs)
         self.basis_ = self._with_trim(basis, inputs, outputs)
         if basis.timing.resampled:
             warn_of_resampling(self.basis_, inputs, outputs)
         return self
 
-    def _basis(self, inputs, output_names, timing):
+    def _reading(self, inputs, outputs):
+        """How model steps read the record, by what is asked for and what the inputs do."""
+        if self.reading != AUTO:
+            return self.reading
+        if self.load_harmonics is not None:
+            return "sample"
+        by_signal = isinstance(self.output_harmonics, Mapping)
+        coefficients = by_signal or self.input_harmonics not in (None, 0)
+        if outputs is None or self.hop is not None or self.window != "boxcar" or coefficients:
+            return "sliding"
+        if self.small_signal is not None:
+            return "period"
+        step = inputs.base.sample_time
+        psi = self._mean_speed(inputs)[1] if self.azimuth is not None else float(self.omega)
+        psi = psi * inputs.places(psi, step)
+        parts = [
+            (values[known], angle[known])
+            for segment in inputs.base.segments
+            for values, angle in [(inputs.data[segment], psi[segment])]
+            for known in [np.isfinite(values).all(axis=1) & np.isfinite(angle)]
+        ]
+        angles = [angle for _, angle in parts]
+        energy = np.concatenate(energy_by_turn([changes(*part) for part in parts], angles)[0])
+        return "period" if len(energy) >= LEAST_TURNS and rests(energy).any() else "sample"
+
+    def _basis(self, reading, inputs, output_names, timing):
         """How signals are analysed, trim aside."""
-        if self.reading == "sample":
+        if reading == "sample":
             return self._sample_basis(inputs, output_names, timing)
         if self.load_harmonics is not None:
             raise ValueError(
-                f"load_harmonics={self.load_harmonics!r} with reading={self.reading!r}: loads are "
+                f"load_harmonics={self.load_harmonics!r} with reading={reading!r}: loads are "
                 f"identified with reading='sample' alone; leave load_harmonics=None, and give "
                 f"trim_span"
             )
@@ -298,13 +332,14 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         asked = 1 if self.output_harmonics is None else self.output_harmonics
         kept_out = check_harmonics("output_harmonics", asked, output_names) if output_names else ()
         highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
-        omega, spp, step, timing = self._grid(inputs, highest, timing)
-        return READINGS[self.reading](
+        rows = _least_rows(highest) if reading == "sliding" else 1
+        omega, spp, step, timing = self._grid(inputs, highest, rows, timing)
+        return READINGS[reading](
             omega=omega,
             sample_time=step,
             samples_per_period=spp,
             window=self.window,
-            hop=self._checked_hop(spp, highest),
+            hop=spp if reading == "period" else self._checked_hop(spp, highest),
             inputs=kept_in,
             outputs=kept_out,
             timing=timing,
@@ -357,7 +392,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     def _checked_timing(self):
         """When rows were sampled, as the parameters say; ValueError if one is not understood."""
         check_choice("window", self.window, WINDOWS)
-        check_choice("reading", self.reading, tuple(READINGS))
+        check_choice("reading", self.reading, (AUTO, *READINGS))
         if self.small_signal is not None:
             check_choice("small_signal", self.small_signal, SMALL_SIGNAL)
         words = isinstance(self.hop, str) and self.reading != "sample"
@@ -369,18 +404,16 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         origin = check_phase(self.omega, self.azimuth, self.time_origin)
         return Timing(self.sample_time, origin, self.azimuth, check_missing(self.missing))
 
-    def _grid(self, inputs, highest, timing):
+    def _grid(self, inputs, highest, rows, timing):
         """ω, samples in a period, their distance in seconds, and when rows were sampled."""
         if self.azimuth is not None:
-            return *self._varying_speed(inputs, highest), timing
-        omega, spp, step, resampled = self._constant_speed(inputs.base, highest)
+            return *self._varying_speed(inputs, highest, rows), timing
+        omega, spp, step, resampled = self._constant_speed(inputs.base, highest, rows)
         own = inputs.base.sample_time if resampled else step
         return omega, spp, step, replace(timing, sample_time=own, resampled=resampled)
 
     def _checked_hop(self, spp, highest):
         """The hop; None stands for about eight rows a period, more for high harmonics."""
-        if self.reading == "period":
-            return spp
         small = [d for d in range(1, math.isqrt(spp) + 1) if spp % d == 0]
         divisors = sorted({*small, *(spp // d for d in small)})
         hop = self.hop
@@ -395,7 +428,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             )
         return int(hop)
 
-    def _constant_speed(self, base, highest):
+    def _constant_speed(self, base, highest, rows):
         """ω, samples in a period of the grid, their distance, and whether all is resampled."""
         omega = float(self.omega)
         if base.counted and self.sample_time is None:  # times that were lost are no times
@@ -403,7 +436,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         samples, whole = whole_period(omega, base, highest)
         if not whole:
             near = abs(samples - round(samples)) <= NEAR_WHOLE
-            spp = round(samples) if near else self._samples_on_grid(samples, highest)
+            spp = round(samples) if near else self._samples_on_grid(samples, rows)
             return omega, spp, 2.0 * np.pi / omega / spp, True
         spp = round(samples)
         step = 2.0 * np.pi / omega / spp
@@ -411,16 +444,16 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         even = base.jitter[1] == 0.0  # else resampled, to fit the period exactly
         return omega, spp, base.sample_time if even and told else step, False
 
-    def _samples_on_grid(self, samples, highest):
-        """Samples in a period of the grid: those given, rounded up to whole hops."""
+    def _samples_on_grid(self, samples, rows):
+        """Samples in a period of the grid: those given, rounded up to whole hops, or rows read."""
         least = samples - PERIOD_TOLERANCE
         whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
         unit = int(self.hop) if whole else 1
-        if self.hop is None and self.reading == "sliding":
-            unit = _least_rows(highest)  # rows read a turn, of whole hops
+        if self.hop is None:
+            unit = rows
         return unit * int(np.ceil(least / unit))
 
-    def _varying_speed(self, inputs, highest):
+    def _varying_speed(self, inputs, highest, rows):
         """Mean ω, samples on the grid in a turn, and their distance in seconds."""
         samples, omega = self._mean_speed(inputs)
         check_rate(
@@ -428,7 +461,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             highest,
             f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
         )
-        spp = self._samples_on_grid(samples, highest)
+        spp = self._samples_on_grid(samples, rows)
         return omega, spp, 2.0 * np.pi / omega / spp
 
     def _mean_speed(self, inputs):
