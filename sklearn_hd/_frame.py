@@ -34,6 +34,10 @@ class LTIModel:
     innovations_covariance : ndarray, shape (l, l), or None
     closed_loop : bool
         Whether it was identified as if inputs answered to outputs.
+    at_rest : bool
+        Whether A is that of free decays alone (period by period).
+    opinion : Opinion or None
+        What another way has found of its exponents.
     """
 
     A: np.ndarray
@@ -49,6 +53,8 @@ class LTIModel:
     kalman_gain: np.ndarray | None = None
     innovations_covariance: np.ndarray | None = None
     closed_loop: bool = False
+    at_rest: bool = False
+    opinion: object = None
 
     @property
     def n_states(self):

@@ -70,6 +70,8 @@ class SampleModel:
         Whether D is free.
     n_loads : int
         Harmonics of the forced response; −1 where there is none, not even a mean.
+    opinion : Opinion or None
+        What another way has found of its exponents.
     """
 
     innovations: PeriodicInnovations
@@ -79,6 +81,7 @@ class SampleModel:
     output_names: tuple
     feedthrough: bool = False
     n_loads: int = -1
+    opinion: object = None
 
     state_names = None
     windowed = False

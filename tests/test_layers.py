@@ -16,6 +16,7 @@ LAYERS = [
     {"_frame", "_sample_model"},
     {"_records"},
     {"_continuous", "_fit_checks", "_residuals"},
+    {"_opinion"},
     {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
     {"harmonics", "subspace", "reduction", "matching"},
     {"datasets", "model_selection", "plotting"},

@@ -5,8 +5,11 @@ them are kept: what is projected out of the future are the directions that input
 the period. D is always free, for inputs act within the period that they belong to.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import linalg
+from scipy.stats import chi2
 
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import (
@@ -20,9 +23,21 @@ from sklearn_hd._fit_checks import (
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
+from sklearn_hd._opinion import decays_at_rest, of_free_decays, warn_of_doubt
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.multipliers import order_by_residual, without_noise_growth
+from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.periodic.free_decay import free_decay
+from sklearn_hd.algorithms.periodic.multipliers import (
+    cost_of_a_state,
+    is_possible,
+    leaves_white_noise,
+    left_by,
+    order_by_residual,
+    refine_multipliers,
+    without_noise_growth,
+)
+from sklearn_hd.algorithms.periodic.periodic_realization import state_response
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
@@ -31,6 +46,8 @@ from sklearn_hd.exceptions import ExcitationWarning
 __all__ = ["asked_block_rows", "identify", "read"]
 
 MOST_STATES = 12  # tried by order="auto": the raw periods are simulated with each
+A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
+LEVEL = 1e-3  # share of linear machines taken for others
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block rows"
 
@@ -66,21 +83,33 @@ def identify(data, settings, experiment):
         return _order(found, bound, experiment, data, settings)
 
     decomposition = decompose(data, i, size, settings, choose)
+    decays, stretches = decays_at_rest(experiment)
+    asked = None if settings.order == "auto" else settings.order
+    still = free_decay(decays, asked) if decays and not settings.predictor else None
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
+    at_rest = False
     if settings.predictor:
         matrices = _driven_by_means(matrices, data, scales[0])
-    elif noise is None and _grows(matrices[0], experiment):
-        A, _, C, _ = matrices
-        A = without_noise_growth(A, data.excitation, _raw_periods(experiment))
-        B, D, x0 = data.input_matrices(A, C, True, scales)
-        matrices = A, B, C, D
+    else:
+        A, B, C, D = matrices
+        Phi = _refined(A, C, experiment, data, scales[1])
+        if noise is None and still is not None:
+            at_rest = not _linear(Phi, still, decays, experiment, data)
+        if at_rest:
+            Phi, C = still.Phi, _sight(still, stretches, data, scales[1])
+            decomposition = replace(decomposition, order=len(Phi))
+        if Phi is not A:
+            B, D, x0 = data.input_matrices(Phi, C, True, scales)
+            matrices = Phi, B, C, D
     fitted = matrices, noise, x0
     reason = "inputs act within the period that they belong to: D is free"
     fit = subspace_fit(
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
+    opinion = of_free_decays(still, experiment.basis.omega)
     warn_of_growth(fit.model, experiment)
-    return fit
+    warn_of_doubt(fit.model.exponents(), opinion)
+    return replace(fit, model=replace(fit.model, at_rest=at_rest, opinion=opinion))
 
 
 def _excitation(experiment, settings):
@@ -132,6 +161,45 @@ def _raw_periods(experiment):
     """Every sample of the outputs, one row a period, in like units."""
     lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
     return [y.reshape(len(y), -1) for y in lifted]
+
+
+def _refined(A, C, experiment, data, unit):
+    """The map of largest likelihood for the raw periods, or that identified if it leaves less.
+
+    Multipliers are refined with every mode free to answer in its own way to each direction of
+    the inputs. Many modes that last but a period or two can then stand for each other, and noise
+    decides; with one B for all that is seen they cannot.
+    """
+    directions, lifted = data.excitation, _raw_periods(experiment)
+    refine = without_noise_growth if _grows(A, experiment) else refine_multipliers
+    Phi = refine(A, directions, lifted)
+    if not is_possible(A, max(map(len, lifted))):
+        return Phi
+    seen = [Y / unit for Y in data.outputs]
+    left, own = (np.sum(state_response(M, C, directions, lifted, seen)[2]) for M in (Phi, A))
+    return A if own < A_TENTH_LESS * left else Phi
+
+
+def _linear(Phi, still, decays, experiment, data):
+    """Whether one map explains the whole record but for noise, and free decays as well as any.
+
+    By the ratio of likelihoods (Wilks, 1938).
+    """
+    if not leaves_white_noise(Phi, data.excitation, _raw_periods(experiment)):
+        return False
+    ones, target = [np.ones((len(y), 1)) for y in decays], np.vstack(decays)
+    n_free = cost_of_a_state(ones, decays)[0]
+    left, own = (np.sum(left_by(M, ones, target) ** 2) for M in (Phi, still.Phi))
+    least = EXACT**2 * np.sum(target**2)
+    ratio = n_free * np.log(max(left, least) / max(own, least))
+    return ratio <= chi2.isf(LEVEL, max(len(Phi), len(still.Phi)))
+
+
+def _sight(still, stretches, data, unit):
+    """C of the states of free decays, by least squares beside what the trim is off by."""
+    seen = np.vstack([data.outputs[s][rows] for s, rows in stretches]) / unit
+    states = np.vstack(still.states)
+    return linalg.lstsq(np.hstack([states, np.ones((len(states), 1))]), seen)[0][:-1].T
 
 
 def _grows(A, experiment):

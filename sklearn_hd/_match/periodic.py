@@ -19,13 +19,8 @@ from sklearn_hd._match.match import periodic_match
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
-from sklearn_hd.algorithms.periodic.multipliers import (
-    is_possible,
-    leaves_white_noise,
-    refine_multipliers,
-    told_apart,
-    without_noise,
-)
+from sklearn_hd.algorithms.periodic.free_decay import periods_at_rest
+from sklearn_hd.algorithms.periodic.multipliers import without_noise
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
     equation_error,
@@ -47,9 +42,6 @@ HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs a
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
-LEAST_DECAY = 4  # periods for each state in a free decay that can stand alone
-REST_SHARE = 1e-9  # of an input's largest value, below which it is at rest
-A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 
 
 def match_periodic(model, experiment, structure, simulated=True):
@@ -104,7 +96,7 @@ def realize(model, experiment, structure):
         )
     _check_harmonics(structure, experiment.basis.samples_per_period)
     scale = output_scale(experiment)
-    if model.closed_loop:  # the other way takes inputs for independent of noise
+    if model.closed_loop or model.at_rest:  # the other way takes inputs for independent of noise
         return _in_closed_form(model, experiment, structure, scale)[0]
     try:
         found, noise = _in_closed_form(model, experiment, structure, scale)
@@ -279,13 +271,13 @@ def output_shapes(model, experiment, scale, states=None):
     if states is None:
         seen, unit = _seen(experiment)
         C = model.C / unit[:, None]
-        Phi, response, n_rows = _simulated(model.A, C, inputs, directions, lifted, seen)
+        response, n_rows = _simulated(model, C, inputs, directions, lifted, seen)
     else:
         directions = beside_trim(directions, basis)
-        Phi, response = model.A, response_to_states(states, directions, lifted)
+        response = response_to_states(states, directions, lifted)
         n_rows = sum(map(len, lifted)) - directions[0].shape[1] - model.n_states
     sights, information, residual = response
-    R, to_original, flips = floquet_logarithm(Phi, period)
+    R, to_original, flips = floquet_logarithm(model.A, period)
     back = linalg.inv(to_original)
     sights = sights.reshape(spp, -1, model.n_states) @ to_original
     information, residual = back @ information @ back.T, residual.reshape(spp, -1)
@@ -308,11 +300,9 @@ def predictor_states(model, experiment):
     return predicted_states(model.A, C, K, beside_trim(directions, experiment.basis), seen)
 
 
-def _simulated(A, C, inputs, directions, lifted, seen):
-    """Φ refined on the raw record, what it sees of the states, and the rows left for noise."""
-    n, n_periods = len(A), sum(map(len, lifted))
-    Phi = refine_multipliers(A, directions, lifted)
-    Phi = _unless_it_explains_less(Phi, A, C, directions, lifted, seen)
+def _simulated(model, C, inputs, directions, lifted, seen):
+    """What every sample of the period sees of the states, and the rows left for noise."""
+    Phi, n = model.A, model.n_states
     radius = max(np.max(np.abs(linalg.eigvals(Phi))), np.finfo(float).tiny)
     growth = max(map(len, lifted)) * np.log(radius)
     if growth > MAX_GROWTH:
@@ -320,44 +310,12 @@ def _simulated(A, C, inputs, directions, lifted, seen):
             f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
             f"a record can show: lower the order, check omega, or cut the record shorter"
         )
-    if not leaves_white_noise(Phi, directions, lifted):
-        # systematic errors, a nonlinear system's: smallest where the motion dies away
-        free = free_decays(inputs)
-        decays = [lifted[s][rows] for s, rows in free]
-        if sum(map(len, decays)) > LEAST_DECAY * n and told_apart(Phi, decays):
-            at_rest = [np.zeros((len(block), 0)) for block in decays]
-            decaying = refine_multipliers(Phi, at_rest, decays)
-            if is_possible(decaying, max(map(len, decays))):
-                Phi, directions, lifted = decaying, at_rest, decays
-                seen = [seen[s][rows] for s, rows in free]
-                n_periods = sum(map(len, lifted))
+    if model.at_rest:
+        stretches = periods_at_rest(inputs)
+        lifted, seen = ([each[s][rows] for s, rows in stretches] for each in (lifted, seen))
+        directions = [np.ones((len(y), 1)) for y in lifted]
     response = state_response(Phi, C, directions, lifted, seen)
-    return Phi, response, n_periods - directions[0].shape[1] - n
-
-
-def _unless_it_explains_less(refined, identified, C, directions, lifted, seen):
-    """The refined map, or a possible one identified that leaves a tenth less of the record.
-
-    Multipliers are refined with every mode free to answer in its own way to each direction of
-    the inputs. Many modes that last but a period or two can then stand for each other, and noise
-    decides; with one B for all that is seen they cannot.
-    """
-    if not is_possible(identified, max(map(len, lifted))):
-        return refined
-    left, others = (
-        np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
-    )
-    return identified if others < A_TENTH_LESS * left else refined
-
-
-def free_decays(inputs):
-    """Periods of each segment after the last in which an input moves: (segment, rows)."""
-    largest = np.max(np.abs(np.concatenate(inputs)), axis=(0, 1), initial=0.0)
-    tails = []
-    for s, u in enumerate(inputs):
-        moving = np.flatnonzero(np.any(np.abs(u) > REST_SHARE * largest, axis=(1, 2)))
-        tails.append((s, slice(moving[-1] + 1 if len(moving) else 0, len(u))))
-    return [(s, rows) for s, rows in tails if len(inputs[s][rows])]
+    return response, sum(map(len, lifted)) - directions[0].shape[1] - n
 
 
 def _raw_periods(experiment, n_states, scale=1.0):

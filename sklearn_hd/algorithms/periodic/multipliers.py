@@ -104,12 +104,46 @@ def without_noise_growth(Phi, directions, lifted):
         return free
     held = refine_multipliers(Phi, directions, lifted, 1.0)
     target = compact(np.vstack(lifted))
-    n_free, price = _cost_of_a_state(directions, lifted)
+    n_free, price = cost_of_a_state(directions, lifted)
     least = EXACT**2 * float(np.sum(target**2))
     with_growth, without = (
-        max(float(np.sum(_left_by(M, directions, target) ** 2)), least) for M in (free, held)
+        max(float(np.sum(left_by(M, directions, target) ** 2)), least) for M in (free, held)
     )
     return Phi if n_free * np.log(without / with_growth) > price else held
+
+
+def multiplier_deviations(Phi, directions, lifted):
+    """Multipliers of a map, and the standard deviations of their logarithms, refined or not.
+
+    Those of white noise as large as what is left of the lifted outputs.
+
+    Parameters
+    ----------
+    Phi, directions, lifted
+        As for :func:`refine_multipliers`.
+
+    Returns
+    -------
+    multipliers : complex ndarray, shape (n,)
+    deviations : ndarray, shape (n,)
+        √(σ²_real + σ²_imag).
+    """
+    blocks = invariant_blocks(Phi)[1]
+    edges = np.cumsum([len(block) for block in blocks])[:-1]
+    target = compact(np.vstack(lifted))
+    elimination = _Elimination(edges, Modes(directions), target, LARGEST_RESPONSE)
+    coefficients = [characteristic(block) for block in blocks]
+    left, jacobian = elimination.left(np.concatenate(coefficients))
+    n_free = cost_of_a_state(directions, lifted)[0]
+    factor = linalg.qr(jacobian, mode="r")[0][: len(Phi)]
+    spread = linalg.pinv(factor) * np.sqrt(np.sum(left**2) / n_free)
+    found = []
+    for own, rows in zip(coefficients, np.split(spread, edges), strict=True):
+        for z in np.roots(np.append([1.0, -own[0]], own[1:])).astype(complex):
+            slope = np.array([1.0]) if len(own) == 1 else np.array([z, -1.0]) / (2.0 * z - own[0])
+            found.append((z, np.linalg.norm(slope @ rows / z)))
+    multipliers, deviations = zip(*found, strict=True)
+    return np.array(multipliers), np.array(deviations)
 
 
 class Modes:
@@ -371,21 +405,21 @@ def order_by_residual(candidates, directions, lifted):
     """
     n_columns, r = lifted[0].shape[1], directions[0].shape[1]
     target = compact(np.vstack(lifted))
-    n_free, price = _cost_of_a_state(directions, lifted)
-    left, bic = [_left_by(np.zeros((0, 0)), directions, target)], [np.inf]
+    n_free, price = cost_of_a_state(directions, lifted)
+    left, bic = [left_by(np.zeros((0, 0)), directions, target)], [np.inf]
     for Phi in candidates:
         refined = refine_multipliers(Phi, directions, lifted)
         left.append(left[-1])
         bic.append(np.inf)
         if is_possible(refined, max(map(len, lifted))):
-            left[-1] = _left_by(refined, directions, target)
+            left[-1] = left_by(refined, directions, target)
             rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
             bic[-1] = n_free * np.log(rss / n_free) + len(Phi) * price
         if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
     for n in range(max(best, 1), len(left)):
-        if _is_noise(left[n], len(target) - r - n, n_columns):
+        if is_noise(left[n], len(target) - r - n, n_columns):
             return candidates[n - 1]  # more states than the criterion pays for
     if not _is_white(left[best], n_columns):
         sizes = np.linalg.norm(left, axis=(1, 2))
@@ -394,7 +428,7 @@ def order_by_residual(candidates, directions, lifted):
     return candidates[max(best, 1) - 1]
 
 
-def _cost_of_a_state(directions, lifted):
+def cost_of_a_state(directions, lifted):
     """Numbers that inputs leave free, and what a state costs in the Bayesian criterion."""
     n_columns, r = lifted[0].shape[1], directions[0].shape[1]
     n_free = (sum(map(len, lifted)) - r) * n_columns
@@ -412,7 +446,7 @@ def is_possible(Phi, n_periods):
     return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
 
 
-def _left_by(Phi, directions, target):
+def left_by(Phi, directions, target):
     """Lifted outputs less what inputs and as many states as Φ has can explain.
 
     The states move in n of the directions in which n modes could answer to every input and
@@ -435,7 +469,7 @@ def leaves_white_noise(Phi, directions, lifted):
     minimises are systematic errors, and it has no claim to be the better one.
     """
     target = compact(np.vstack(lifted))
-    rest = _left_by(Phi, directions, target)
+    rest = left_by(Phi, directions, target)
     rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
     return bool(rounding) or _is_white(rest, lifted[0].shape[1])
 
@@ -472,7 +506,7 @@ def _is_white(rest, n_columns):
     return largest <= WHITE_MARGIN * sigma * (np.sqrt(len(rest)) + np.sqrt(n_columns))
 
 
-def _is_noise(rest, n_rows, n_columns):
+def is_noise(rest, n_rows, n_columns):
     """Whether the strongest direction of what is left may be white noise's (Johnstone, 2001).
 
     Its variance in parts of the noise's, less its expectation, in parts of its spread has

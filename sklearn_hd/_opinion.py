@@ -1,0 +1,137 @@
+"""A second opinion: exponents of the same record, found in a way of their own.
+
+The free decays of inputs that rest, or the two halves of a record whose inputs always move. Where
+a model's exponents and these are apart, or these do not tell, neither is sure.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd._continuous import output_scale
+from sklearn_hd._records.data import lifted_periods
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.periodic.free_decay import periods_at_rest
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+__all__ = ["Opinion", "decays_at_rest", "of_free_decays", "of_halves", "warn_of_doubt"]
+
+DOUBT = 0.1  # of a rate: an engineer's question has another answer
+LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
+LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
+SURE = 2.0  # standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Opinion:
+    """Exponents, each known but for multiples of jω.
+
+    Attributes
+    ----------
+    exponents : complex ndarray, shape (k,)
+        1/s.
+    deviations : ndarray, shape (k,)
+        Standard deviations, 1/s.
+    omega : float
+        rad/s.
+    way : str
+        Where they come from.
+    """
+
+    exponents: np.ndarray
+    deviations: np.ndarray
+    omega: float
+    way: str
+
+    def about(self, exponents):
+        """The nearest exponent to each of some, its distance and deviation, in parts of its rate.
+
+        Returns
+        -------
+        nearest : complex ndarray
+            Shifted by a multiple of jω to the exponent's side.
+        apart, spread : ndarray
+        """
+        if not len(self.exponents):
+            nowhere = np.full(len(exponents), np.inf)
+            return np.full(len(exponents), np.nan, complex), nowhere, nowhere
+        turns = np.round((exponents[:, None] - self.exponents).imag / self.omega)
+        shifted = self.exponents + 1j * self.omega * turns
+        gap = np.abs(shifted - exponents[:, None])
+        k, rows = gap.argmin(axis=1), np.arange(len(exponents))
+        size = _rates(exponents, self.omega)
+        return shifted[rows, k], gap[rows, k] / size, self.deviations[k] / size
+
+
+def _rates(exponents, omega):
+    """Decay rates that errors are compared with, 1/s."""
+    return np.maximum(np.abs(exponents.real), LEAST_RATE * omega / (2.0 * np.pi))
+
+
+def _lasting(exponents, omega):
+    return exponents.real * 2.0 * np.pi / omega >= np.log(LASTING)
+
+
+def decays_at_rest(experiment):
+    """Outputs of the periods of free decay, in like units, and which periods they are."""
+    stretches = periods_at_rest(lifted_periods(experiment, experiment.inputs))
+    lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
+    return [lifted[s][rows].reshape(len(lifted[s][rows]), -1) for s, rows in stretches], stretches
+
+
+def of_free_decays(found, omega):
+    """The opinion of free decays; None where there are none."""
+    if found is None:
+        return None
+    rate = omega / (2.0 * np.pi)
+    exponents = np.log(found.multipliers) * rate
+    return Opinion(exponents, found.deviations * rate, omega, "the free decays at rest")
+
+
+def of_halves(exponents, halves, omega):
+    """The opinion of both halves of a record: for each exponent their mean, and half their gap."""
+    own = [Opinion(half, np.zeros(len(half)), omega, "").about(exponents)[0] for half in halves]
+    way = "the two halves of the record"
+    return Opinion(np.mean(own, axis=0), 0.5 * np.abs(own[1] - own[0]), omega, way)
+
+
+def doubtful(exponents, opinion):
+    """Which exponents an opinion does not confirm."""
+    _, apart, spread = opinion.about(exponents)
+    return ~(apart + SURE * spread <= DOUBT) & _lasting(exponents, opinion.omega)
+
+
+def warn_of_doubt(exponents, opinion):
+    """Warn of exponents that the second opinion does not confirm, and of those it has beside.
+
+    Parameters
+    ----------
+    exponents : complex ndarray, shape (n,)
+        Of the model, 1/s.
+    opinion : Opinion or None
+    """
+    if opinion is None:
+        return
+    exponents = np.asarray(exponents, complex)
+    nearest, apart, spread = opinion.about(exponents)
+    doubt = doubtful(exponents, opinion)
+    if doubt.any():
+        k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
+        warn(
+            f"{int(doubt.sum())} of {len(exponents)} exponents are in doubt: the model has "
+            f"{exponents[k]:.4g} 1/s, {opinion.way} have {nearest[k]:.4g} ± "
+            f"{SURE * spread[k] * _rates(exponents, opinion.omega)[k]:.2g} 1/s next to it; use a "
+            f"longer record, smaller motions or less noise, or another order",
+            IdentifiabilityWarning,
+        )
+        return
+    known = SURE * opinion.deviations <= DOUBT * _rates(opinion.exponents, opinion.omega)
+    asked = opinion.exponents[known & _lasting(opinion.exponents, opinion.omega)]
+    _, apart, _ = Opinion(exponents, np.zeros(len(exponents)), opinion.omega, "").about(asked)
+    if np.any(apart > DOUBT):
+        k = int(np.argmax(apart))
+        warn(
+            f"{opinion.way} have an exponent {asked[k]:.4g} 1/s that the model of "
+            f"{len(exponents)} states lacks; raise the order",
+            IdentifiabilityWarning,
+        )

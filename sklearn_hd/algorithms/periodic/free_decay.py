@@ -1,0 +1,158 @@
+"""Multipliers of the Poincaré map of a machine whose inputs rest, from its free decays.
+
+    y[k] = O Φ^k z_0 + c,   y[k]: all samples of period k, one row a period
+
+A machine that inputs hold away from its orbit is on another one, with multipliers of its own.
+While it comes back, errors of the linear model die with the square of the motion. c is what the
+trim is off by. The period reading needs it where a whole record is not that of one linear
+system, and every reading of inputs that rest as a second opinion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.periodic.multipliers import (
+    cost_of_a_state,
+    is_noise,
+    left_by,
+    multiplier_deviations,
+    refine_multipliers,
+)
+from sklearn_hd.algorithms.signals.rest import rests
+from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
+
+__all__ = ["FreeDecay", "free_decay", "periods_at_rest"]
+
+LEAST_DECAY = 4  # periods for each state in decays that can stand alone
+MOST_STATES = 12
+WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
+PATIENCE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class FreeDecay:
+    """The modes that free decays show.
+
+    Attributes
+    ----------
+    Phi : ndarray, shape (n, n)
+        In the coordinates that outputs of a period have in the n directions they move in.
+    states : list of ndarray, shapes (n_periods_s, n)
+    multipliers : complex ndarray, shape (n,)
+    deviations : ndarray, shape (n,)
+        Standard deviations of their logarithms. Where more than noise is left, what they change
+        by without the first period of each decay, whose motion is the largest, counts too.
+    """
+
+    Phi: np.ndarray
+    states: list
+    multipliers: np.ndarray
+    deviations: np.ndarray
+
+
+def periods_at_rest(inputs):
+    """Periods of free decay: those at rest that follow on motion, or whole segments at rest.
+
+    Parameters
+    ----------
+    inputs : list of ndarray, shapes (n_periods_s, samples_per_period, m)
+
+    Returns
+    -------
+    stretches : list of (segment, slice)
+        Two periods or more each.
+    """
+    stacked = np.concatenate(inputs)
+    moved = np.abs(stacked - np.median(stacked, axis=0))
+    largest = moved.max(axis=(0, 1), initial=0.0)
+    energy = np.sum((moved / np.where(largest > 0.0, largest, 1.0)) ** 2, axis=(1, 2))
+    edges = np.cumsum([len(u) for u in inputs])[:-1]
+    found = []
+    for s, still in enumerate(np.split(rests(energy), edges)):
+        bounds = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+        for start, stop in zip(bounds[::2], bounds[1::2], strict=True):
+            if stop - start > 1 and (start > 0 or stop == len(still)):
+                found.append((s, slice(int(start), int(stop))))
+    return found
+
+
+def free_decay(decays, order=None):
+    """The modes of some free decays; None where the decays are too short for any.
+
+    Their number is that of a wide gap between the directions that outputs move in; else of the
+    least Bayesian information criterion. Where that leaves more than noise, directions in which
+    outputs move by less than a hundredth of the strongest are not counted: the second order of a
+    nonlinear machine's response is of that size.
+
+    Parameters
+    ----------
+    decays : list of ndarray, shapes (n_periods_s, q)
+        Outputs of whole periods, in like units.
+    order : int, optional
+        So many modes.
+
+    Returns
+    -------
+    found : FreeDecay or None
+    """
+    stacked = np.vstack(decays)
+    n_rows, edges = len(stacked), np.cumsum([len(y) for y in decays])[:-1]
+    most = min(MOST_STATES if order is None else order, n_rows // LEAST_DECAY, stacked.shape[1])
+    about = stacked - stacked.mean(axis=0)
+    if most < (order or 1) or not np.any(about):
+        return None
+    _, values, V = linalg.svd(about, full_matrices=False)
+    ones = [np.ones((len(y), 1)) for y in decays]
+    orders, wide = [order], order_by_wide_gap(values, EXACT * values[0], most)
+    if order is None:
+        orders = range(1, most + 1) if wide is None else [wide]
+    n_free, price = cost_of_a_state(ones, decays)
+    best = None
+    for n in orders:
+        states = np.split(stacked @ V[:n].T, edges)
+        Phi = _possible(refine_multipliers(_steps(states), ones, decays))
+        left = left_by(Phi, ones, stacked)
+        rss = max(float(np.sum(left**2)), EXACT**2 * float(np.sum(stacked**2)))
+        bic = n_free * np.log(rss / n_free) + n * price
+        if best is None or bic < best[0]:
+            best = bic, n, Phi, states, left
+        elif n >= best[1] + PATIENCE:
+            break
+    _, n, Phi, states, left = best
+    told = int(np.sum(values > WEAK * values[0]))
+    noise = is_noise(left, n_rows - 1 - n, left.shape[1])
+    if n > told and len(orders) > 1 and not noise:
+        return free_decay(decays, told)
+    multipliers, deviations = multiplier_deviations(Phi, ones, decays)
+    later = [y[1:] for y in decays if len(y) > 2]
+    if not noise and later and (smaller := free_decay(later, n)) is not None:
+        apart = np.log(multipliers)[:, None] - np.log(smaller.multipliers)
+        apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
+        deviations = np.hypot(deviations, apart.min(axis=1))
+    return FreeDecay(Phi, states, multipliers, deviations)
+
+
+def _possible(Phi):
+    """A map that a periodic system may have: negative real multipliers are even in number.
+
+    det Φ = e^{∫ tr F dt} > 0 (Liouville). Noise turns the sign of what a period forgets: of an odd
+    number the smallest is turned back.
+    """
+    values, V = linalg.eig(Phi)
+    negative = np.flatnonzero((values.imag == 0.0) & (values.real < 0.0))
+    if len(negative) % 2 == 0:
+        return Phi
+    k = negative[np.argmin(np.abs(values[negative]))]
+    values[k] = -values[k]
+    return np.real(V @ np.diag(values) @ linalg.inv(V))
+
+
+def _steps(states):
+    """Φ of least squares from period to period, beside a constant."""
+    before = np.vstack([x[:-1] for x in states])
+    after = np.vstack([x[1:] for x in states])
+    known = np.hstack([before, np.ones((len(before), 1))])
+    return linalg.lstsq(known, after)[0][:-1].T
