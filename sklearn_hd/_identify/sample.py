@@ -26,6 +26,7 @@ from sklearn_hd._identify.sample_checks import (
 )
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
+from sklearn_hd._opinion import of_halves, warn_of_doubt
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
@@ -178,6 +179,8 @@ def identify(data, settings, experiment):
     warn_of_little(layout, sums.n_rows, best, basis)
     warn_of_drift(data, predictor, basis, ROWS_COMPARED)
     warn_of_growth(model, best, data)
+    model = replace(model, opinion=_of_halves(model, data, layout, best, settings, basis))
+    warn_of_doubt(model.exponents(), model.opinion)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
     return SubspaceFit(
@@ -190,6 +193,30 @@ def identify(data, settings, experiment):
         reason,
         tuple(choice.tried),
     )
+
+
+def _of_halves(model, data, layout, best, settings, basis):
+    """Exponents of the two halves of a record, of the same order, lags and harmonics.
+
+    None where a half is too short for the predictor, or one turn does not tell exponents apart.
+    """
+    ends = np.cumsum([len(y) for _, y, _ in data.segments])
+    halves, exponents = [[], []], []
+    for segment, stop in zip(data.segments, ends, strict=True):
+        cut = int(np.clip(ends[-1] // 2 - (stop - len(segment[1])), 0, len(segment[1])))
+        for half, rows in zip(halves, (slice(0, cut), slice(cut, None)), strict=True):
+            part = tuple(z[rows] for z in segment)
+            half += [part] if len(part[1]) > 2 * layout.n_lags else []
+    for segments in halves:
+        if _told(replace(data, segments=segments), layout.n_lags) < layout.n_columns:
+            return None
+        half = replace(data, segments=segments)
+        fixed = replace(settings, order=best.order)
+        states = _States.of(half, LagSums.of(segments, layout).predictor(), fixed)
+        choice = _Choice(half, states, fixed, basis, layout)
+        found = choice._model(choice.sums, best.order, best.n_harmonics)
+        exponents.append(replace(model, innovations=found).exponents())
+    return of_halves(model.exponents(), exponents, basis.omega)
 
 
 # ---- the predictor ---------------------------------------------------------------------------
