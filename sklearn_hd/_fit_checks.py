@@ -3,7 +3,7 @@
 import numpy as np
 
 from sklearn_hd._checks import SMALLEST
-from sklearn_hd._guards import searches
+from sklearn_hd._guards import searching
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import HALF
@@ -180,7 +180,7 @@ def warn_of_unstable(model, n_rows):
     folds = growth_rate(model) * model.dt
     if folds * n_rows < GROWN:  # as it may by the error of an integrator
         return
-    if any(frame.f_code.co_name == "_fit_and_score" for frame in searches()):
+    if searching():
         return
     warn(
         f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, by which it "

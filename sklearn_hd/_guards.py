@@ -91,6 +91,11 @@ def searches():
         frame = frame.f_back
 
 
+def searching():
+    """Whether a call is of a candidate of a search, whose score tells what warnings would."""
+    return any(frame.f_code.co_name == "_fit_and_score" for frame in searches())
+
+
 def square_sums(signal):
     """Sum of squares of each column, infinite or NaN where it holds such values.
 

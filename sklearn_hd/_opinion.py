@@ -4,17 +4,18 @@ The free decays of inputs that rest, or the two halves of a record whose inputs 
 a model's exponents and these are apart, or these do not tell, neither is sure.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sklearn_hd._continuous import output_scale
+from sklearn_hd._guards import searching
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.free_decay import periods_at_rest
+from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["Opinion", "decays_at_rest", "of_free_decays", "of_halves", "warn_of_doubt"]
+__all__ = ["Opinion", "decays_at_rest", "of_free_decays", "of_halves", "warn_unconfirmed"]
 
 DOUBT = 0.1  # of a rate: an engineer's question has another answer
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
@@ -42,6 +43,10 @@ class Opinion:
     deviations: np.ndarray
     omega: float
     way: str
+
+    def of(self, exponents, way):
+        """The opinion that some exponents are, known as well as this one knows them."""
+        return replace(self, exponents=exponents, way=way)
 
     def about(self, exponents):
         """The nearest exponent to each of some, its distance and deviation, in parts of its rate.
@@ -101,7 +106,7 @@ def doubtful(exponents, opinion):
     return ~(apart + SURE * spread <= DOUBT) & _lasting(exponents, opinion.omega)
 
 
-def warn_of_doubt(exponents, opinion):
+def warn_unconfirmed(exponents, opinion):
     """Warn of exponents that the second opinion does not confirm, and of those it has beside.
 
     Parameters
@@ -110,7 +115,7 @@ def warn_of_doubt(exponents, opinion):
         Of the model, 1/s.
     opinion : Opinion or None
     """
-    if opinion is None:
+    if opinion is None or searching():
         return
     exponents = np.asarray(exponents, complex)
     nearest, apart, spread = opinion.about(exponents)

@@ -9,7 +9,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
 from sklearn_hd._continuous import to_continuous
-from sklearn_hd._guards import one_blas_thread, within_range
+from sklearn_hd._guards import one_blas_thread, searching, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
 from sklearn_hd._match.free import match_free
 from sklearn_hd._match.likelihood import (
@@ -21,6 +21,7 @@ from sklearn_hd._match.match import PeriodicSimulator
 from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._model_step import ModelStep, upstream
+from sklearn_hd._opinion import doubtful, warn_unconfirmed
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
@@ -267,6 +268,7 @@ class StructuredMatcher(ModelStep):
         of_samples = isinstance(model, SampleModel)
         match = self._of_samples if of_samples else self._of_rows
         match = match(model, experiment)
+        _warn_of_moves(model, match)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
         return self._remember(match.model, experiment.basis, X, y)
 
@@ -619,3 +621,14 @@ class StructuredMatcher(ModelStep):
                 f"criterion='hinf' or 'least_squares'"
             )
         return self.match_.found.singular_values
+
+
+def _warn_of_moves(model, match):
+    """Of exponents that the match has moved away from what a second opinion confirms."""
+    opinion = model.opinion
+    if opinion is None or searching():
+        return
+    if not doubtful(model.exponents(), opinion).any():
+        periodic = match.periodic
+        found = periodic.to_system().floquet_exponents() if periodic else match.model.exponents()
+        warn_unconfirmed(found, opinion)

@@ -4,9 +4,16 @@
 arrays in memory, sums over chunks, dask's partitions) and settings, and gives a ``SubspaceFit``.
 """
 
+import warnings
+from dataclasses import replace
+
+from sklearn_hd._guards import searching
 from sklearn_hd._identify import period, plain, sample, sliding
 from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
 from sklearn_hd._identify.stages import Settings, SubspaceFit
+from sklearn_hd._opinion import decays_at_rest, of_free_decays
+from sklearn_hd._readings import SampleBasis
+from sklearn_hd.algorithms.modes.free_decay import free_decay
 
 __all__ = [
     "Settings",
@@ -23,7 +30,31 @@ MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sampl
 def identify_record(experiment, settings):
     """Identify a model from an experiment in memory, as its reading says."""
     module = MODULES[experiment.basis.reading]
-    return module.identify(module.read(experiment, settings), settings, experiment)
+    fit = module.identify(module.read(experiment, settings), settings, experiment)
+    if module is not sliding or searching():
+        return fit
+    return replace(fit, model=replace(fit.model, opinion=_opinion(experiment)))
+
+
+def _opinion(experiment):
+    """Exponents of a record by another reading than its own; None where that finds none.
+
+    The free decays where inputs rest, else the samples, whose warnings are of another model.
+    """
+    decays, _ = decays_at_rest(experiment)
+    if decays:
+        return of_free_decays(free_decay(decays), experiment.basis.omega)
+    at_samples = replace(
+        experiment, basis=SampleBasis.of_others(experiment.basis), drive=experiment.inputs
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found = sample.identify(sample.read(at_samples, Settings()), Settings(), at_samples)
+        except ValueError:
+            return None
+    model = found.model
+    return None if model.opinion is None else model.opinion.of(model.exponents(), "the samples")
 
 
 def identify(data, settings):

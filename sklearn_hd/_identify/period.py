@@ -23,11 +23,11 @@ from sklearn_hd._fit_checks import (
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
-from sklearn_hd._opinion import decays_at_rest, of_free_decays, warn_of_doubt
+from sklearn_hd._opinion import decays_at_rest, of_free_decays, warn_unconfirmed
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT
-from sklearn_hd.algorithms.periodic.free_decay import free_decay
+from sklearn_hd.algorithms.modes.free_decay import free_decay
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
     is_possible,
@@ -108,7 +108,7 @@ def identify(data, settings, experiment):
     )
     opinion = of_free_decays(still, experiment.basis.omega)
     warn_of_growth(fit.model, experiment)
-    warn_of_doubt(fit.model.exponents(), opinion)
+    warn_unconfirmed(fit.model.exponents(), opinion)
     return replace(fit, model=replace(fit.model, at_rest=at_rest, opinion=opinion))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
+from sklearn_hd._guards import searching
 from sklearn_hd._identify.sample_checks import (
     ROWS_PER_COLUMN,
     check_outputs_move,
@@ -26,7 +27,7 @@ from sklearn_hd._identify.sample_checks import (
 )
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
-from sklearn_hd._opinion import of_halves, warn_of_doubt
+from sklearn_hd._opinion import of_halves, warn_unconfirmed
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
@@ -179,8 +180,9 @@ def identify(data, settings, experiment):
     warn_of_little(layout, sums.n_rows, best, basis)
     warn_of_drift(data, predictor, basis, ROWS_COMPARED)
     warn_of_growth(model, best, data)
-    model = replace(model, opinion=_of_halves(model, data, layout, best, settings, basis))
-    warn_of_doubt(model.exponents(), model.opinion)
+    if not searching():
+        model = replace(model, opinion=_of_halves(model, data, layout, best, settings, basis))
+        warn_unconfirmed(model.exponents(), model.opinion)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
     return SubspaceFit(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_hd._guards import searches
+from sklearn_hd._guards import searching
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE, azimuth_drift
 from sklearn_hd.exceptions import (
@@ -129,7 +129,7 @@ def warn_of_rest(segments, innovations, predictor):
     The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
     same where states, order or harmonics have lost what it knew.
     """
-    if any(frame.f_code.co_name == "_fit_and_score" for frame in searches()):
+    if searching():
         return
     layout, n = predictor.layout, innovations.n_states
     if sum(len(y) for _, y, _ in segments) < ROWS_PER_COLUMN * layout.n_columns:

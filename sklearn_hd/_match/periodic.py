@@ -18,8 +18,8 @@ from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProble
 from sklearn_hd._match.match import periodic_match
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
-from sklearn_hd.algorithms.periodic.free_decay import periods_at_rest
 from sklearn_hd.algorithms.periodic.multipliers import without_noise
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,

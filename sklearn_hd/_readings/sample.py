@@ -16,6 +16,7 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 __all__ = ["SampleBasis"]
 
+_SIGNALS = ("inputs", "outputs")
 MOST_LOADS = 12  # harmonics of the forced response, where the samples tell more
 
 
@@ -46,6 +47,17 @@ class SampleBasis(EveryRow, HarmonicBasis):
     nothing_spurious = "at the sensors' clock, without a window"
     lead = 0
     coefficient_labels = ()
+
+    @classmethod
+    def of_others(cls, basis):
+        """Of another reading's grid."""
+        kept = ("omega", "sample_time", "samples_per_period", "window", "timing")
+        bare = {name: tuple((s, (0,)) for s, _ in getattr(basis, name)) for name in _SIGNALS}
+        trim = {}
+        for name in ("input_trim", "output_trim"):
+            waveform = getattr(basis, name)
+            trim[name] = None if waveform is None else np.zeros((1, waveform.shape[1]))
+        return cls(**{name: getattr(basis, name) for name in kept}, hop=1, **bare, **trim)
 
     @property
     def weights(self):

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._continuous import input_scale, observations, output_scale, scaled_outputs
+from sklearn_hd._opinion import DOUBT, Opinion, doubtful
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
 from sklearn_hd.algorithms.modes.families import (
@@ -29,6 +30,7 @@ __all__ = [
     "IdentifiedModes",
     "ModeChoice",
     "choose_modes",
+    "confirmed",
     "identified_modes",
     "mode_table",
     "verdicts",
@@ -297,6 +299,25 @@ def verdicts(modes, choice):
             verdict, reason = "weak", "adds nothing material to the raw signals"
         verdicts.append(verdict)
         reasons.append(reason)
+    return verdicts, reasons
+
+
+def confirmed(verdicts, reasons, exponents, opinion, replaced=False):
+    """Verdicts and reasons, genuine modes that a second opinion does not confirm in doubt.
+
+    Where the model is not made of the modes themselves, such modes are not in it.
+    """
+    doubt = doubtful(exponents, opinion)
+    sure = exponents[~doubt & np.isin(verdicts, "genuine")]
+    nearest, _, _ = opinion.about(exponents)
+    sums = (sure[:, None] + sure).ravel()
+    sums = Opinion(sums, np.zeros(len(sums)), opinion.omega, "").about(exponents)[1]
+    verdicts, reasons = list(verdicts), list(reasons)
+    for i in np.flatnonzero(doubt & np.isin(verdicts, "genuine")):
+        verdicts[i] = "second-order" if sums[i] <= DOUBT else "weak" if replaced else "ambiguous"
+        beside = f"{opinion.way} have {nearest[i]:.4g} rad/s next to it"
+        kept = "not in the model" if replaced else "kept, but in doubt"
+        reasons[i] = f"{'sum of two others' if sums[i] <= DOUBT else kept}: {beside}"
     return verdicts, reasons
 
 

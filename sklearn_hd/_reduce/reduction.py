@@ -13,11 +13,13 @@ import numpy as np
 from sklearn_hd._continuous import refit_inputs, to_continuous
 from sklearn_hd._fit_checks import warn_of_growth
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._opinion import warn_unconfirmed
 from sklearn_hd._reduce.choice import (
     HALF_KNOWN,
     MATERIAL_SHARE,
     NEARLY_ALL,
     choose_modes,
+    confirmed,
     identified_modes,
     verdicts,
     warn_of_doubt,
@@ -126,10 +128,11 @@ def _chosen(model, experiment, modes, method, n_states):
         choice, found = _most_likely(choice, modes, experiment)
     warn_of_doubt(choice, n_states)
     judged, reasons = verdicts(modes, choice)
-    kept = modes.mask(choice.units)
+    kept, behind = modes.mask(choice.units), False
     if found is None and n_states is None and method == "truncate" and modes.omega:
         found = _behind_families(model, experiment, modes, choice)
-        if found is not None:
+        behind = found is not None
+        if behind:
             shown = "its family's mode shape gives F(ψ), and that the harmonic decomposition"
             reasons = [shown if v == "genuine" else r for v, r in zip(judged, reasons, strict=True)]
     feedthrough = model.feedthrough
@@ -144,6 +147,9 @@ def _chosen(model, experiment, modes, method, n_states):
             A, B, C, D = residualize(A, B, C, D, modes.exponents[kept], modes.exponents[fast])
             feedthrough = True
     model = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough)
+    if model.opinion is not None:
+        judged, reasons = confirmed(judged, reasons, modes.exponents, model.opinion, behind)
+        warn_unconfirmed(model.exponents(), model.opinion)
     return Reduction(model, (modes.exponents, modes.families, judged, reasons), r2, choice.left_out)
 
 
