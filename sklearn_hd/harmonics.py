@@ -41,13 +41,12 @@ from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
 from sklearn_hd._tables import STANDARD_ERRORS, check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
-from sklearn_hd.algorithms.signals.rest import changes, energy_by_turn, rests
+from sklearn_hd.algorithms.signals.rest import inputs_rest
 from sklearn_hd.exceptions import TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]
 
 AUTO = "auto"
-LEAST_TURNS = 12  # of which some rest: fewer tell no Poincaré map
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 
@@ -299,23 +298,20 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if self.load_harmonics is not None:
             return "sample"
         by_signal = isinstance(self.output_harmonics, Mapping)
-        coefficients = by_signal or self.input_harmonics not in (None, 0)
-        if outputs is None or self.hop is not None or self.window != "boxcar" or coefficients:
+        mean_alone = self.input_harmonics is None or np.array_equal(self.input_harmonics, 0)
+        if outputs is None or self.hop is not None or self.window != WINDOWS[0]:
+            return "sliding"
+        if by_signal or not mean_alone:
             return "sliding"
         if self.small_signal is not None:
             return "period"
         step = inputs.base.sample_time
         psi = self._mean_speed(inputs)[1] if self.azimuth is not None else float(self.omega)
         psi = psi * inputs.places(psi, step)
-        parts = [
-            (values[known], angle[known])
-            for segment in inputs.base.segments
-            for values, angle in [(inputs.data[segment], psi[segment])]
-            for known in [np.isfinite(values).all(axis=1) & np.isfinite(angle)]
-        ]
-        angles = [angle for _, angle in parts]
-        energy = np.concatenate(energy_by_turn([changes(*part) for part in parts], angles)[0])
-        return "period" if len(energy) >= LEAST_TURNS and rests(energy).any() else "sample"
+        known = np.isfinite(inputs.data).all(axis=1) & np.isfinite(psi)
+        rows = [np.flatnonzero(known[segment]) + segment.start for segment in inputs.base.segments]
+        rest = inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
+        return "period" if rest else "sample"
 
     def _basis(self, reading, inputs, output_names, timing):
         """How signals are analysed, trim aside."""
