@@ -1,8 +1,5 @@
 """Step 2: the harmonic analyzer, from signals in time to Fourier coefficients."""
 
-import math
-import numbers
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,22 +8,17 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import (
-    PERIOD_TOLERANCE,
     RAISE,
     check_choice,
-    check_count,
-    check_harmonics,
     check_missing,
-    check_period,
     check_phase,
-    check_rate,
     check_span,
-    whole_period,
 )
 from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import within_range
 from sklearn_hd._readings import READINGS, Timing, coefficient_names
+from sklearn_hd._records.bases import AUTO, chosen_reading, record_basis
 from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
@@ -38,20 +30,13 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._tables import STANDARD_ERRORS, check_has_signals, check_upright, why_short
+from sklearn_hd._tables import check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
-from sklearn_hd.algorithms.signals.rest import changes, energy_by_turn, rests
 from sklearn_hd.exceptions import TimeBaseWarning
 
 __all__ = ["HarmonicAnalyzer"]
 
-AUTO = "auto"
-LEAST_TURNS = 12  # of which some rest: fewer tell no Poincaré map
-ROWS_PER_PERIOD = 8
-ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
-
-NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 SMALL_SIGNAL = ("odd", "extrapolate")
 WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 
@@ -283,111 +268,14 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
-        reading = self._reading(inputs, outputs)
-        basis = self._basis(reading, inputs, output_names, timing)
+        reading = chosen_reading(self, inputs, outputs)
+        basis = record_basis(self, reading, inputs, output_names, timing)
         if reading == "sample" and self.hop is None and outputs is not None:
             basis = _without_loss(basis, inputs, outputs)
         self.basis_ = self._with_trim(basis, inputs, outputs)
         if basis.timing.resampled:
             warn_of_resampling(self.basis_, inputs, outputs)
         return self
-
-    def _reading(self, inputs, outputs):
-        """How model steps read the record, by what is asked for and what the inputs do."""
-        if self.reading != AUTO:
-            return self.reading
-        if self.load_harmonics is not None:
-            return "sample"
-        by_signal = isinstance(self.output_harmonics, Mapping)
-        coefficients = by_signal or self.input_harmonics not in (None, 0)
-        if outputs is None or self.hop is not None or self.window != "boxcar" or coefficients:
-            return "sliding"
-        if self.small_signal is not None:
-            return "period"
-        step = inputs.base.sample_time
-        psi = self._mean_speed(inputs)[1] if self.azimuth is not None else float(self.omega)
-        psi = psi * inputs.places(psi, step)
-        parts = [
-            (values[known], angle[known])
-            for segment in inputs.base.segments
-            for values, angle in [(inputs.data[segment], psi[segment])]
-            for known in [np.isfinite(values).all(axis=1) & np.isfinite(angle)]
-        ]
-        angles = [angle for _, angle in parts]
-        energy = np.concatenate(energy_by_turn([changes(*part) for part in parts], angles)[0])
-        return "period" if len(energy) >= LEAST_TURNS and rests(energy).any() else "sample"
-
-    def _basis(self, reading, inputs, output_names, timing):
-        """How signals are analysed, trim aside."""
-        if reading == "sample":
-            return self._sample_basis(inputs, output_names, timing)
-        if self.load_harmonics is not None:
-            raise ValueError(
-                f"load_harmonics={self.load_harmonics!r} with reading={reading!r}: loads are "
-                f"identified with reading='sample' alone; leave load_harmonics=None, and give "
-                f"trim_span"
-            )
-        asked = 0 if self.input_harmonics is None else self.input_harmonics
-        kept_in = check_harmonics("input_harmonics", asked, inputs.names)
-        asked = 1 if self.output_harmonics is None else self.output_harmonics
-        kept_out = check_harmonics("output_harmonics", asked, output_names) if output_names else ()
-        highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
-        rows = _least_rows(highest) if reading == "sliding" else 1
-        omega, spp, step, timing = self._grid(inputs, highest, rows, timing)
-        return READINGS[reading](
-            omega=omega,
-            sample_time=step,
-            samples_per_period=spp,
-            window=self.window,
-            hop=spp if reading == "period" else self._checked_hop(spp, highest),
-            inputs=kept_in,
-            outputs=kept_out,
-            timing=timing,
-            small_signal=self.small_signal,
-        )
-
-    def _sample_basis(self, inputs, output_names, timing):
-        """The basis of samples with their azimuths."""
-        if self.small_signal is not None:
-            raise ValueError(
-                f"small_signal={self.small_signal!r} combines records at the same phases, which "
-                f"reading='sample' does not ask for; use reading='period', or small_signal=None"
-            )
-        named = ("output_harmonics", "input_harmonics", "load_harmonics")
-        asked = {name: getattr(self, name) for name in named}
-        for name, count in asked.items():
-            if count is not None:
-                hint = "with reading='sample' it is one number for all signals, None chooses it"
-                check_count(name, count, 0, hint)
-        step = inputs.base.sample_time
-        omega = float(self.omega) if self.azimuth is None else self._mean_speed(inputs)[1]
-        samples = 2.0 * np.pi / omega / step
-        hop = max(1, int(samples / ROWS_PER_TURN)) if self.hop is None else self.hop
-        hop = check_count("hop", hop, 1, "1 reads every sample")
-        highest = max((count for count in asked.values() if count is not None), default=1)
-        words = f"omega={omega:.6g} rad/s and a sample time of {step:.4g} s give {samples:.4g}"
-        thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g}"
-        check_rate(samples / hop, highest, f"{words} samples a turn{thinned}")
-        basis = READINGS["sample"](
-            omega=omega,
-            sample_time=step * hop,
-            samples_per_period=samples / hop,
-            window=self.window,
-            hop=hop,
-            inputs=tuple((name, (0,)) for name in inputs.names),
-            outputs=tuple((name, (0,)) for name in output_names),
-            timing=timing,
-            n_harmonics=asked["output_harmonics"],
-            n_input_harmonics=asked["input_harmonics"],
-            n_load_harmonics=asked["load_harmonics"],
-        )
-        if highest > max(basis.most_harmonics, 1):
-            raise ValueError(
-                f"{words} samples a turn{thinned}, which tell harmonics up to "
-                f"{basis.most_harmonics} apart; {highest} were asked for: ask for fewer, or sample "
-                f"faster"
-            )
-        return basis
 
     def _checked_timing(self):
         """When rows were sampled, as the parameters say; ValueError if one is not understood."""
@@ -403,83 +291,6 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             )
         origin = check_phase(self.omega, self.azimuth, self.time_origin)
         return Timing(self.sample_time, origin, self.azimuth, check_missing(self.missing))
-
-    def _grid(self, inputs, highest, rows, timing):
-        """ω, samples in a period, their distance in seconds, and when rows were sampled."""
-        if self.azimuth is not None:
-            return *self._varying_speed(inputs, highest, rows), timing
-        omega, spp, step, resampled = self._constant_speed(inputs.base, highest, rows)
-        own = inputs.base.sample_time if resampled else step
-        return omega, spp, step, replace(timing, sample_time=own, resampled=resampled)
-
-    def _checked_hop(self, spp, highest):
-        """The hop; None stands for about eight rows a period, more for high harmonics."""
-        small = [d for d in range(1, math.isqrt(spp) + 1) if spp % d == 0]
-        divisors = sorted({*small, *(spp // d for d in small)})
-        hop = self.hop
-        if hop is None:
-            rows = _least_rows(highest)
-            return max((d for d in divisors if spp // d >= rows), default=1)
-        whole = isinstance(hop, numbers.Integral) and not isinstance(hop, bool)
-        if not whole or hop < 1 or spp % hop:
-            raise ValueError(
-                f"hop={hop!r} does not divide the {spp} samples of a period; use one of "
-                f"{divisors}, None for about {ROWS_PER_PERIOD} rows a period, or reading='period'"
-            )
-        return int(hop)
-
-    def _constant_speed(self, base, highest, rows):
-        """ω, samples in a period of the grid, their distance, and whether all is resampled."""
-        omega = float(self.omega)
-        if base.counted and self.sample_time is None:  # times that were lost are no times
-            check_period(omega, base.sample_time, highest, counted=True)
-        samples, whole = whole_period(omega, base, highest)
-        if not whole:
-            near = abs(samples - round(samples)) <= NEAR_WHOLE
-            spp = round(samples) if near else self._samples_on_grid(samples, rows)
-            return omega, spp, 2.0 * np.pi / omega / spp, True
-        spp = round(samples)
-        step = 2.0 * np.pi / omega / spp
-        told = abs(step - base.sample_time) > STANDARD_ERRORS * base.uncertainty
-        even = base.jitter[1] == 0.0  # else resampled, to fit the period exactly
-        return omega, spp, base.sample_time if even and told else step, False
-
-    def _samples_on_grid(self, samples, rows):
-        """Samples in a period of the grid: those given, rounded up to whole hops, or rows read."""
-        least = samples - PERIOD_TOLERANCE
-        whole = isinstance(self.hop, numbers.Integral) and 1 <= self.hop <= np.ceil(least)
-        unit = int(self.hop) if whole else 1
-        if self.hop is None:
-            unit = rows
-        return unit * int(np.ceil(least / unit))
-
-    def _varying_speed(self, inputs, highest, rows):
-        """Mean ω, samples on the grid in a turn, and their distance in seconds."""
-        samples, omega = self._mean_speed(inputs)
-        check_rate(
-            samples,
-            highest,
-            f"azimuth column {self.azimuth!r} shows {samples:.4g} samples a turn in the mean",
-        )
-        spp = self._samples_on_grid(samples, rows)
-        return omega, spp, 2.0 * np.pi / omega / spp
-
-    def _mean_speed(self, inputs):
-        """Samples in a turn, and ω, in the mean over the rows."""
-        turned, passed, steps = 0.0, 0.0, 0
-        for segment in inputs.base.segments:
-            known = np.flatnonzero(np.isfinite(inputs.azimuth[segment])) + segment.start
-            if len(known) > 1:
-                first, last = known[0], known[-1]
-                turned += inputs.azimuth[last] - inputs.azimuth[first]
-                passed += inputs.base.time[last] - inputs.base.time[first]
-                steps += last - first
-        if steps == 0:
-            raise ValueError(
-                f"azimuth column {self.azimuth!r} shows no motion: no segment has two rows at "
-                f"which it is known; give a longer record"
-            )
-        return 2.0 * np.pi * steps / turned, float(turned / passed)
 
     def _with_trim(self, basis, inputs, outputs):
         """The basis with the waveforms of inputs and outputs in trim, where asked for."""
@@ -523,8 +334,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if shortest < len(basis.weights):
             raise ValueError(
                 f"the shortest segment has {shortest} rows, less than the {len(basis.weights)} "
-                f"of the analysis window{why_short(signals.base)}; drop it, or use a window of "
-                f"fewer periods"
+                f"of the analysis window{why_short(signals.base)}; drop it, use a window of fewer "
+                f"periods, or reading='sample', which has none"
             )
         if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)
@@ -666,8 +477,3 @@ def _warn_if_counted(base):
             f"seconds",
             TimeBaseWarning,
         )
-
-
-def _least_rows(highest):
-    """Rows of a sliding window in a period, for the highest harmonic kept."""
-    return max(ROWS_PER_PERIOD, 2 * highest + 3)

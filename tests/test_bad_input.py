@@ -72,9 +72,9 @@ ANALYZER = {
     ),
     "window": ({"window": "hamming"}, r"window='hamming' is not known; use one of 'boxcar'"),
     "hop": ({"hop": 5}, r"hop=5 does not divide the 16 samples of a period; use one of \[1, 2, 4"),
-    "hop text": ({"hop": "beat"}, r"hop='beat' with reading='sliding': a hop is a number of samp"),
+    "hop text": ({"hop": "beat"}, r"hop='beat' with reading='auto': a hop is a number of samp"),
     "hop by periods": ({"hop": 4, "reading": "period"}, r"hop=4 with .*; leave hop=None"),
-    "reading": ({"reading": "beat"}, r"reading='beat' is not known; use one of 'sliding', 'peri"),
+    "reading": ({"reading": "beat"}, r"reading='beat' is not known; use one of 'auto', 'sliding'"),
     "hop zero": ({"hop": 0}, r"hop=0 does not divide"),
     "unknown input": (
         {"input_harmonics": {"x": 0}},

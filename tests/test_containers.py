@@ -14,7 +14,10 @@ TIME = pd.Index(np.arange(20 * SPP) / SPP, name="time")
 U = pd.DataFrame({"u": np.random.default_rng(0).standard_normal(20 * SPP)}, index=TIME)
 Y = pd.DataFrame({"w": np.convolve(U["u"], 0.9 ** np.arange(99))[: 20 * SPP]}, index=TIME)
 BOTH = pd.concat({"a": U.assign(v=1.0), "b": U.assign(v=2.0)}, names=["record"])
-STEPS = [HarmonicAnalyzer(OMEGA, output_harmonics=0), MOESPRegressor(order=1, feedthrough=True)]
+STEPS = [
+    HarmonicAnalyzer(OMEGA, reading="sliding", output_harmonics=0),
+    MOESPRegressor(order=1, feedthrough=True),
+]
 
 
 def line_of(error, **names):

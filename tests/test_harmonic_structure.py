@@ -475,7 +475,7 @@ def test_criterion_and_structure_are_checked(data):
     with pytest.raises(ValueError, match=r"criterion='ml' is not known; use one of 'hinf'"):
         synchronous(2.0, criterion="ml").fit(*data)
     sliding = Pipeline([
-        ("harmonics", HarmonicAnalyzer(2.0, output_harmonics=1)),
+        ("harmonics", HarmonicAnalyzer(2.0, output_harmonics=1, reading="sliding")),
         ("identify", MOESPRegressor(order=4)),
         ("match", StructuredMatcher(criterion="output_error")),
     ])  # fmt: skip
@@ -488,7 +488,8 @@ def test_a_structure_without_parameters_is_refused_through_a_window_too():
     t = pd.Index(np.arange(640) / 16, name="time")
     u = pd.DataFrame({"u": np.repeat(np.random.default_rng(0).standard_normal(40), 16)}, t)
     y = pd.DataFrame({"x": np.convolve(u["u"], 0.9 ** np.arange(60))[:640]}, t)
-    frame = HarmonicAnalyzer(2 * np.pi, output_harmonics=0).fit(u, y).transform(u)
+    analyzer = HarmonicAnalyzer(2 * np.pi, output_harmonics=0, reading="sliding")
+    frame = analyzer.fit(u, y).transform(u)
     fixed = HarmonicStructure(F={"0": [[-0.5]]}, G={"0": [[1.0]]})
     match = StructuredMatcher(MOESPRegressor(2), structure=fixed)
     with pytest.raises(ValueError, match="the structure has no free parameter"):

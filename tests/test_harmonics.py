@@ -153,7 +153,7 @@ def test_a_frame_without_the_coefficients_cannot_be_put_together():
 @pytest.mark.parametrize(("spp", "highest", "hop"), [(64, 1, 8), (60, 1, 6), (64, 3, 4), (7, 1, 1)])
 def test_default_hop_reads_about_eight_rows_a_period(spp, highest, hop):
     u = record(np.cos, spp=spp)
-    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics=highest).fit(
+    analyzer = HarmonicAnalyzer(OMEGA, output_harmonics=highest, reading="sliding").fit(
         u, u.rename(columns={"u": "y"})
     )
     assert analyzer.basis_.hop == hop

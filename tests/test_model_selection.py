@@ -387,7 +387,7 @@ def test_the_grid_of_sliding_windows_in_the_docs_runs():
     )
     pipe = Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(data.omega, output_harmonics=2)),
+            ("harmonics", HarmonicAnalyzer(data.omega, reading="sliding", output_harmonics=2)),
             ("identify", MOESPRegressor()),
         ]
     )

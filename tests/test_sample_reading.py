@@ -301,7 +301,7 @@ def test_inputs_that_cannot_be_told_from_loads_are_refused():
 def test_loads_are_a_matter_of_samples_alone():
     u, y, *_ = machine(1000)
     with pytest.raises(ValueError, match="reading='sample' alone"):
-        HarmonicAnalyzer(OMEGA, load_harmonics=2).fit(u, y)
+        HarmonicAnalyzer(OMEGA, reading="sliding", load_harmonics=2).fit(u, y)
     plain = MOESPRegressor(2, block_rows=5).fit(u, y)
     for name in ("loads_", "ltp_", "n_harmonics_"):
         with pytest.raises(AttributeError, match="HarmonicAnalyzer\\(reading='sample'\\)"):

@@ -155,7 +155,7 @@ def test_arrays_go_on_in_the_phase_of_their_trim(rng):
     X = np.repeat(X[:150], 10, axis=0)
     y = y + 3.0 * np.cos(0.2 * np.pi * np.arange(1500))[:, None]
     settings = {"output_harmonics": 1, "trim_span": (0.0, 20.0), "sample_time": 0.1}
-    analyzer = HarmonicAnalyzer(2.0 * np.pi, **settings)
+    analyzer = HarmonicAnalyzer(2.0 * np.pi, reading="sliding", **settings)
     whole, parts = (MOESPRegressor(order=4, block_rows=24) for _ in range(2))
     with pytest.warns(TimeBaseWarning, match="samples are counted"):
         analyzer.fit(X, y)

@@ -51,10 +51,10 @@ def record(system, n_periods):
     return pd.DataFrame(u, index, ["u"]), pd.DataFrame(y, index, ["a", "b"])
 
 
-def pipeline(kept, order, **rows):
+def pipeline(kept, order, reading="sliding"):
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(OMEGA, output_harmonics=kept, **rows)),
+            ("harmonics", HarmonicAnalyzer(OMEGA, output_harmonics=kept, reading=reading)),
             ("identify", MOESPRegressor(order=order)),
             ("reduce", SpuriousModeReducer()),
         ]
@@ -152,7 +152,7 @@ def test_a_record_of_one_window_is_no_obstacle(tmp_path):
     models = [
         Pipeline(
             [
-                ("harmonics", HarmonicAnalyzer(2 * np.pi, output_harmonics=1)),
+                ("harmonics", HarmonicAnalyzer(2 * np.pi, reading="sliding", output_harmonics=1)),
                 ("identify", MOESPRegressor(order=2, block_rows=20, memory=memory)),
             ]
         ).fit(X, Y)["identify"]

@@ -57,7 +57,9 @@ def test_a_search_says_a_thing_once_at_the_line_that_called(rng, action, times):
     t = pd.Index(0.1 * np.arange(1200))
     u = pd.DataFrame({"u": np.sign(np.sin(np.arange(1200) ** 1.1))}, index=t)
     y = pd.Series(np.convolve(u["u"], 0.8 ** np.arange(30))[:1200], index=t)
-    pipe = make_pipeline(HarmonicAnalyzer(2 * np.pi / 6.43), MOESPRegressor(order=2))
+    pipe = make_pipeline(
+        HarmonicAnalyzer(2 * np.pi / 6.43, reading="sliding"), MOESPRegressor(order=2)
+    )
     search = GridSearchCV(pipe, {"moespregressor__order": [1, 2]}, cv=TimeSeriesSplit(3))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("ignore")

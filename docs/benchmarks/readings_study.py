@@ -134,7 +134,9 @@ RECORDS = {
 
 
 def sliding(case):
-    reading = HarmonicAnalyzer(case.omega, output_harmonics=2, trim_span=case.trim_span)
+    reading = HarmonicAnalyzer(
+        case.omega, output_harmonics=2, reading="sliding", trim_span=case.trim_span
+    )
     return reading, MOESPRegressor(), SpuriousModeReducer()
 
 

@@ -74,6 +74,23 @@ class Signals:
                 places[record] = places[record] - first + near
         return straightened(places, self.base, step)
 
+    def mean_speed(self, name):
+        """Samples in a turn, and ω, in the mean over the rows, by the azimuth of that name."""
+        turned, passed, steps = 0.0, 0.0, 0
+        for segment in self.base.segments:
+            known = np.flatnonzero(np.isfinite(self.azimuth[segment])) + segment.start
+            if len(known) > 1:
+                first, last = known[0], known[-1]
+                turned += self.azimuth[last] - self.azimuth[first]
+                passed += self.base.time[last] - self.base.time[first]
+                steps += last - first
+        if steps == 0:
+            raise ValueError(
+                f"azimuth column {name!r} shows no motion: no segment has two rows at "
+                f"which it is known; give a longer record"
+            )
+        return 2.0 * np.pi * steps / turned, float(turned / passed)
+
     def without(self, name):
         """The signals but for one that is the azimuth."""
         keep = [i for i, other in enumerate(self.names) if other != name]

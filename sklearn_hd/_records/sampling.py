@@ -160,7 +160,7 @@ def lay_grid(base, places, present, step, timing, shortest=1):
                 records.append(record)
     if not pieces:
         raise ValueError(
-            f"no {shortest} consecutive rows without missing samples are left between "
+            f"no {shortest} consecutive row(s) without missing samples are left between "
             f"t = {at(base.time[0])} and {at(base.time[-1])}, and the analysis window needs as "
             f"many; bridge longer runs of NaN (missing, in seconds), or use a shorter window"
         )

@@ -1,25 +1,31 @@
 """When inputs rest: turns in which they do nothing but noise.
 
-Inputs of a record in flight rest but for noise; no turn is exactly still. Of turns whose quieter
-half holds next to nothing of what the inputs do, those like that half are at rest:
+Inputs of a record in flight rest but for noise; no turn is exactly still. What an input does is
+its change from a turn before, d_i, which no constant and no waveform of the turn has:
 
     e_k = Σ_i Σ_turn k d_i(ψ)² / Σ_record d_i(ψ)²,   rests: e_k ≤ 4 × the mean of the quieter half
 
-The analyzer needs it to choose how a record is read, the period reading to find free decays.
+if what the others hold, turn for turn, is a hundred times that mean. How long a record rests does
+not matter. The analyzer needs it to choose how a record is read, the period reading to find free
+decays.
 """
 
 import numpy as np
 
 from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.signals.resampling import interpolate
 
-__all__ = ["changes", "energy_by_turn", "rests"]
+__all__ = ["changes", "energy_by_turn", "inputs_rest", "rests"]
 
-QUIET = 0.01  # of the energy, that the quieter half of the turns may hold where inputs rest
+DUST = 1e-4  # of a signal, that splines through 7 samples a turn may miss
+LEAST_TURNS = 12  # of which some rest: fewer tell no Poincaré map
 LIKE = 4.0  # times the mean of the quieter half: what noise gives in no turn
+QUIET = 0.01  # of the energy of a turn that moves, which one at rest may hold
+TURN = 2.0 * np.pi
 
 
 def changes(values, psi):
-    """Signals of one segment less those a turn before; of the first turn, a turn after.
+    """Signals of one segment less those a turn before; in its first half, a turn after.
 
     Parameters
     ----------
@@ -32,11 +38,17 @@ def changes(values, psi):
     changes : ndarray, shape (n_samples, n_signals)
         Zero in a segment of less than two turns.
     """
-    turn = 2.0 * np.pi
-    if len(psi) < 2 or psi[-1] - psi[0] < 2.0 * turn:
+    if len(psi) < 2 or psi[-1] - psi[0] < 2.0 * TURN:
         return np.zeros(values.shape)
-    other = np.where(psi - psi[0] < turn, psi + turn, psi - turn)
-    return values - np.stack([np.interp(other, psi, column) for column in values.T], axis=1)
+    middle = 0.5 * (psi[0] + psi[-1])  # so that splines are asked for nothing near their ends
+    other = np.where(psi < middle, psi + TURN, psi - TURN)
+    before = interpolate(values, psi, other)
+    apart = np.diff(psi)
+    holes = apart[np.clip(np.searchsorted(psi, other), 1, len(apart)) - 1] > 2.0 * np.median(apart)
+    for column, known in zip(before.T, values.T, strict=True):
+        column[holes] = np.interp(other[holes], psi, known)  # a spline would swing there
+    moved = values - before
+    return np.where(np.abs(moved) > DUST * np.max(np.abs(values), axis=0), moved, 0.0)
 
 
 def energy_by_turn(signals, psi):
@@ -51,7 +63,7 @@ def energy_by_turn(signals, psi):
     Returns
     -------
     energy : list of ndarray, shapes (n_turns_s,)
-        Of the turns of each segment, from its first sample.
+        Of the turns of each segment, from its first sample, that hold samples.
     turns : list of ndarray of int, shapes (n_samples_s,)
         Which of them each sample lies in.
     """
@@ -59,9 +71,41 @@ def energy_by_turn(signals, psi):
     signals = [each / np.where(largest > 0.0, largest, 1.0) for each in signals]
     whole = sum(np.sum(each**2, axis=0) for each in signals)
     weights = np.where(whole > 0.0, 1.0 / np.where(whole > 0.0, whole, 1.0), 0.0)
-    turns = [((p - p[:1]) / (2.0 * np.pi) + HALF).astype(int) for p in psi]
+    counted = [np.floor((p - p[:1]) / TURN + HALF) for p in psi]
+    turns = [np.unique(count, return_inverse=True)[1] for count in counted]
     parts = zip(signals, turns, strict=True)
     return [np.bincount(k, each**2 @ weights) for each, k in parts], turns
+
+
+def inputs_rest(inputs, psi):
+    """Whether inputs rest, but for noise, in most turns of a record.
+
+    Parameters
+    ----------
+    inputs : list of ndarray, shapes (n_samples_s, n_inputs)
+        Of each segment; those of less than two turns tell nothing.
+    psi : list of ndarray, shapes (n_samples_s,)
+        Azimuth in rad, growing.
+
+    Returns
+    -------
+    rest : bool
+        False where they never move at all, and of less than twelve turns.
+
+    Examples
+    --------
+    >>> psi = 2 * np.pi * np.arange(320) / 16
+    >>> doublet = np.repeat([0.0, 1.0, -1.0, 0.0], [64, 32, 32, 192])[:, None]
+    >>> inputs_rest([doublet], [psi]), inputs_rest([np.sin(0.3 * psi)[:, None]], [psi])
+    (True, False)
+    """
+    told = [k for k, p in enumerate(psi) if len(p) > 1 and p[-1] - p[0] >= 2.0 * TURN]
+    if not told:
+        return False
+    psi = [psi[k] for k in told]
+    moves = [changes(inputs[k], p) for k, p in zip(told, psi, strict=True)]
+    energy = np.concatenate(energy_by_turn(moves, psi)[0])
+    return len(energy) >= LEAST_TURNS and bool(rests(energy).any())
 
 
 def rests(energy):
@@ -75,7 +119,7 @@ def rests(energy):
     Returns
     -------
     rests : ndarray of bool, shape (n_turns,)
-        False throughout where the quieter half of the turns moves, too.
+        False throughout where the quieter half of the turns moves, too, or nothing does.
 
     Examples
     --------
@@ -84,7 +128,8 @@ def rests(energy):
     >>> bool(rests(np.array([0.7, 1.0, 0.9, 0.8])).any())
     False
     """
-    quieter = np.sort(energy)[: max(1, len(energy) // 2)]
-    if not np.sum(quieter) < QUIET * np.sum(energy):
+    quieter = np.mean(np.sort(energy)[: max(1, len(energy) // 2)])
+    still = energy <= max(LIKE * quieter, HALF**2 * np.max(energy))
+    if still.all() or quieter > QUIET * np.mean(energy[~still]):
         return np.zeros(len(energy), dtype=bool)
-    return energy <= max(LIKE * np.mean(quieter), HALF**2 * np.max(energy))
+    return still

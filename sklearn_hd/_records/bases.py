@@ -1,0 +1,202 @@
+"""How a record is to be read: which reading suits it, on which grid, with what harmonics.
+
+``analyzer`` is asked for its parameters alone.
+"""
+
+import math
+import numbers
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_hd._checks import (
+    PERIOD_TOLERANCE,
+    check_count,
+    check_harmonics,
+    check_period,
+    check_rate,
+    whole_period,
+)
+from sklearn_hd._readings import READINGS
+from sklearn_hd._tables import STANDARD_ERRORS
+from sklearn_hd.algorithms.signals.rest import inputs_rest
+
+__all__ = ["AUTO", "chosen_reading", "record_basis"]
+
+AUTO = "auto"
+NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
+ROWS_PER_PERIOD = 8
+ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
+
+
+def chosen_reading(analyzer, inputs, outputs):
+    """How model steps read the record, by what is asked for and what the inputs do."""
+    if analyzer.reading != AUTO:
+        return analyzer.reading
+    if analyzer.load_harmonics is not None:
+        return "sample"
+    by_signal = isinstance(analyzer.output_harmonics, Mapping)
+    held = analyzer.input_harmonics is None or np.array_equal(analyzer.input_harmonics, 0)
+    if outputs is None or analyzer.hop is not None or analyzer.window != "boxcar":
+        return "sliding"
+    if by_signal or not held:
+        return "sliding"
+    if analyzer.small_signal is not None:
+        return "period"
+    omega = _omega(analyzer, inputs)
+    psi = omega * inputs.places(omega, inputs.base.sample_time)
+    known = np.isfinite(inputs.data).all(axis=1) & np.isfinite(psi)
+    rows = [np.flatnonzero(known[segment]) + segment.start for segment in inputs.base.segments]
+    rest = inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
+    return "period" if rest else "sample"
+
+
+def record_basis(analyzer, reading, inputs, output_names, timing):
+    """How signals are analysed, trim aside."""
+    if reading == "sample":
+        return _sample_basis(analyzer, inputs, output_names, timing)
+    if analyzer.load_harmonics is not None:
+        raise ValueError(
+            f"load_harmonics={analyzer.load_harmonics!r} with reading={reading!r}: loads are "
+            f"identified with reading='sample' alone; leave load_harmonics=None, and give "
+            f"trim_span"
+        )
+    asked = 0 if analyzer.input_harmonics is None else analyzer.input_harmonics
+    kept_in = check_harmonics("input_harmonics", asked, inputs.names)
+    asked = 1 if analyzer.output_harmonics is None else analyzer.output_harmonics
+    kept_out = check_harmonics("output_harmonics", asked, output_names) if output_names else ()
+    highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
+    rows = _least_rows(highest) if reading == "sliding" else 1
+    omega, spp, step, timing = _grid(analyzer, inputs, highest, rows, timing)
+    return READINGS[reading](
+        omega=omega,
+        sample_time=step,
+        samples_per_period=spp,
+        window=analyzer.window,
+        hop=spp if reading == "period" else _checked_hop(analyzer, spp, highest),
+        inputs=kept_in,
+        outputs=kept_out,
+        timing=timing,
+        small_signal=analyzer.small_signal,
+    )
+
+
+def _sample_basis(analyzer, inputs, output_names, timing):
+    """The basis of samples with their azimuths."""
+    if analyzer.small_signal is not None:
+        raise ValueError(
+            f"small_signal={analyzer.small_signal!r} combines records at the same phases, which "
+            f"reading='sample' does not ask for; use reading='period', or small_signal=None"
+        )
+    named = ("output_harmonics", "input_harmonics", "load_harmonics")
+    asked = {name: getattr(analyzer, name) for name in named}
+    for name, count in asked.items():
+        if count is not None:
+            hint = "with reading='sample' it is one number for all signals, None chooses it"
+            check_count(name, count, 0, hint)
+    step, omega = inputs.base.sample_time, _omega(analyzer, inputs)
+    samples = 2.0 * np.pi / omega / step
+    highest = max((count for count in asked.values() if count is not None), default=1)
+    words = f"omega={omega:.6g} rad/s and a sample time of {step:.4g} s give {samples:.4g}"
+    check_rate(samples, highest, f"{words} samples a turn")
+    hop = max(1, int(samples / ROWS_PER_TURN)) if analyzer.hop is None else analyzer.hop
+    hop = check_count("hop", hop, 1, "1 reads every sample")
+    thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g}"
+    check_rate(samples / hop, highest, f"{words} samples a turn{thinned}")
+    basis = READINGS["sample"](
+        omega=omega,
+        sample_time=step * hop,
+        samples_per_period=samples / hop,
+        window=analyzer.window,
+        hop=hop,
+        inputs=tuple((name, (0,)) for name in inputs.names),
+        outputs=tuple((name, (0,)) for name in output_names),
+        timing=timing,
+        n_harmonics=asked["output_harmonics"],
+        n_input_harmonics=asked["input_harmonics"],
+        n_load_harmonics=asked["load_harmonics"],
+    )
+    if highest > max(basis.most_harmonics, 1):
+        raise ValueError(
+            f"{words} samples a turn{thinned}, which tell harmonics up to "
+            f"{basis.most_harmonics} apart; {highest} were asked for: ask for fewer, or sample "
+            f"faster"
+        )
+    return basis
+
+
+def _omega(analyzer, inputs):
+    if analyzer.azimuth is None:
+        return float(analyzer.omega)
+    return inputs.mean_speed(analyzer.azimuth)[1]
+
+
+def _grid(analyzer, inputs, highest, rows, timing):
+    """ω, samples in a period, their distance in seconds, and when rows were sampled."""
+    if analyzer.azimuth is not None:
+        return *_varying_speed(analyzer, inputs, highest, rows), timing
+    omega, spp, step, resampled = _constant_speed(analyzer, inputs.base, highest, rows)
+    own = inputs.base.sample_time if resampled else step
+    return omega, spp, step, replace(timing, sample_time=own, resampled=resampled)
+
+
+def _constant_speed(analyzer, base, highest, rows):
+    """ω, samples in a period of the grid, their distance, and whether all is resampled."""
+    omega = float(analyzer.omega)
+    if base.counted and analyzer.sample_time is None:  # times that were lost are no times
+        check_period(omega, base.sample_time, highest, counted=True)
+    samples, whole = whole_period(omega, base, highest)
+    if not whole:
+        near = abs(samples - round(samples)) <= NEAR_WHOLE
+        spp = round(samples) if near else _samples_on_grid(analyzer, samples, rows)
+        return omega, spp, 2.0 * np.pi / omega / spp, True
+    spp = round(samples)
+    step = 2.0 * np.pi / omega / spp
+    told = abs(step - base.sample_time) > STANDARD_ERRORS * base.uncertainty
+    even = base.jitter[1] == 0.0  # else resampled, to fit the period exactly
+    return omega, spp, base.sample_time if even and told else step, False
+
+
+def _samples_on_grid(analyzer, samples, rows):
+    """Samples in a period of the grid: those given, rounded up to whole hops, or rows read."""
+    least = samples - PERIOD_TOLERANCE
+    whole = isinstance(analyzer.hop, numbers.Integral) and 1 <= analyzer.hop <= np.ceil(least)
+    unit = int(analyzer.hop) if whole else 1
+    if analyzer.hop is None:
+        unit = rows
+    return unit * int(np.ceil(least / unit))
+
+
+def _varying_speed(analyzer, inputs, highest, rows):
+    """Mean ω, samples on the grid in a turn, and their distance in seconds."""
+    samples, omega = inputs.mean_speed(analyzer.azimuth)
+    check_rate(
+        samples,
+        highest,
+        f"azimuth column {analyzer.azimuth!r} shows {samples:.4g} samples a turn in the mean",
+    )
+    spp = _samples_on_grid(analyzer, samples, rows)
+    return omega, spp, 2.0 * np.pi / omega / spp
+
+
+def _checked_hop(analyzer, spp, highest):
+    """The hop; None stands for about eight rows a period, more for high harmonics."""
+    small = [d for d in range(1, math.isqrt(spp) + 1) if spp % d == 0]
+    divisors = sorted({*small, *(spp // d for d in small)})
+    hop = analyzer.hop
+    if hop is None:
+        rows = _least_rows(highest)
+        return max((d for d in divisors if spp // d >= rows), default=1)
+    whole = isinstance(hop, numbers.Integral) and not isinstance(hop, bool)
+    if not whole or hop < 1 or spp % hop:
+        raise ValueError(
+            f"hop={hop!r} does not divide the {spp} samples of a period; use one of "
+            f"{divisors}, None for about {ROWS_PER_PERIOD} rows a period, or reading='period'"
+        )
+    return int(hop)
+
+
+def _least_rows(highest):
+    """Rows of a sliding window in a period, for the highest harmonic kept."""
+    return max(ROWS_PER_PERIOD, 2 * highest + 3)

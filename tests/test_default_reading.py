@@ -1,0 +1,185 @@
+"""HarmonicAnalyzer(reading="auto"): inputs that rest are read by periods, others by samples."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.pipeline import make_pipeline
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.exceptions import TimeBaseWarning
+
+OMEGA = 2.0 * np.pi
+SPP = 16
+
+
+def answer(u, psi):
+    """A slow lag that drives itself once a period."""
+    y = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        y[k + 1] = 0.97 * y[k] + 0.1 * (1.0 + 0.3 * np.cos(psi[k])) * u[k]
+    return y
+
+
+def record(moves=False, n_turns=60, samples=SPP, index=None):
+    t = np.arange(int(n_turns * samples)) / samples
+    u = 1.0 * ((t >= 5) & (t < 7)) - ((t >= 7) & (t < 9))
+    if moves:
+        u = np.repeat(np.random.default_rng(0).standard_normal(len(t)), 5)[: len(t)]
+    index = pd.Index(t, name="time") if index is None else index(t)
+    y = answer(u, OMEGA * t)
+    return pd.DataFrame({"u": u}, index), pd.DataFrame({"y": y}, index)
+
+
+def reading(X, y, **params):
+    return HarmonicAnalyzer(**{"omega": OMEGA} | params).fit(X, y).basis_.reading
+
+
+@pytest.mark.parametrize(("moves", "expected"), [(False, "period"), (True, "sample")])
+@pytest.mark.parametrize(
+    ("index", "params"),
+    [
+        (pd.Index, {}),
+        (lambda t: pd.Index(1.7e9 + t), {}),
+        (lambda t: pd.to_timedelta(t, unit="s"), {}),
+        (lambda t: pd.Timestamp("2026-01-01") + pd.to_timedelta(t, unit="s"),
+         {"time_origin": "2026-01-01"}),
+        (lambda t: pd.Timestamp("2026-01-01") + pd.to_timedelta(t, unit="s"),
+         {"time_origin": "1970-01-01"}),
+        (lambda t: pd.Index(t + 0.1 / SPP * np.sin(7.0 * t)), {}),
+    ],
+    ids=["seconds", "unix", "timedelta", "dates", "far origin", "jitter"],
+)  # fmt: skip
+def test_the_clock_of_the_index_does_not_matter(moves, expected, index, params):
+    assert reading(*record(moves, index=index), **params) == expected
+
+
+@pytest.mark.parametrize(("moves", "expected"), [(False, "period"), (True, "sample")])
+def test_arrays_are_read_as_frames_are(moves, expected):
+    X, y = record(moves)
+    with pytest.warns(TimeBaseWarning, match="samples are counted"):
+        assert reading(X.to_numpy(), y.to_numpy().ravel(), sample_time=1 / SPP) == expected
+
+
+@pytest.mark.parametrize(("moves", "expected"), [(False, "period"), (True, "sample")])
+def test_missing_samples_and_gaps_do_not_matter(moves, expected):
+    X, y = record(moves, n_turns=200)
+    holes = np.random.default_rng(1).integers(0, len(X), 20)
+    X.iloc[holes] = np.nan
+    assert reading(X, y, missing="gap") == reading(X, y, missing=0.1) == expected
+    kept = np.ones(len(X), dtype=bool)
+    kept[400:900] = False
+    X, y = record(moves, n_turns=200)
+    assert reading(X[kept], y[kept]) == expected
+    X[~kept] = np.nan
+    y.iloc[50] = np.nan
+    assert reading(X, y, missing="gap") == expected
+
+
+@pytest.mark.parametrize(("moves", "expected"), [(False, "period"), (True, "sample")])
+def test_a_measured_azimuth_is_the_clock_where_there_is_one(moves, expected):
+    X, y = record(moves)
+    t = X.index.to_numpy()
+    psi = OMEGA * (t + 0.3 * np.sin(0.5 * t))
+    X["u"] += 20.0 * np.cos(psi)
+    for azimuth in (psi, np.mod(psi, OMEGA)):
+        assert reading(X.assign(psi=azimuth), y, omega=None, azimuth="psi") == expected
+    psi[300:340] = np.nan
+    assert reading(X.assign(psi=psi), y, omega=None, azimuth="psi", missing="gap") == expected
+
+
+def test_several_records_are_judged_together():
+    still, moving = record(), record(moves=True)
+    for each, expected in ((still, "period"), (moving, "sample")):
+        X, y = (pd.concat({"a": z, "b": -z}, names=["record"]) for z in each)
+        assert reading(X, y) == expected
+
+
+@pytest.mark.parametrize("n_turns", [0.125, 1, 5, 11])
+def test_few_turns_are_read_by_samples(n_turns):
+    assert reading(*record(n_turns=n_turns)) == "sample"
+
+
+@pytest.mark.parametrize(
+    ("params", "expected"),
+    [
+        ({"hop": 4}, "sliding"),
+        ({"window": "hann"}, "sliding"),
+        ({"input_harmonics": 1}, "sliding"),
+        ({"input_harmonics": {"u": [0, 1]}}, "sliding"),
+        ({"output_harmonics": {"y": [0, 1]}}, "sliding"),
+        ({"load_harmonics": 2}, "sample"),
+        ({"small_signal": "odd"}, "period"),
+        ({"input_harmonics": 0, "output_harmonics": 2}, "period"),
+        ({"input_harmonics": np.int64(0)}, "period"),
+        ({"trim_span": (0.0, 5.0)}, "period"),
+        ({"reading": "sample"}, "sample"),
+        ({"reading": "sliding"}, "sliding"),
+    ],
+)
+def test_what_is_asked_for_goes_first(params, expected):
+    assert reading(*record(), **params) == expected
+
+
+def test_without_outputs_there_are_coefficients_to_see():
+    X, _ = record()
+    assert reading(X, None) == "sliding"
+    assert "u_0" in HarmonicAnalyzer(OMEGA).fit_transform(X)
+
+
+@pytest.mark.parametrize("omega", [1e-300, 1e-9, 1e7, 1e12, 1e300])
+def test_frequencies_beyond_reason_are_named(omega):
+    with pytest.raises(
+        ValueError, match=rf"omega={omega:g} rad/s and a sample time".replace("+", r"\+")
+    ):
+        reading(*record(), omega=omega)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda u: 0.0 * u, r"input 'u' is constant .*: nothing excites the system"),
+        (lambda u: 0.0 * u + 3.0, r"input 'u' is constant .*: nothing excites the system"),
+        (lambda u: u * np.nan, r"no 1 consecutive row\(s\) without missing samples"),
+        (
+            lambda u: 0.0 * u + np.cos(OMEGA * u.index.to_numpy())[:, None],
+            r"repeats itself with ev",
+        ),
+        (lambda u: u.assign(v=3.0), r"input 'v' is constant"),
+    ],
+    ids=["zero", "constant", "missing", "wave", "beside"],
+)
+@pytest.mark.filterwarnings("ignore:records begin with outputs that rest at zero")
+def test_inputs_that_never_move_are_named_by_the_fit(spoil, message):
+    X, y = record()
+    X = spoil(X)
+    y["y"] += 0.1 * np.random.default_rng(0).standard_normal(len(y))
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA, missing="gap"), MOESPRegressor())
+    with pytest.raises(ValueError, match=message):
+        pipe.fit(X, y)
+
+
+def test_no_inputs_are_a_matter_of_the_next_step():
+    X, y = record()
+    with pytest.raises(ValueError, match="X has no signals"):
+        reading(X[[]], y)
+
+
+@pytest.mark.parametrize(("moves", "harmonics"), [(False, None), (True, None), (False, 0)])
+def test_nothing_but_omega_is_chosen(moves, harmonics):
+    """The same four steps for either kind of record, and what was read is said."""
+    X, y = record(moves)
+    pipe = make_pipeline(
+        HarmonicAnalyzer(OMEGA, output_harmonics=harmonics),
+        MOESPRegressor(),
+        SpuriousModeReducer(),
+        StructuredMatcher(structure=HarmonicStructure()),
+    ).fit(X, y)
+    assert pipe.score(*record(not moves, n_turns=80)) > 0.95  # a record of the other kind
+    exponents = pipe[-1].ltp_.floquet_exponents()
+    assert np.min(np.abs(exponents - SPP * np.log(0.97))) < 0.02
