@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._continuous import output_scale
+from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import searching
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import TINY
 from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -20,7 +22,8 @@ __all__ = ["Opinion", "decays_at_rest", "of_free_decays", "of_halves", "warn_unc
 DOUBT = 0.1  # of a rate: an engineer's question has another answer
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
-SURE = 2.0  # standard deviations
+SURE = 2.0  # standard deviations that an exponent may be off by
+CONTRADICTS = 4.0  # standard deviations that no two ways are apart by chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +40,22 @@ class Opinion:
         rad/s.
     way : str
         Where they come from.
+    own : bool
+        Whether they are the model's, too: then their deviations are its own.
+    duration : float
+        Seconds of the longest segment.
     """
 
     exponents: np.ndarray
     deviations: np.ndarray
     omega: float
     way: str
+    own: bool = False
+    duration: float = np.inf
 
     def of(self, exponents, way):
         """The opinion that some exponents are, known as well as this one knows them."""
-        return replace(self, exponents=exponents, way=way)
+        return replace(self, exponents=exponents, way=way, own=False)
 
     def about(self, exponents):
         """The nearest exponent to each of some, its distance and deviation, in parts of its rate.
@@ -84,29 +93,41 @@ def decays_at_rest(experiment):
     return [lifted[s][rows].reshape(len(lifted[s][rows]), -1) for s, rows in stretches], stretches
 
 
-def of_free_decays(found, omega):
+def of_free_decays(found, experiment, own=False):
     """The opinion of free decays; None where there are none."""
     if found is None:
         return None
+    omega, duration = experiment.basis.omega, longest_span(experiment)
     rate = omega / (2.0 * np.pi)
-    exponents = np.log(found.multipliers) * rate
-    return Opinion(exponents, found.deviations * rate, omega, "the free decays at rest")
+    z = found.multipliers
+    exponents = np.log(np.where(z == 0.0, TINY, z)) * rate
+    return Opinion(
+        exponents, found.deviations * rate, omega, "the free decays at rest", own, duration
+    )
 
 
 def of_halves(exponents, halves, omega):
     """The opinion of both halves of a record: for each exponent their mean, and half their gap."""
     own = [Opinion(half, np.zeros(len(half)), omega, "").about(exponents)[0] for half in halves]
     way = "the two halves of the record"
-    return Opinion(np.mean(own, axis=0), 0.5 * np.abs(own[1] - own[0]), omega, way)
+    return Opinion(np.mean(own, axis=0), 0.5 * np.abs(own[1] - own[0]), omega, way, True)
 
 
 def doubtful(exponents, opinion):
-    """Which exponents an opinion does not confirm."""
+    """Which exponents an opinion does not confirm.
+
+    Its own have to be known. It contradicts others where it is apart by more than it may err; what
+    it does not know itself is held against modes that outlast the record alone.
+    """
     _, apart, spread = opinion.about(exponents)
-    return ~(apart + SURE * spread <= DOUBT) & _lasting(exponents, opinion.omega)
+    vague = ~(apart + SURE * spread <= DOUBT)
+    if not opinion.own:
+        outlasts = np.abs(exponents.real) * opinion.duration < 1.0
+        vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
+    return vague & _lasting(exponents, opinion.omega)
 
 
-def warn_unconfirmed(exponents, opinion):
+def warn_unconfirmed(exponents, opinion, complete=False):
     """Warn of exponents that the second opinion does not confirm, and of those it has beside.
 
     Parameters
@@ -114,6 +135,8 @@ def warn_unconfirmed(exponents, opinion):
     exponents : complex ndarray, shape (n,)
         Of the model, 1/s.
     opinion : Opinion or None
+    complete : bool
+        Whether the model has to have all exponents of the opinion.
     """
     if opinion is None or searching():
         return
@@ -129,6 +152,8 @@ def warn_unconfirmed(exponents, opinion):
             f"longer record, smaller motions or less noise, or another order",
             IdentifiabilityWarning,
         )
+        return
+    if not complete:
         return
     known = SURE * opinion.deviations <= DOUBT * _rates(opinion.exponents, opinion.omega)
     asked = opinion.exponents[known & _lasting(opinion.exponents, opinion.omega)]

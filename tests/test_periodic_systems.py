@@ -10,7 +10,7 @@ from periodic_cases import record, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
-from sklearn_hd._match.periodic import _unless_it_explains_less
+from sklearn_hd._identify.period import unless_it_leaves_less
 from sklearn_hd.algorithms.periodic.multipliers import (
     characteristic,
     invariant_blocks,
@@ -312,7 +312,7 @@ def many_modes(sizes, seed, noise=0.05, n_columns=48):
     y += noise * y.std() * rng.standard_normal(y.shape)
     identified = true + 3e-3 * np.diag(rng.standard_normal(n))
     refined = refine_multipliers(identified, [w], [y])
-    kept = _unless_it_explains_less(refined, identified, sight[:6], [w], [y], [y[:, :6]])
+    kept = unless_it_leaves_less(refined, identified, sight[:6], [w], [y], [y[:, :6]])
     errors = [
         np.abs(linalg.eigvals(Phi)[:, None] - linalg.eigvals(true)).min(axis=0).max()
         for Phi in (identified, refined, kept)

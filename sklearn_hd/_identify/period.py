@@ -106,9 +106,9 @@ def identify(data, settings, experiment):
     fit = subspace_fit(
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
-    opinion = of_free_decays(still, experiment.basis.omega)
+    opinion = of_free_decays(still, experiment, at_rest)
     warn_of_growth(fit.model, experiment)
-    warn_unconfirmed(fit.model.exponents(), opinion)
+    warn_unconfirmed(fit.model.exponents(), opinion, complete=not at_rest)
     return replace(fit, model=replace(fit.model, at_rest=at_rest, opinion=opinion))
 
 
@@ -164,20 +164,26 @@ def _raw_periods(experiment):
 
 
 def _refined(A, C, experiment, data, unit):
-    """The map of largest likelihood for the raw periods, or that identified if it leaves less.
+    """The map of largest likelihood for the raw periods, or that identified if it leaves less."""
+    directions, lifted = data.excitation, _raw_periods(experiment)
+    refine = without_noise_growth if _grows(A, experiment) else refine_multipliers
+    seen = [Y / unit for Y in data.outputs]
+    return unless_it_leaves_less(refine(A, directions, lifted), A, C, directions, lifted, seen)
+
+
+def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
+    """The refined map, or a possible one identified that leaves a tenth less of the record.
 
     Multipliers are refined with every mode free to answer in its own way to each direction of
     the inputs. Many modes that last but a period or two can then stand for each other, and noise
     decides; with one B for all that is seen they cannot.
     """
-    directions, lifted = data.excitation, _raw_periods(experiment)
-    refine = without_noise_growth if _grows(A, experiment) else refine_multipliers
-    Phi = refine(A, directions, lifted)
-    if not is_possible(A, max(map(len, lifted))):
-        return Phi
-    seen = [Y / unit for Y in data.outputs]
-    left, own = (np.sum(state_response(M, C, directions, lifted, seen)[2]) for M in (Phi, A))
-    return A if own < A_TENTH_LESS * left else Phi
+    if not is_possible(identified, max(map(len, lifted))):
+        return refined
+    left, others = (
+        np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
+    )
+    return identified if others < A_TENTH_LESS * left else refined
 
 
 def _linear(Phi, still, decays, experiment, data):

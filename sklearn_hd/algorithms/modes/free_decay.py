@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
     is_noise,
@@ -126,10 +126,15 @@ def free_decay(decays, order=None):
     noise = is_noise(left, n_rows - 1 - n, left.shape[1])
     if n > told and len(orders) > 1 and not noise:
         return free_decay(decays, told)
+    if n == most < MOST_STATES and order is None and not noise:
+        return None  # there may be more
     multipliers, deviations = multiplier_deviations(Phi, ones, decays)
     later = [y[1:] for y in decays if len(y) > 2]
     if not noise and later and (smaller := free_decay(later, n)) is not None:
-        apart = np.log(multipliers)[:, None] - np.log(smaller.multipliers)
+        own, other = (
+            np.log(np.where(z == 0.0, TINY, z)) for z in (multipliers, smaller.multipliers)
+        )
+        apart = own[:, None] - other
         apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
         deviations = np.hypot(deviations, apart.min(axis=1))
     return FreeDecay(Phi, states, multipliers, deviations)

@@ -11,7 +11,7 @@ from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, TINY, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
@@ -133,15 +133,17 @@ def multiplier_deviations(Phi, directions, lifted):
     target = compact(np.vstack(lifted))
     elimination = _Elimination(edges, Modes(directions), target, LARGEST_RESPONSE)
     coefficients = [characteristic(block) for block in blocks]
-    left, jacobian = elimination.left(np.concatenate(coefficients))
-    n_free = cost_of_a_state(directions, lifted)[0]
-    factor = linalg.qr(jacobian, mode="r")[0][: len(Phi)]
-    spread = linalg.pinv(factor) * np.sqrt(np.sum(left**2) / n_free)
+    R = elimination.factor(np.concatenate(coefficients))
+    variance = np.sum(R[:, -1] ** 2) / cost_of_a_state(directions, lifted)[0]
+    spread = linalg.pinv(R[: len(Phi), : len(Phi)]) * np.sqrt(variance)
     found = []
     for own, rows in zip(coefficients, np.split(spread, edges), strict=True):
         for z in np.roots(np.append([1.0, -own[0]], own[1:])).astype(complex):
-            slope = np.array([1.0]) if len(own) == 1 else np.array([z, -1.0]) / (2.0 * z - own[0])
-            found.append((z, np.linalg.norm(slope @ rows / z)))
+            slope, gap = (
+                (np.array([1.0]), 1.0) if len(own) == 1 else (np.array([z, -1.0]), 2.0 * z - own[0])
+            )
+            unknown = abs(z * gap) <= TINY  # nothing is left of it, or it is double
+            found.append((z, np.inf if unknown else np.linalg.norm(slope @ rows) / abs(z * gap)))
     multipliers, deviations = zip(*found, strict=True)
     return np.array(multipliers), np.array(deviations)
 

@@ -156,5 +156,5 @@ def test_the_strongest_direction_of_white_noise_has_the_law_of_tracy_and_widom(
         (0.9793, 0.95, 0.985),
     ):
         monkeypatch.setattr(multipliers, "TRACY_WIDOM", quantile)
-        found = np.mean([multipliers._is_noise(rest, *shape) for rest in draws])
+        found = np.mean([multipliers.is_noise(rest, *shape) for rest in draws])
         assert least <= found <= most
