@@ -86,7 +86,7 @@ def draw_analyzer(rng):
         "output_harmonics": [0, 0, 0, 1, 1, 1, 4, {"y0": [1]}, {"y0": []}],
         "window": [side + w for side in ("", "centred-") for w in ("boxcar", "triangle", "hann")],
         "load_harmonics": [None, None, None, 0, 1, 3],
-        "reading": ["sliding", "sliding", "period", "sample", "sample"],
+        "reading": ["sliding", "sliding", "sliding", "period", "sample", "auto"],
         "hop": [None, None, None, 1, 2, 2, 4, 3],
         "trim_span": [None, (0.0, 2.0), (0.0, 3), (0.0, 1e9), (0.0, np.inf), (-np.inf, np.inf)],
         "sample_time": [None, DT, DT, DT, 1.0],

@@ -421,6 +421,7 @@ def test_misfit_wants_the_same_axes():
         ({"periods_per_segment": 0}, "periods_per_segment must be a whole number of at least 1"),
         ({"periods_per_segment": 30}, r"independent segments of 30 periods.* 3 unknowns"),
         ({"periods_per_segment": 900}, r"hold 0 independent segments"),
+        ({"periods_per_segment": 10**9}, r"hold 0 independent segments"),
     ],
 )
 def test_estimate_refuses(change, message):

@@ -152,7 +152,8 @@ def _basis_of(X):
             what = f"reading={basis.reading!r}"
         raise ValueError(
             f"X was analysed with {what}, which looks at all records at once; give frames in "
-            f"memory, X.compute() and y.compute()"
+            f"memory, X.compute() and y.compute(), or analyse with reading='sliding' and "
+            f"small_signal=None"
         )
     return basis
 

@@ -157,7 +157,8 @@ def identify(data, settings, experiment):
     if settings.weighting in ("n4sid", "cva"):
         raise ValueError(
             f"weighting={settings.weighting!r} with reading='sample': states are those of a "
-            f"predictor there, whatever the weighting; leave weighting='moesp', or 'pbsid'"
+            f"predictor there, whatever the weighting; leave weighting='moesp', or 'pbsid', or use "
+            f"HarmonicAnalyzer(reading='period')"
         )
     basis = experiment.basis
     layout, reason = _layout(data, settings, basis)

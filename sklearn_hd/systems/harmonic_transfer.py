@@ -422,6 +422,8 @@ def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, ov
 
     def averages(n_periods):
         n_segment = round(n_periods * samples_per_period)
+        if n_segment > max(lengths):
+            return 0.0
         weights, step = segment_plan(n_segment, window, overlap)
         counts = [max(0, (length - n_segment) // step + 1) for length in lengths]
         return sum(effective_averages(weights, step, count) for count in counts)

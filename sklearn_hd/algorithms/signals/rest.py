@@ -71,8 +71,8 @@ def energy_by_turn(signals, psi):
     signals = [each / np.where(largest > 0.0, largest, 1.0) for each in signals]
     whole = sum(np.sum(each**2, axis=0) for each in signals)
     weights = np.where(whole > 0.0, 1.0 / np.where(whole > 0.0, whole, 1.0), 0.0)
-    counted = [np.floor((p - p[:1]) / TURN + HALF) for p in psi]
-    turns = [np.unique(count, return_inverse=True)[1] for count in counted]
+    counts = [np.floor((p - p[:1]) / TURN + HALF) for p in psi]
+    turns = [np.cumsum(np.diff(count, prepend=count[:1]) > 0.0) for count in counts]
     parts = zip(signals, turns, strict=True)
     return [np.bincount(k, each**2 @ weights) for each, k in parts], turns
 
