@@ -268,7 +268,7 @@ class StructuredMatcher(ModelStep):
         match = self._of_samples if of_samples else self._of_rows
         match = match(model, experiment)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
-        return self._remember(match.model, experiment.basis, X, y)
+        return self._remember(match.model, experiment.basis, X, y, experiment)
 
     def _of_samples(self, model, experiment):
         """The match of a model of samples at their azimuths."""
@@ -405,6 +405,10 @@ class StructuredMatcher(ModelStep):
             PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
             for u, time in zip(experiment.inputs, experiment.times(), strict=True)
         ]
+
+    def _n_input_harmonics(self):
+        periodic = self.match_.periodic
+        return super()._n_input_harmonics() if periodic is None else periodic.highest("G")
 
     def _predicts_ahead(self):
         return self.criterion == "prediction_error"
