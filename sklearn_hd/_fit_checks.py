@@ -231,6 +231,13 @@ def check_motion(facts):
             f"input explains them; subtract what they rest at (trim_span), or drop them",
             IdentifiabilityWarning,
         )
+    if facts.together:
+        warn(
+            f"the inputs {list(facts.together)} never move apart in the {facts.span()} (copies, or "
+            f"sums of each other): the record tells their effects together alone, and they are "
+            f"shared out to be smallest; drop all but one, or record each moving by itself",
+            IdentifiabilityWarning,
+        )
     idle = [name for name, moves in zip(facts.drive_names, facts.moving, strict=True) if not moves]
     if idle:
         effect = "their effect is not identified, and their columns of B are zero"

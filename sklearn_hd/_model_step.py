@@ -15,6 +15,7 @@ from sklearn_hd._checks import (
     signal_names,
 )
 from sklearn_hd._containers import from_elsewhere, is_pandas
+from sklearn_hd._excitation import Excitation
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import extremes, one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
@@ -98,8 +99,8 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         tags.regressor_tags.poor_score = True  # rows in random order have no dynamics
         return tags
 
-    def _remember(self, model, basis, X, y):
-        """Store the model and what predictions have to look like."""
+    def _remember(self, model, basis, X, y, experiment=None):
+        """Store the model, what predictions have to look like, and what inputs showed."""
         check_features(self, X, reset=True)
         self.model_, self.basis_ = model, basis
         y = as_container(y, "y")
@@ -115,7 +116,16 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         self.target_kind_ = next((k for t, k in kinds.items() if isinstance(y, t)), None)
         if self.target_kind_ is None:
             self.target_kind_ = "vector" if y.ndim == 1 else "array"
+        told = None if experiment is None else self._simulators(experiment)
+        if told is not None:
+            told = Excitation.of(experiment, told, self._n_input_harmonics())
+        self._excitation = told
         return self
+
+    def _n_input_harmonics(self):
+        """Harmonics that the inputs' effect has."""
+        at_azimuths = isinstance(self.model_, SampleModel)
+        return self.model_.innovations.n_harmonics if at_azimuths else 0
 
     def transform(self, X):
         """The same rows, with the model of this step attached.
@@ -200,16 +210,30 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
             If the simulation overflows.
         ValueError
             If X was analysed or sampled in another way than at fit, or x0 does not fit.
+
+        Warns
+        -----
+        ExcitationWarning
+            If inputs move apart that never did in the record of the fit; if the model is one of
+            whole periods, and they move within the period as they never did; or if the effect of
+            inputs at these phases is so little known that the standard deviation of the motion
+            predicted is more than the fit left. It names the inputs and the share.
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
         simulators = self._simulators(experiment)
+        self._warn_of_inputs(experiment, simulators)
         starts = self._starts(x0, experiment, simulators[0].model)
         outputs = [
             simulator.outputs(start, recompose=not self.predicts_harmonics_)
             for simulator, start in zip(simulators, starts, strict=True)
         ]
         return self._mirror(self._with_trim(outputs, experiment), X)
+
+    def _warn_of_inputs(self, experiment, simulators):
+        """Warn of inputs whose effect the record of the fit did not show."""
+        if self._excitation is not None:
+            self._excitation.warn(experiment, simulators)
 
     def _starts(self, x0, experiment, model=None):
         """One initial state a segment."""
@@ -253,6 +277,11 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
             Before ``fit``.
         ValueError
             If fewer than two rows are left to score, or X and y do not fit the model.
+
+        Warns
+        -----
+        ExcitationWarning
+            As ``predict``; not within a search or a cross-validation.
         """
         check_is_fitted(self)
         check_outputs_given(y)
@@ -272,7 +301,9 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         experiment = self._experiment(without_inputs(y) if X is None else X, y)
         trim, sampling = experiment.output_trim(), experiment.sampling
         truth, simulated, rows = [], [], []
-        parts = zip(self._simulators(experiment), experiment.outputs, sampling.pieces, strict=True)
+        simulators = self._simulators(experiment)
+        self._warn_of_inputs(experiment, simulators)
+        parts = zip(simulators, experiment.outputs, sampling.pieces, strict=True)
         for i, (simulator, y_segment, piece) in enumerate(parts):
             warm, counted = self._score_rows(simulator, experiment)
             if counted.start >= counted.stop:

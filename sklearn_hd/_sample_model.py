@@ -191,6 +191,8 @@ class SampleSimulator:
     def __init__(self, model, basis, drive, time, psi):
         self.model, self.basis, self.drive, self.time, self.psi = model, basis, drive, time, psi
 
+    steps_at_samples = True
+
     @cached_property
     def form(self):
         """The model at the samples of the segment."""
@@ -216,12 +218,13 @@ class SampleSimulator:
         """The same: outputs of the model are what is measured."""
         return Y
 
-    def at_samples(self):
-        """The model at its samples, and what of it was fitted."""
+    def at_samples(self, some=slice(None)):
+        """The model at (some of) its samples, and what of it was fitted."""
         model, innovations = self.model, self.model.innovations
         counts = innovations.n_harmonics, model.n_loads
+        form = self.form if some == slice(None) else innovations.rows(self.psi[some])
         return AtSamples(
-            self.form, self.drive, model.feedthrough, bool(innovations.gain.any()), *counts
+            form, self.drive[some], model.feedthrough, bool(innovations.gain.any()), *counts
         )
 
     def _first(self, n_samples):

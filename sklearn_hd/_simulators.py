@@ -40,6 +40,11 @@ class SegmentSimulator:
             self.drive = basis.held_drive(drive, self.rows)
 
     @property
+    def steps_at_samples(self):
+        """Whether the model is one of samples, not of whole windows or periods."""
+        return self.rows is None
+
+    @property
     def form(self):
         """The innovation form of the model."""
         model = self.model
@@ -53,19 +58,19 @@ class SegmentSimulator:
         """Rows of the model whose samples all lie before some sample."""
         return self.basis.n_read_within(self.time, stop)
 
-    def at_samples(self):
-        """The model at the samples, whose outputs are what is measured."""
+    def at_samples(self, some=slice(None)):
+        """The model at (some) samples, whose outputs are what is measured."""
         if self.rows is not None:
             raise ValueError(
                 f"this model is one of whole windows or periods (reading="
                 f"{self.basis.reading!r}), whose residuals noise correlates, too; test those of "
                 f"the model brought to samples: SpuriousModeReducer or StructuredMatcher behind it"
             )
-        R = self.basis.recomposition(self.basis.azimuth(self.time))
+        R = self.basis.recomposition(self.basis.azimuth(self.time[some]))
         kept = highest_harmonic(self.basis.outputs) if self.basis.harmonic else 0
         model = self.model
         matrices = self.A, self.B, R @ model.C, R @ model.D, model.kalman_gain
-        return AtSamples.of(*matrices, self.drive, kept)
+        return AtSamples.of(*matrices, self.drive[some], kept)
 
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, or their harmonics, trim not added, of all samples or the first of them."""

@@ -10,7 +10,7 @@ class TrimError(RuntimeError):
 
 
 class ExcitationWarning(UserWarning):
-    """The inputs excite fewer directions than the block rows ask for."""
+    """Inputs excite fewer directions than block rows or predictions ask for."""
 
 
 class IdentifiabilityWarning(UserWarning):

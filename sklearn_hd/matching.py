@@ -270,7 +270,7 @@ class StructuredMatcher(ModelStep):
         match = match(model, experiment)
         _warn_of_moves(model, match)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
-        return self._remember(match.model, experiment.basis, X, y)
+        return self._remember(match.model, experiment.basis, X, y, experiment)
 
     def _of_samples(self, model, experiment):
         """The match of a model of samples at their azimuths."""
@@ -407,6 +407,10 @@ class StructuredMatcher(ModelStep):
             PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
             for u, time in zip(experiment.inputs, experiment.times(), strict=True)
         ]
+
+    def _n_input_harmonics(self):
+        periodic = self.match_.periodic
+        return super()._n_input_harmonics() if periodic is None else periodic.highest("G")
 
     def _predicts_ahead(self):
         return self.criterion == "prediction_error"

@@ -138,7 +138,7 @@ class SpuriousModeReducer(ModelStep):
         found = reduced(model, experiment, method, self.n_states)
         self._modes, self.n_states_ = found.modes, found.model.n_states
         self.r2_, self.left_out_ = found.r2, found.left_out
-        return self._remember(found.model, experiment.basis, X, y)
+        return self._remember(found.model, experiment.basis, X, y, experiment)
 
     @property
     def modes_(self):

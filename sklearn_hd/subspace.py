@@ -156,7 +156,8 @@ class MOESPRegressor(ModelStep):
         If the inputs excite fewer directions than the block rows ask for, or a
         coefficient of an input never moves (its column of B is zero).
     IdentifiabilityWarning
-        If an output rests at a value other than zero, records begin with inputs that do and
+        If inputs never move apart (copies, say: they are named), an output rests at a value
+        other than zero, records begin with inputs that do and
         outputs that rest at zero, with ``weighting="pbsid"`` there is a feedthrough, or a
         feedback within the row, and D is zero, or with ``reading="sample"`` the record is short,
         nothing is explained, or what predictions leave is not noise.
@@ -243,7 +244,8 @@ class MOESPRegressor(ModelStep):
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
         experiment = read_for_fit(X, y)
-        return self._store(identify_record(experiment, settings), experiment.basis, X, y)
+        found = identify_record(experiment, settings)
+        return self._store(found, experiment.basis, X, y, experiment)
 
     @one_blas_thread
     @within_range
@@ -322,13 +324,13 @@ class MOESPRegressor(ModelStep):
         self._check_warmup()
         return checked(Settings(**{f.name: getattr(self, f.name) for f in fields(Settings)}))
 
-    def _store(self, found, basis, X, y):
+    def _store(self, found, basis, X, y, experiment=None):
         self.order_, self.block_rows_, self.x0_ = found.order, found.block_rows, found.x0
         self.singular_values_, self.noise_floor_ = found.singular_values, found.noise_floor
         self.feedthrough_reason_ = found.feedthrough_reason
         names = [f.name for f in fields(Simulated)]
         self.order_search_ = {n: np.array([getattr(m, n) for m in found.tried]) for n in names}
-        return self._remember(found.model, basis, X, y)
+        return self._remember(found.model, basis, X, y, experiment)
 
     @property
     def eigenvalues_(self):

@@ -15,7 +15,7 @@ LAYERS = [
     {"_readings"},
     {"_frame", "_sample_model"},
     {"_records"},
-    {"_continuous", "_fit_checks", "_residuals"},
+    {"_continuous", "_excitation", "_fit_checks", "_residuals"},
     {"_opinion"},
     {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
     {"harmonics", "subspace", "reduction", "matching"},

@@ -25,6 +25,7 @@ from sklearn_hd._fit_checks import DUST
 from sklearn_hd._guards import extremes, square_sums
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._tables import why_short
+from sklearn_hd.algorithms.signals.lifting import InputDirections
 from sklearn_hd.algorithms.subspace.hankel import factor_of_products
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.algorithms.subspace.sums import (
@@ -63,6 +64,8 @@ class Facts:
         Measured inputs that never do.
     outputs_move, outputs_off : ndarray of bool, shape (l,)
         Which outputs move, and which are ever other than zero.
+    together : tuple of str
+        Measured inputs of which some combination never moves: copies, say.
     why_short : str
         What made segments short, for messages; empty where nothing did.
     """
@@ -77,6 +80,7 @@ class Facts:
     outputs_move: np.ndarray
     outputs_off: np.ndarray
     why_short: str = ""
+    together: tuple = ()
 
     @classmethod
     def of(cls, experiment, inputs):
@@ -103,6 +107,7 @@ class Facts:
             outputs_move,
             outputs_off,
             why_short(experiment.base),
+            _together(experiment),
         )
 
     @property
@@ -113,6 +118,15 @@ class Facts:
     def span(self):
         """First and last time, worded for messages."""
         return self.words
+
+
+def _together(experiment):
+    """Names of the inputs that never move apart."""
+    names = experiment.basis.input_signals
+    if len(names) < 2:
+        return ()
+    found = InputDirections.of([u[:, None] for u in experiment.inputs]).together
+    return tuple(names[i] for i in found)
 
 
 def ends_of(rows):

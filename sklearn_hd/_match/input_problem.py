@@ -20,6 +20,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     held_pushes,
     sampled_response,
 )
+from sklearn_hd.algorithms.signals.lifting import InputDirections
 
 MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
@@ -70,6 +71,7 @@ class _Fit:
     bic: float
     gains: np.ndarray
     unknown: np.ndarray
+    n_unknown: int
     rss: float
     left: np.ndarray
 
@@ -88,6 +90,8 @@ class InputProblem:
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
         self.experiment, self.scale, self.starts = experiment, scale, starts
         self.n_rows = sum(map(len, experiment.outputs))
+        moved = InputDirections.of([u[:, None] for u in experiment.inputs]).moved
+        self.n_idle = len(states) * (moved.shape[0] - moved.shape[1])
         self.beyond = np.zeros(len(scale))  # left whatever G and Q are, sum of squares
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
 
@@ -117,7 +121,7 @@ class InputProblem:
                 gains = np.einsum("hpba,jc->hajpbc", new, unit).reshape(-1, spp, n, len(unit))
                 fit.extend(self._columns(response, gains)[0])
             found = self._judged(fit, count)
-            if best is not None and np.sum(found.unknown) > np.sum(best.unknown):
+            if best is not None and found.n_unknown > best.n_unknown:
                 break
             worse = 0 if best is None or found.bic < best.bic else worse + 1
             best = found if worse == 0 else best
@@ -238,12 +242,14 @@ class InputProblem:
     def _judged(self, fit, count):
         """Least squares with some number of harmonics of G, and Schwarz's criterion."""
         solution, left, unknown = fit.solve()
+        n_unknown = fit.n_unknown - self.n_idle * (2 * count + 1)  # but for inputs that never part
         n_starts = self.parts[0].starts.shape[2]
         n_rows, n_outputs = self.n_rows, len(self.scale)
         rss = np.sum(left.reshape(-1, n_outputs) ** 2, axis=0) + self.beyond
         likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, LEAST_SQUARE * n_rows))))
         bic = likelihood + np.log(n_rows * n_outputs) * (len(solution) - n_starts)
-        return _Fit(count, bic, solution[n_starts:], unknown[n_starts:], float(np.sum(rss)), left)
+        solution, unknown, rest = solution[n_starts:], unknown[n_starts:], float(np.sum(rss))
+        return _Fit(count, bic, solution, unknown, n_unknown, rest, left)
 
     def _systematic(self, left):
         """Covariance of what is left of neighbouring samples, summed.

@@ -171,6 +171,8 @@ class PeriodicSimulator:
     time : ndarray, shape (n_samples,)
     """
 
+    steps_at_samples = True
+
     def __init__(self, model, response, phase, inputs, time):
         self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
         self.response = response
@@ -186,23 +188,25 @@ class PeriodicSimulator:
                 f"order of the identified model, or simulate a shorter span"
             )
         extended = np.concatenate([states, inputs], axis=-1)
-        return np.einsum("tla,ta->tl", self._at(self.response.Out, n_samples), extended)
+        return np.einsum("tla,ta->tl", self._at(self.response.Out, slice(n_samples)), extended)
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
         n = self.model.n_states
         states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
-        return np.einsum("tla,kta->ktl", self._at(self.response.Out, n_samples)[..., :n], states)
+        return np.einsum(
+            "tla,kta->ktl", self._at(self.response.Out, slice(n_samples))[..., :n], states
+        )
 
-    def at_samples(self):
-        """The model at its samples."""
+    def at_samples(self, some=slice(None)):
+        """The model at (some of) its samples."""
         n, count = self.model.n_states, len(self.model.coefficients) // 2
-        step, seen = (self._at(M, None) for M in (self.response.Psi, self.response.Out))
+        step, seen = (self._at(M, some) for M in (self.response.Psi, self.response.Out))
         matrices = step[..., :n], step[..., n:], seen[..., :n], seen[..., n:], None
-        return AtSamples.of(*matrices, self.inputs, count)
+        return AtSamples.of(*matrices, self.inputs[some], count)
 
-    def _at(self, matrices, n_samples):
-        return matrices[self.phase[:n_samples] % len(matrices)]
+    def _at(self, matrices, some):
+        return matrices[self.phase[some] % len(matrices)]
 
     def _states(self, inputs, x0):
         n = self.model.n_states

@@ -79,7 +79,7 @@ def periods_at_rest(inputs):
     return found
 
 
-def free_decay(decays, order=None):
+def free_decay(decays, order=None, compare=True):
     """The modes of some free decays; None where the decays are too short for any.
 
     Their number is that of a wide gap between the directions that outputs move in; else of the
@@ -93,6 +93,8 @@ def free_decay(decays, order=None):
         Outputs of whole periods, in like units.
     order : int, optional
         So many modes.
+    compare : bool
+        Whether to compare with the decays without their first periods.
 
     Returns
     -------
@@ -125,12 +127,13 @@ def free_decay(decays, order=None):
     told = int(np.sum(values > WEAK * values[0]))
     noise = is_noise(left, n_rows - 1 - n, left.shape[1])
     if n > told and len(orders) > 1 and not noise:
-        return free_decay(decays, told)
+        return free_decay(decays, told, compare)
     if n == most < MOST_STATES and order is None and not noise:
         return None  # there may be more
     multipliers, deviations = multiplier_deviations(Phi, ones, decays)
     later = [y[1:] for y in decays if len(y) > 2]
-    if not noise and later and (smaller := free_decay(later, n)) is not None:
+    smaller = free_decay(later, n, False) if compare and later and not noise else None
+    if smaller is not None:
         own, other = (
             np.log(np.where(z == 0.0, TINY, z)) for z in (multipliers, smaller.multipliers)
         )

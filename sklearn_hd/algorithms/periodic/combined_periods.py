@@ -229,6 +229,14 @@ class NestedLeastSquares:
         self.columns = np.hstack([self.columns, columns])
         self.base = np.hstack([self.base, Q])
 
+    @property
+    def n_unknown(self):
+        """Directions of b that y does not determine."""
+        return self.columns.shape[1] - self._rank(linalg.svdvals(self.factor))
+
+    def _rank(self, values):
+        return int(np.sum(values > DEPENDENT * np.max(values, initial=0.0)))
+
     def solve(self):
         """The shortest solution, columns counted as of one length.
 
@@ -242,7 +250,7 @@ class NestedLeastSquares:
             What y does not determine.
         """
         U, values, Vt = np.linalg.svd(self.factor)
-        rank = np.sum(values > DEPENDENT * np.max(values, initial=0.0))
+        rank = self._rank(values)
         solution = Vt[:rank].T @ (U[:, :rank].T @ self.seen / values[:rank]) / self.size
         left = self.target - self.columns @ solution
         return solution, left, np.linalg.norm(Vt[rank:], axis=0) > UNKNOWN

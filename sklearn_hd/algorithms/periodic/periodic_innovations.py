@@ -299,6 +299,11 @@ class Rows:
     def n_states(self):
         return self.states.shape[1]
 
+    @property
+    def direct(self):
+        """Whether inputs act on outputs of the same row."""
+        return bool(self.outputs[..., self.n_states : -1].any())
+
     def first(self, n_samples):
         """The first samples; all where None."""
         return Rows(self.states[:n_samples], self.outputs[:n_samples], self.gain[:n_samples])
@@ -406,6 +411,47 @@ def _fitted(free, rest):
 def _with_one(inputs):
     """Inputs beside a constant one, which drives the forced response."""
     return np.hstack([inputs, np.ones((len(inputs), 1))])
+
+
+def input_slopes(rows, inputs, functions, start):
+    """Simulated outputs by the initial state and the Fourier coefficients of B(ψ) and D(ψ).
+
+    Parameters
+    ----------
+    rows : Rows
+        The model at consecutive samples; its gain is left out.
+    inputs : ndarray, shape (n_samples, m)
+    functions : ndarray, shape (n_samples, 2 H + 1)
+        1, cos ψ, sin ψ, ….
+    start : ndarray, shape (n, c), or None
+        Where rows before these ended; None at the start of a segment.
+
+    Returns
+    -------
+    outputs : ndarray, shape (n_samples, l, n + k + 2)
+        By the initial state; by each coefficient, in the order state (then output, of D if there
+        is any), harmonic, input; by all inputs, and by the loads.
+    end : ndarray, shape (n, c)
+    """
+    n, width = rows.n_states, functions.shape[1] * inputs.shape[1]
+    A, C = rows.states[..., :n], rows.outputs[..., :n]
+    if start is None:
+        start = np.hstack([np.eye(n), np.zeros((n, n * width + 2))])
+    pushes = np.einsum("th,tj->thj", functions, inputs).reshape(len(A), width)
+    known = [np.einsum("tij,tj->ti", M[..., n:-1], inputs) for M in (rows.states, rows.outputs)]
+    parts = []  # of states and outputs: what is added to each
+    for M, forced in zip((rows.states, rows.outputs), known, strict=True):
+        a = M.shape[1]
+        each = np.einsum("ik,tq->tikq", np.eye(a), pushes).reshape(len(A), a, a * width)
+        parts.append((each, np.stack([forced, M[..., -1]], axis=-1)))
+    forcing = np.concatenate([np.zeros((len(A), n, n)), *parts[0]], axis=-1)
+    x = propagate_varying(A, forcing, start)
+    with np.errstate(over="ignore", invalid="ignore"):
+        end, y = A[-1] @ x[-1] + forcing[-1], C @ x
+    direct, last = parts[1]
+    y[..., -2:] += last
+    slopes = [y[..., :-2], direct, y[..., -2:]] if rows.direct else [y]
+    return np.concatenate(slopes, axis=-1), end
 
 
 def propagate_varying(A, forcing, start):

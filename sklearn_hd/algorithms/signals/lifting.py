@@ -10,8 +10,12 @@ a period's start in one, at any other phase in two), and only those have to be t
 The period-synchronous reading and match need them.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import HALF, UNKNOWN
 
 
 def lift(values, phase, samples_per_period):
@@ -83,6 +87,76 @@ def input_directions(lifted, most=None):
     W = U[:, :kept] * np.sqrt(len(stacked))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(W, edges), n_all, float(np.sum(s[kept:] ** 2) / np.sum(s**2))
+
+
+@dataclass(frozen=True, eq=False)
+class InputDirections:
+    """What inputs moved in: combinations of their samples within a row.
+
+    Attributes
+    ----------
+    size : ndarray, shape (m,)
+        Root mean square of each input; one where it is zero.
+    moved : ndarray, shape (n_phases m, r)
+        Orthonormal, of inputs in parts of their size.
+    """
+
+    size: np.ndarray
+    moved: np.ndarray
+
+    @classmethod
+    def of(cls, lifted, left_out=0.0):
+        """Of rows of one sample or more, the strongest.
+
+        Parameters
+        ----------
+        lifted : list of ndarray, shapes (n_rows_s, n_phases, m)
+        left_out : float, default=0.0
+            Share of the energy, noise say, that may lie in directions left out. What is but
+            rounding is left out in any case.
+        """
+        stacked = np.concatenate(lifted)
+        size = np.max(np.abs(stacked), axis=(0, 1), initial=0.0)
+        size = np.where(size > 0.0, size, 1.0)
+        size = size * np.sqrt(np.mean((stacked / size) ** 2, axis=(0, 1)))
+        size = np.where(size > 0.0, size, 1.0)
+        flat = (stacked / size).reshape(len(stacked), -1)
+        R = linalg.qr(flat, mode="r")[0][: flat.shape[1]]
+        _, s, Vt = linalg.svd(R, full_matrices=False)
+        beyond = np.cumsum(s[::-1] ** 2)[::-1]  # in this direction and weaker ones
+        return cls(size, Vt[(s > HALF * s[0]) & (beyond > left_out * beyond[0])].T)
+
+    def outside(self, lifted):
+        """Share of the energy of some inputs that moves otherwise, and each input's part of it.
+
+        Parameters
+        ----------
+        lifted : list of ndarray, shapes (n_rows_s, n_phases, m)
+
+        Returns
+        -------
+        share : float
+        each : ndarray, shape (m,)
+
+        Examples
+        --------
+        >>> row = np.array([[[0.0], [0.0], [1.0], [1.0]]])
+        >>> InputDirections.of([np.ones((1, 4, 1))]).outside([row])[0]
+        0.5
+        """
+        stacked = np.concatenate(lifted) / self.size
+        flat = stacked.reshape(len(stacked), -1)
+        rest = flat - (flat @ self.moved) @ self.moved.T
+        each = np.sum(rest.reshape(stacked.shape) ** 2, axis=(0, 1))
+        energy = np.sum(flat**2)
+        return float(np.sum(each) / energy) if energy > 0.0 else 0.0, each
+
+    @property
+    def together(self):
+        """Inputs of which some combination never moved, places in ascending order."""
+        idle = np.eye(len(self.moved)) - self.moved @ self.moved.T
+        part = np.sqrt(np.maximum(np.diag(idle), 0.0)).reshape(-1, len(self.size))
+        return np.flatnonzero(part.max(axis=0) > UNKNOWN)
 
 
 def _noise_level(singular_values, shape):

@@ -33,7 +33,7 @@ import numpy as np
 from scipy import linalg
 from scipy.signal import fftconvolve
 
-from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import safe_cholesky, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.responses import (
@@ -224,14 +224,16 @@ def alike_states(A, C):
 def _solve(shared):
     """Entries of B and D, row by row, from the equations left for them.
 
-    With columns of equal length, so that units do not decide the rank.
+    With columns of equal length, so that units do not decide the rank; of inputs that move
+    together the shortest.
     """
     regressors, target = shared[:, :-1], shared[:, -1]
     if regressors.shape[1] == 0:
         return np.zeros(0)
     scale = np.linalg.norm(regressors, axis=0)
     scale[scale == 0.0] = 1.0
-    return linalg.lstsq(regressors / scale, target, lapack_driver="gelsy")[0] / scale
+    found = linalg.lstsq(regressors / scale, target, cond=DEPENDENT, lapack_driver="gelsy")
+    return found[0] / scale
 
 
 class _RecordFactors:

@@ -377,7 +377,8 @@ def input_matrices_of_factor(A, C, R, block_rows, n_inputs, feedthrough):
     regressors = np.einsum("rkc,kdz->rdzc", inputs, maps, optimize=True)
     target = R[: i * m, -i * n_outputs :] @ across
     width = maps.shape[-1]
-    theta = linalg.lstsq(regressors.reshape(-1, width * m), target.ravel(), lapack_driver="gelsy")
+    regressors = regressors.reshape(-1, width * m)
+    theta = linalg.lstsq(regressors, target.ravel(), cond=DEPENDENT, lapack_driver="gelsy")
     theta = theta[0].reshape(width, m)
     D = theta[:n_outputs] if feedthrough else np.zeros((n_outputs, m))
     return theta[width - n :], D

@@ -1,0 +1,224 @@
+"""What the inputs of a fit showed of their effect, and what predictions ask beyond it.
+
+Models of whole periods know what inputs do in the directions within the period in which they
+moved (:class:`~sklearn_hd.algorithms.signals.lifting.InputDirections`). Models at samples have
+B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may tell from edges at few phases:
+A and C taken for known, outputs are linear in them, and least squares have their covariance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd._guards import searches
+from sklearn_hd._records.data import lifted_periods
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
+from sklearn_hd.algorithms.lti.structured_model import column_sizes
+from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.lifting import InputDirections
+from sklearn_hd.exceptions import ExcitationWarning
+
+__all__ = ["Excitation"]
+
+MOST_OUTSIDE = 1e-3  # of the inputs' energy, as in a fit of whole periods
+NOISE = 1e-4  # of it, which may be noise
+NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
+PIECE = 1_000_000  # numbers in the arrays of a piece, about: 8 MB
+LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
+TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """What the record of a fit says of the effect of inputs.
+
+    Attributes
+    ----------
+    names, drive : tuple of str
+        Of the inputs, and of that which each of the drive is made of.
+    directions : InputDirections
+        Within the period, of models of whole periods; else of the samples.
+    n_harmonics : int
+        Of B(ψ) and D(ψ).
+    information : Information or None
+        Of models at the samples of a machine that turns.
+    """
+
+    names: tuple
+    drive: tuple
+    directions: InputDirections
+    n_harmonics: int
+    information: object
+
+    @classmethod
+    def of(cls, experiment, simulators, n_harmonics):
+        """Of the experiment of a fit, and the model's simulators over it; None without inputs."""
+        names = tuple(experiment.basis.input_signals)
+        if not names:
+            return None
+        by_period = _by_period(experiment, simulators)
+        noise = NOISE if by_period else 0.0
+        directions = InputDirections.of(_lifted(experiment, by_period), noise)
+        information = None
+        if experiment.basis.harmonic and simulators[0].steps_at_samples:
+            information = Information.of(experiment, simulators, n_harmonics)
+        drive = tuple(experiment.basis.drive_signals)
+        return cls(names, drive, directions, n_harmonics, information)
+
+    def warn(self, experiment, simulators):
+        """Warn of inputs whose effect is asked for, but was not shown."""
+        if any(searches()):
+            return
+        by_period = _by_period(experiment, simulators)
+        share, each = self.directions.outside(_lifted(experiment, by_period))
+        if share > MOST_OUTSIDE:
+            where = (
+                "within the period, at phases or in directions in which the record of the fit "
+                "never did: a model of whole periods knows what inputs do in those alone; put "
+                "StructuredMatcher(structure=HarmonicStructure()) behind it, or record inputs that "
+                "change at these phases"
+                if by_period
+                else "apart from each other, as they never did in the record of the fit: it tells "
+                "their effects together alone; record each of them moving by itself"
+            )
+            warn(
+                f"{share:.2g} of the energy of the inputs {self._most(each)} is of motion {where}",
+                ExcitationWarning,
+            )
+        elif self.information is not None:
+            doubt, each = self.information.doubt(experiment, simulators, self.n_harmonics)
+            if doubt > max(NOTABLE, self.information.left):
+                warn(
+                    f"the inputs {self._most(each)} move at phases of the period, or in "
+                    f"directions, in which the record of the fit shows little of their effect: the "
+                    f"standard deviation of the motion predicted is "
+                    f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of it, where the fit "
+                    f"left {self.information.left:.2g}; record inputs that change at these phases, "
+                    f"too, each by itself, or allow G fewer harmonics",
+                    ExcitationWarning,
+                )
+
+    def _most(self, each):
+        """Names of the inputs that make the most of something."""
+        names = self.names if len(each) == len(self.names) else self.drive
+        most = [name for name, own in zip(names, each, strict=True) if 2.0 * own >= max(each)]
+        return list(dict.fromkeys(most))
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What a record tells of B(ψ) and D(ψ), A and C taken for known.
+
+    Attributes
+    ----------
+    root : ndarray, shape (k, r)
+        Of the covariance of their coefficients, in parts of the noise.
+    input_scale, scale : ndarray, shapes (m,), (l,)
+        Of the inputs and the outputs.
+    answer : float
+        Energy of what inputs make, in parts of theirs.
+    noise, left : float
+        What no coefficients explain, root mean square: in parts of that, and of what inputs make.
+    """
+
+    root: np.ndarray
+    input_scale: np.ndarray
+    scale: np.ndarray
+    answer: float
+    noise: float
+    left: float
+
+    @classmethod
+    @np.errstate(over="ignore", invalid="ignore")
+    def of(cls, experiment, simulators, n_harmonics):
+        """Of a model at samples; None of one that grows too large, or is too wide."""
+        outputs = experiment.outputs
+        n_values, n_rows = sum(y.size for y in outputs), sum(map(len, outputs))
+        scale = column_sizes(np.vstack(outputs)) / np.sqrt(n_rows)
+        factors, energy, squares = [], 0.0, 0.0
+        for segment in zip(simulators, experiment.phases, outputs, strict=True):
+            simulator, psi, y = segment
+            factor = None
+            for some, u, slopes in _slopes(simulator, psi, n_harmonics):
+                slopes, forced = np.split(slopes / scale[:, None], [-2], axis=-1)
+                n_columns = slopes.shape[-1] + 1
+                grown = np.max(np.abs(forced), initial=0.0)
+                enough = n_columns > simulator.model.n_states + 1
+                if not (enough and grown < TOO_LARGE and n_values * n_columns**2 < LARGEST):
+                    return None
+                target = forced[..., 1:] - (y[some] / scale)[..., None]
+                columns = np.concatenate([slopes, target], axis=-1).reshape(-1, n_columns).T
+                factor = np.zeros((n_columns, n_columns)) if factor is None else factor
+                factor = updated_factor(factor, columns)
+                energy += np.sum(forced[..., 0] ** 2)
+                squares = squares + np.sum(u**2, axis=0)
+            factors.append(factor)
+        if not energy > 0.0 or not np.all(np.isfinite(factors)):
+            return None
+        system = eliminate_states(factors, simulator.model.n_states)
+        singular = np.maximum(system.singular, DEPENDENT)  # below, nothing is told
+        root = system.adjoint.T / singular / system.size[:, None]
+        rest = np.sum(system.R[:, -1] ** 2) - np.sum(system.projected**2)
+        noise, left = (np.sqrt(max(float(rest), 0.0) / each) for each in (n_values, energy))
+        input_scale = np.sqrt(np.where(squares > 0.0, squares, n_rows) / n_rows)
+        answer = energy / np.sum(squares / input_scale**2)
+        return cls(root, input_scale, scale, answer, noise, left)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def doubt(self, experiment, simulators, n_harmonics):
+        """Standard deviation of what inputs make in parts of it, and each input's variance.
+
+        Or in parts of what they would make as in the fit, where that is less: a wrong prediction
+        may be far too large.
+        """
+        variance = energy = pushed = own = 0.0
+        m, left = len(self.input_scale), LARGEST / self.root.size
+        roots = self.root.reshape(len(self.root) // m, m, -1)
+        for simulator, psi in zip(simulators, experiment.phases, strict=True):
+            n = simulator.model.n_states
+            for _, u, slopes in _slopes(simulator, psi, n_harmonics):
+                slopes, forced = np.split(slopes / self.scale[:, None], [-2], axis=-1)
+                each = slopes[..., n:].reshape(*slopes.shape[:2], -1, m)
+                each = np.einsum("tlkj,kjr->jtlr", each, roots, optimize=True)
+                own = own + np.sum(each**2, axis=(1, 2, 3))
+                variance += np.sum(np.sum(each, axis=0) ** 2)
+                energy += np.sum(forced[..., 0] ** 2)
+                pushed += np.sum((u / self.input_scale) ** 2)
+                left -= forced.size
+                if left < 0.0:
+                    break
+        energy = min(energy, self.answer * pushed)
+        return (self.noise * np.sqrt(variance / energy) if energy > 0.0 else 0.0), own
+
+
+def _by_period(experiment, simulators):
+    """Whether the model is one of whole periods."""
+    return experiment.basis.reading == "period" and not simulators[0].steps_at_samples
+
+
+def _lifted(experiment, by_period):
+    """Inputs as rows of whole periods, or of single samples."""
+    if by_period:
+        return lifted_periods(experiment, experiment.inputs)
+    return [u[:, None] for u in experiment.inputs]
+
+
+def _slopes(simulator, psi, n_harmonics):
+    """Samples of pieces of a segment, their inputs, and outputs by the inputs' coefficients.
+
+    As :func:`~sklearn_hd.algorithms.periodic.periodic_innovations.input_slopes`.
+    """
+    end, at = None, simulator.at_samples(slice(1))
+    width = (2 * n_harmonics + 1) * at.inputs.shape[1] + 1
+    length = max(1, PIECE // (sum(at.rows.outputs.shape[1:]) ** 2 * width))
+    for first in range(0, len(psi), length):
+        some = slice(first, first + length)
+        at, functions = (
+            simulator.at_samples(some),
+            harmonic_functions(psi[some], range(n_harmonics + 1)),
+        )
+        slopes, end = input_slopes(at.rows, at.inputs, functions, end)
+        yield some, at.inputs, slopes
