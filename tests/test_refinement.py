@@ -7,7 +7,6 @@ from sklearn_hd._reduce.refinement import (
     _decaying_shapes,
     _refined_exponents,
     most_likely,
-    strongest_free_decay,
 )
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.modes.families import real_block
@@ -118,12 +117,3 @@ def test_exponents_are_refined_to_those_of_the_decay(rng, exponents):
     decay = np.array([(shapes @ (step**k * state)).real for k in range(12)])
     found = _refined_exponents(decay, np.array(exponents, dtype=complex) * 1.15)
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(exponents), rtol=1e-7)
-
-
-def test_the_strongest_decay_starts_with_the_period_after_the_last_motion():
-    u = [np.zeros((40, 1)), np.zeros((40, 1))]
-    u[0][5], u[1][9] = 1.0, 1.0
-    y = [np.ones((40, 1)), 2 * np.arange(40.0)[:, None]]
-    decay = strongest_free_decay([(u[0], y[0], 0), (u[1], y[1], 3)], 8)
-    np.testing.assert_array_equal(decay, y[1][13:37].reshape(3, 8))
-    assert strongest_free_decay([(u[0] * 0, y[0], 0)], 8) is None

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from sklearn_hd._continuous import input_scale, output_scale
+from sklearn_hd._opinion import decays_at_rest
 from sklearn_hd._reduce.choice import MAX_GROWTH
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.likelihood.output_error import output_error
@@ -33,9 +34,8 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
-__all__ = ["LikelyModes", "harmonic_form", "most_likely", "refined_modes", "strongest_free_decay"]
+__all__ = ["LikelyModes", "harmonic_form", "most_likely", "refined_modes"]
 
-REST = 1e-9  # of an input's largest value, below which it rests: written in nine digits or more
 STEPS = 20  # of the search; a start 0.13 1/s off needs more than 10
 WORTH = 0.01  # variances of the noise that a step has to gain: a tenth of a standard deviation
 HARMONICS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of shapes: a fourth more each costs no likelihood
@@ -206,7 +206,7 @@ def harmonic_form(experiment, choices):
     """
     basis = experiment.basis
     spp, omega, n = basis.samples_per_period, basis.omega, len(basis.outputs)
-    decay = strongest_free_decay(_segments(experiment), spp)
+    decay = max(decays_at_rest(experiment)[0], key=lambda y: np.sum(y**2), default=None)
     if decay is None or len(decay) < 2 * n:
         return None, None
     refined = [_refined_exponents(decay, choice) for choice in choices]
@@ -233,34 +233,6 @@ def harmonic_form(experiment, choices):
     if np.max(np.linalg.eigvals(A).real) > max(0.0, np.max(np.linalg.eigvals(shapes.R).real)):
         return None, None  # noise, or too few harmonics: a decay that grows
     return A, np.diag(_coefficient_scale(experiment))
-
-
-def strongest_free_decay(segments, samples_per_period):
-    """Outputs of the whole periods in which the inputs have come to rest.
-
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, first_phase)
-    samples_per_period : int
-
-    Returns
-    -------
-    decay : ndarray, shape (n_periods, samples_per_period * l), or None
-        Of the segment whose decay holds the most signal; None if no input ever moves and
-        comes to rest.
-    """
-    spp, best, energy = samples_per_period, None, 0.0
-    for u, y, first in segments:
-        moving = np.any(np.abs(u) > REST * np.max(np.abs(u), axis=0, initial=0.0), axis=1)
-        if not moving.any():
-            continue
-        last = np.flatnonzero(moving)[-1]
-        start = last + spp - (first + last) % spp  # the period after the last motion
-        decay = y[start : start + max(0, len(y) - start) // spp * spp]
-        found = float(np.sum(decay**2))
-        if found > energy:
-            best, energy = decay.reshape(-1, spp * y.shape[1]), found
-    return best
 
 
 def _refined_exponents(decay, exponents):

@@ -16,6 +16,7 @@ from scipy import linalg
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
+    invariant_blocks,
     is_noise,
     left_by,
     multiplier_deviations,
@@ -28,6 +29,8 @@ __all__ = ["FreeDecay", "free_decay", "periods_at_rest"]
 
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12
+ALIKE = 0.01  # of a rate, by which a product may miss two others
+MOST_OF_SECOND_ORDER = 0.1  # of the strongest mode
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 PATIENCE = 2
 
@@ -125,7 +128,7 @@ def free_decay(decays, order=None, compare=True):
             break
     _, n, Phi, states, left = best
     told = int(np.sum(values > WEAK * values[0]))
-    noise = is_noise(left, n_rows - 1 - n, left.shape[1])
+    noise = wide is not None or is_noise(left, n_rows - 1 - n, left.shape[1])
     if n > told and len(orders) > 1 and not noise:
         return free_decay(decays, told, compare)
     if n == most < MOST_STATES and order is None and not noise:
@@ -140,7 +143,34 @@ def free_decay(decays, order=None, compare=True):
         apart = own[:, None] - other
         apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
         deviations = np.hypot(deviations, apart.min(axis=1))
-    return FreeDecay(Phi, states, multipliers, deviations)
+    return _without_products(FreeDecay(Phi, states, multipliers, deviations))
+
+
+def _without_products(found):
+    """The modes but for weak ones that are products of two others, as those of second order are."""
+    z, logs = found.multipliers, np.log(np.where(found.multipliers == 0.0, TINY, found.multipliers))
+    values, V = linalg.eig(found.Phi)
+    parts = np.vstack(found.states) @ linalg.inv(V).T
+    own = np.abs(values[:, None] - z).argmin(axis=0)  # of the same order as the multipliers
+    size = (np.linalg.norm(V, axis=0) * np.linalg.norm(parts, axis=0))[own]
+    kept = size > MOST_OF_SECOND_ORDER * size.max()
+    sums = (logs[kept][:, None] + logs[kept]).ravel()
+    gaps = logs[:, None] - sums
+    gaps = np.abs(gaps.real + 1j * ((gaps.imag + np.pi) % (2.0 * np.pi) - np.pi))
+    near = gaps.min(axis=1, initial=np.inf) <= ALIKE * np.abs(logs.real)
+    product = near & ~kept & (found.deviations <= ALIKE * np.abs(logs.real))
+    product &= np.isin(z.conj(), z[product]) | (z.imag == 0.0)  # pairs stay together
+    if not product.any():
+        return found
+    basis, blocks = invariant_blocks(found.Phi)
+    dropped = [
+        np.isin(np.round(linalg.eigvals(b), 12), np.round(z[product], 12)).all() for b in blocks
+    ]
+    columns = np.repeat([not d for d in dropped], [len(b) for b in blocks])
+    to_modal = linalg.inv(basis).T
+    states = [(x @ to_modal)[:, columns] for x in found.states]
+    Phi = linalg.block_diag(*[b for b, d in zip(blocks, dropped, strict=True) if not d])
+    return FreeDecay(Phi, states, z[~product], found.deviations[~product])
 
 
 def _possible(Phi):

@@ -1,0 +1,132 @@
+"""Multipliers from free decays: exact where linear, unbiased by what is of second order."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from sklearn_hd.algorithms.modes.free_decay import free_decay, periods_at_rest
+
+PHASES = 16
+
+
+def pulses(*moving, n_periods=20, noise=0.0, seed=0):
+    """Inputs of one segment that move within some periods."""
+    u = noise * np.random.default_rng(seed).standard_normal((n_periods, PHASES, 1))
+    u[list(moving), 3:9] += 1.0
+    return u
+
+
+def decays_of(multipliers, n_periods=30, noise=0.0, curved=0.0, seed=0, n_decays=1):
+    """Lifted outputs of free decays, with products of two modes in them."""
+    rng = np.random.default_rng(seed)
+    z = np.asarray(multipliers, complex)
+    one_of = np.flatnonzero(z.imag >= 0.0)
+    shapes = rng.standard_normal((len(one_of), PHASES)) + 1j * rng.standard_normal(
+        (len(one_of), PHASES)
+    )
+    second = rng.standard_normal((len(one_of), PHASES))
+    found = []
+    for _ in range(n_decays):
+        start = 1.0 + rng.random(len(one_of))
+        powers = start * z[one_of] ** np.arange(n_periods)[:, None]
+        y = (powers @ shapes).real + curved * (np.abs(powers) ** 2) @ second
+        found.append(y + noise * y.std() * rng.standard_normal(y.shape))
+    return found
+
+
+def nearest(found, multipliers):
+    return np.abs(found.multipliers[:, None] - np.asarray(multipliers)).min(axis=0)
+
+
+# ---- periods at rest -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 1e-2])
+def test_decays_begin_with_the_period_after_the_last_motion(noise):
+    assert periods_at_rest([pulses(4, 5, noise=noise)]) == [(0, slice(6, 20))]
+
+
+def test_each_rest_that_follows_on_motion_counts():
+    found = periods_at_rest([pulses(2, 9), pulses(0), np.zeros((6, PHASES, 1))])
+    assert found == [(0, slice(3, 9)), (0, slice(10, 20)), (1, slice(1, 20)), (2, slice(0, 6))]
+
+
+def test_inputs_rest_at_any_level_and_in_any_unit():
+    u = np.concatenate([1e9 * pulses(4) + 7e12, 1e-9 * pulses(4) - 3e-9], axis=2)
+    assert periods_at_rest([u]) == [(0, slice(5, 20))]
+
+
+def test_inputs_that_always_move_leave_no_decay(rng):
+    assert periods_at_rest([rng.standard_normal((40, PHASES, 2))]) == []
+
+
+# ---- their multipliers ---------------------------------------------------------------------------
+
+SYSTEMS = [[0.9], [0.9, 0.3], [0.5 + 0.4j, 0.5 - 0.4j], [-0.6, -0.2, 0.7], [1.05, 0.4]]
+
+
+@pytest.mark.parametrize("multipliers", SYSTEMS)
+@pytest.mark.parametrize("n_decays", [1, 3])
+def test_exact_decays_give_exact_multipliers(multipliers, n_decays):
+    found = free_decay(decays_of(multipliers, n_decays=n_decays))
+    assert len(found.multipliers) == len(multipliers)
+    assert nearest(found, multipliers).max() < 1e-8
+    np.testing.assert_allclose(
+        np.sort_complex(linalg.eigvals(found.Phi)), np.sort_complex(found.multipliers), atol=1e-8
+    )
+
+
+def test_what_a_trim_is_off_by_is_no_mode():
+    decays = [y + np.linspace(-1.0, 1.0, PHASES) for y in decays_of([0.8, 0.4])]
+    assert nearest(free_decay(decays), [0.8, 0.4]).max() < 1e-8
+    assert len(free_decay(decays).multipliers) == 2
+
+
+def test_states_are_those_of_the_map():
+    (y,) = decays_of([0.9, 0.3])
+    found = free_decay([y])
+    x = found.states[0]
+    np.testing.assert_allclose(x[1:], x[:-1] @ found.Phi.T, atol=1e-8 * np.abs(x).max())
+
+
+def test_deviations_hold_under_noise():
+    """Exponents are off by their deviation: root mean square, 60 records."""
+    truth, z = np.log([0.8, 0.4]), []
+    for seed in range(60):
+        found = free_decay(decays_of([0.8, 0.4], noise=0.02, seed=seed), order=2)
+        order = np.argsort(-found.multipliers.real)
+        z.append((np.log(found.multipliers[order]).real - truth) / found.deviations[order])
+    assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.3
+
+
+def test_the_order_under_noise():
+    orders = [
+        len(free_decay(decays_of([0.8, 0.4], noise=0.02, seed=s)).multipliers) for s in range(20)
+    ]
+    assert orders.count(2) >= 19
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+@pytest.mark.parametrize("multipliers", SYSTEMS[1:3])
+def test_a_response_of_second_order_is_no_mode(multipliers, noise):
+    """Products of two multipliers, weaker than they are, belong to the motion's square."""
+    found = free_decay(decays_of(multipliers, curved=0.02, noise=noise))
+    assert len(found.multipliers) == len(multipliers)
+    assert nearest(found, multipliers).max() < 1e-3
+    x, Phi = found.states[0], found.Phi
+    np.testing.assert_allclose(x[1:], x[:-1] @ Phi.T, atol=1e-2 * np.abs(x).max())
+
+
+def test_noise_of_a_mode_that_a_period_forgets_is_turned_to_a_real_systems():
+    """A lone negative multiplier is that of no periodic system (Liouville)."""
+    for seed in range(20):
+        z = free_decay(decays_of([0.7, 0.01], noise=0.01, seed=seed), order=2).multipliers
+        assert np.sum((z.imag == 0.0) & (z.real < 0.0)) % 2 == 0
+
+
+def test_decays_too_short_to_count_tell_nothing():
+    assert free_decay(decays_of([0.9, 0.3], n_periods=3)) is None
+    assert free_decay([np.zeros((20, PHASES))]) is None
+    assert (
+        free_decay(decays_of([0.9, 0.5, 0.3 + 0.3j, 0.3 - 0.3j], n_periods=9, noise=1e-3)) is None
+    )
