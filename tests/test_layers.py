@@ -17,7 +17,7 @@ LAYERS = [
     {"_records"},
     {"_continuous", "_fit_checks", "_residuals"},
     {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
-    {"harmonics", "subspace", "reduction", "matching"},
+    {"frequency", "harmonics", "subspace", "reduction", "matching"},
     {"datasets", "model_selection", "plotting"},
     {"__init__"},
 ]
