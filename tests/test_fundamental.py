@@ -302,3 +302,13 @@ def test_what_the_user_is_told():
     u, y = pd.Series(0.0, T, name="u"), wave(2 * np.pi * T * (1 + 2e-4 * T))
     with pytest.warns(FrequencyMismatchWarning, match=r"the speed drifts by 2\.\d+% .* azimuth="):
         sklearn_hd.estimate_omega(u, pd.Series(y, T, name="y"), 6.3)
+
+
+@pytest.mark.parametrize("off", [1e-5, 1e-4])
+def test_a_clock_that_is_a_little_off_is_told(off):
+    """More patterns at a wrong frequency leave as little as fewer at the right one."""
+    data = wing("nltp", n_periods=220, samples_per_period=32, start=132, snr=100)
+    inputs, outputs, dt, omega = arrays(data)
+    found = omega_mismatch(inputs, outputs, dt, omega * (1 + off))
+    assert abs(found.omega / omega - 1) < 1e-6
+    assert omega_mismatch(inputs, outputs, dt, float(np.float32(omega))) is None

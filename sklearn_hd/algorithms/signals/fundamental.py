@@ -476,10 +476,9 @@ class _Periods:
         around = self.omega * (1.0 + np.array([-0.03, -0.01, -3e-3, 3e-3, 0.01, 0.03]))
         if any(self.fit(w).score < here.score for w in around):
             return None
-        steady, drifting = self.descend(here, 1), self.descend(here, 2)
-        ends = steady, drifting
-        least = min(end.left for end in ends) + self.floor
-        return ends if here.left + self.floor < CLEAR * least else None
+        fits = [self.climb(here, 1), self.descend(here, 1)]  # fewer patterns may tell more
+        steady = min((fit for fit in fits if fit), key=lambda fit: fit.score)
+        return self.descend(steady, 1), self.descend(steady, 2)
 
     def search(self, span):
         """The best fits within the span of the frequency given: of constant speed, and of any."""
