@@ -13,6 +13,7 @@ Steps 2 to 5 compose in a scikit-learn ``Pipeline``.
 """
 
 from sklearn_hd._frame import HarmonicFrame
+from sklearn_hd.frequency import OmegaEstimate, estimate_omega
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.reduction import SpuriousModeReducer
@@ -27,6 +28,8 @@ __all__ = [
     "HarmonicStructure",
     "MOESPRegressor",
     "MatrixStructure",
+    "OmegaEstimate",
     "SpuriousModeReducer",
     "StructuredMatcher",
+    "estimate_omega",
 ]

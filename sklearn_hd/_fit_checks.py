@@ -56,18 +56,45 @@ def warn_of_mismatch(experiment):
     estimate = omega_mismatch(experiment.drive, outputs, step, basis.omega, starts=starts)
     if estimate is None:
         return
-    off = estimate.omega / basis.omega - 1.0
-    periods = max(len(y) for y in outputs) / basis.samples_per_period
-    word = "less" if off > 0.0 else "more"
-    worse = np.sqrt(estimate.residual_given / max(estimate.residual, np.finfo(float).tiny))
+    worse = np.sqrt(estimate.residual_given / estimate.residual)
     warn(
-        f"the data repeat themselves at {estimate.omega:.7g} rad/s, not at omega="
-        f"{basis.omega:.7g} rad/s, which is {abs(off):.2%} {word}: there, "
-        f"{worse:.3g} times as much (rms) of them is left unexplained from period to period, and "
-        f"over the longest segment ({experiment.span()}) the phase drifts by "
-        f"{abs(off) * periods:.2g} periods; set omega={estimate.omega:.7g}, or check the clock",
+        f"the data repeat themselves {words_of_omega(estimate, basis.omega)}: there, {worse:.3g} "
+        f"times as much (rms) of them is left unexplained from period to period at omega="
+        f"{basis.omega:.9g}, and over the longest segment ({experiment.span()}) its phase goes "
+        f"astray by {estimate.turns:.2g} periods; {way_out(estimate)}",
         FrequencyMismatchWarning,
     )
+
+
+def words_of_omega(estimate, omega):
+    """Where data repeat themselves, instead of at the frequency given."""
+    slower = [rival for rival in estimate.rivals if rival < estimate.omega]
+    if slower:
+        return (
+            f"at {slower[0]:.9g} rad/s, not at omega={estimate.omega:.9g} rad/s, a multiple of it"
+        )
+    if estimate.drift:
+        start, end = (estimate.omega + share * estimate.drift for share in (-0.5, 0.5))
+        return (
+            f"at a speed that drifts by {estimate.drift / estimate.omega:.2%}, from {start:.7g} to "
+            f"{end:.7g} rad/s (a change of {estimate.drift:.3g} ± {estimate.drift_std:.2g}), not "
+            f"at omega={omega:.7g} rad/s throughout"
+        )
+    off = omega / estimate.omega - 1.0
+    return (
+        f"at {estimate.omega:.9g} ± {estimate.std:.2g} rad/s, not at omega={omega:.9g} rad/s, "
+        f"which is {abs(off):.2{'%' if abs(off) > 1e-4 else 'g'}} {'more' if off > 0.0 else 'less'}"
+    )
+
+
+def way_out(estimate):
+    """What to do about another frequency."""
+    slower = [rival for rival in estimate.rivals if rival < estimate.omega]
+    if slower:
+        return f"set omega={slower[0]:.9g}"
+    if estimate.drift:
+        return "measure the azimuth and give azimuth=, or use records of constant speed"
+    return f"set omega={estimate.omega:.9g}, or check the clock"
 
 
 def warn_of_offset(experiment):

@@ -9,14 +9,15 @@ from conftest import KEPT
 from scipy.linalg import block_diag, expm
 from sklearn.pipeline import Pipeline
 
+import sklearn_hd
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.signals.fundamental import estimate_omega, omega_mismatch
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import FrequencyMismatchWarning
+from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
 
-OFF = [0.01, -0.01, 0.003, -0.003]
+OFF = [0.01, -0.003]
 
 
 def wing(kind="ltp", **kwargs):
@@ -69,10 +70,11 @@ def test_noise_on_the_inputs_too():
 
 
 @pytest.mark.parametrize("n_samples", [16, 64])
-def test_noise_free_records_give_their_frequency_to_a_millionth(n_samples):
+def test_noise_free_records_give_their_frequency(n_samples):
+    """Inputs explain but what is above the least noise that a record is taken to have."""
     inputs, outputs, dt, omega = arrays(wing(samples_per_period=n_samples))
     estimate = estimate_omega(inputs, outputs, dt, 1.01 * omega)
-    assert abs(estimate.omega / omega - 1) < 1e-7
+    assert abs(estimate.omega / omega - 1) < 1e-5
 
 
 def test_scatter_under_noise_of_a_twentieth():
@@ -135,17 +137,81 @@ def test_to_a_system_that_is_not_periodic_any_frequency_is_right():
 
 
 def test_nothing_to_tell_it_from():
-    u = np.random.default_rng(0).choice([-1.0, 1.0], (2000, 1))
-    with pytest.raises(ValueError, match=r"the inputs rest nowhere for the 3 periods of"):
-        estimate_omega([u], [u], 1 / 32, 2 * np.pi)
-    still = np.zeros((2000, 1))
-    with pytest.raises(ValueError, match="the inputs rest nowhere"):
-        estimate_omega([still[:100]], [u[:100]], 1 / 32, 2 * np.pi)
-    psi = 1.06 * 2 * np.pi * np.arange(2000)[:, None] / 32
-    wave = np.cos(psi) + 0.5 * np.cos(2 * psi) + 0.3 * np.sin(3 * psi) + 0.2 * np.cos(4 * psi)
-    with pytest.raises(ValueError, match=r"no fundamental frequency stands out within 3.5 % of"):
-        estimate_omega([still], [wave], 1 / 32, 2 * np.pi)
-    assert omega_mismatch([still], [wave], 1 / 32, 2 * np.pi) is None
+    still, rng = np.zeros((2000, 1)), np.random.default_rng(0)
+    with pytest.raises(ValueError, match="too few to see them repeat themselves"):
+        estimate_omega([still[:100]], [rng.standard_normal((100, 1))], 1 / 32, 2 * np.pi)
+    with pytest.raises(ValueError, match="too few to see them repeat themselves"):
+        estimate_omega([still], [still], 1 / 32, 2 * np.pi)
+    short = [rng.standard_normal((60, 1))] * 40
+    assert omega_mismatch([still[:60]] * 40, short, 1 / 32, 2 * np.pi) is None
+
+
+# ---- sines, ramps, multiples, scatter ---------------------------------------------------------
+
+T = np.arange(2000) * 1.03 / 32  # 31.07 samples a turn
+STILL = np.zeros((2000, 1))
+
+
+def wave(psi):
+    return np.cos(psi + 0.3) + 0.3 * np.sin(2 * psi) + 0.1 * np.cos(3 * psi)
+
+
+def of_one(y, guess, **kwargs):
+    return estimate_omega([STILL], [y[:, None]], 1.03 / 32, guess, **kwargs)
+
+
+@pytest.mark.parametrize("off", [0.0, 0.01, -0.003, 0.03])
+@pytest.mark.parametrize("per_second", [1.0, 0.7123, 3.3])
+def test_a_pure_sine_is_exact(off, per_second):
+    omega = 2 * np.pi * per_second
+    estimate = of_one(np.cos(omega * T + 0.3), omega * (1 + off))
+    assert estimate.omega == pytest.approx(omega, rel=1e-12)
+    assert estimate.drift == 0.0
+
+
+@pytest.mark.parametrize("shape", [0.2 + T / 60, 1 - np.exp(-T / 20), 1 + 0.5 * np.sin(T / 5)])
+def test_an_amplitude_that_varies_is_no_frequency(shape):
+    estimate = of_one(shape * wave(2 * np.pi * T), 6.3)
+    assert estimate.omega == pytest.approx(2 * np.pi, rel=1e-7)
+    assert (estimate.drift, estimate.rivals) == (0.0, ())
+
+
+@pytest.mark.parametrize(("shape", "noise"), [(np.cos, 0.05), (wave, 0.0), (wave, 0.05)])
+def test_multiples_and_fractions_are_told_from_the_frequency(shape, noise):
+    y = shape(2 * np.pi * T) + noise * np.random.default_rng(0).standard_normal(2000)
+    assert of_one(y, 6.3).rivals == ()
+    for factor in (2, 1 / 2):
+        found = of_one(y, 6.3 * factor)
+        assert abs(found.omega / (2 * np.pi * factor) - 1) < 0.035
+        assert np.min(np.abs(np.array(found.rivals) / found.omega * factor - 1)) < 1e-6
+    assert of_one(y, None).omega == pytest.approx(2 * np.pi, rel=1e-12 if noise == 0.0 else 1e-4)
+
+
+@pytest.mark.parametrize("shape", ["steady", "ramp", "transient", "decay"])
+def test_the_standard_deviation_holds(shape):
+    """Errors over deviations of 12 records: rms 1, of which 0.5 to 1.6 is what chance gives."""
+    y = {
+        "steady": wave(2 * np.pi * T),
+        "ramp": (0.2 + T / 60) * wave(2 * np.pi * T),
+        "transient": wave(2 * np.pi * T) + 2 * np.exp(-T / 15) * (1 + np.cos(2 * np.pi * T)),
+        "decay": np.exp(-T / 15) * (2 + 1.6 * np.cos(2 * np.pi * T)),
+    }[shape]
+    scores = []
+    for seed in range(12):
+        noise = 0.05 * np.std(y) * np.random.default_rng(seed).standard_normal(2000)
+        found = of_one(y + noise, 6.28, span=0.01)
+        scores.append((found.omega - 2 * np.pi) / found.std)
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6
+
+
+@pytest.mark.parametrize("change", [-0.003, 0.01])
+def test_a_drift_is_told_from_an_offset(change):
+    middle = 0.5 * T[-1]
+    psi = 2 * np.pi * (T + 0.5 * change * (T - middle) ** 2 / T[-1])
+    y = wave(psi) + 0.02 * np.random.default_rng(0).standard_normal(2000)
+    found = of_one(y, 6.3)
+    assert found.drift / found.omega == pytest.approx(change, rel=0.1)
+    assert found.omega == pytest.approx(2 * np.pi, rel=1e-4)
 
 
 # ---- fits ---------------------------------------------------------------------------------------
@@ -197,7 +263,52 @@ def test_what_repeats_itself_goes_on_over_gaps(seed):
     parts = [slice(0, 1500), slice(1512, 3000)]
     outputs, still = [y[p, None] for p in parts], [np.zeros((len(y[p]), 1)) for p in parts]
     starts = [t[p.start] for p in parts]
-    each_anew = estimate_omega(still, outputs, 1 / 32, 6.28)
     found = estimate_omega(still, outputs, 1 / 32, 6.28, starts=starts)
-    assert found.residual < 0.7 * each_anew.residual
     assert abs(found.omega / (2 * np.pi) - 1) < 1e-4
+    first = estimate_omega(still[:1], outputs[:1], 1 / 32, 6.28)
+    assert found.std < 0.5 * first.std
+
+
+# ---- what users call ----------------------------------------------------------------------------
+
+
+def test_frames_series_arrays_and_records_give_one_frequency():
+    data = wing("nltp", snr=20)
+    frames = sklearn_hd.estimate_omega(data.inputs, data.outputs)
+    assert abs(frames.omega - data.omega) < 5 * frames.std < 1e-4 * data.omega
+    dates = pd.Timestamp("2024-03-01") + pd.to_timedelta(data.inputs.index, unit="s")
+    X, y = data.inputs.set_axis(dates), data.outputs.set_axis(dates)
+    assert sklearn_hd.estimate_omega(X, y).omega == pytest.approx(frames.omega, rel=1e-7)
+    unix = data.inputs.index + 1.7e9
+    X, y = data.inputs.set_axis(unix), data.outputs.set_axis(unix)
+    assert abs(sklearn_hd.estimate_omega(X, y).omega - data.omega) < 1e-5 * data.omega
+    X, y = data.inputs.to_numpy(), data.outputs.to_numpy()
+    found = sklearn_hd.estimate_omega(X, y, sample_time=data.sample_time)
+    assert found.omega == pytest.approx(frames.omega, rel=1e-9)
+    records = wing("nltp", snr=20, n_records=2)
+    found = sklearn_hd.estimate_omega(records.inputs, records.outputs, 165.0)
+    assert abs(found.omega - data.omega) < 1e-4 * data.omega
+
+
+def test_what_the_user_is_told():
+    data = wing("nltp", snr=20)
+    X, y = data.inputs, data.outputs
+    with pytest.warns(IdentifiabilityWarning, match=r"165.2\d+ rad/s explain the records better"):
+        sklearn_hd.estimate_omega(X, y, 2 * data.omega)
+    with pytest.warns(
+        IdentifiabilityWarning, match=r"165.2\d+.* rad/s explain the records as well"
+    ):
+        sklearn_hd.estimate_omega(data.inputs, data.outputs, data.omega / 2)
+    u, y = pd.Series(0.0, T, name="u"), wave(2 * np.pi * T * (1 + 2e-4 * T))
+    with pytest.warns(FrequencyMismatchWarning, match=r"the speed drifts by 2\.\d+% .* azimuth="):
+        sklearn_hd.estimate_omega(u, pd.Series(y, T, name="y"), 6.3)
+
+
+@pytest.mark.parametrize("off", [1e-5, 1e-4])
+def test_a_clock_that_is_a_little_off_is_told(off):
+    """More patterns at a wrong frequency leave as little as fewer at the right one."""
+    data = wing("nltp", n_periods=220, samples_per_period=32, start=132, snr=100)
+    inputs, outputs, dt, omega = arrays(data)
+    found = omega_mismatch(inputs, outputs, dt, omega * (1 + off))
+    assert abs(found.omega / omega - 1) < 1e-6
+    assert omega_mismatch(inputs, outputs, dt, float(np.float32(omega))) is None

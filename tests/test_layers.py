@@ -18,7 +18,7 @@ LAYERS = [
     {"_continuous", "_excitation", "_fit_checks", "_residuals"},
     {"_opinion"},
     {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
-    {"harmonics", "subspace", "reduction", "matching"},
+    {"frequency", "harmonics", "subspace", "reduction", "matching"},
     {"datasets", "model_selection", "plotting"},
     {"__init__"},
 ]

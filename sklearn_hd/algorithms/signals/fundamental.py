@@ -1,33 +1,46 @@
 """The fundamental frequency that a record shows by itself.
 
-Wherever its input has been constant for some periods, the response of a linear
-time-periodic system is a periodic waveform in proportion to the input, one for
-the trim, and a free decay whose modes e^{λt} p(ψ) repeat themselves from period
-to period times e^{λT}, whatever p(ψ) is. So with delays of whole periods
+Write the periods of a record one below the other. Whatever the amplitudes are from
+period to period, the response of a linear time-periodic system is then a matrix of low
+rank: one row pattern for the trim, one for each mode e^{λt} p(ψ) that lasts longer than a
+period, and what the inputs add,
 
-    y(t) = Σ_{i=1…n} α_i y(t − i m T) + w_0(ψ) + Σ_j w_j(ψ) u_j,   ψ = ωt, T = 2π/ω,
+    Y = X Vᵀ + U Gᵀ + noise,   row i about the time at which ψ = 2πi,
 
-the α_i common to all outputs and times, holds for the true ω and no other (a
-linear time-invariant system apart, to which any ω is true). The ω at which it
-leaves least unexplained is the estimate (variable projection, Golub and Pereyra
-1973: α and the waveforms are linear). Signals between the samples come from
-splines. Users estimate ω with it, and fits warn of another ω by it.
+at the true ω and at no other, where the patterns shift from row to row (a linear
+time-invariant system apart, to which any ω is true). The ω at which least is left of Y
+beside a few patterns is the estimate: the singular value method for periods of varying
+amplitude (Kanjilal and Palit 1995), as a least squares problem whose linear part is
+eliminated (Golub and Pereyra 1973) and with inputs. Schwarz's criterion chooses the
+rank. A row holds Fourier coefficients through a Hann window of two periods, whose place is
+no multiple of a sample, so that sums of harmonics are exact at any sampling.
+
+Users estimate ω with it, and fits warn of another ω by it.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
-from scipy.interpolate import make_interp_spline
-from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import minimize_scalar
+from scipy.signal import detrend, periodogram
 
 from sklearn_hd._checks import check_numbers
 
-DELAYS = 2  # slow modes; more would fit the harmonics of one mode at any ω
-STRIDES = (2, 1)  # periods to a delay: the longer, the sharper, if the input rests so long
+HARMONICS = 6
 SPAN = 0.035  # relative, searched to either side
-MISMATCH = 5e-4  # relative; the estimate from 60 periods at SNR 20 scatters by 1.5e-4
+FEWEST = 8  # periods of a record
+LARGEST = 100_000  # samples in all windows; beyond, rows are left out evenly
+FLOOR = 1e-4  # noise in parts of an output's motion, below which no record is taken to be
+BEYOND = 5.0  # standard deviations at which a value is another
+CLEAR = 1.1  # times the variance left at one frequency that is left at another
+ASTRAY = 1e-3  # turns
+SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
+NOISE = (
+    2.0 * SHARED**2
+)  # times n + d: above (√n + √d)², the largest singular value of noise, squared
 
 
 class FundamentalEstimate(NamedTuple):
@@ -38,33 +51,45 @@ class FundamentalEstimate(NamedTuple):
     Parameters
     ----------
     omega : float
-        Estimate, rad/s.
+        Estimate, rad/s; in the middle of the records where it drifts.
+    std : float
+        Its standard deviation, rad/s.
+    drift, drift_std : float
+        Change from the start to the end, rad/s, and its standard deviation. Zero where the
+        records do not show one.
     residual, residual_given : float
-        Share of the outputs' variance unexplained at the estimate, and at the
-        frequency given.
-    n_values : int
-        Samples of all outputs that were used.
+        Variance that is left at the estimate and at the frequency given, of all rows
+        together.
+    turns : float
+        By how many turns the phase of the frequency given goes astray over the longest segment.
+    rivals : tuple of float
+        Fractions of the estimate that explain the records better, and multiples of it that
+        these do not exclude.
 
     References
     ----------
-    Golub, Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least
-    squares problems whose variables separate, SIAM J. Numerical Analysis 10(2), 413-432.
+    Kanjilal, Palit (1995), On multiple pattern extraction using singular value
+    decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
 
     Examples
     --------
-    >>> estimate = FundamentalEstimate(165.2, 0.01, 0.2, 4000)
+    >>> estimate = FundamentalEstimate(165.2, 0.01, 0.0, 0.02, 0.01, 0.2, 0.1, ())
     >>> estimate.residual < estimate.residual_given
     True
     """
 
     omega: float
+    std: float
+    drift: float
+    drift_std: float
     residual: float
     residual_given: float
-    n_values: int
+    turns: float
+    rivals: tuple
 
 
-def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
-    """Fundamental frequency at which records repeat themselves, near a given one.
+def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=None):
+    """Fundamental frequency at which records repeat themselves, with its standard deviation.
 
     Parameters
     ----------
@@ -74,13 +99,14 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
         As measured, or trim subtracted.
     sample_time : float
         Seconds.
-    omega : float
-        Where to search, rad/s.
+    omega : float, optional
+        Where to search, rad/s. By default the comb of lines that stands out most in the
+        spectrum of the outputs.
     span : float
         Relative, to either side.
     starts : array_like, shape (n_segments,), optional
-        Time of the first sample of each segment, seconds: the waveforms that repeat
-        themselves go on over gaps. All zero where not given.
+        Time of the first sample of each segment, seconds: patterns go on over gaps. All
+        zero where not given.
 
     Returns
     -------
@@ -90,11 +116,14 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     Raises
     ------
     ValueError
-        If a number is not positive, the inputs nowhere rest for some periods, or
-        there is no minimum within the span.
+        If a number is not positive, the records are too short, or no frequency within the
+        span is better than the others.
 
     References
     ----------
+    Kanjilal, Palit (1995), On multiple pattern extraction using singular value
+    decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
+
     Golub, Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least
     squares problems whose variables separate, SIAM J. Numerical Analysis 10(2), 413-432.
 
@@ -107,32 +136,35 @@ def estimate_omega(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     True
     """
     hint = "seconds from row to row, rad/s, and a share of omega"
-    check_numbers("positive", hint, sample_time=sample_time, omega=omega, span=span)
-    repetition = _Repetition.of(inputs, outputs, sample_time, omega, starts)
-    if repetition is None:
+    given = {} if omega is None else {"omega": omega}
+    check_numbers("positive", hint, sample_time=sample_time, span=span, **given)
+    if omega is None:
+        omega = comb_in_spectrum(outputs, sample_time)
+    periods = _Periods(inputs, outputs, sample_time, omega, starts)
+    ends = periods.search(span) if periods.moves else None
+    if ends is None:
         raise ValueError(
-            f"the inputs rest nowhere for the {1 + DELAYS} periods of omega={omega:.6g} rad/s that "
-            f"are needed to see the record repeat itself; give a longer free decay, or a record in "
-            f"trim"
+            f"the records hold {periods.n_turns:.3g} periods of omega={omega:.6g} rad/s, in "
+            f"segments of three and more, beside {inputs[0].shape[1]} inputs, and outputs that "
+            f"move in {100 * periods.moves:.0f} % of them: too few to see them repeat themselves "
+            f"({FEWEST} are needed, and more the more inputs move); give longer records, or "
+            f"another guess"
         )
-    found, residual = repetition.minimum(omega, span)
-    if found is None:
+    estimate = periods.estimate(*ends)
+    if not periods.tells(estimate, span):
         raise ValueError(
             f"no fundamental frequency stands out within {100 * span:.2g} % of omega={omega:.6g} "
             f"rad/s: widen the span, or the record is not periodic at all"
         )
-    return FundamentalEstimate(found, residual, repetition.unexplained(omega), repetition.n_values)
+    return estimate
 
 
 def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     """The estimate, if the record says clearly that the frequency given is another's.
 
-    At the right frequency three residuals tell, and the rest is spared. To be
-    clear an estimate must lie 5e-4 off (0.02 periods over a record), leave a
-    tenth less unexplained, more than chance, and do so with one delay more, too,
-    so that an oscillation of the system's own is not taken for the fundamental.
-    (Several lightly damped ones of a system that is not periodic at all were, in
-    7 of 150 random systems.)
+    To be clear, the estimate has to be five standard deviations away (or drift by as many),
+    a tenth less has to be left unexplained, and the phase has to go astray by a thousandth of a
+    turn; or a fraction has to explain the record better.
 
     Parameters
     ----------
@@ -144,149 +176,418 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     estimate : FundamentalEstimate or None
         None where there is no mismatch, or nothing to tell it from.
     """
-    repetition = _Repetition.of(inputs, outputs, sample_time, omega, starts)
-    if repetition is None or repetition.at_home(omega):
+    periods = _Periods(inputs, outputs, sample_time, omega, starts)
+    if not periods.moves:
         return None
-    found, residual = repetition.minimum(omega, span)
-    if found is None:
+    ends = periods.at_home() or periods.search(span)
+    if ends is None:
         return None
-    off = abs(found / omega - 1.0)
-    longest = max(len(u) for u in inputs) * sample_time * omega / (2.0 * np.pi)
-    if off < MISMATCH or off * longest < 0.02:
-        return None
-    given = repetition.unexplained(omega)
-    ratios = [(given, residual)]
-    richer = _Repetition.of(inputs, outputs, sample_time, omega, starts, DELAYS + 1)
-    if richer is not None:
-        ratios.append([richer.unexplained(w) for w in (omega, found)])
-    # 0.3 % off at SNR 20 gives a ratio of 1.4, and 1800 for the other; splines err by 1e-10
-    least = max(np.log(1.1), 150.0 / repetition.n_values)
-    if any(a - b < 1e-9 or np.log(a / max(b, 1e-300)) < least for a, b in ratios):
-        return None
-    return FundamentalEstimate(found, residual, given, repetition.n_values)
+    found = periods.estimate(*ends)
+    off = abs(found.omega - omega) > BEYOND * found.std or found.drift != 0.0
+    clear = found.residual_given > CLEAR * found.residual and found.turns > ASTRAY
+    slower = any(rival < found.omega for rival in found.rivals)
+    return found if periods.tells(found, span) and ((off and clear) or slower) else None
 
 
-class _Repetition:
-    """How well outputs are explained by their own past, whole periods ago."""
+def comb_in_spectrum(outputs, sample_time):
+    """Frequency, rad/s, whose harmonics stand out most in the spectrum of the outputs.
 
-    def __init__(self, inputs, outputs, sample_time, starts, rows, delays, n_harmonics, half):
-        self.inputs = [u[r] for u, r in zip(inputs, rows, strict=True)]
-        self.times = [r * sample_time for r in rows]
-        outputs = [_smooth(y, half) for y in outputs]
-        stacked = np.vstack(outputs)
-        largest = np.max(np.abs(stacked), axis=0)
-        largest[largest == 0.0] = 1.0  # squares of very large or small units leave the range
-        scale = np.std(stacked / largest, axis=0) * largest
-        scale = np.where(scale > 0.0, scale, 1.0)
-        self.outputs = np.vstack([y[r] for y, r in zip(outputs, rows, strict=True)]) / scale
-        self.splines = [
-            make_interp_spline(np.arange(len(y)) * sample_time, y / scale, k=5)
-            for y, r in zip(outputs, rows, strict=True)
-            if len(r)
+    The harmonic product spectrum (Schroeder 1968, J. Acoust. Soc. Am. 43(4), 829-834) above
+    what is spread about the lines; later harmonics count less, so that a single line is
+    not taken for the second harmonic of another.
+    """
+    longest = max(map(len, outputs))
+    n = 1 << int(np.ceil(np.log2(8 * longest)))
+    power = 0.0
+    for y in outputs:
+        lines = periodogram(detrend(y, axis=0), window="hann", nfft=n, axis=0)[1]
+        size = np.var(y, axis=0)
+        power = power + lines / np.where(size > 0.0, size, 1.0)
+    width = 8 * n // longest
+    around = np.stack([median_filter(p, 8 * width + 1) for p in power.T], axis=1)
+    heights = np.sum(np.log1p(power / np.maximum(around, 1e-12 * power.max())), axis=1)
+    first = np.arange(FEWEST * n // longest, len(heights))
+    total = np.zeros(len(first))
+    for k in range(1, HARMONICS + 1):
+        there = k * first < len(heights)
+        total[there] += heights[k * first[there]] * 0.9 ** (k - 1)
+    return 2.0 * np.pi * first[np.argmax(total)] / (n * sample_time)
+
+
+def _unit(blocks):
+    """Signals about their means, in parts of their largest motion."""
+    mean = np.mean(np.vstack(blocks), axis=0)
+    size = np.max(np.abs(np.vstack(blocks) - mean), axis=0)
+    size = np.where(size > 1e-13 * np.abs(mean), size, np.inf)  # what stands still is zero
+    return [(z - mean) / size for z in blocks]
+
+
+class _Fit(NamedTuple):
+    """A frequency, its slope in time, and what is left of the periods beside some patterns."""
+
+    omega: float
+    slope: float
+    score: float
+    rank: int
+    left: float
+
+
+class _Periods:
+    """The periods of records, one below the other, as a function of frequency and slope."""
+
+    def __init__(self, inputs, outputs, sample_time, omega, starts=None):
+        self.omega, self.n_outputs = omega, outputs[0].shape[1]
+        self.given, self.starts_given = (inputs, outputs, sample_time), (starts,)
+        block = max(1, int(2.0 * np.pi / (omega * sample_time * 4 * HARMONICS)))
+        signals = [_unit(outputs), _unit(inputs)]
+        signals = [np.hstack([y, u]) for y, u in zip(*signals, strict=True)]
+        self.signals = [
+            z[: len(z) // block * block].reshape(-1, block, z.shape[1]).mean(axis=1)
+            for z in signals
         ]
-        self.clock = np.concatenate([t + t0 for t, t0 in zip(self.times, starts, strict=True)])
-        self.times, self.inputs = (
-            [one for one in some if len(one)] for some in (self.times, self.inputs)
+        starts = np.zeros(len(outputs)) if starts is None else np.asarray(starts, float)
+        self.step = block * sample_time
+        self.starts = starts - starts[0] + 0.5 * (block - 1) * sample_time
+        ends = self.starts + self.step * (np.array([len(z) for z in self.signals]) - 1)
+        self.longest = np.max(ends - self.starts) * omega / (2.0 * np.pi)
+        self.middle = 0.5 * (self.starts.min() + ends.max())
+        self.length = ends.max() - self.starts.min()
+        self.n_harmonics = min(HARMONICS, int(0.9 * np.pi / (omega * self.step)))
+        self.stride = -(-2 * sum(map(len, self.signals)) // LARGEST)
+        self.stride += {2: 3, 3: 2, 4: 1, 0: 1}.get(self.stride % 6, 0)  # meets every other turn
+        self.n_turns = sum(len(i) for i in self.turns(omega)) * self.stride
+        self.weights = self.reciprocal_noise()
+        self.floor = FLOOR**2 * np.mean(self.weights**2)
+        enough = self.n_harmonics > 0 and self.n_turns >= FEWEST
+        self.moves = enough and self.fit(omega).rank > 0
+
+    def reciprocal_noise(self):
+        """Of each output: sixth differences are those of noise, as harmonics are smooth."""
+        outputs = [z[:, : self.n_outputs] for z in self.signals]
+        power = np.mean(np.concatenate([np.diff(y, 6, axis=0) for y in outputs]) ** 2, axis=0)
+        return 1.0 / np.sqrt(np.maximum(power / math.comb(12, 6), FLOOR**2))
+
+    def turns(self, omega, slope=0.0):
+        """Numbers of the turns whose windows a segment holds, one array a segment."""
+        found = []
+        for start, z in zip(self.starts, self.signals, strict=True):
+            t = np.array([start, start + self.step * (len(z) - 1)]) - self.middle
+            first, last = (omega + 0.5 * slope * t) * t / (2.0 * np.pi)
+            found.append(np.arange(np.ceil(first + 1.02), np.floor(last - 1.02) + 1, self.stride))
+        return found
+
+    def windows(self, omega, slope, turns):
+        """Rows of samples, local phases and weights of each window; one triple a segment."""
+        for start, z, numbers in zip(self.starts, self.signals, turns, strict=True):
+            psi = 2.0 * np.pi * numbers[:, None]
+            t = self.middle + 2.0 * psi / (omega + np.sqrt(omega**2 + 2.0 * slope * psi))
+            speed = omega + slope * (t - self.middle)
+            first = np.ceil((t - 2.0 * np.pi / speed - start) / self.step - 1e-9).astype(int)
+            n = int(4.0 * np.pi / (np.min(speed, initial=np.inf) * self.step)) + 2
+            rows = first + np.arange(n)
+            tau = start + rows * self.step - t
+            phase = (speed + 0.5 * slope * tau) * tau
+            inside = (np.abs(phase) < 2.0 * np.pi) & (rows >= 0) & (rows < len(z))
+            yield np.clip(rows, 0, len(z) - 1), phase, inside * np.cos(phase / 4.0) ** 2
+
+    def coefficients(self, signals, omega, slope, turns):
+        """Fourier coefficients of all windows, all of one size in white noise."""
+        n, found = self.n_harmonics, []
+        k = np.arange(-n, n + 1)
+        for z, (rows, phase, weight) in zip(
+            signals, self.windows(omega, slope, turns), strict=True
+        ):
+            if not len(rows):
+                continue
+            step, wave, values = np.exp(-1j * phase), weight.astype(complex), z[rows]
+            gram, products = [], []
+            for j in range(2 * n + 1):
+                gram.append(wave.sum(axis=1))
+                if j <= n:
+                    products.append(np.matmul(wave[:, None, :], values)[:, 0])
+                wave = wave * step
+            gram, products = (
+                np.concatenate([np.conj(a[:, :0:-1]), a], axis=1)
+                for a in (np.stack(gram, axis=1), np.stack(products, axis=1))
+            )
+            a = np.linalg.solve(gram[:, k[:, None] - k + 2 * n], products)
+            total = gram[:, 2 * n].real[:, None]
+            found.append(a[:, n:] * np.sqrt(total / 1.5)[:, :, None])
+        a = np.concatenate(found)
+        return np.concatenate(
+            [a[:, :1].real, 2**0.5 * a[:, 1:].real, 2**0.5 * a[:, 1:].imag], axis=1
         )
-        self.delays, self.n_harmonics = delays, n_harmonics
-        self.n_values = self.outputs.size
 
-    @classmethod
-    def of(cls, inputs, outputs, sample_time, omega, starts=None, n_delays=DELAYS):
-        """With the longest stride for which the inputs rest long enough; None if there is none."""
-        period = 2.0 * np.pi / omega / sample_time
-        n_harmonics = max(0, min(6, int(0.45 * period)))
-        half = round(period / 12)  # outputs are smoothed over a sixth of a period
-        unknown = (2 * n_harmonics + 1) * (1 + inputs[0].shape[1])
-        for stride in STRIDES:
-            rows = _rows_at_rest(inputs, period, stride * n_delays, half)
-            found = sum(len(r) for r in rows)
-            if found >= 5 * unknown and found >= (DELAYS + 1) * period:
-                thin = -(-found // 4000)
-                rows = [r[::thin] for r in rows]
-                delays = stride * np.arange(1, n_delays + 1)
-                starts = np.zeros(len(rows)) if starts is None else starts
-                return cls(inputs, outputs, sample_time, starts, rows, delays, n_harmonics, half)
-        return None
+    def rows(self, omega, slope=0.0, turns=None, signals=None):
+        """Rows of the outputs, also without what inputs explain, and how many that leaves.
 
-    def unexplained(self, omega):
-        """Share of the outputs' variance that repetition leaves."""
-        delays = 2.0 * np.pi / omega * self.delays
-        past = np.concatenate(
-            [
-                np.stack([spline(t - delay) for delay in delays], axis=-1)
-                for spline, t in zip(self.splines, self.times, strict=True)
-            ]
+        Inputs explain by ridge regression, at the noise's size: smooth in omega where an
+        input begins to move at the edge of a window.
+        """
+        turns = self.turns(omega, slope) if turns is None else turns
+        a = self.coefficients(signals or self.signals, omega, slope, turns)
+        Y = (a[:, :, : self.n_outputs] * self.weights).reshape(len(a), -1)
+        U = a[:, :, self.n_outputs :]
+        kept = int(max(0, len(a) / (3 * max(1, U.shape[2])) - 1) / 2)  # a third of the rows
+        kept = np.minimum(np.r_[0, 1 : self.n_harmonics + 1, 1 : self.n_harmonics + 1], 99) <= kept
+        U = U[:, kept].reshape(len(a), -1)
+        U = U - U.mean(axis=0)
+        if not U.any():
+            return Y, Y, len(Y)
+        Q, s, _ = linalg.svd(U, full_matrices=False, check_finite=False)
+        ridge = np.sum(s**2) / max(np.sum(Y**2), 1e-300)
+        share = s**2 / (s**2 + ridge)
+        return Y, Y - (Q * share) @ (Q.T @ Y), len(Y) - share.sum()
+
+    def scores(self, X, n):
+        """A criterion like Schwarz's for 0, 1, … patterns, and the variances that they leave.
+
+        Of blocks with patterns of their own, too.
+        """
+        d = X.shape[-1]
+        tails = 0.0
+        for part in X if X.ndim == 3 else [X]:
+            s = linalg.svdvals(part, check_finite=False) ** 2
+            tails = tails + np.append(np.cumsum(s[::-1])[::-1], 0.0)
+        n_parts = len(X) if X.ndim == 3 else 1
+        r = np.arange(len(tails))
+        spent, values = r * (n + n_parts * (d - r)), n * d
+        usable = (r > 0) & (spent < 0.7 * values)
+        spent = np.where(usable, spent, 0)
+        scores = np.log(tails / values + self.floor) + NOISE * spent / values
+        return np.where(usable, scores, np.inf), tails / (values - spent)
+
+    def fit(self, omega, slope=0.0, rank=None):
+        """How well a frequency explains the records, with the rank of least score, or a given."""
+        Y, X, n = self.rows(omega, slope)
+        size = np.sum(Y**2)
+        if size == 0.0 or n < FEWEST / 2:
+            return _Fit(omega, slope, np.inf, 0, np.inf)
+        scores, left = self.scores(X, n)
+        rank = int(np.argmin(scores)) if rank is None else min(rank, len(scores) - 1)
+        if not np.isfinite(scores[rank]):
+            rank = 0
+        return _Fit(omega, slope, scores[rank], rank, left[rank])
+
+    def residual(self, place, rank, turns, signals=None):
+        """What some patterns leave of the rows at (omega, slope), and how many rows count."""
+        _, X, n = self.rows(*place, turns, signals)
+        U, s, V = linalg.svd(X, full_matrices=False, check_finite=False)
+        return X - (U[:, :rank] * s[:rank]) @ V[:rank], n
+
+    def explained(self, fit, turns):
+        """The records as the fit explains them, put together from the windows."""
+        Y, _, _ = self.rows(fit.omega, fit.slope, turns)
+        left, _ = self.residual((fit.omega, fit.slope), fit.rank, turns)
+        n = self.n_harmonics
+        a = (Y - left).reshape(len(Y), 2 * n + 1, -1) / self.weights
+        told, done = [], 0
+        for z, (rows, phase, weight) in zip(
+            self.signals, self.windows(fit.omega, fit.slope, turns), strict=True
+        ):
+            here = a[done : done + len(rows)]
+            done += len(rows)
+            waves = phase[:, :, None] * np.arange(1, n + 1)
+            waves = 2**0.5 * np.concatenate([np.cos(waves), -np.sin(waves)], axis=2)
+            values = here[:, :1] + waves @ here[:, 1:]
+            values *= (weight / np.sqrt(weight.sum(axis=1, keepdims=True) / 1.5))[:, :, None]
+            sums, total = np.zeros((len(z), self.n_outputs)), np.full(len(z), 1e-300)
+            np.add.at(sums, rows, values)
+            np.add.at(total, rows, weight)
+            told.append(np.hstack([sums / total[:, None], z[:, self.n_outputs :]]))
+        return told
+
+    def units(self, n):
+        """Changes of omega, and of the slope, by which the phase of the last harmonic turns."""
+        unit = np.array([1.0, 2.0 / self.length]) * self.omega / (self.n_turns * self.n_harmonics)
+        return unit[:n]
+
+    def slopes(self, fit, n):
+        """Derivatives of the residual with respect to omega (and slope), and the residual.
+
+        Those of the record as the fit explains it: noise that moves along with the windows
+        would look like a signal that does.
+        """
+        turns = self.turns(fit.omega, fit.slope)
+        told, place = self.explained(fit, turns), np.array([fit.omega, fit.slope])
+        steps = np.diag(1e-3 * self.units(2))[:n]
+        slopes = [
+            self.residual(place + h, fit.rank, turns, told)[0]
+            - self.residual(place - h, fit.rank, turns, told)[0]
+            for h in steps
+        ]
+        left, n_rows = self.residual(place, fit.rank, turns)
+        return np.array(slopes) / (2e-3 * self.units(n)[:, None, None]), left, n_rows, turns
+
+    def descend(self, fit, n, most=10):
+        """Gauss-Newton steps for omega (and slope) at the rank of a fit."""
+        for _ in range(most):
+            J, left, _, turns = self.slopes(fit, n)
+            place, unit = np.array([fit.omega, fit.slope]), self.units(n)
+            J = J.reshape(n, -1).T * unit
+            step = np.zeros(2)
+            step[:n] = -linalg.lstsq(J, left.ravel(), cond=1e-10)[0]
+            step[:n] *= unit / max(1.0, 4.0 * np.max(np.abs(step)))
+            cost = np.sum(left**2)
+            for share in 0.3 ** np.arange(5):
+                if np.sum(self.residual(place + share * step, fit.rank, turns)[0] ** 2) < cost:
+                    break
+            else:
+                break
+            fit = fit._replace(omega=place[0] + share * step[0], slope=place[1] + share * step[1])
+            if np.max(np.abs(step[:n] / unit)) < 1e-9:
+                break
+        return self.fit(fit.omega, fit.slope, fit.rank)
+
+    def climb(self, fit, n):
+        """The best of descents with one pattern, two, … as long as Schwarz's criterion gains."""
+        best, start = None, fit
+        for rank in range(1, 16):
+            new = self.descend(start._replace(rank=rank), n, most=3)
+            if new.rank != rank or not np.isfinite(new.score):
+                break
+            if best is None or new.score < best.score:
+                best = start = new
+            else:
+                break
+        return best
+
+    def comb(self, span, slopes):
+        """Omega and slope at which lines are strongest: where a trim that lasts would put them."""
+        turns = self.turns(self.omega)
+        a = self.coefficients(self.signals, self.omega, 0.0, turns)
+        n = self.n_harmonics
+        a = (a[:, 1 : n + 1] - 1j * a[:, n + 1 :])[:, :, : self.n_outputs] * self.weights
+        t = 2.0 * np.pi * np.concatenate(turns) / self.omega
+        offs = np.arange(-span, span, 1.0 / (3 * n * self.n_turns)) * self.omega
+        best = []
+        for slope in slopes:
+            step = np.exp(1j * (np.outer(offs, t) + 0.5 * slope * t**2))
+            power, wave = 0.0, step
+            for j in range(n):
+                power = power + np.sum(np.abs(wave @ a[:, j]) ** 2, axis=1)
+                wave = wave * step
+            best.append((np.max(power), self.omega + offs[np.argmax(power)], slope))
+        return max(best)[1:]
+
+    def at_home(self):
+        """The fits beside the frequency given, if a first look finds no better one."""
+        here = self.fit(self.omega)
+        around = self.omega * (1.0 + np.array([-0.03, -0.01, -3e-3, 3e-3, 0.01, 0.03]))
+        if any(self.fit(w).score < here.score for w in around):
+            return None
+        fits = [self.climb(here, 1), self.descend(here, 1)]  # fewer patterns may tell more
+        steady = min((fit for fit in fits if fit), key=lambda fit: fit.score)
+        return self.descend(steady, 1), self.descend(steady, 2)
+
+    def search(self, span):
+        """The best fits within the span of the frequency given: of constant speed, and of any."""
+        grid = self.omega * (1.0 + np.append(0.0, np.linspace(-span, span, 29)))
+        first = min((self.fit(w) for w in grid), key=lambda fit: fit.score)
+        near = (first.omega - span * self.omega / 14, first.omega + span * self.omega / 14)
+        found = minimize_scalar(lambda w: self.fit(w).score, bounds=near, method="bounded").x
+        slopes = np.arange(-12, 13) * self.units(2)[1]
+        starts = [(found, 0.0), self.comb(span, [0.0]), self.comb(span, slopes)]
+        ends = []
+        for omega, slope in starts:
+            if any(self.alike(end, omega, slope) for end in ends):
+                continue
+            ends.append(self.climb(self.fit(omega, slope), 1 + (slope != 0.0)))
+        ends = [end for end in ends if end is not None]
+        if not ends:
+            return None
+        best = min(ends, key=lambda fit: fit.score)
+        steady = [end for end in ends if end.slope == 0.0] or [best._replace(slope=0.0)]
+        return self.descend(min(steady, key=lambda fit: fit.score), 1), self.descend(best, 2)
+
+    def alike(self, fit, omega, slope):
+        """Whether a fit and a place are too near for another search."""
+        off = np.array([fit.omega - omega, fit.slope - slope]) / self.units(2)
+        return np.max(np.abs(off)) < 0.1
+
+    def deviations(self, fit, n):
+        """Standard deviations of omega (and the change over the records).
+
+        From the scores of rows, which may be correlated with their neighbours.
+        """
+        J, left, n_rows, _ = self.slopes(fit, n)
+        unit = self.units(n)
+        J = J * unit[:, None, None]
+        d = left.shape[1]
+        free = n_rows * d - fit.rank * (n_rows + d - fit.rank)
+        inverse = linalg.pinv(np.einsum("arc,brc->ab", J, J), rtol=1e-20)
+        scores = np.einsum("arc,rc->ra", J, left)
+        meat = scores.T @ scores
+        for lag, share in ((1, 2 / 3), (2, 1 / 3)):
+            shared = scores[lag:].T @ scores[:-lag]
+            meat += share * (shared + shared.T)
+        robust = np.diag(inverse @ meat @ inverse) * n_rows * d / free
+        white = SHARED * np.diag(inverse) * np.sum(left**2) / free
+        return np.sqrt(np.maximum(robust, white)) * unit
+
+    def estimate(self, steady, drifting):
+        """What the best fits of constant speed and of any say together."""
+        drift, drift_std = np.array([drifting.slope, self.deviations(drifting, 2)[1]]) * self.length
+        drifts = abs(drift) > BEYOND * drift_std and drifting.score < steady.score
+        fit = drifting if drifts else steady
+        given = self.fit(self.omega, 0.0, fit.rank)
+        off = max(abs(fit.omega / self.omega - 1.0), abs(drift) * drifts / (8.0 * fit.omega))
+        return FundamentalEstimate(
+            float(fit.omega),
+            float(self.deviations(fit, 1 + drifts)[0]),
+            float(drift) if drifts else 0.0,
+            float(drift_std),
+            float(fit.left + self.floor),
+            float(given.left + self.floor),
+            float(off * self.longest),
+            self.rivals(fit),
         )
-        Q = linalg.qr(self._waveforms(omega), mode="economic", check_finite=False)[0]
-        y = self.outputs - Q @ (Q.T @ self.outputs)
-        past = past.reshape(len(past), -1)
-        past = (past - Q @ (Q.T @ past)).reshape(-1, len(delays))
-        alpha = linalg.lstsq(past, y.reshape(-1), cond=1e-12)[0]
-        return float(np.mean((y.reshape(-1) - past @ alpha) ** 2))
 
-    def _waveforms(self, omega):
-        """Harmonic functions, alone and times each input, column by column."""
-        t, u = self.clock, np.vstack(self.inputs)
-        turns = np.exp(1j * omega * t[:, None] * np.arange(self.n_harmonics + 1))
-        waves = np.hstack([turns.real, turns.imag[:, 1:]])
-        size = np.max(np.abs(u), axis=0)
-        return np.hstack([waves, *(waves * u[:, [j]] / size[j] for j in np.flatnonzero(size))])
+    def tells(self, estimate, span):
+        """Whether an estimate lies within the span, all but surely."""
+        off = abs(estimate.omega / self.omega - 1.0)
+        return off < 1.01 * span and estimate.std < span * self.omega
 
-    def at_home(self, omega):
-        """Whether a first look shows the least residual at the frequency given."""
-        low, here, high = (self.unexplained(omega * (1.0 + d)) for d in (-3e-3, 0.0, 3e-3))
-        if not here < min(low, high):
+    def rivals(self, fit):
+        """Fractions that explain the records better; multiples that these do not exclude."""
+        found = []
+        for m in (2, 3):
+            if self.differ(fit, m):
+                found.append(float(fit.omega / m))
+                continue
+            other = _Periods(*self.given, m * fit.omega, *self.starts_given)
+            if not other.moves:
+                continue
+            there = other.fit(m * fit.omega, m * fit.slope)
+            if not other.differ(there, m):
+                found.append(float(m * fit.omega))
+        return tuple(found)
+
+    def differ(self, fit, m):
+        """Whether periods resemble the m-th before them more than the last.
+
+        They have patterns of their own, by Schwarz's criterion, or change sign (turn by
+        2π/m) for as long as the record lasts, as no mode that decays does.
+        """
+        turns = self.turns(fit.omega, fit.slope)
+        Y, X, n = self.rows(fit.omega, fit.slope, turns)
+        numbers = np.concatenate(turns)
+        slow = convolve1d(X, np.convolve(np.ones(m), np.ones(m)) / m**2, axis=0)
+        classes = [np.stack([X, X - slow])[:, numbers % m == c] for c in range(m)]
+        shortest = min(part.shape[1] for part in classes)
+        if shortest < FEWEST:
             return False
-        vertex = 1.5e-3 * (low - high) / (low - 2.0 * here + high)
-        return abs(vertex) < MISMATCH
-
-    def minimum(self, omega, span):
-        """Frequency of least residual within the span, and that residual; None at its edge."""
-        grid = omega * (1.0 + np.linspace(-span, span, 15))
-        values = [self.unexplained(w) for w in grid]
-        least = int(np.argmin(values))
-        if least in (0, len(grid) - 1):
-            return None, values[least]
-        result = minimize_scalar(
-            self.unexplained,
-            bounds=(grid[least - 1], grid[least + 1]),
-            method="bounded",
-            options={"xatol": 1e-10 * omega},
-        )
-        given = self.unexplained(omega)  # exact only where delays fall on samples
-        if abs(result.x / omega - 1.0) < MISMATCH and given < result.fun:
-            return omega, given
-        return float(result.x), float(result.fun)
-
-
-def _smooth(y, half):
-    """Outputs through a Hann window of 2 half + 1 samples.
-
-    What repeats itself still does. White noise would be the smaller for a delay
-    between samples than for a whole number of them: a spline averages it.
-    """
-    window = np.hanning(2 * half + 3)[1:-1]
-    return convolve1d(y, window / window.sum(), axis=0, mode="nearest")
-
-
-def _rows_at_rest(inputs, period, n_periods, half=0):
-    """Rows about which all inputs are constant: some periods before, and half a smoothing window.
-
-    One array a segment.
-    """
-    past = int(np.ceil(n_periods * period * (1.0 + SPAN))) + 2 + half
-    span = np.ptp(np.vstack(inputs), axis=0)
-    steps = np.abs(np.vstack([np.diff(u, axis=0) for u in inputs]))
-    noise = np.median(steps, axis=0) if len(steps) else 0.0
-    limit = np.clip(8.0 * noise, 1e-3 * span, 0.2 * span)  # noise spans 8 median steps
-    rows, size = [], past + half + 1
-    for u in inputs:
-        if len(u) < size:
-            rows.append(np.zeros(0, dtype=int))
-            continue
-        windows = {"size": size, "axis": 0, "mode": "nearest"}
-        ptp = maximum_filter1d(u, **windows) - minimum_filter1d(u, **windows)
-        centre = np.arange(past, len(u) - half) - past + size // 2
-        rows.append(np.flatnonzero(np.all(ptp[centre] <= limit, axis=1)) + past)
-    return rows
+        X, waves = np.stack([part[:, :shortest] for part in classes], axis=1)
+        n = n * X.size / Y.size
+        together = np.min(self.scores(X.reshape(-1, Y.shape[1]), n)[0])
+        apart = np.min(self.scores(X, n)[0])
+        if apart < together - np.sqrt(2.0 / X.size):  # a standard error of their difference
+            return True
+        wave = np.exp(2j * np.pi * np.arange(m) / m)
+        parts = np.array_split(np.tensordot(wave, waves, axes=1), 4)
+        parts = np.array([part.sum(axis=0) for part in parts])
+        whole, d = np.sum(np.abs(parts.sum(axis=0)) ** 2), Y.shape[1]
+        noise = (fit.left + self.floor) * SHARED**2 * (d + BEYOND * np.sqrt(2.0 * d))
+        power = np.sum(np.abs(waves) ** 2) / n
+        lasts = whole > 4.0 * np.max(np.sum(np.abs(parts) ** 2, axis=1))
+        return bool(lasts and whole > n * (noise + 0.5 * n * power))

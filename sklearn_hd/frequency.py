@@ -1,0 +1,134 @@
+"""The frequency of a machine, from its records."""
+
+from dataclasses import dataclass
+
+from sklearn_hd._checks import check_missing
+from sklearn_hd._readings import PlainReading
+from sklearn_hd._readings.basis import Timing
+from sklearn_hd._records.data import read_experiment
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.signals import fundamental
+from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
+
+__all__ = ["OmegaEstimate", "estimate_omega"]
+
+
+@dataclass(frozen=True)
+class OmegaEstimate:
+    """Frequency of a machine, as :func:`estimate_omega` returns it.
+
+    Parameters
+    ----------
+    omega : float
+        Frequency, rad/s; halfway through the records where it drifts.
+    std : float
+        Standard deviation of ``omega``, rad/s.
+    drift : float
+        Change from the first sample to the last, rad/s; zero where the records show none.
+    drift_std : float
+        Standard deviation of that change, rad/s.
+    rivals : tuple of float
+        Fractions of ``omega`` that explain the records better, and multiples of it that the
+        records do not exclude, rad/s.
+
+    References
+    ----------
+    Kanjilal, Palit (1995), On multiple pattern extraction using singular value
+    decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
+
+    Examples
+    --------
+    >>> OmegaEstimate(165.25, 0.01, 0.0, 0.1, ()).omega
+    165.25
+    """
+
+    omega: float
+    std: float
+    drift: float
+    drift_std: float
+    rivals: tuple
+
+
+def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None, missing="raise"):
+    """Frequency at which records repeat themselves, with its standard deviation.
+
+    Periods that are written one below the other make a matrix of low rank at the true
+    frequency, whatever trim, slow transients and amplitudes there are; inputs may move.
+
+    Parameters
+    ----------
+    X : DataFrame, Series or ndarray, shape (n_samples, n_inputs)
+        Inputs, as :meth:`HarmonicAnalyzer.fit` takes them.
+    y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+        Outputs, as measured or with the trim subtracted.
+    guess : float, optional
+        Where to search, rad/s. By default the comb of lines that stands out most in the
+        spectrum of the outputs.
+    span : float, default=0.035
+        How far from the guess to search, to either side, in parts of it.
+    sample_time : float, optional
+        Seconds from row to row of arrays and of frames that count their rows.
+    missing : {"raise", "gap"} or float, default="raise"
+        What becomes of NaN, as in :class:`HarmonicAnalyzer`.
+
+    Returns
+    -------
+    estimate : OmegaEstimate
+        The frequency with its standard deviation, and how much it drifts.
+
+    Raises
+    ------
+    ValueError
+        If X and y cannot be read, the records are too short, or no frequency within the span
+        is better than the others.
+
+    Warns
+    -----
+    FrequencyMismatchWarning
+        If the speed drifts.
+    IdentifiabilityWarning
+        If a fraction of the frequency explains the records better, or a multiple as well.
+
+    References
+    ----------
+    Kanjilal, Palit (1995), On multiple pattern extraction using singular value
+    decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
+
+    Examples
+    --------
+    >>> from sklearn_hd import estimate_omega
+    >>> from sklearn_hd.datasets import make_flapping_wing
+    >>> wing = make_flapping_wing("nltp", snr=20, random_state=0)
+    >>> estimate = estimate_omega(wing.inputs, wing.outputs)
+    >>> bool(abs(estimate.omega / wing.omega - 1) < 1e-5)
+    True
+    """
+    timing = Timing(sample_time, missing=check_missing(missing))
+    experiment = read_experiment(X, y, plain=PlainReading(timing=timing))
+    found = fundamental.estimate_omega(
+        experiment.inputs,
+        experiment.outputs,
+        experiment.base.sample_time,
+        guess,
+        span,
+        [time[0] for time in experiment.times()],
+    )
+    slower = any(rival < found.omega for rival in found.rivals)
+    if found.drift and not slower:
+        warn(
+            f"the speed drifts by {found.drift / found.omega:.2%} over the records "
+            f"({found.drift:.3g} ± {found.drift_std:.2g} rad/s from start to end, about "
+            f"{found.omega:.7g}): no one omega fits them; measure the azimuth and give azimuth= "
+            f"to HarmonicAnalyzer, or use records of constant speed",
+            FrequencyMismatchWarning,
+        )
+    if found.rivals:
+        others = ", ".join(f"{rival:.7g}" for rival in found.rivals)
+        better = "better" if slower else "as well"
+        warn(
+            f"{others} rad/s explain the records {better}, beside {found.omega:.7g} rad/s: a "
+            f"multiple of the machine's frequency looks like it where every second (third) period "
+            f"is alike; give as guess the one that the machine turns at",
+            IdentifiabilityWarning,
+        )
+    return OmegaEstimate(found.omega, found.std, found.drift, found.drift_std, found.rivals)
