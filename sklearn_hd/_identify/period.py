@@ -5,6 +5,8 @@ them are kept: what is projected out of the future are the directions that input
 the period. D is always free, for inputs act within the period that they belong to.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import linalg
 
@@ -17,12 +19,20 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
     warn_of_offset,
 )
+from sklearn_hd._frame import Lifted
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.multipliers import order_by_residual, without_noise_growth
+from sklearn_hd.algorithms.lti.simulation import propagate
+from sklearn_hd.algorithms.periodic.multipliers import (
+    order_by_residual,
+    outgrows_numbers,
+    refine_multipliers,
+    without_noise_growth,
+)
+from sklearn_hd.algorithms.periodic.periodic_realization import driven_states, response_to_states
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
@@ -32,6 +42,7 @@ __all__ = ["asked_block_rows", "identify", "read"]
 
 MOST_STATES = 12  # tried by order="auto": the raw periods are simulated with each
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
+REFINING_STEPS = 6  # of a model good enough to begin with, one would do
 WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block rows"
 
 
@@ -67,7 +78,9 @@ def identify(data, settings, experiment):
 
     decomposition = decompose(data, i, size, settings, choose)
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
+    known = None
     if settings.predictor:
+        known = matrices[1], _predicted_states(matrices, noise[0], x0, data, scales[1])
         matrices = _driven_by_means(matrices, data, scales[0])
     elif noise is None and _grows(matrices[0], experiment):
         A, _, C, _ = matrices
@@ -80,7 +93,40 @@ def identify(data, settings, experiment):
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
     warn_of_growth(fit.model, experiment)
-    return fit
+    return replace(fit, model=_lifted(fit.model, data, experiment, settings, known))
+
+
+def _lifted(model, data, experiment, settings, known):
+    """The model with what happens within its periods, by linear least squares.
+
+    B and the states are known of a predictor. Of a map that outgrows numbers within the record
+    nothing more is.
+    """
+    A, W, outputs = model.A, data.excitation, _raw_periods(experiment)
+    longest = max(map(len, outputs))
+    if outgrows_numbers(A, longest):
+        return model
+    if known is not None:
+        B, states = known
+    else:
+        unit = np.sqrt(np.mean(np.vstack(data.outputs) ** 2, axis=0))
+        unit[unit == 0.0] = 1.0
+        C, seen = model.C / unit[:, None], [Y / unit for Y in data.outputs]
+        largest = 1.0 if settings.stable else None
+        refined = refine_multipliers(A, W, outputs, largest, REFINING_STEPS)
+        A = A if outgrows_numbers(refined, longest) else refined
+        B, states = driven_states(A, C, W, outputs, seen)
+    sights = response_to_states(states, W, outputs)[0]
+    W, outputs, states = map(np.vstack, (W, outputs, states))
+    D = linalg.lstsq(W, outputs - states @ sights.T)[0].T
+    basis, u = experiment.basis, np.vstack(lifted_periods(experiment, experiment.inputs))
+    if basis.output_trim is None:
+        W, B, D = (np.pad(M, ((0, 0), (0, 1))) for M in (W, B, D))
+    size = np.sqrt(np.mean(u**2, axis=(0, 1)))
+    size = np.tile(np.where(size > 0.0, size, 1.0), u.shape[1])
+    directions = linalg.lstsq(u.reshape(len(u), -1) / size, W[:, :-1])[0] / size[:, None]
+    scale = np.tile(output_scale(experiment), basis.samples_per_period)[:, None]
+    return replace(model, lifted=Lifted(A, B, scale * sights, scale * D, directions))
 
 
 def _excitation(experiment, settings):
@@ -138,6 +184,13 @@ def _grows(A, experiment):
     """Whether a mode grows e-fold within the longest segment."""
     n_periods = longest_span(experiment) * experiment.basis.omega / (2.0 * np.pi)
     return np.max(np.abs(linalg.eigvals(A)), initial=0.0) > np.exp(1.0 / n_periods)
+
+
+def _predicted_states(matrices, K, starts, data, y_scale):
+    """States of a predictor at the beginning of each period, its innovations their own."""
+    A, B, C, D = matrices
+    parts = zip(data.outputs, data.excitation, starts, strict=True)
+    return [propagate(A - K @ C, Y / y_scale @ K.T + w @ (B - K @ D).T, x0) for Y, w, x0 in parts]
 
 
 def _driven_by_means(matrices, data, u_scale):

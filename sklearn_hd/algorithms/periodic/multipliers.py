@@ -24,7 +24,7 @@ NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 
 
-def refine_multipliers(Phi, directions, lifted, largest=None):
+def refine_multipliers(Phi, directions, lifted, largest=None, max_steps=MAX_STEPS):
     """Φ whose multipliers explain the lifted outputs best, whatever else is.
 
     Every sample of the period answers to one Φ: with all else (how inputs and initial
@@ -45,6 +45,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
     largest : float, optional
         Size that multipliers may have; by default what a record can show, and a start
         beyond that is left as it is.
+    max_steps : int, default=25
 
     Returns
     -------
@@ -77,7 +78,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
             xtol=1e-15,
             ftol=1e-12,
             gtol=1e-15,
-            max_nfev=MAX_STEPS,
+            max_nfev=max_steps,
         )
         best = found if best is None or found.cost < best.cost else best
     moved = map(with_characteristic, blocks, np.split(best.x, edges))
@@ -408,8 +409,13 @@ def is_possible(Phi, n_periods):
     multipliers = linalg.eigvals(Phi)
     if np.sum((multipliers.imag == 0.0) & (multipliers.real < 0.0)) % 2:
         return False
-    largest = np.max(np.abs(multipliers))
-    return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
+    return not outgrows_numbers(Phi, n_periods)
+
+
+def outgrows_numbers(Phi, n_periods):
+    """Whether a mode grows within some periods beyond what numbers, and records, can hold."""
+    largest = np.max(np.abs(linalg.eigvals(Phi)), initial=1.0)
+    return n_periods * np.log(largest) > np.log(LARGEST_RESPONSE)
 
 
 def _left_by(Phi, directions, target):
