@@ -10,7 +10,35 @@ from sklearn.base import TransformerMixin
 
 from sklearn_hd.algorithms.linalg.rounding import TINY
 
-__all__ = ["FrameTransformer", "HarmonicFrame", "LTIModel"]
+__all__ = ["FrameTransformer", "HarmonicFrame", "LTIModel", "Lifted"]
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """A Poincaré map between all samples of a period: what happens within it.
+
+        z[k+1] = A z[k] + B w[k],   y[k] = C z[k] + D w[k],   w[k] = (u[k] directions, 1)
+
+    u[k] and y[k] hold the samples of period k one after another, all signals of each, trim
+    subtracted.
+
+    Attributes
+    ----------
+    A : ndarray, shape (n, n)
+        That of the model, its multipliers refined on all samples.
+    B : ndarray, shape (n, r + 1)
+        Its last column is of what a trim is off by, which repeats itself.
+    C : ndarray, shape (samples_per_period * n_outputs, n)
+    D : ndarray, shape (samples_per_period * n_outputs, r + 1)
+    directions : ndarray, shape (samples_per_period * n_inputs, r)
+        Those that the inputs at fit moved in. Others have no effect.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    directions: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +66,8 @@ class LTIModel:
         Whether A is that of free decays alone (period by period).
     opinion : Opinion or None
         What another way has found of its exponents.
+    lifted : Lifted or None
+        What happens within a period, where the model is one of whole periods.
     """
 
     A: np.ndarray
@@ -55,6 +85,7 @@ class LTIModel:
     closed_loop: bool = False
     at_rest: bool = False
     opinion: object = None
+    lifted: Lifted | None = None
 
     @property
     def n_states(self):
@@ -72,9 +103,9 @@ class LTIModel:
 
     def in_continuous_time(self, A, B, C, D, **changes):
         """The continuous-time model of some matrices between the same signals."""
-        no_noise = {"kalman_gain": None, "innovations_covariance": None}  # of the rows read
+        of_rows = dict.fromkeys(("kalman_gain", "innovations_covariance", "lifted"))
         matrices = {"A": A, "B": B, "C": C, "D": D}
-        return replace(self, **matrices, dt=0.0, windowed=False, **no_noise, **changes)
+        return replace(self, **matrices, dt=0.0, windowed=False, **of_rows, **changes)
 
     def to_control(self):
         """The model as a control.StateSpace with named signals.

@@ -16,6 +16,7 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._excitation import Excitation
+from sklearn_hd._fit_checks import DUST
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import extremes, one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
@@ -32,7 +33,9 @@ from sklearn_hd._records.states import initial_states
 from sklearn_hd._residuals import ResidualTests
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import (
+    LiftedSimulator,
     SegmentSimulator,
+    as_seen,
     fit_initial_state,
     predicted_ahead,
     sample_simulators,
@@ -254,7 +257,8 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
 
         The initial state of each segment is fitted on its first ``warmup``
         seconds after the first whole window; those rows, and rows of
-        incomplete periods, are left out.
+        incomplete periods, are left out. A model identified through a sliding window is compared
+        with y as that window shows it, for it tells no more; any other with y itself.
 
         Parameters
         ----------
@@ -315,9 +319,13 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
                 kept = np.isfinite(measured).all(axis=1)
                 measured, own = measured[kept], own[kept]
                 within = own
-            outputs = self._fitted_outputs(simulator, y_segment, warm, horizon)
-            waveform = 0.0 if trim is None else piece.back(trim[i])[within]
-            truth.append(measured - waveform)
+            seen = as_seen(simulator, y_segment)
+            outputs = self._fitted_outputs(simulator, seen, warm, horizon)
+            if seen is y_segment:
+                waveform = 0.0 if trim is None else piece.back(trim[i])[within]
+                truth.append(measured - waveform)
+            else:
+                truth.append(piece.back(seen)[within])
             simulated.append(piece.back(outputs)[within])
             rows.append(own + piece.rows.start)
         if not truth:
@@ -325,8 +333,10 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
                 f"no rows are left to score in {experiment.span()}: every segment is shorter than "
                 f"one analysis window and the warm-up; give longer records or a smaller warmup"
             )
-        by_columns = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
-        return *by_columns, joined(rows)  # which are quick to sum
+        truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
+        rows = joined(rows)  # by columns, which are quick to sum
+        _meet_at_rest(truth, simulated, experiment.measured[rows])
+        return truth, simulated, rows
 
     def _fitted_outputs(self, simulator, outputs, rows, horizon):
         """Outputs from the initial state that fits best over some rows."""
@@ -400,11 +410,12 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
     def _simulators(self, experiment):
         if isinstance(self.model_, SampleModel):
             return sample_simulators(self.model_, experiment)
-        dt = experiment.base.sample_time
-        return [
-            SegmentSimulator(self.model_, experiment.basis, drive, time, dt)
-            for drive, time in zip(experiment.drive, experiment.times(), strict=True)
-        ]
+        basis, dt, times = experiment.basis, experiment.base.sample_time, experiment.times()
+        if self.model_.lifted is not None:
+            parts = zip(experiment.drive, times, experiment.inputs, strict=True)
+            return [LiftedSimulator(self.model_, basis, u, t, dt, raw) for u, t, raw in parts]
+        parts = zip(experiment.drive, times, strict=True)
+        return [SegmentSimulator(self.model_, basis, drive, time, dt) for drive, time in parts]
 
     def _mirror(self, values, X):
         """Predictions in the container, with the columns and the index, of y at fit."""
@@ -529,6 +540,14 @@ def compared(step, X, y, sample_weight=None, horizon=None):
         InstabilityWarning,
     )
     return None
+
+
+def _meet_at_rest(truth, simulated, measured):
+    """Take outputs that stand still, to rounding, for met where the simulation does, too."""
+    dust = DUST * np.max(np.abs(extremes(measured)), axis=0)
+    for j in np.flatnonzero(np.ptp(truth, axis=0) <= dust):
+        if np.max(np.abs(simulated[:, j] - truth[:, j])) <= dust[j]:
+            simulated[:, j] = truth[:, j]
 
 
 def power_of_two(values):

@@ -10,7 +10,14 @@ from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propaga
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["SegmentSimulator", "fit_initial_state", "predicted_ahead", "sample_simulators"]
+__all__ = [
+    "LiftedSimulator",
+    "SegmentSimulator",
+    "as_seen",
+    "fit_initial_state",
+    "predicted_ahead",
+    "sample_simulators",
+]
 
 
 class SegmentSimulator:
@@ -76,14 +83,7 @@ class SegmentSimulator:
         """Outputs, or their harmonics, trim not added, of all samples or the first of them."""
         time = self.time[:n_samples]
         drive = self.drive[: self._n_steps(len(time))]
-        Y = simulate(self.A, self.B, self.model.C, self.model.D, drive, x0)
-        if not np.isfinite(Y).all():
-            radius = np.max(np.abs(np.linalg.eigvals(self.A)))
-            raise UnstableModelError(
-                f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
-                f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
-                f"the order, or simulate a shorter span"
-            )
+        Y = self._finite(simulate(self.A, self.B, self.model.C, self.model.D, drive, x0))
         return self.observe(Y, time, recompose)
 
     def free(self, n_samples):
@@ -91,6 +91,17 @@ class SegmentSimulator:
         n, steps = self.model.n_states, self._n_steps(n_samples)
         states = propagate(self.A, np.zeros((n, steps, n)), np.eye(n))
         return self.observe(states @ self.model.C.T, self.time[:n_samples])
+
+    def _finite(self, Y):
+        """Outputs simulated, UnstableModelError where they overflow."""
+        if np.isfinite(Y).all():
+            return Y
+        radius = np.max(np.abs(np.linalg.eigvals(self.A)))
+        raise UnstableModelError(
+            f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
+            f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
+            f"the order, or simulate a shorter span"
+        )
 
     def _n_steps(self, n_samples):
         """Steps of the model that the first samples are made of."""
@@ -110,12 +121,69 @@ class SegmentSimulator:
         return self.basis.between_rows(Y, rows, n_samples)
 
 
+class LiftedSimulator(SegmentSimulator):
+    """Free simulation of a Poincaré map, and of what happens within each period.
+
+    Harmonics, and predictions ahead, are those of whole periods.
+
+    Parameters
+    ----------
+    model : LTIModel
+        With ``lifted``.
+    basis, drive, time, sample_time
+        As for :class:`SegmentSimulator`.
+    inputs : ndarray, shape (n_samples, n_inputs)
+        Measured, trim subtracted.
+    """
+
+    def __init__(self, model, basis, drive, time, sample_time, inputs):
+        super().__init__(model, basis, drive, time, sample_time)
+        spp, n_periods = basis.samples_per_period, len(self.rows)
+        first = self.rows[0] if n_periods else len(inputs)
+        beyond = first + n_periods * spp - len(inputs)  # of an incomplete period: held
+        held = np.concatenate([inputs[first:], np.repeat(inputs[-1:], beyond, axis=0)])
+        w = held.reshape(n_periods, spp * inputs.shape[1]) @ model.lifted.directions
+        self.w = np.column_stack([w, np.ones(n_periods)])
+
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs at all samples or the first of them, or harmonics of the whole periods."""
+        if not recompose:
+            return super().outputs(x0, recompose=False, n_samples=n_samples)
+        n_samples = len(self.time[:n_samples])
+        lifted, w = self.model.lifted, self.w[: self._n_steps(n_samples)]
+        Y = simulate(lifted.A, lifted.B, lifted.C, lifted.D, w, x0)
+        return self._unrolled(self._finite(Y), n_samples)
+
+    def free(self, n_samples):
+        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
+        n, steps = self.model.n_states, self._n_steps(n_samples)
+        states = propagate(self.model.lifted.A, np.zeros((n, steps, n)), np.eye(n))
+        return self._unrolled(states @ self.model.lifted.C.T, n_samples)
+
+    def _unrolled(self, Y, n_samples):
+        """The samples of whole periods one after another; before the first ψ = 0 as a turn on."""
+        spp, (*before, n_periods, width) = self.basis.samples_per_period, Y.shape
+        if n_periods == 0:
+            return np.zeros((*before, n_samples, width // spp))
+        place = np.arange(n_samples) - self.rows[0]
+        samples = Y.reshape(*before, n_periods * spp, width // spp)
+        return samples[..., np.where(place < 0, place % spp, place), :]
+
+
 def sample_simulators(model, experiment):
     """Simulators of a model of samples at their azimuths, one a segment."""
     raw = model.input_names == tuple(experiment.basis.input_signals)
     inputs = experiment.inputs if raw else experiment.drive
     parts = zip(inputs, experiment.times(), experiment.phases, strict=True)
     return [SampleSimulator(model, experiment.basis, *part) for part in parts]
+
+
+def as_seen(simulator, outputs):
+    """Outputs as far as a model can tell them: of one of coefficients, through its window."""
+    if type(simulator) is not SegmentSimulator or simulator.rows is None:
+        return outputs
+    basis, time = simulator.basis, simulator.time
+    return basis.recomposed(basis.output_coefficients(outputs, time, np.arange(len(time))), time)
 
 
 def fit_initial_state(simulator, outputs, rows):

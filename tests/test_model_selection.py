@@ -346,7 +346,7 @@ def test_one_failing_corner_of_a_grid_does_not_end_a_search(lti):
     with pytest.warns(FitFailedWarning) as told:
         search.fit(lti.inputs, lti.outputs)
     assert search.best_params_["order"] == 3
-    passed_over = "1 of 6 candidates failed on some fold and are passed over: {'block_rows': 8, '"
+    passed_over = "1 of 6 candidates failed on some fold: {'block_rows': 8, '"
     assert str(told[-1].message).startswith(passed_over)
 
 

@@ -30,20 +30,48 @@ def test_the_rule_takes_the_smallest_within_one_standard_error():
 
 
 @pytest.mark.parametrize("test_share", [None, 0.1, 1.0])
-def test_the_standard_error_is_that_of_the_best_for_folds_that_overlap(test_share):
+@pytest.mark.parametrize("perfect", [0.0, 1.0, 100.0])
+def test_the_standard_error_is_that_of_the_difference_for_folds_that_overlap(test_share, perfect):
     """A candidate just within is taken, one just beyond is not (Nadeau and Bengio's q)."""
-    best = np.array([0.9, 0.7, 0.8, 0.6])
+    scatter = np.array([0.3, -0.1, -0.1, -0.1])
     q = 1 / 3 if test_share is None else test_share
-    error = np.sqrt(np.var(best, ddof=1) * (1 / 4 + q))
+    error = np.sqrt(np.var(scatter, ddof=1) * (1 / 4 + q))
+    best = np.full(4, 0.02)  # left of each fold
     for share, chosen in ((0.999, 0), (1.001, 1)):
-        table = results([best - share * error, best], order=[1, 2])
+        left = np.array([best * np.exp(share * error + scatter), best])
+        table = results(perfect - left * (perfect or 1.0), order=[1, 2])
         assert smallest_within_one_standard_error(table, test_share=test_share) == chosen
 
 
+def test_what_makes_a_fold_harder_than_another_is_no_error():
+    """Measured data: four points less on every fold are no noise, however folds differ."""
+    best = np.array([0.95, 0.80, 0.60, 0.90])
+    table = results([best - [0.04, 0.04, 0.05, 0.03], best], order=[2, 3])
+    assert smallest_within_one_standard_error(table) == 1
+
+
 def test_a_tiny_gain_on_every_fold_does_not_buy_a_state():
-    """Far beyond the error of the difference, which is 0, but nothing beside that of the score."""
+    """Far beyond the error of the difference, which is 0, but a two hundredth of what is left."""
     best = np.array([0.9974, 0.9971, 0.9969, 0.9975])
     assert smallest_within_one_standard_error(results([best - 1e-5, best], order=[3, 4])) == 0
+
+
+def test_twice_what_the_best_leaves_is_never_as_good():
+    """One fold of four tells, and the others scatter: an error as large as the difference."""
+    table = results([[0.6, 0.99, 0.991, 0.992], [0.99, 0.992, 0.992, 0.991]], order=[1, 2])
+    assert smallest_within_one_standard_error(table) == 1
+
+
+@pytest.mark.parametrize("rest", [1.0, 0.0, 0.003, -0.02])
+def test_folds_that_stand_still_count_for_nothing(rest):
+    """Exact outputs at rest are met (1), noise has nothing to explain; one fold moves."""
+    still = np.full((2, 4), rest)
+    still[1] -= 0.01 * (rest < 1.0)  # more states fit more of the noise
+    moving = [[0.80], [0.999]]
+    table = results(np.hstack([still, moving]), order=[1, 2])
+    assert smallest_within_one_standard_error(table) == 1
+    better = results(np.hstack([still, [[0.9985], [0.9985]]]), order=[1, 2])
+    assert smallest_within_one_standard_error(better) == 0
 
 
 def test_equal_orders_are_parted_by_block_rows_or_by_score():
@@ -75,7 +103,7 @@ def test_failed_candidates_are_passed_over_and_named_with_their_folds():
     scores = np.array(SCORES)
     scores[0, 2] = np.nan
     scores[3] = np.nan, np.inf, np.nan
-    with pytest.warns(FitFailedWarning, match="2 of 4 candidates failed on some fold and") as told:
+    with pytest.warns(FitFailedWarning, match="2 of 4 candidates failed on some fold: ") as told:
         chosen = smallest_within_one_standard_error(results(scores, order=[1, 2, 3, 4]))
     assert chosen == smallest_within_one_standard_error(results(SCORES[1:3], order=[2, 3])) + 1
     (told,) = told
@@ -84,16 +112,29 @@ def test_failed_candidates_are_passed_over_and_named_with_their_folds():
     assert told.filename == __file__
 
 
+def test_a_fold_or_a_corner_that_fails_does_not_refuse_the_search():
+    """No input moves in fold 1, and each candidate but one fails somewhere else."""
+    scores = np.array([[0.5, 0.6, 0.4, 0.5], [0.9, 0.9, 0.9, 0.9], [0.9, 0.9, 0.9, 0.9]])
+    nothing = scores.copy()
+    nothing[:, 1] = np.nan
+    nothing[2, 2] = -np.inf
+    with pytest.warns(FitFailedWarning, match=r"the 2 that failed least .* on folds \[0, 2, 3\]"):
+        assert smallest_within_one_standard_error(results(nothing, order=[1, 2, 3])) == 1
+    holes = scores.copy()
+    holes[[0, 1, 2], [0, 1, 2]] = np.nan
+    with pytest.warns(FitFailedWarning, match=r"the 3 that failed least .* on folds \[3\]"):
+        assert smallest_within_one_standard_error(results(holes, order=[1, 2, 3])) == 1
+
+
 @pytest.mark.parametrize("n_candidates", [1, 2, 9])
-def test_where_no_candidate_is_whole_some_that_failed_are_named(n_candidates):
-    scores = np.full((n_candidates, 3), 0.5)
-    scores[:, 1] = np.nan
-    scores[-1, 1] = -np.inf if n_candidates > 1 else np.nan  # the largest is unstable
+def test_where_nothing_can_be_compared_some_that_failed_are_named(n_candidates):
+    scores = np.full((n_candidates, 3), np.nan)
+    scores[-1] = -np.inf if n_candidates > 1 else np.nan  # the largest is unstable
     orders = list(range(1, n_candidates + 1))
     n_failed = max(1, n_candidates - 1)
-    with pytest.raises(ValueError, match=rf"and {n_failed} of {n_candidates} failed") as raised:
+    with pytest.raises(ValueError, match=rf"and {n_failed} of {n_candidates} candid") as raised:
         smallest_within_one_standard_error(results(scores, order=orders))
-    assert str(raised.value).count(" on folds [1]") == min(n_failed, 5)
+    assert str(raised.value).count(" on folds [0, 1, 2]") == min(n_failed, 5)
     assert ("; …;" in str(raised.value)) == (n_failed > 5)
 
 
@@ -105,7 +146,7 @@ def test_unstable_candidates_are_passed_over():
     table = results(unstable, order=[1, 2, 3, 4, 5])
     assert smallest_within_one_standard_error(table) == chosen
     table = results(np.full((2, 3), -np.inf), order=[1, 2])
-    with pytest.raises(ValueError, match="all 2 candidates are unstable on some fold and score -i"):
+    with pytest.raises(ValueError, match="the 2 candidates that are stable on most folds share no"):
         smallest_within_one_standard_error(table)
 
 
@@ -123,6 +164,16 @@ def test_unstable_candidates_are_passed_over():
         ),
         (results([[0.9], [0.8]], order=[1, 2]), {}, r"the search has 1 fold\(s\), and a standard"),
         (results(SCORES, order=[1, 2, 3, 4]), {"test_share": -1}, "test_share must be a positive"),
+        (
+            results(SCORES, order=[1, 2, 3, 4]),
+            {"perfect": 0.5},
+            "a score of 0.9 is above .* give",
+        ),
+        (
+            results(np.multiply(SCORES, 999), order=[1, 2, 3, 4]),
+            {},
+            "a score of 899.1 is above",
+        ),
     ],
 )
 def test_rule_words_what_is_wrong(table, kwargs, message):

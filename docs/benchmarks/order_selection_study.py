@@ -1,144 +1,148 @@
-"""How often does cross-validation choose the true order? The table of docs/order_selection.md.
+"""How often does cross-validation find the true order? The table of docs/order_selection.md.
 
-Flapping-wing records of three kinds and three excitations, white noise of 1/20 on the
-outputs, GridSearchCV over the order with the rule smallest_within_one_standard_error:
-how many of the seeds give the order that was expected beforehand?
+Records of six periodic systems, fresh excitation and noise of 2 % for each seed, analysed period
+by period. GridSearchCV over order and block rows of the analyzer and the identification,
+PeriodBlockSplit(5), the rule smallest_within_one_standard_error; beside it order="auto".
 
-    python docs/benchmarks/order_selection_study.py --seeds 20
+    python docs/benchmarks/order_selection_study.py --seeds 20 --first-seed 9000
 """
 
 import argparse
 import time
 import warnings
 from collections import Counter
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from sklearn.model_selection import GridSearchCV, GroupKFold
+import pandas as pd
+from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import Pipeline
 from threadpoolctl import threadpool_limits
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning, InstabilityWarning
 from sklearn_hd.model_selection import PeriodBlockSplit, smallest_within_one_standard_error
+from sklearn_hd.systems import LTPSystem, coupled_oscillators, duffing, flapping_blade, mathieu
 
-SNR = 20.0
-ORDERS = [1, 2, 3, 4, 5, 6]
-N_PERIODS, N_BLOCKS, STEP = 220, 5, 4  # of a record excited throughout; STEP: unit of a 3-2-1-1
-DOUBLETS = {"n_records": 6, "n_periods": 60, "start": 6, "width": 8}
-N_EXCITATIONS = 4  # records without noise, simulated once; every seed has its own noise
-
-
-@dataclass(frozen=True)
-class Row:
-    """One row of the table: which data, and the order expected."""
-
-    kind: str
-    excitation: str
-    expected: int
-
-    @property
-    def periodic(self):
-        """Excited throughout, one record."""
-        return self.excitation != "doublets"
-
-    @property
-    def samples_per_period(self):
-        return 16 if self.kind == "lti" else 64
+NOISE = 0.02  # of the standard deviation of each output's perturbation
+ORDERS, BLOCK_ROWS = [1, 2, 3, 4, 5, 6], [4, 6, 8]
+N_PERIODS, SAMPLES, QUIET = 160, 32, 16  # QUIET: periods in trim, where there is one
+UNIT = 2  # periods, of a 3-2-1-1
 
 
-ROWS = [
-    Row(kind, excitation, expected)
-    for kind, expected in (("lti", 3), ("ltp", 2), ("nltp", 2))
-    for excitation in ("multisine", "3211", "doublets")
-]
+def sequences(rng, n_inputs, size=1.0, quiet=3):
+    """3-2-1-1 sequences, edges anywhere in the period, some periods apart, one input at a time."""
+    u, unit = np.zeros((N_PERIODS * SAMPLES, n_inputs)), UNIT * SAMPLES
+    at = quiet * SAMPLES + int(rng.integers(SAMPLES))
+    while at < len(u) - 9 * unit:
+        column, sign = rng.integers(n_inputs), rng.choice([-size, size])
+        for units in (3, 2, 1, 1):
+            u[at : at + units * unit, column] = sign
+            sign, at = -sign, at + units * unit
+        at += int(rng.integers(2, 6)) * SAMPLES
+    return u
 
 
-@lru_cache
-def clean_record(row, excitation_seed):
-    """A record without noise, and the standard deviation of each output's perturbation."""
-    options = {"samples_per_period": row.samples_per_period, "random_state": excitation_seed}
-    if not row.periodic:
-        data = make_flapping_wing(row.kind, **DOUBLETS, **options)
-    else:
-        options |= {"n_periods": N_PERIODS, "width": STEP}
-        data = make_flapping_wing(row.kind, input=row.excitation, **options)
-    perturbation = data.outputs
-    if row.kind == "nltp":
-        seconds = data.outputs.index.get_level_values("time").to_numpy()
-        perturbation = perturbation - data.trim.states(data.omega * seconds)
-    return data, perturbation.std(ddof=0)
+def random_system(rng):
+    """Three states of which two are measured, every Floquet multiplier between 0.1 and 0.95."""
+    while True:
+        F = 0.15 * rng.standard_normal((3, 3, 3))
+        F[0] = 0.4 * rng.standard_normal((3, 3)) - 0.2 * np.eye(3)
+        G = rng.standard_normal((3, 1))
+        system = LTPSystem(F, G, np.eye(3)[:2], omega=2.0 * np.pi / rng.uniform(0.8, 1.5))
+        size = np.abs(np.linalg.eigvals(system.monodromy()))
+        if size.min() >= 0.1 and size.max() <= 0.95:
+            return system
 
 
-def search_order(row, seed):
-    """The search for one noisy record, fitted."""
-    data, deviation = clean_record(row, seed % N_EXCITATIONS)
-    noise = np.random.default_rng(seed).standard_normal(data.outputs.shape)
-    y = data.outputs + noise * deviation.to_numpy() / SNR
-    trim_span = data.trim_span if row.kind == "nltp" else None
-    if row.kind == "lti":
-        model = MOESPRegressor()
-        grid = {"order": ORDERS, "block_rows": [10, 15]}
-    else:
-        analyzer = HarmonicAnalyzer(
-            data.omega, output_harmonics=3, reading="period", trim_span=trim_span
-        )
-        model = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
-        grid = {"identify__order": ORDERS, "identify__block_rows": [4, 6]}
-    groups, cv = None, PeriodBlockSplit(N_BLOCKS, omega=data.omega, trim_span=trim_span)
-    if not row.periodic:
-        groups = data.inputs.index.get_level_values("record")
-        cv = GroupKFold(DOUBLETS["n_records"])
-    search = GridSearchCV(model, grid, cv=cv, refit=smallest_within_one_standard_error)
+def linear(system):
+    """Records of a linear system, or of a new one each time."""
+
+    def make(rng):
+        drawn = system(rng) if callable(system) else system
+        t = np.arange(N_PERIODS * SAMPLES) * drawn.period / SAMPLES
+        u = sequences(rng, len(drawn.input_names))
+        y = np.asarray(drawn.simulate(u, t))
+        return t, u, y, y, 2.0 * np.pi / drawn.period, None
+
+    return make
+
+
+def hardening(rng):
+    """Raw measurements of Duffing's oscillator about its orbit, driven by half a percent more."""
+    system = duffing()
+    trim, t = system.trim(n_harmonics=16), np.arange(N_PERIODS * SAMPLES) * system.period / SAMPLES
+    u = sequences(rng, 1, size=0.005, quiet=QUIET)
+    orbit = np.asarray(trim.states(system.omega * t))
+    y = np.asarray(system.simulate(u, t, x0=orbit[0], rtol=1e-9, atol=1e-10))
+    return t, u, y, y - orbit, system.omega, (0.0, t[QUIET * SAMPLES])
+
+
+def wing(rng):
+    """Raw measurements of the nonlinear flapping wing, driven by 2 % of its torque."""
+    data = make_flapping_wing(
+        "nltp", input="3211", width=4, n_periods=N_PERIODS, samples_per_period=SAMPLES,
+        random_state=int(rng.integers(2**31)),
+    )  # fmt: skip
+    t, y = data.inputs.index.to_numpy(), data.outputs.to_numpy()
+    orbit = np.asarray(data.trim.states(data.omega * t))
+    return t, data.inputs.to_numpy(), y, y - orbit, data.omega, data.trim_span
+
+
+SYSTEMS = {
+    "mathieu": (2, linear(mathieu())),
+    "flapping_blade(gamma=4)": (2, linear(flapping_blade(gamma=4.0))),
+    "coupled_oscillators": (4, linear(coupled_oscillators())),
+    "random, one a record": (3, linear(random_system)),
+    "duffing, raw": (2, hardening),
+    "flapping_wing, raw": (2, wing),
+}
+
+
+def chosen(make, seed):
+    """Orders by search and by ``order="auto"`` of one record, and processor time of the search."""
+    rng = np.random.default_rng(seed)
+    t, u, y, perturbation, omega, trim_span = make(rng)
+    y = y + NOISE * perturbation.std(axis=0) * rng.standard_normal(y.shape)
+    index = pd.Index(t, name="time")
+    u, y = pd.DataFrame(u, index).add_prefix("u"), pd.DataFrame(y, index).add_prefix("y")
+    analyzer = HarmonicAnalyzer(omega, reading="period", output_harmonics=1, trim_span=trim_span)
+    pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
+    search = GridSearchCV(
+        pipe,
+        {"identify__order": ORDERS, "identify__block_rows": BLOCK_ROWS},
+        cv=PeriodBlockSplit(5, omega=omega, trim_span=trim_span),
+        refit=smallest_within_one_standard_error,
+    )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExcitationWarning)
-        warnings.simplefilter("ignore", InstabilityWarning)  # of states too many, fitted to noise
-        return search.fit(data.inputs, y, groups=groups)
-
-
-def chosen_order(row, seed):
-    """The order chosen, or "refused" where a candidate failed on some fold."""
-    try:
-        search = search_order(row, seed)
-    except ValueError as error:
-        if "candidates failed" not in str(error):
-            raise
-        return "refused"
-    return search.best_params_["order" if row.kind == "lti" else "identify__order"]
-
-
-def run(row, seeds):
-    """One row of the table."""
-    started = time.perf_counter()
-    orders = Counter(chosen_order(row, seed) for seed in seeds)
-    found = sorted(orders.items(), key=str)
-    return {
-        "data": row.kind.upper(),
-        "excitation": row.excitation,
-        "expected": row.expected,
-        "orders chosen (times)": ", ".join(f"{order} ({times})" for order, times in found),
-        "as expected": f"{100 * orders[row.expected] / len(seeds):.0f} %",
-        "seconds": f"{time.perf_counter() - started:.0f}",
-    }
+        warnings.simplefilter("ignore")  # of states too many, fitted to noise
+        started = time.process_time()
+        found = search.fit(u, y).best_params_["identify__order"]
+        spent = time.process_time() - started
+        return found, pipe.fit(u, y)["identify"].order_, spent
 
 
 def parse_arguments():
-    parser = argparse.ArgumentParser(description="How often the true order is chosen.")
-    parser.add_argument("--seeds", type=int, default=20, help="noisy records a row (default 20)")
-    parser.add_argument("--first-seed", type=int, default=1000, help="the first (default 1000)")
+    parser = argparse.ArgumentParser(description="How often the true order is found.")
+    parser.add_argument("--seeds", type=int, default=20, help="records a system (default 20)")
+    parser.add_argument("--first-seed", type=int, default=9000, help="the first (default 9000)")
+    parser.add_argument("--only", default="", help="part of a system's name")
     return parser.parse_args()
 
 
 def main():
     arguments = parse_arguments()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    for number, row in enumerate(ROWS):
-        found = run(row, seeds)
-        if number == 0:
-            print("|" + "|".join(found) + "|\n" + "|---" * len(found) + "|")
-        print("| " + " | ".join(str(value) for value in found.values()) + " |", flush=True)
+    print("| system | states | orders by search (times) | right | orders by auto | right | s |")
+    print("|---|---|---|---|---|---|---|")
+    for name, (n_states, make) in SYSTEMS.items():
+        if arguments.only not in name:
+            continue
+        seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+        *orders, spent = zip(*(chosen(make, seed) for seed in seeds), strict=True)
+        row = [name, n_states]
+        for found in map(Counter, orders):
+            row.append(", ".join(f"{order} ({times})" for order, times in sorted(found.items())))
+            row.append(f"{100 * found[n_states] / len(seeds):.0f} %")
+        print("| " + " | ".join(map(str, row)) + f" | {np.mean(spent):.1f} |", flush=True)
 
 
 if __name__ == "__main__":

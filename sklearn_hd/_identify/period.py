@@ -20,6 +20,7 @@ from sklearn_hd._fit_checks import (
     warn_of_mismatch,
     warn_of_offset,
 )
+from sklearn_hd._frame import Lifted
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
@@ -27,6 +28,7 @@ from sklearn_hd._opinion import decays_at_rest, of_free_decays, warn_unconfirmed
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import free_decay
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
@@ -34,10 +36,15 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     leaves_white_noise,
     left_by,
     order_by_residual,
+    outgrows_numbers,
     refine_multipliers,
     without_noise_growth,
 )
-from sklearn_hd.algorithms.periodic.periodic_realization import state_response
+from sklearn_hd.algorithms.periodic.periodic_realization import (
+    driven_states,
+    response_to_states,
+    state_response,
+)
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
@@ -88,12 +95,15 @@ def identify(data, settings, experiment):
     still = free_decay(decays, asked) if decays and not settings.predictor else None
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
     at_rest = False
+    known = None
     if settings.predictor:
+        known = matrices[1], _predicted_states(matrices, noise[0], x0, data, scales[1])
         matrices = _driven_by_means(matrices, data, scales[0])
     else:
         A, B, C, D = matrices
-        Phi = _refined(A, C, experiment, data, scales[1])
-        if noise is None and still is not None:
+        Phi = _refined(A, C, experiment, data, scales[1], settings.stable)
+        grows = still is not None and settings.stable and _grows(still.Phi, experiment)
+        if noise is None and still is not None and not grows:
             at_rest = not _linear(Phi, still, decays, experiment, data)
         if at_rest:
             Phi, C = still.Phi, _sight(still, stretches, data, scales[1])
@@ -109,7 +119,38 @@ def identify(data, settings, experiment):
     opinion = of_free_decays(still, experiment, at_rest)
     warn_of_growth(fit.model, experiment)
     warn_unconfirmed(fit.model.exponents(), opinion, complete=not at_rest)
-    return replace(fit, model=replace(fit.model, at_rest=at_rest, opinion=opinion))
+    model = _lifted(fit.model, data, experiment, known)
+    return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion))
+
+
+def _lifted(model, data, experiment, known):
+    """The model with what happens within its periods, by linear least squares.
+
+    B and the states are known of a predictor. Of a map that outgrows numbers within the record
+    nothing more is.
+    """
+    A, W, outputs = model.A, data.excitation, _raw_periods(experiment)
+    longest = max(map(len, outputs))
+    if outgrows_numbers(A, longest):
+        return model
+    if known is not None:
+        B, states = known
+    else:
+        unit = np.sqrt(np.mean(np.vstack(data.outputs) ** 2, axis=0))
+        unit[unit == 0.0] = 1.0
+        C, seen = model.C / unit[:, None], [Y / unit for Y in data.outputs]
+        B, states = driven_states(A, C, W, outputs, seen)
+    sights = response_to_states(states, W, outputs)[0]
+    W, outputs, states = map(np.vstack, (W, outputs, states))
+    D = linalg.lstsq(W, outputs - states @ sights.T)[0].T
+    basis, u = experiment.basis, np.vstack(lifted_periods(experiment, experiment.inputs))
+    if basis.output_trim is None:
+        W, B, D = (np.pad(M, ((0, 0), (0, 1))) for M in (W, B, D))
+    size = np.sqrt(np.mean(u**2, axis=(0, 1)))
+    size = np.tile(np.where(size > 0.0, size, 1.0), u.shape[1])
+    directions = linalg.lstsq(u.reshape(len(u), -1) / size, W[:, :-1])[0] / size[:, None]
+    scale = np.tile(output_scale(experiment), basis.samples_per_period)[:, None]
+    return replace(model, lifted=Lifted(A, B, scale * sights, scale * D, directions))
 
 
 def _excitation(experiment, settings):
@@ -163,12 +204,15 @@ def _raw_periods(experiment):
     return [y.reshape(len(y), -1) for y in lifted]
 
 
-def _refined(A, C, experiment, data, unit):
+def _refined(A, C, experiment, data, unit, stable):
     """The map of largest likelihood for the raw periods, or that identified if it leaves less."""
     directions, lifted = data.excitation, _raw_periods(experiment)
-    refine = without_noise_growth if _grows(A, experiment) else refine_multipliers
+    if _grows(A, experiment):
+        refined = without_noise_growth(A, directions, lifted)
+    else:
+        refined = refine_multipliers(A, directions, lifted, 1.0 if stable else None)
     seen = [Y / unit for Y in data.outputs]
-    return unless_it_leaves_less(refine(A, directions, lifted), A, C, directions, lifted, seen)
+    return unless_it_leaves_less(refined, A, C, directions, lifted, seen)
 
 
 def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
@@ -212,6 +256,13 @@ def _grows(A, experiment):
     """Whether a mode grows e-fold within the longest segment."""
     n_periods = longest_span(experiment) * experiment.basis.omega / (2.0 * np.pi)
     return np.max(np.abs(linalg.eigvals(A)), initial=0.0) > np.exp(1.0 / n_periods)
+
+
+def _predicted_states(matrices, K, starts, data, y_scale):
+    """States of a predictor at the beginning of each period, its innovations their own."""
+    A, B, C, D = matrices
+    parts = zip(data.outputs, data.excitation, starts, strict=True)
+    return [propagate(A - K @ C, Y / y_scale @ K.T + w @ (B - K @ D).T, x0) for Y, w, x0 in parts]
 
 
 def _driven_by_means(matrices, data, u_scale):

@@ -5,27 +5,37 @@ from sklearn.exceptions import FitFailedWarning
 
 from sklearn_hd._checks import check_positive
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.subspace.order import MATERIAL
 
 MOST_NAMED = 5  # of the candidates that failed
 SIZE = ("order", "block_rows")
+PERFECT = (0.0, 1.0, 100.0)  # scores of perfect models: negated errors, R², fit in percent
+ROUNDING = 1e-10  # what perfect models leave
+TWICE = 2.0  # what the best leaves is never about as good
 
 
-def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score", test_share=None):
+def smallest_within_one_standard_error(
+    cv_results, *, size=SIZE, metric="score", test_share=None, perfect=None
+):
     """Index of the smallest candidate about as good as the best: a rule for ``refit``.
 
-    With b_f the scores of the candidate of best mean on folds f = 1 … k, a
-    candidate of mean score s̄ is within one standard error of the best if
+    On fold f the best candidate scores b_f and leaves 1 − b_f unexplained (R²). Another one, of
+    scores s_f, leaves more by
 
-        b̄ − s̄ ≤ SE,   SE² = var(b_f) (1/k + q).
+        d_f = log (1 − s_f) − log (1 − b_f),   d̄ = Σ w_f d_f
 
-    Folds share their training rows, which makes var/k too small; q, rows
-    tested over rows trained on, corrects for that (Nadeau and Bengio). Of the
-    candidates within, the one smallest in the first parameter of ``size`` is
-    taken, then in the second, …, then the one of best score.
+    and is about as good if d̄ is within one standard error,
 
-    The error is that of the best score, not of the difference b_f − s_f: a
-    state too many makes up for what the states before it were estimated
-    wrong, a gain that is tiny but the same on every fold.
+        d̄ ≤ SE,   SE² = (1 + k q) k / (k − 1) Σ w_f² (d_f − d̄)²,   f = 1 … k
+
+    or if it leaves but a hundredth more; never if it leaves twice as much. Differences on the
+    same fold are free of what makes one fold harder than another. The weight w_f is what is
+    explained of the fold at best, −log (1 − b_f), and zero where every candidate is perfect: a fold
+    whose outputs stand still, or are all noise, tells no candidate from another. Folds share
+    their training rows, which makes the variance of a mean over them too small; q, rows tested
+    over rows trained on, corrects for that (Nadeau and Bengio). Of the candidates within, the one
+    smallest in the first parameter of ``size`` is taken, then in the second, …, then the one of
+    least d̄.
 
     Parameters
     ----------
@@ -37,13 +47,16 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
         that were not searched are passed over. The first that was needs a
         number for every candidate, or one value for all (``order="auto"``); a later one that has
         none for some (``block_rows=None``) parts nobody. Where nothing but choices without
-        a size were searched (a window, a method), the best score is taken.
+        a size were searched (a window, a method), the best is taken.
     metric : str, default="score"
         With several metrics, the one to decide by. (Like every callable
         ``refit``, the rule leaves a search without ``best_score_``, which is
         ``cv_results_["mean_test_score"][search.best_index_]``).
     test_share : float or None, default=None
         Rows tested over rows trained on, q. None is 1/(k − 1), as in k folds of equal size.
+    perfect : float or None, default=None
+        Score of a perfect model. None is 1, as of R²; 100 where a score is above 1, as of the fit
+        in percent; 0 where none is above 0, as of errors. Of errors all folds count alike.
 
     Returns
     -------
@@ -53,14 +66,15 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Raises
     ------
     ValueError
-        If no candidate has a finite mean, there are fewer than two folds, or the
-        candidates cannot be told apart by size.
+        If no fold has a score of every candidate that is left, there are fewer than two folds, a
+        score is above ``perfect``, or the candidates cannot be told apart by size.
 
     Warns
     -----
     FitFailedWarning
         Of candidates that failed on some fold (their score is NaN or +inf; −inf, that of
-        an unstable model, is a score). They are passed over.
+        an unstable model, is a score). Those that failed on more folds than others are passed
+        over, and then the folds on which one of the others failed.
 
     References
     ----------
@@ -68,6 +82,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     Trees, section 3.4.3 (the rule).
     Nadeau, Bengio (2003), Inference for the generalization error, Machine
     Learning 52, 239-281.
+    Cochran (1977), Sampling Techniques, section 6.4 (the variance of a weighted mean).
 
     Examples
     --------
@@ -89,14 +104,14 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     {'order': 1}
     """
     scores = fold_scores(cv_results, metric)
-    whole = _comparable(scores, cv_results["params"])
+    share = _share(scores.shape[1], test_share)
     sizes = _sizes(cv_results, (size,) if isinstance(size, str) else tuple(size))
-    means = np.full(len(scores), -np.inf)
-    means[whole] = scores[whole].mean(axis=1)
-    best = int(np.argmax(means))
-    error = standard_error(scores[best], test_share)
-    within = means[best] - means <= error + 1e-10 * abs(means[best])  # rounding
-    return min(np.flatnonzero(within).tolist(), key=lambda i: (*sizes[i], -means[i], i))
+    candidates, folds = _comparable(scores, cv_results["params"])
+    worse, error = _behind_best(*_left(scores[np.ix_(candidates, folds)], perfect), share)
+    enough = np.maximum(np.log(MATERIAL), np.minimum(error, np.log(TWICE)))
+    within = np.flatnonzero(worse <= enough)
+    best = min(within.tolist(), key=lambda i: (*sizes[candidates[i]], worse[i], i))
+    return int(candidates[best])
 
 
 def standard_error(scores, test_share=None):
@@ -105,11 +120,45 @@ def standard_error(scores, test_share=None):
     NaN where one of them is not finite.
     """
     n_folds = len(scores)
-    share = 1.0 / (n_folds - 1) if test_share is None else test_share
-    check_positive("test_share", share, "rows tested over rows trained on", "None is 1/(k − 1)")
+    share = _share(n_folds, test_share)
     if not np.all(np.isfinite(scores)):
         return np.nan
     return float(scores.std(ddof=1) * np.sqrt(1.0 / n_folds + share))
+
+
+def _share(n_folds, test_share):
+    """Rows tested over rows trained on."""
+    share = 1.0 / (n_folds - 1) if test_share is None else test_share
+    check_positive("test_share", share, "rows tested over rows trained on", "None is 1/(k − 1)")
+    return share
+
+
+def _left(scores, perfect):
+    """Logarithm of what each score leaves unexplained, and the weights of the folds."""
+    most = np.max(scores)
+    if perfect is None:
+        perfect = next((p for p in PERFECT if most <= p), PERFECT[-1])
+    if most > perfect:
+        raise ValueError(
+            f"a score of {most:.6g} is above that of a perfect model, perfect={perfect:g}; give "
+            f"perfect= the score of one, or take a metric that has one: R², the negative of an "
+            f"error"
+        )
+    left, some = perfect - scores, perfect > 0.0
+    unit = perfect if some else np.median(left) or 1.0
+    left = np.log(np.clip(left / unit, ROUNDING, 1.0 if some else None))
+    told = left.max(axis=0) > np.log(ROUNDING)  # some candidate leaves something
+    weights = -left.min(axis=0) * told if some and told.any() else np.ones(left.shape[1])
+    return left, weights / weights.sum()
+
+
+def _behind_best(left, weights, share):
+    """By how much candidates leave more than the best one, and the standard error of that."""
+    k, best = len(weights), np.argmin(left @ weights)
+    differences = left - left[best]
+    worse = differences @ weights
+    spread = (differences - worse[:, None]) ** 2 @ weights**2
+    return worse, np.sqrt((1.0 + k * share) * k / max(1, k - 1) * spread)
 
 
 def fold_scores(cv_results, metric):
@@ -134,35 +183,36 @@ def fold_scores(cv_results, metric):
 
 
 def _comparable(scores, candidates):
-    """Which candidates have a score on every fold, with a warning of those that have not.
+    """Which candidates and folds are compared, with a warning of those that are not.
 
-    Raises ValueError where none has a finite one on all.
+    Raises ValueError where none are left.
     """
-    bad = np.isnan(scores) | np.isposinf(scores)
-    failed, finite = np.any(bad, axis=1), np.all(np.isfinite(scores), axis=1)
-    if not np.any(failed | finite):
+    finite, failed = np.isfinite(scores), np.isnan(scores) | np.isposinf(scores)
+    n_bad = np.sum(~finite, axis=1)
+    kept = np.flatnonzero(n_bad == n_bad.min())
+    folds = np.flatnonzero(finite[kept].all(axis=0))
+    several = np.flatnonzero(failed.any(axis=1))
+    named = [f"{candidates[i]} on folds {np.flatnonzero(failed[i]).tolist()}" for i in several]
+    named = "; ".join([*named[:MOST_NAMED], *["…"] * (len(named) > MOST_NAMED)])
+    told = f"{len(several)} of {len(scores)} candidates failed on some fold: {named}"
+    if len(folds) == 0 and len(several) == 0:
         raise ValueError(
-            f"all {len(scores)} candidates are unstable on some fold and score -inf; search over "
-            f"smaller orders, or drop growing modes (SpuriousModeReducer)"
+            f"the {len(kept)} candidates that are stable on most folds share none on which all "
+            f"are: the others score -inf; search over smaller orders, or drop growing modes "
+            f"(SpuriousModeReducer)"
         )
-    if np.any(failed):
-        named = [
-            f"{candidates[i]} on folds {np.flatnonzero(bad[i]).tolist()}"
-            for i in np.flatnonzero(failed)
-        ]
-        named = "; ".join([*named[:MOST_NAMED], *["…"] * (len(named) > MOST_NAMED)])
-        if not np.any(finite):
-            raise ValueError(
-                f"no candidate has a finite score on every fold, and {failed.sum()} of "
-                f"{len(scores)} failed: {named}; see why with error_score='raise', or give folds "
-                f"of more rows to train on"
-            )
+    if len(folds) == 0:
+        raise ValueError(
+            f"no fold has a score of each of the {len(kept)} candidates that failed least, and "
+            f"{told}; see why with error_score='raise', or give folds of more rows to train on"
+        )
+    if len(several):
         warn(
-            f"{failed.sum()} of {len(scores)} candidates failed on some fold and are passed over: "
-            f"{named}; see why with error_score='raise', or take them out of the search",
+            f"{told}; the {len(kept)} that failed least are compared on folds {folds.tolist()}; "
+            f"see why with error_score='raise', or take what fails out of the search",
             FitFailedWarning,
         )
-    return ~failed
+    return kept, folds
 
 
 def _sizes(cv_results, names):

@@ -187,8 +187,10 @@ class OrderSelectionDisplay(Display):
     """Cross-validated score by order, one line for each number of block rows.
 
     Bars are standard errors of the mean score, folds sharing their training rows
-    (Nadeau and Bengio): SE² = var (1/k + q), q rows tested over rows trained on. A model
-    within one standard error of the best is as good as the best.
+    (Nadeau and Bengio): SE² = var (1/k + q), q rows tested over rows trained on. They hold what
+    makes one fold harder than another, too. The rule
+    :func:`~sklearn_hd.model_selection.smallest_within_one_standard_error` compares candidates
+    fold by fold, and tells smaller differences.
 
     Parameters
     ----------

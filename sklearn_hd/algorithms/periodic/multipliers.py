@@ -45,6 +45,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
     largest : float, optional
         Size that multipliers may have; by default what a record can show, and a start
         beyond that is left as it is.
+    max_steps : int, default=25
 
     Returns
     -------
@@ -444,8 +445,13 @@ def is_possible(Phi, n_periods):
     multipliers = linalg.eigvals(Phi)
     if np.sum((multipliers.imag == 0.0) & (multipliers.real < 0.0)) % 2:
         return False
-    largest = np.max(np.abs(multipliers))
-    return n_periods * np.log(max(largest, 1.0)) <= np.log(LARGEST_RESPONSE)
+    return not outgrows_numbers(Phi, n_periods)
+
+
+def outgrows_numbers(Phi, n_periods):
+    """Whether a mode grows within some periods beyond what numbers, and records, can hold."""
+    largest = np.max(np.abs(linalg.eigvals(Phi)), initial=1.0)
+    return n_periods * np.log(largest) > np.log(LARGEST_RESPONSE)
 
 
 def left_by(Phi, directions, target):

@@ -43,7 +43,28 @@ INTERVALS = 8  # a period: longer ones have more signal, shorter ones a finer ru
 
 
 def state_response(Phi, C, directions, lifted, seen):
-    """How the state moves, and what every sample of the period sees of it.
+    """What every sample of the period sees of the states of :func:`driven_states`.
+
+    Parameters
+    ----------
+    Phi, C, directions, lifted, seen
+        As for :func:`driven_states`.
+
+    Returns
+    -------
+    sights : ndarray, shape (q, n)
+        O: what each sample of the period sees of the state at its start.
+    information : ndarray, shape (n, n)
+        Inverse covariance of the rows of O for noise of variance one.
+    residual : ndarray, shape (q,)
+        Sum of squares left of each sample of the period.
+    """
+    _, states = driven_states(Phi, C, directions, lifted, seen)
+    return response_to_states(states, directions, lifted)
+
+
+def driven_states(Phi, C, directions, lifted, seen):
+    """How inputs and initial states move the state from one period to the next.
 
     Alternates two linear least-squares fits, each exact where the other is: B and the
     initial states from the outputs, and the outputs' O_j and D_j from the states.
@@ -60,29 +81,30 @@ def state_response(Phi, C, directions, lifted, seen):
 
     Returns
     -------
-    sights : ndarray, shape (q, n)
-        O: what each sample of the period sees of the state at its start.
-    information : ndarray, shape (n, n)
-        Inverse covariance of the rows of O for noise of variance one.
-    residual : ndarray, shape (q,)
-        Sum of squares left of each sample of the period.
+    B : ndarray, shape (n, r)
+    states : list of ndarray, shapes (n_periods_s, n)
+        At the beginning of each period.
     """
     units = _unit_responses(Phi, directions)  # (n_periods, n_unknown, n)
-    outputs, target = _off(directions, lifted), _off(directions, seen)
-    units = _off(directions, [units.reshape(len(outputs), -1)]).reshape(units.shape)
+    few, target = compact(_off(directions, lifted)), _off(directions, seen)
+    free = _off(directions, [units.reshape(len(few), -1)]).reshape(units.shape)
     sees, before = C, np.inf
-    few = compact(outputs)
     for _ in range(SWEEPS):
-        regressors = np.einsum("kun,cn->kcu", units, sees).reshape(target.size, -1)
+        regressors = np.einsum("kun,cn->kcu", free, sees).reshape(target.size, -1)
         size = column_sizes(regressors)
         unknown = linalg.lstsq(regressors / size, target.ravel(), cond=EXACT)[0] / size
-        states = np.einsum("kun,u->kn", units, unknown)
+        states = np.einsum("kun,u->kn", free, unknown)
         sees = linalg.lstsq(states, few)[0].T
         left = float(np.sum((few - states @ sees.T) ** 2))
         if left >= (1.0 - 1e-6) * before or left <= EXACT**2 * np.sum(few**2):
             break
-        target, before = few, left
-    return response_to_states([states], directions, [outputs])
+        # squares beyond what the outputs can see of states are the same whatever B is
+        Q, sees = linalg.qr(sees, mode="economic")
+        target, before = few @ Q, left
+    n, r = len(Phi), directions[0].shape[1]
+    ends = np.cumsum([len(w) for w in directions])[:-1]
+    states = np.split(np.einsum("kun,u->kn", units, unknown), ends)
+    return unknown[: n * r].reshape(n, r), states
 
 
 def response_to_states(states, directions, lifted):
