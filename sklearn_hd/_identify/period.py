@@ -37,7 +37,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     refine_multipliers,
     without_noise_growth,
 )
-from sklearn_hd.algorithms.periodic.periodic_realization import state_response
+from sklearn_hd.algorithms.periodic.periodic_realization import forced_waveform, state_response
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
@@ -87,7 +87,7 @@ def identify(data, settings, experiment):
     asked = None if settings.order == "auto" else settings.order
     still = free_decay(decays, asked) if decays and not settings.predictor else None
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
-    at_rest = False
+    at_rest, forced = False, None
     if settings.predictor:
         matrices = _driven_by_means(matrices, data, scales[0])
     else:
@@ -98,7 +98,10 @@ def identify(data, settings, experiment):
         if at_rest:
             Phi, C = still.Phi, _sight(still, stretches, data, scales[1])
             decomposition = replace(decomposition, order=len(Phi))
-        if Phi is not A:
+        if not experiment.basis.trim_known:
+            forced = _forced(Phi, experiment, data)
+            data = _less(data, forced, experiment.basis)
+        if Phi is not A or forced is not None:
             B, D, x0 = data.input_matrices(Phi, C, True, scales)
             matrices = Phi, B, C, D
     fitted = matrices, noise, x0
@@ -109,7 +112,7 @@ def identify(data, settings, experiment):
     opinion = of_free_decays(still, experiment, at_rest)
     warn_of_growth(fit.model, experiment)
     warn_unconfirmed(fit.model.exponents(), opinion, complete=not at_rest)
-    return replace(fit, model=replace(fit.model, at_rest=at_rest, opinion=opinion))
+    return replace(fit, model=replace(fit.model, at_rest=at_rest, opinion=opinion), forced=forced)
 
 
 def _excitation(experiment, settings):
@@ -206,6 +209,22 @@ def _sight(still, stretches, data, unit):
     seen = np.vstack([data.outputs[s][rows] for s, rows in stretches]) / unit
     states = np.vstack(still.states)
     return linalg.lstsq(np.hstack([states, np.ones((len(states), 1))]), seen)[0][:-1].T
+
+
+def _forced(Phi, experiment, data):
+    """What the trim of the outputs is off by: their waveform without inputs and states."""
+    lifted = lifted_periods(experiment, experiment.outputs)
+    directions = [w[:, :-1] for w in data.excitation]  # without that of the trim
+    flat = [y.reshape(len(y), -1) for y in lifted]
+    return forced_waveform(Phi, directions, flat).reshape(lifted[0].shape[1:])
+
+
+def _less(data, waveform, basis):
+    """Data less the coefficients of a waveform of the outputs."""
+    time = np.arange(len(waveform)) * basis.sample_time
+    off = basis.output_coefficients(waveform, time, np.zeros(1, dtype=int))
+    outputs = [Y - off for Y in data.outputs]
+    return Records(data.inputs, outputs, data.facts, data.kept, data.excitation)
 
 
 def _grows(A, experiment):
