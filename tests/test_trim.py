@@ -166,6 +166,7 @@ def test_a_span_that_is_no_trim(span, words, noise):
 
 
 @pytest.mark.filterwarnings("ignore:.* exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:.* of the energy of the inputs")  # of their rounding
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_without_rest_the_trim_is_identified_with_the_dynamics(noise):
     """The record begins with the doublet and ends in mid-decay."""

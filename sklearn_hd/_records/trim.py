@@ -77,10 +77,10 @@ def _found(sampling, blocks, basis):
         stands = stands_out(y[rest], motion)
     else:
         rest = np.concatenate(turns_at_rest(inputs))
-        rest = rest if np.sum(rest) >= PARTS else np.ones(len(y), dtype=bool)
-        stands = len(y[rest]) >= PARTS and _share(y[rest].mean(axis=0), y) > MOST_WAVEFORM
+        rest = rest if rest.any() else ~rest
+        stands = len(y) >= PARTS and _share(y.mean(axis=0), y) > MOST_WAVEFORM
         if stands:
-            parts = [part.mean(axis=0) for part in np.array_split(y[rest], PARTS)]
+            parts = [part.mean(axis=0) for part in np.array_split(y, PARTS)]
             stands = stands_out(np.array(parts), motion)
     waveform = y[rest].mean(axis=0)
     if not stands or np.max(np.abs(waveform)) <= NONE * np.max(np.abs(y)):
