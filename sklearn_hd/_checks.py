@@ -239,8 +239,13 @@ def check_phase(omega, azimuth, time_origin):
     return FIRST if origin is None else origin
 
 
-def check_span(name, span):
-    """Return (start, stop) as floats if they are seconds, the first before the second."""
+def check_span(name, span, *words):
+    """Return (start, stop) as floats if they are seconds, the first before the second.
+
+    Some words stand for spans, too.
+    """
+    if isinstance(span, str) and span in words:
+        return span
     edges = () if isinstance(span, str) or not np.iterable(span) else tuple(span)
     number = [isinstance(e, numbers.Real) and not isinstance(e, bool) for e in edges]
     if len(edges) != 2 or not all(number) or not edges[0] < edges[1]:
@@ -249,7 +254,7 @@ def check_span(name, span):
             hint = "; of dates, (start - time_origin).total_seconds() and so on"
         raise ValueError(
             f"{name}={span!r} is not a pair of times; give (start, stop) in seconds, start before "
-            f"stop, or None{hint}"
+            f"stop, {''.join(f'{word!r} ' for word in words)}or None{hint}"
         )
     return float(edges[0]), float(edges[1])
 

@@ -1,5 +1,7 @@
 """What the three model steps share: the model behind, simulation, score."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator, RegressorMixin, clone
@@ -154,7 +156,13 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         frame = self._upstream_frame(check_features(self, X, reset=False))
         if not frame.is_analysed:
             read_signals(frame, "x", "X")  # finite numbers on increasing times
-        return HarmonicFrame.attach(frame, frame.basis, self.model_)
+        return HarmonicFrame.attach(frame, self._own_basis(frame.basis), self.model_)
+
+    def _own_basis(self, basis):
+        """A basis with the outputs' trim of this model, where the dynamics told it."""
+        if basis is None or basis.trim_known:
+            return basis
+        return replace(basis, output_trim=self.basis_.output_trim)
 
     def _upstream_frame(self, X):
         """X with the basis and the model of the steps before this one."""
@@ -253,12 +261,16 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
     @one_blas_thread
     @within_range
     def score(self, X, y, sample_weight=None):
-        """R² of the free simulation in the units of y, averaged over the outputs.
+        """R² of the free simulation of the motion, in the units of y, averaged over the outputs.
 
-        The initial state of each segment is fitted on its first ``warmup``
-        seconds after the first whole window; those rows, and rows of
-        incomplete periods, are left out. A model identified through a sliding window is compared
-        with y as that window shows it, for it tells no more; any other with y itself.
+            R² = 1 − Σ (y − ŷ)² / Σ (y − w − mean)²
+
+        w is the trim that was subtracted, or the forced periodic response that was identified
+        (``reading="sample"``): a waveform that repeats itself with every turn earns nothing.
+        Where no trim is known (``trim_span=None``) it is zero. The initial state of each segment
+        is fitted on its first ``warmup`` seconds after the first whole window; those rows, and
+        rows of incomplete periods, are left out. A model identified through a sliding window is compared with y
+        as that window shows it, for it tells no more; any other with y itself.
 
         Parameters
         ----------
@@ -300,8 +312,11 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
-    def _fitted_simulation(self, X, y, horizon=None):
-        """Measured and simulated (or predicted) outputs on the rows that count, and those rows."""
+    def _fitted_simulation(self, X, y, horizon=None, loads=False):
+        """Measured and simulated (or predicted) outputs on the rows that count, and those rows.
+
+        Without the forced periodic response unless ``loads``.
+        """
         experiment = self._experiment(without_inputs(y) if X is None else X, y)
         trim, sampling = experiment.output_trim(), experiment.sampling
         truth, simulated, rows = [], [], []
@@ -321,12 +336,13 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
                 within = own
             seen = as_seen(simulator, y_segment)
             outputs = self._fitted_outputs(simulator, seen, warm, horizon)
+            forced = (not loads) * simulator.forced()
             if seen is y_segment:
-                waveform = 0.0 if trim is None else piece.back(trim[i])[within]
-                truth.append(measured - waveform)
+                known = forced if trim is None else trim[i] + forced
+                truth.append(measured - piece.back(known)[within])
             else:
-                truth.append(piece.back(seen)[within])
-            simulated.append(piece.back(outputs)[within])
+                truth.append(piece.back(seen - forced)[within])
+            simulated.append(piece.back(outputs - forced)[within])
             rows.append(own + piece.rows.start)
         if not truth:
             raise ValueError(
@@ -379,6 +395,8 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         decomposition = self.basis_ if self.predicts_harmonics_ else None
         if getattr(self, "estimator", None) is not None:
             X = self._upstream_frame(X)
+        if isinstance(X, HarmonicFrame):
+            X = HarmonicFrame.attach(X, self._own_basis(X.basis), X.model)
         experiment = read_experiment(X, y, decomposition)
         self._check_basis(experiment.basis)
         if y is not None and not self.predicts_harmonics_:
@@ -509,13 +527,14 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         return self.model_.to_control()
 
 
-def scored_simulation(step, X, y, horizon=None):
+def scored_simulation(step, X, y, horizon=None, loads=False):
     """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows.
 
-    With a horizon, outputs predicted so many rows ahead.
+    With a horizon, outputs predicted so many rows ahead; with loads, the forced response of models
+    of samples within.
     """
     check_is_fitted(step)
-    return step._fitted_simulation(X, y, horizon)
+    return step._fitted_simulation(X, y, horizon, loads)
 
 
 def compared(step, X, y, sample_weight=None, horizon=None):

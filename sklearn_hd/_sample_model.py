@@ -70,6 +70,8 @@ class SampleModel:
         Whether D is free.
     n_loads : int
         Harmonics of the forced response; −1 where there is none, not even a mean.
+    input_mean : ndarray, shape (2 L + 1, m), or None
+        Fourier coefficients of the inputs' periodic mean at fit; None is zero.
     opinion : Opinion or None
         What another way has found of its exponents.
     """
@@ -81,6 +83,7 @@ class SampleModel:
     output_names: tuple
     feedthrough: bool = False
     n_loads: int = -1
+    input_mean: np.ndarray | None = None
     opinion: object = None
 
     state_names = None
@@ -213,6 +216,14 @@ class SampleSimulator:
     def n_read_within(self, stop):
         """Rows of the model before some sample."""
         return stop
+
+    def forced(self):
+        """The forced periodic response, trim not added, shape (n_samples, n_outputs)."""
+        innovations, mean = self.model.innovations, self.model.input_mean
+        if mean is not None:
+            none = np.zeros((len(mean), len(innovations.covariance)))
+            innovations = innovations.about(-mean, none).about_orbit()
+        return innovations.rows(self.psi).outputs[..., -1]
 
     def observe(self, Y, time, recompose=True):
         """The same: outputs of the model are what is measured."""

@@ -65,6 +65,10 @@ class SegmentSimulator:
         """Rows of the model whose samples all lie before some sample."""
         return self.basis.n_read_within(self.time, stop)
 
+    def forced(self):
+        """Outputs without inputs and states, trim not added: none."""
+        return np.zeros((len(self.time), 1))
+
     def at_samples(self, some=slice(None)):
         """The model at (some) samples, whose outputs are what is measured."""
         if self.rows is not None:

@@ -12,7 +12,6 @@ from sklearn_hd._checks import (
     check_choice,
     check_missing,
     check_phase,
-    check_span,
 )
 from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
@@ -22,7 +21,6 @@ from sklearn_hd._records.bases import AUTO, chosen_reading, record_basis
 from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
-    mean_waveforms,
     read_signals,
     read_values,
     sample,
@@ -30,6 +28,7 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
+from sklearn_hd._records.trim import with_trim
 from sklearn_hd._tables import check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
@@ -89,11 +88,14 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         three more than twice the highest harmonic. With ``reading="sample"`` any number; None
         keeps 24 rows a turn, and more where the outputs forget half of their motion from row to
         row (``basis_.hop`` says it). Inputs are averaged in between.
-    trim_span : (float, float) or None, default=None
-        Index times, in seconds within each record (dates: since
-        ``time_origin``), between which the machine is in periodic trim. The
-        waveforms averaged over that span are subtracted before decomposition,
-        and added again by ``predict``.
+    trim_span : "auto", (float, float) or None, default="auto"
+        Where the machine is in periodic trim: index times, in seconds within each record (dates:
+        since ``time_origin``). The waveforms averaged there are subtracted before decomposition,
+        and added again by ``predict``. ``"auto"`` takes the turns in which inputs rest and
+        outputs repeat themselves, but for noise, and subtracts nothing where the outputs are
+        zero there, but for noise, or where nothing rests. None subtracts nothing. With
+        ``reading="sample"`` ``"auto"`` is None: the forced response is identified together with
+        the dynamics.
     sample_time : float or None, default=None
         Seconds. None reads it from the index, or is 1.0 where samples are counted.
     azimuth : str or None, default=None
@@ -212,7 +214,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         window="boxcar",
         reading=AUTO,
         hop=None,
-        trim_span=None,
+        trim_span=AUTO,
         sample_time=None,
         azimuth=None,
         time_origin=None,
@@ -272,7 +274,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         basis = record_basis(self, reading, inputs, output_names, timing)
         if reading == "sample" and self.hop is None and outputs is not None:
             basis = _without_loss(basis, inputs, outputs)
-        self.basis_ = self._with_trim(basis, inputs, outputs)
+        self.basis_ = with_trim(basis, inputs, outputs, self.trim_span)
         if basis.timing.resampled:
             warn_of_resampling(self.basis_, inputs, outputs)
         return self
@@ -291,18 +293,6 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             )
         origin = check_phase(self.omega, self.azimuth, self.time_origin)
         return Timing(self.sample_time, origin, self.azimuth, check_missing(self.missing))
-
-    def _with_trim(self, basis, inputs, outputs):
-        """The basis with the waveforms of inputs and outputs in trim, where asked for."""
-        if self.trim_span is None:
-            return basis
-        start, stop = check_span("trim_span", self.trim_span)
-        sampling, values, _ = sample(inputs, basis)
-        waveforms = {"input_trim": mean_waveforms(sampling, values, basis, start, stop)}
-        if outputs is not None:
-            sampling, _, values = sample(inputs, basis, outputs)
-            waveforms["output_trim"] = mean_waveforms(sampling, values, basis, start, stop)
-        return replace(basis, **waveforms)
 
     @within_range
     def transform(self, X):

@@ -1,6 +1,6 @@
 """Step 3: subspace identification of a discrete-time state-space model."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
@@ -244,8 +244,10 @@ class MOESPRegressor(ModelStep):
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
         experiment = read_for_fit(X, y)
-        found = identify_record(experiment, settings)
-        return self._store(found, experiment.basis, X, y, experiment)
+        found, basis = identify_record(experiment, settings), experiment.basis
+        if found.forced is not None:
+            basis = replace(basis, output_trim=basis.output_trim + found.forced)
+        return self._store(found, basis, X, y, experiment)
 
     @one_blas_thread
     @within_range

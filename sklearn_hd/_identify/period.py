@@ -42,6 +42,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 )
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     driven_states,
+    forced_waveform,
     response_to_states,
     state_response,
 )
@@ -94,8 +95,7 @@ def identify(data, settings, experiment):
     asked = None if settings.order == "auto" else settings.order
     still = free_decay(decays, asked) if decays and not settings.predictor else None
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
-    at_rest = False
-    known = None
+    at_rest, known, forced = False, None, None
     if settings.predictor:
         known = matrices[1], _predicted_states(matrices, noise[0], x0, data, scales[1])
         matrices = _driven_by_means(matrices, data, scales[0])
@@ -108,7 +108,10 @@ def identify(data, settings, experiment):
         if at_rest:
             Phi, C = still.Phi, _sight(still, stretches, data, scales[1])
             decomposition = replace(decomposition, order=len(Phi))
-        if Phi is not A:
+        if not experiment.basis.trim_known:
+            forced = _forced(Phi, experiment, data)
+            data = _less(data, forced, experiment.basis)
+        if Phi is not A or forced is not None:
             B, D, x0 = data.input_matrices(Phi, C, True, scales)
             matrices = Phi, B, C, D
     fitted = matrices, noise, x0
@@ -119,11 +122,11 @@ def identify(data, settings, experiment):
     opinion = of_free_decays(still, experiment, at_rest)
     warn_of_growth(fit.model, experiment)
     warn_unconfirmed(fit.model.exponents(), opinion, complete=not at_rest)
-    model = _lifted(fit.model, data, experiment, known)
-    return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion))
+    model = _lifted(fit.model, data, experiment, known, forced)
+    return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion), forced=forced)
 
 
-def _lifted(model, data, experiment, known):
+def _lifted(model, data, experiment, known, forced):
     """The model with what happens within its periods, by linear least squares.
 
     B and the states are known of a predictor. Of a map that outgrows numbers within the record
@@ -133,6 +136,8 @@ def _lifted(model, data, experiment, known):
     longest = max(map(len, outputs))
     if outgrows_numbers(A, longest):
         return model
+    if forced is not None:
+        outputs = [y - (forced / output_scale(experiment)).ravel() for y in outputs]
     if known is not None:
         B, states = known
     else:
@@ -250,6 +255,22 @@ def _sight(still, stretches, data, unit):
     seen = np.vstack([data.outputs[s][rows] for s, rows in stretches]) / unit
     states = np.vstack(still.states)
     return linalg.lstsq(np.hstack([states, np.ones((len(states), 1))]), seen)[0][:-1].T
+
+
+def _forced(Phi, experiment, data):
+    """What the trim of the outputs is off by: their waveform without inputs and states."""
+    lifted = lifted_periods(experiment, experiment.outputs)
+    directions = [w[:, :-1] for w in data.excitation]  # without that of the trim
+    flat = [y.reshape(len(y), -1) for y in lifted]
+    return forced_waveform(Phi, directions, flat).reshape(lifted[0].shape[1:])
+
+
+def _less(data, waveform, basis):
+    """Data less the coefficients of a waveform of the outputs."""
+    time = np.arange(len(waveform)) * basis.sample_time
+    off = basis.output_coefficients(waveform, time, np.zeros(1, dtype=int))
+    outputs = [Y - off for Y in data.outputs]
+    return Records(data.inputs, outputs, data.facts, data.kept, data.excitation)
 
 
 def _grows(A, experiment):

@@ -177,6 +177,7 @@ def identify(data, settings, experiment):
         basis.output_labels,
         layout.feedthrough,
         basis.most_loads,
+        data.means[0],
     )
     warn_of_little(layout, sums.n_rows, best, basis)
     warn_of_drift(data, predictor, basis, ROWS_COMPARED)

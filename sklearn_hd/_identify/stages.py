@@ -74,6 +74,8 @@ class SubspaceFit:
         Why D is free, or zero.
     tried : tuple of Simulated
         The models that the order was chosen from; none where singular values told it.
+    forced : ndarray, shape (samples_per_period, n_outputs), or None
+        What the trim of the outputs is off by, where it is identified together with the dynamics.
     """
 
     model: LTIModel
@@ -84,6 +86,7 @@ class SubspaceFit:
     noise_floor: float = 0.0
     feedthrough_reason: str = ""
     tried: tuple = ()
+    forced: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -177,6 +177,10 @@ class PeriodicSimulator:
         self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
         self.response = response
 
+    def forced(self):
+        """Outputs without inputs and states, trim not added: none."""
+        return np.zeros((len(self.time), 1))
+
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, trim not added, of all samples or the first of them."""
         inputs = self.inputs[:n_samples]

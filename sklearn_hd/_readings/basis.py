@@ -68,6 +68,9 @@ class HarmonicBasis:
         Harmonics kept of each signal.
     input_trim, output_trim : ndarray, shapes (samples_per_period, n_signals), or None
         Periodic waveforms subtracted from the signals.
+    trim_known : bool
+        Whether these are of rows in trim. Else that of the outputs is a start, and what it is off
+        by is identified together with the dynamics.
     timing : Timing
         When the user's rows were sampled.
     small_signal : "odd", "extrapolate" or None
@@ -85,6 +88,7 @@ class HarmonicBasis:
     output_trim: np.ndarray | None = None
     timing: Timing = field(default_factory=Timing)
     small_signal: str | None = None
+    trim_known: bool = True
 
     harmonic = True
     nothing_spurious = None  # why models hold no modes but the machine's

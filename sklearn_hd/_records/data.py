@@ -25,7 +25,6 @@ from sklearn_hd._tables import (
     TimeBase,
     as_container,
     read_time,
-    resolution,
     straightened,
     to_float,
     without_inputs,
@@ -326,26 +325,6 @@ def without_trim(blocks, times, basis, trim):
     if trim is None:
         return blocks
     return [block - basis.waveform(trim, time) for block, time in zip(blocks, times, strict=True)]
-
-
-def mean_waveforms(sampling, blocks, basis, start, stop):
-    """Periodic waveforms over the trim span, pooled over records."""
-    spp, dt = basis.samples_per_period, basis.sample_time
-    tolerance = max(1e-6 * dt, resolution(sampling.clock))
-    inside = (sampling.clock >= start - tolerance) & (sampling.clock < stop - tolerance)
-    kept = []
-    for segment, values in zip(sampling.base.segments, blocks, strict=True):
-        rows = np.flatnonzero(inside[segment])
-        rows = rows[: int(len(rows) // spp * spp)]  # whole periods: each phase counts alike
-        kept.append((values[rows], sampling.base.time[segment][rows]))
-    waveforms = basis.mean_waveforms(kept)
-    if waveforms is None:
-        raise ValueError(
-            f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
-            f"({spp * dt:.4g} s) of any record; widen it, or, where a fold of a cross-validation "
-            f"leaves it out, keep it in all of them: PeriodBlockSplit(..., trim_span=...)"
-        )
-    return waveforms
 
 
 def is_decomposed(y):

@@ -389,7 +389,7 @@ def _simulate(estimator, X, y, display):
     """Last model step; measured and simulated outputs on the rows scored; those rows."""
     fitted_step(estimator, ModelStep, display)
     step, handed = last_model_step(estimator, X)
-    return step, *scored_simulation(step, handed, y)
+    return step, *scored_simulation(step, handed, y, loads=True)
 
 
 def _loads(estimator, X, y, display):

@@ -28,7 +28,10 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
+    Modes,
     compact,
+    orthonormal_range,
+    polynomials,
 )
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
@@ -40,6 +43,39 @@ SWEEPS = 20
 
 # ---- the Poincaré map ------------------------------------------------------------------------
 INTERVALS = 8  # a period: longer ones have more signal, shorter ones a finer rule
+
+
+def forced_waveform(Phi, directions, lifted):
+    """Outputs of a period without inputs and states: the forced periodic response.
+
+        y[k] = O z[k] + D w[k] + c
+
+    by least squares, beside as many states as Φ has: those of the directions in which its modes
+    could answer to inputs and initial states that explain most.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+    directions : list of ndarray, shapes (n_periods_s, r)
+        Inputs, zero in trim.
+    lifted : list of ndarray, shapes (n_periods_s, q)
+
+    Returns
+    -------
+    c : ndarray, shape (q,)
+    """
+    modes, target = Modes(directions), np.vstack(lifted)
+    known = np.hstack([np.ones((len(target), 1)), modes.inputs])
+    answers = modes.responses(polynomials(Phi))[1]
+    Q = orthonormal_range(known)
+    new = answers - Q @ (Q.T @ answers)
+    size = column_sizes(new)
+    U, values, Vt = linalg.svd(new / size, full_matrices=False)
+    kept = values > DEPENDENT * values[0]
+    within = U[:, kept].T @ target
+    best = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
+    states = answers / size @ (Vt[kept].T / values[kept]) @ best
+    return linalg.lstsq(np.hstack([known, states]), target)[0][0]
 
 
 def state_response(Phi, C, directions, lifted, seen):

@@ -1,0 +1,184 @@
+"""The trim of records: periodic waveforms of rows at rest, and what rows say against them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_hd._checks import check_span
+from sklearn_hd._records.bases import AUTO
+from sklearn_hd._records.data import sample
+from sklearn_hd._tables import resolution
+from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.signals.lifting import lift
+from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands_out, turns_at_rest
+from sklearn_hd.exceptions import IdentifiabilityWarning
+
+__all__ = ["with_trim"]
+
+MOST_MOTION = 0.01  # of its energy, that a trim may hold
+MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody subtracts
+LEAST_TURNS = 2
+PARTS = 8  # of a record, by which a waveform is told from its motion
+NONE = 1e-9  # of the outputs: a waveform that is rounding
+
+
+def with_trim(basis, signals, outputs, trim_span):
+    """The basis with the waveforms of inputs and outputs in trim, as ``trim_span`` says.
+
+    Parameters
+    ----------
+    basis : HarmonicBasis
+    signals : Signals
+        Inputs.
+    outputs : ndarray, shape (n_rows, n_outputs), or None
+    trim_span : (float, float), "auto" or None
+
+    Returns
+    -------
+    basis : HarmonicBasis
+    """
+    span = None if trim_span is None else check_span("trim_span", trim_span, AUTO)
+    samples = basis.reading == "sample"  # which identifies its forced response with the dynamics
+    if span in (None, AUTO):
+        if outputs is None or samples:
+            return basis
+        sampling, *blocks = sample(signals, basis, outputs)
+        found = _found(sampling, blocks, basis)
+        if found is not None and span is None:
+            _warn_of_no_trim(found["output_trim"], blocks[1], basis, sampling)
+        if found is None or span is None:
+            return basis
+        if basis.reading == "sliding" and not found["trim_known"]:
+            _warn_of_no_rest()
+        return replace(basis, **found)
+    start, stop = span
+    sampling, *blocks = sample(signals, basis, outputs)
+    given = [values for values in blocks if values is not None]
+    waveforms = [_waveform(sampling, values, basis, start, stop) for values in given]
+    if not samples:
+        _warn_of_drift(sampling, given, basis, start, stop)
+    return replace(basis, **dict(zip(("input_trim", "output_trim"), waveforms, strict=False)))
+
+
+def _found(sampling, blocks, basis):
+    """Waveforms of turns in trim; None where those of the outputs are no more than noise.
+
+    Where nothing rests those of all turns, if outputs hold little else, or of those in which the
+    inputs alone rest: what that of the outputs is off by is identified with the dynamics.
+    """
+    inputs, outputs = (_lifted(sampling, values, basis) for values in blocks)
+    u, y = (np.concatenate(signals) for signals in (inputs, outputs))
+    if len(y) < LEAST_TURNS:
+        return None
+    motion = motion_of(outputs)
+    rest = np.concatenate(in_trim(inputs, outputs))
+    known = bool(rest.any())
+    if known:
+        stands = stands_out(y[rest], motion)
+    else:
+        rest = np.concatenate(turns_at_rest(inputs))
+        rest = rest if rest.any() else ~rest
+        stands = len(y) >= PARTS and _share(y.mean(axis=0), y) > MOST_WAVEFORM
+        if stands:
+            parts = [part.mean(axis=0) for part in np.array_split(y, PARTS)]
+            stands = stands_out(np.array(parts), motion)
+    waveform = y[rest].mean(axis=0)
+    if not stands or np.max(np.abs(waveform)) <= NONE * np.max(np.abs(y)):
+        return None
+    return {"input_trim": u[rest].mean(axis=0), "output_trim": waveform, "trim_known": known}
+
+
+def _share(waveform, turns):
+    """Of the energy of an output that is a waveform which repeats itself, the largest."""
+    known, whole = len(turns) * np.sum(waveform**2, axis=0), np.sum(turns**2, axis=(0, 1))
+    return float(np.max(known / np.where(whole > 0.0, whole, 1.0)))
+
+
+def _lifted(sampling, values, basis, inside=None):
+    """Whole turns of each segment, those inside a span alone where one is given."""
+    parts = zip(sampling.base.segments, values, strict=True)
+    spp = basis.samples_per_period
+    found = []
+    for segment, block in parts:
+        phase = basis.phase_index(sampling.base.time[segment])
+        turns = lift(block, phase, spp)
+        if inside is not None:
+            turns = turns[lift(inside[segment][:, None], phase, spp).all(axis=(1, 2))]
+        found.append(turns)
+    return found
+
+
+def _inside(sampling, basis, start, stop):
+    """Which rows of the grid lie between two times."""
+    tolerance = max(1e-6 * basis.sample_time, resolution(sampling.clock))
+    return (sampling.clock >= start - tolerance) & (sampling.clock < stop - tolerance)
+
+
+def _waveform(sampling, blocks, basis, start, stop):
+    """Periodic waveforms over the trim span, pooled over records."""
+    spp = basis.samples_per_period
+    inside, kept = _inside(sampling, basis, start, stop), []
+    for segment, values in zip(sampling.base.segments, blocks, strict=True):
+        rows = np.flatnonzero(inside[segment])
+        rows = rows[: int(len(rows) // spp * spp)]  # whole periods: each phase counts alike
+        kept.append((values[rows], sampling.base.time[segment][rows]))
+    waveforms = basis.mean_waveforms(kept)
+    if waveforms is None:
+        raise ValueError(
+            f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
+            f"({spp * basis.sample_time:.4g} s) of any record; widen it, or, where a fold of a "
+            f"cross-validation leaves it out, keep it in all of them: PeriodBlockSplit(..., "
+            f"trim_span=...)"
+        )
+    return waveforms
+
+
+def _warn_of_drift(sampling, given, basis, start, stop):
+    """Of a span in which inputs move, or outputs have not come to rest."""
+    inside = _inside(sampling, basis, start, stop)
+    whole, within = (
+        [_lifted(sampling, values, basis, *rows) for values in given] for rows in ((), (inside,))
+    )
+    motions = [motion_of(turns) for turns in whole]
+    n_turns = sum(map(len, within[0]))
+    if n_turns < 2:
+        return
+    moved = motion_of(within[0]) / np.where(motions[0] > 0.0, motions[0], 1.0) / n_turns
+    still = np.concatenate(turns_at_rest(whole[0]))  # inputs of noise alone rest nowhere
+    if still.any() and np.max(moved) > MOST_MOTION:
+        what, share = "inputs move", np.max(moved)
+    else:
+        pairs = zip(within, motions, strict=True)
+        share = max(drift(turns, motion) for parts, motion in pairs for turns in parts)
+        what = "outputs are not at rest"
+    if share > MOST_MOTION:
+        warn(
+            f"the {what} within trim_span=({start:g}, {stop:g}): what is subtracted for the trim "
+            f"holds {np.sqrt(share):.2g} of the motion in the record (rms); give one that begins "
+            f"when outputs have settled and ends before inputs move, or trim_span='auto'",
+            IdentifiabilityWarning,
+        )
+
+
+def _warn_of_no_trim(waveform, outputs, basis, sampling):
+    """Of outputs that are mostly a periodic waveform which nobody subtracts."""
+    share = _share(waveform, np.concatenate(_lifted(sampling, outputs, basis)))
+    if share > MOST_WAVEFORM:
+        warn(
+            f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
+            f"of the energy of an output, and trim_span=None subtracts none; identified as "
+            f"dynamics it is a multiplier at 1, and R² is mostly a share of it; give "
+            f"trim_span='auto', or the times of the trim",
+            IdentifiabilityWarning,
+        )
+
+
+def _warn_of_no_rest():
+    """Of a trim that a sliding window's models know no better than the mean over the record."""
+    warn(
+        "trim_span='auto': no turn is in trim, in which inputs rest and outputs repeat themselves; "
+        "the mean waveform of turns in which outputs move is subtracted for it; use a record with "
+        "a span in trim, or reading='sample' or 'period', which identify the trim together with "
+        "the dynamics",
+        IdentifiabilityWarning,
+    )

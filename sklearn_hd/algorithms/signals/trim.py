@@ -1,0 +1,218 @@
+"""The turns of a record in periodic trim.
+
+In trim inputs rest, and outputs repeat themselves: turns after a motion do only when it has died
+away. What two groups of turns differ by is told from noise by Dempster's test, which takes turns
+as vectors of more entries than there are turns:
+
+    F = |ȳ₁ − ȳ₂|² / ((1/n₁ + 1/n₂) tr S),   F(r, r (n₁ + n₂ − 2)),   r = (tr Σ)² / tr Σ²
+
+The analyzer needs it.
+
+References: Dempster (1960), A significance test for the separation of two highly multivariate
+small samples, Biometrics 16(1), 41-50; r by Bai and Saranadasa (1996), Statistica Sinica 6.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f
+
+from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.signals.rest import QUIET, rests
+
+__all__ = ["drift", "in_trim", "motion_of", "stands_out", "turns_at_rest"]
+
+LEVEL = 1e-3  # share of noise taken for a drift, or a waveform
+NOTABLE = 1e-3  # of the energy of the motion: a drift of 3 % of it
+
+
+def turns_at_rest(inputs):
+    """Whole turns of each segment in which inputs repeat those of the turn before.
+
+    Parameters
+    ----------
+    inputs : list of ndarray, shapes (n_turns_s, samples_per_turn, m)
+
+    Returns
+    -------
+    still : list of ndarray of bool, shapes (n_turns_s,)
+    """
+    stacked = np.concatenate(inputs)
+    if not len(stacked):
+        return [np.zeros(0, dtype=bool) for _ in inputs]
+    largest = np.max(np.abs(stacked), axis=(0, 1))
+    steps = []
+    for u in inputs:
+        d = np.diff(u, axis=0) if len(u) > 1 else np.zeros_like(u)
+        steps.append(np.concatenate([d[:1], d]) if len(u) > 1 else d)
+    moved = np.concatenate(steps) / np.where(largest > 0.0, largest, 1.0)
+    whole = np.sum(moved**2, axis=(0, 1))
+    energy = np.sum(moved**2, axis=1) @ np.where(whole > 0.0, 1.0 / np.maximum(whole, 1e-300), 0.0)
+    still = rests(energy) | (energy <= QUIET * np.mean(energy))
+    return np.split(still, np.cumsum([len(u) for u in inputs])[:-1])
+
+
+def in_trim(inputs, outputs):
+    """Whole turns of each segment in which inputs rest and outputs repeat themselves.
+
+    Of turns at rest that begin a segment all, or the later half; of those that follow on a motion
+    the later half, if the motion has died away by then, and noise would not hide that it has not:
+    the mean waveform has to be known to a tenth of the motion. The most at one level of the
+    inputs are the trim, or the most in which outputs are zero: others are another orbit's.
+
+    Parameters
+    ----------
+    inputs, outputs : list of ndarray, shapes (n_turns_s, samples_per_turn, n_signals)
+
+    Returns
+    -------
+    trim : list of ndarray of bool, shapes (n_turns_s,)
+        False throughout where nothing rests.
+    """
+    motions = [motion_of(signals) for signals in (inputs, outputs)]
+    groups, memory = [], 0
+    for s, still in enumerate(turns_at_rest(inputs)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            later = (start + stop) // 2
+            for begin in (later,) if start else (0, later):
+                own = [signals[s][begin:stop] for signals in (inputs, outputs)]
+                off = max(drift(*each) for each in zip(own, motions, strict=True))
+                seen = not begin or max(map(_uncertainty, own, motions)) <= QUIET
+                if stop - begin > 1 and off <= NOTABLE and seen:
+                    groups.append(_Group(s, slice(begin, stop), begin > 0, off, own))
+                    break
+            else:
+                memory = max(memory, stop - later)
+    # what a longer wait has not settled, a shorter one has not
+    groups = [g for g in groups if not g.waited or g.size > memory]
+    found = [np.zeros(len(u), dtype=bool) for u in inputs]
+    if groups:
+        most = max(groups, key=lambda g: (g.is_zero(motions[1]), g.size))
+        for g in groups:
+            apart = [_gap(*each) for each in zip(most.signals, g.signals, motions, strict=True)]
+            found[g.segment][g.turns] = g is most or (g.drift == 0.0 and not any(apart))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Consecutive turns in which inputs rest and outputs may: after a wait, or from the first."""
+
+    segment: int
+    turns: slice
+    waited: bool
+    drift: float
+    signals: list
+
+    @property
+    def size(self):
+        return self.turns.stop - self.turns.start
+
+    def is_zero(self, motion):
+        """Whether the outputs' mean is next to nothing."""
+        return np.sum(_rows(self.signals[1], motion).mean(axis=0) ** 2) <= NOTABLE
+
+
+def motion_of(signals):
+    """Energy of each signal about its mean waveform, a turn.
+
+    Parameters
+    ----------
+    signals : list of ndarray, shapes (n_turns_s, samples_per_turn, n_signals)
+    """
+    stacked = np.concatenate(signals)
+    if not len(stacked):
+        return np.zeros(stacked.shape[-1])
+    return np.mean(np.sum((stacked - stacked.mean(axis=0)) ** 2, axis=1), axis=0)
+
+
+def drift(turns, motion):
+    """How much further from where some turns end their first half is than their second.
+
+    In parts of the energy of the motion; zero where it may be noise.
+
+    Parameters
+    ----------
+    turns : ndarray, shape (n_turns, samples_per_turn, n_signals)
+    motion : ndarray, shape (n_signals,)
+        Energy of each signal about its mean waveform, a turn.
+
+    Examples
+    --------
+    A decay, and what is left of it:
+
+    >>> turns = 0.5 ** np.arange(40.0)[:, None, None]
+    >>> [float(f"{drift(part, np.ones(1)):.1g}") for part in (turns[:20], turns[20:])]
+    [0.1, 1e-13]
+    """
+    rows, half = _rows(turns, motion), len(turns) // 2
+    if half == 0:
+        return 0.0
+    first, later = rows[:half], rows[len(rows) - half :]
+    before, after = (np.mean(np.sum((z - later.mean(axis=0)) ** 2, axis=1)) for z in (first, later))
+    if half > 1:
+        r = _freedom(later - later.mean(axis=0), half - 1)
+        ratio = before / (half + 1) * (half - 1) / max(after, 1e-300)
+        if f.sf(ratio, r * half, r * (half - 1)) >= LEVEL:
+            return 0.0
+    return float(before)
+
+
+def stands_out(turns, motion):
+    """Whether the mean waveform of some turns is more than their noise, and than their drift.
+
+    Parameters
+    ----------
+    turns : ndarray, shape (n_turns, samples_per_turn, n_signals)
+    motion : ndarray, shape (n_signals,)
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).standard_normal((9, 16, 1))
+    >>> wave = np.cos(np.arange(16) * np.pi / 8)[:, None]
+    >>> stands_out(noise, np.ones(1)), stands_out(noise + wave, np.ones(1))
+    (False, True)
+    """
+    rows = _rows(turns, motion)
+    mean = rows.mean(axis=0)
+    told = _significant(mean, 1.0 / len(rows), [rows])
+    return bool(told and np.sum(mean**2) > drift(turns, motion))
+
+
+def _rows(turns, motion):
+    """Turns as rows, each signal in parts of its motion."""
+    rows = turns / np.sqrt(np.where(motion > 0.0, motion, 1.0))
+    return rows.reshape(len(turns), turns[:1].size)
+
+
+def _uncertainty(turns, motion):
+    """Of the mean waveform of some turns, by their scatter, in parts of the motion's energy."""
+    return float(np.sum(_rows(turns, motion).var(axis=0))) / max(len(turns) - 1, 1)
+
+
+def _gap(first, other, motion):
+    """Energy of what the means of two groups of turns differ by; zero where it may be noise."""
+    first, other = (_rows(turns, motion) for turns in (first, other))
+    apart = other.mean(axis=0) - first.mean(axis=0)
+    told = _significant(apart, 1.0 / len(first) + 1.0 / len(other), [first, other])
+    return float(np.sum(apart**2)) if told else 0.0
+
+
+def _significant(difference, share, groups):
+    """Whether a difference of means, of a share of the variance of a turn, is more than noise."""
+    rest = np.vstack([rows - rows.mean(axis=0) for rows in groups])
+    dof, energy = len(rest) - len(groups), np.sum(difference**2)
+    trace = np.sum(rest**2) / max(dof, 1)
+    if not energy * HALF**2 < trace:  # next to which nothing is left
+        return energy > 0.0
+    r = _freedom(rest, dof)
+    return f.sf(energy / (share * trace), r, r * dof) < LEVEL
+
+
+def _freedom(rest, dof):
+    """r of the noise that some rows are: unbiased for tr Σ² of normal ones."""
+    gram = rest @ rest.T / dof
+    trace, square = np.trace(gram), np.sum(gram**2)
+    square = (square - trace**2 / dof) * dof**2 / ((dof + 2.0) * max(dof - 1.0, 0.5))
+    return np.clip(trace**2 / max(square, 1e-300), 1.0, rest.shape[1])

@@ -1,0 +1,203 @@
+"""The trim of a record: found where nothing is said, and what is said against one that is given."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.linalg import expm
+from sklearn.model_selection import cross_val_score
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.model_selection import PeriodBlockSplit
+
+SPP, OMEGA = 16, 2 * np.pi
+STEP = np.array([[-0.4, 3.0], [-3.0, -0.4]]) / SPP  # e-fold in 2.5 turns
+LEVEL, DEPTH = 5.0, 3.0  # of the inputs and the outputs in trim
+
+
+def machine(n_turns, doublets, *, noise=0.0, x0=(0.0, 0.0), seed=0, trim=1.0, first=0.0):
+    """A linear machine about a periodic trim, disturbed by doublets that begin at some turns."""
+    n = n_turns * SPP
+    t = pd.Index((np.arange(n) + first * SPP) / SPP, name="time")
+    u = np.zeros(n)
+    for start in doublets:
+        u[start * SPP : (start + 1) * SPP] += 1.0
+        u[(start + 1) * SPP : (start + 2) * SPP] -= 1.0
+    A, x, y = expm(STEP), np.array(x0, dtype=float), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = [x[0], x[1] + 0.5 * np.cos(OMEGA * t[k]) * x[0]]
+        x = A @ x + np.array([0.0, 1.0]) * u[k] / SPP
+    wave = trim * DEPTH * np.stack([1.0 + np.cos(OMEGA * t), np.sin(2 * OMEGA * t)], axis=1)
+    y += noise * y.std(axis=0) * np.random.default_rng(seed).standard_normal(y.shape)
+    u = u + trim * LEVEL * (1.0 + 0.1 * np.sin(OMEGA * t))
+    return pd.DataFrame({"u": u}, t), pd.DataFrame(y + wave, t, ["a", "b"]), wave[:SPP]
+
+
+def analyzer(**options):
+    return HarmonicAnalyzer(OMEGA, **({"reading": "period"} | options))
+
+
+def pipeline(order="auto", **options):
+    return Pipeline([("harmonics", analyzer(**options)), ("identify", MOESPRegressor(order))])
+
+
+def warned(run):
+    """What warnings say of trim_span."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run()
+    return [str(w.message) for w in caught if "trim_span" in str(w.message)]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize(
+    "record",
+    [
+        {"doublets": [8]},
+        {"doublets": [6, 30]},
+        {"doublets": [5], "x0": (1.0, 1.0)},  # in motion at first
+        {"doublets": [0]},
+        {"doublets": [30], "x0": (1.0, 1.0)},
+    ],
+    ids=["one doublet", "two doublets", "begins in motion", "at once", "rests, then moves"],
+)
+@pytest.mark.parametrize("reading", ["period", "sliding"])
+def test_the_trim_is_found_whenever_it_is(record, noise, reading):
+    u, y, wave = machine(60, **record, noise=noise)
+    pipe = pipeline(reading=reading)
+    assert not warned(lambda: pipe.fit(u, y))
+    basis, size = pipe[0].basis_, (y - np.tile(wave, (60, 1))).std().to_numpy()
+    assert np.max(np.abs(basis.output_trim - wave) / size) < 4 * max(noise / np.sqrt(8), 0.005)
+    assert np.max(np.abs(basis.input_trim[:, 0] - u["u"].to_numpy()[-SPP:])) < 1e-12
+    if reading == "period":
+        error = np.abs(np.abs(pipe[1].eigenvalues_) - np.exp(-0.4))
+        assert np.max(error) < 0.01 + noise
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_noise_on_the_inputs_and_several_records(noise, rng):
+    parts = [machine(40, [start], noise=noise, seed=start)[:2] for start in (5, 9)]
+    u, y = (pd.concat(dict(enumerate(z)), names=["record"]) for z in zip(*parts, strict=True))
+    u += 0.1 * noise * rng.standard_normal(u.shape)
+    wave = machine(1, [])[2]
+    basis = analyzer().fit(u, y).basis_
+    size = (y - np.tile(wave, (80, 1))).std().to_numpy()
+    assert np.max(np.abs(basis.output_trim - wave) / size) < 0.01 + 2 * noise
+
+
+def test_a_plateau_is_another_orbit():
+    u, y, wave = machine(60, [6])
+    push = np.repeat([0.0, 1.0, 0.0], [30 * SPP, 9 * SPP, 21 * SPP])
+    u["u"] += push
+    y["a"] += push  # at once, so that outputs rest there, too
+    np.testing.assert_allclose(analyzer().fit(u, y).basis_.output_trim, wave, atol=0.02)
+
+
+def test_a_speed_that_varies_and_gaps(rng):
+    u, y, wave = machine(60, [6], noise=0.01)
+    psi = OMEGA * u.index.to_numpy()
+    t = (psi + 0.05 * np.sin(psi / 10.0)) / OMEGA
+    index = pd.Index(t, name="time")
+    u, y = u.set_axis(index).assign(psi=psi), y.set_axis(index)
+    y.iloc[40 * SPP + 3 : 41 * SPP] = np.nan
+    options = {"azimuth": "psi", "reading": "period", "missing": "gap"}
+    basis = HarmonicAnalyzer(**options).fit(u, y).basis_
+    assert np.max(np.abs(basis.output_trim[:SPP] - wave)) < 0.05 * y.std().max()
+
+
+@pytest.mark.parametrize("kind", ["lti-signal", "ltp"])
+@pytest.mark.parametrize("start", [0, 5, 132])
+def test_a_linear_record_is_as_it_is(kind, start):
+    data = make_flapping_wing(kind, n_periods=60 if start < 100 else 220, start=start, width=4)
+    basis = HarmonicAnalyzer(data.omega, reading="period").fit(data.inputs, data.outputs).basis_
+    assert basis.output_trim is None
+    assert basis.input_trim is None
+
+
+def test_the_wing_as_with_its_span(nltp):
+    u, y = nltp.inputs, nltp.outputs
+    found, given = (
+        HarmonicAnalyzer(nltp.omega, reading="period", trim_span=span).fit(u, y).basis_
+        for span in ("auto", nltp.trim_span)
+    )
+    size = (y - given.waveform(given.output_trim, u.index.to_numpy())).std().to_numpy()
+    assert np.max(np.abs(found.output_trim - given.output_trim) / size) < 1e-5
+
+
+def test_samples_identify_their_forced_response():
+    u, y, _ = machine(60, [8])
+    assert analyzer(reading="sample").fit(u, y).basis_.output_trim is None
+
+
+def test_every_fold_finds_its_own():
+    u, y, _ = machine(60, [8], noise=0.01)
+    scores = cross_val_score(pipeline(), u, y, cv=PeriodBlockSplit(4, omega=OMEGA))
+    assert np.isfinite(scores).all()
+
+
+def test_a_trim_that_nobody_subtracts_is_named():
+    u, y, _ = machine(60, [8], noise=0.01)
+    (said,) = warned(lambda: analyzer(trim_span=None).fit(u, y))
+    assert "a periodic waveform is 0.9" in said
+    assert "trim_span=None subtracts none" in said
+    u, y, _ = machine(60, [8], noise=0.01, trim=0.0)
+    assert not warned(lambda: analyzer(trim_span=None).fit(u, y))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("span", "words"),
+    [
+        ((0.0, 9.0), "the inputs move within trim_span=(0, 9)"),
+        ((0.0, 12.0), "the inputs move within trim_span=(0, 12)"),
+        ((10.0, 20.0), "the outputs are not at rest within trim_span=(10, 20)"),
+        ((0.0, 8.0), None),
+        ((1.0, 7.0), None),
+        ((35.0, 60.0), None),
+    ],
+)
+def test_a_span_that_is_no_trim(span, words, noise):
+    u, y, _ = machine(60, [8], noise=noise)
+    said = warned(lambda: analyzer(trim_span=span).fit(u, y))
+    assert [one[: len(words or "")] for one in said] == ([words] if words else [])
+
+
+@pytest.mark.filterwarnings("ignore:.* exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:.* of the energy of the inputs")  # of their rounding
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_without_rest_the_trim_is_identified_with_the_dynamics(noise):
+    """The record begins with the doublet and ends in mid-decay."""
+    u, y, wave = machine(24, [2], noise=noise, first=3.0, x0=(0.5, 0.0))
+    u, y = u.iloc[: 11 * SPP], y.iloc[: 11 * SPP]
+    pipe = pipeline(2).fit(u, y)
+    assert not pipe[0].basis_.trim_known
+    size = (y - np.tile(wave, (11, 1))).std().to_numpy()
+    assert np.max(np.abs(pipe[1].basis_.output_trim - wave) / size) < 0.001 + 10 * noise
+    assert np.max(np.abs(np.abs(pipe[1].eigenvalues_) - np.exp(-0.4))) < 1e-4 + 2 * noise
+    whole, *_ = machine(30, [])
+    np.testing.assert_allclose(
+        pipe.predict(whole), np.tile(wave, (30, 1)), atol=(0.002 + 20 * noise) * size.max()
+    )
+
+
+def test_a_sliding_window_says_that_nothing_rests():
+    u, y, _ = machine(24, [2], x0=(0.5, 0.0))
+    pipe = pipeline(reading="sliding")
+    (said,) = warned(lambda: pipe[0].fit(u.iloc[: 11 * SPP], y.iloc[: 11 * SPP]))
+    assert "no turn is in trim" in said
+
+
+@pytest.mark.filterwarnings("ignore:.* exponents are in doubt")
+@pytest.mark.parametrize("reading", ["period", "sample"])
+def test_the_score_is_a_share_of_the_motion(reading):
+    """A forced response ten times larger changes the score of no reading."""
+    scores = []
+    for trim in (1.0, 10.0):
+        u, y, _ = machine(60, [8, 30], noise=0.1, trim=trim)
+        u["u"] += 0.05 * np.sin(3.3 * u.index.to_numpy()) * (reading == "sample")
+        scores.append(pipeline(reading=reading).fit(u, y).score(u, y))
+    np.testing.assert_allclose(scores[1], scores[0], atol=1e-3)
+    assert scores[0] < 0.999
