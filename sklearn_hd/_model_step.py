@@ -269,8 +269,8 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         (``reading="sample"``): a waveform that repeats itself with every turn earns nothing.
         Where no trim is known (``trim_span=None``) it is zero. The initial state of each segment
         is fitted on its first ``warmup`` seconds after the first whole window; those rows, and
-        rows of incomplete periods, are left out. A model identified through a sliding window is compared with y
-        as that window shows it, for it tells no more; any other with y itself.
+        rows of incomplete periods, are left out. A model identified through a sliding window is
+        compared with y as that window shows it, for it tells no more; any other with y itself.
 
         Parameters
         ----------
