@@ -91,23 +91,15 @@ def identify(data, settings, experiment):
         return _order(found, bound, experiment, data, settings)
 
     decomposition = decompose(data, i, size, settings, choose)
-    decays, stretches = decays_at_rest(experiment)
-    asked = None if settings.order == "auto" else settings.order
-    still = free_decay(decays, asked) if decays and not settings.predictor else None
     matrices, noise, x0 = fit_matrices(data, decomposition, size, scales, settings, True)
-    at_rest, known, forced = False, None, None
+    still, at_rest, known, forced = None, False, None, None
     if settings.predictor:
         known = matrices[1], _predicted_states(matrices, noise[0], x0, data, scales[1])
         matrices = _driven_by_means(matrices, data, scales[0])
     else:
         A, B, C, D = matrices
-        Phi = _refined(A, C, experiment, data, scales[1], settings.stable)
-        grows = still is not None and settings.stable and _grows(still.Phi, experiment)
-        if noise is None and still is not None and not grows:
-            at_rest = not _linear(Phi, still, decays, experiment, data)
-        if at_rest:
-            Phi, C = still.Phi, _sight(still, stretches, data, scales[1])
-            decomposition = replace(decomposition, order=len(Phi))
+        Phi, C, still, at_rest = _own_map(A, C, noise, experiment, data, scales[1], settings)
+        decomposition = replace(decomposition, order=len(Phi))
         if not experiment.basis.trim_known:
             forced = _forced(Phi, experiment, data)
             data = _less(data, forced, experiment.basis)
@@ -207,6 +199,24 @@ def _raw_periods(experiment):
     """Every sample of the outputs, one row a period, in like units."""
     lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
     return [y.reshape(len(y), -1) for y in lifted]
+
+
+def _own_map(A, C, noise, experiment, data, unit, settings):
+    """The machine's map and what is seen of its states: of the whole record, or at rest.
+
+    Where one linear map does not explain the whole record but for noise, inputs have held a
+    nonlinear machine away from its orbit: its own map is that of its free decays.
+    """
+    Phi = _refined(A, C, experiment, data, unit, settings.stable)
+    decays, stretches = decays_at_rest(experiment)
+    still = (
+        free_decay(decays, None if settings.order == "auto" else settings.order) if decays else None
+    )
+    if still is None or noise is not None or (settings.stable and _grows(still.Phi, experiment)):
+        return Phi, C, still, False
+    if _linear(Phi, still, decays, experiment, data):
+        return Phi, C, still, False
+    return still.Phi, _sight(still, stretches, data, unit), still, True
 
 
 def _refined(A, C, experiment, data, unit, stable):

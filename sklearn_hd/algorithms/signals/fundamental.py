@@ -164,7 +164,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
 
     To be clear, the estimate has to be five standard deviations away (or drift by as many),
     a tenth less has to be left unexplained, and the phase has to go astray by a thousandth of a
-    turn; or a fraction has to explain the record better.
+    turn. A fraction that explains the record better is no mismatch: slow motion may look like it.
 
     Parameters
     ----------
@@ -185,8 +185,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     found = periods.estimate(*ends)
     off = abs(found.omega - omega) > BEYOND * found.std or found.drift != 0.0
     clear = found.residual_given > CLEAR * found.residual and found.turns > ASTRAY
-    slower = any(rival < found.omega for rival in found.rivals)
-    return found if periods.tells(found, span) and ((off and clear) or slower) else None
+    return found if periods.tells(found, span) and off and clear else None
 
 
 def comb_in_spectrum(outputs, sample_time):
