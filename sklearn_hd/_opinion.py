@@ -19,7 +19,8 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = ["Opinion", "decays_at_rest", "of_free_decays", "of_halves", "warn_unconfirmed"]
 
-DOUBT = 0.1  # of a rate: an engineer's question has another answer
+DOUBT = 0.1  # of a rate, by which two ways may be apart: an engineer has another answer beyond
+VAGUE = 0.2  # of a rate, within which an exponent of its own has to be known
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 SURE = 2.0  # standard deviations that an exponent may be off by
@@ -120,7 +121,7 @@ def doubtful(exponents, opinion):
     it does not know itself is held against modes that outlast the record alone.
     """
     _, apart, spread = opinion.about(exponents)
-    vague = ~(apart + SURE * spread <= DOUBT)
+    vague = ~((apart <= DOUBT) & (SURE * spread <= VAGUE))
     if not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
@@ -155,7 +156,7 @@ def warn_unconfirmed(exponents, opinion, complete=False):
         return
     if not complete:
         return
-    known = SURE * opinion.deviations <= DOUBT * _rates(opinion.exponents, opinion.omega)
+    known = SURE * opinion.deviations <= VAGUE * _rates(opinion.exponents, opinion.omega)
     asked = opinion.exponents[known & _lasting(opinion.exponents, opinion.omega)]
     _, apart, _ = Opinion(exponents, np.zeros(len(exponents)), opinion.omega, "").about(asked)
     if np.any(apart > DOUBT):

@@ -29,7 +29,7 @@ from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.modes.free_decay import free_decay
+from sklearn_hd.algorithms.modes.free_decay import free_decay, offsets
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
     is_possible,
@@ -252,7 +252,7 @@ def _linear(Phi, still, decays, experiment, data):
     """
     if not leaves_white_noise(Phi, data.excitation, _raw_periods(experiment)):
         return False
-    ones, target = [np.ones((len(y), 1)) for y in decays], np.vstack(decays)
+    ones, target = offsets(decays), np.vstack(decays)
     n_free = cost_of_a_state(ones, decays)[0]
     left, own = (np.sum(left_by(M, ones, target) ** 2) for M in (Phi, still.Phi))
     least = EXACT**2 * np.sum(target**2)
@@ -263,8 +263,8 @@ def _linear(Phi, still, decays, experiment, data):
 def _sight(still, stretches, data, unit):
     """C of the states of free decays, by least squares beside what the trim is off by."""
     seen = np.vstack([data.outputs[s][rows] for s, rows in stretches]) / unit
-    states = np.vstack(still.states)
-    return linalg.lstsq(np.hstack([states, np.ones((len(states), 1))]), seen)[0][:-1].T
+    known = np.hstack([np.vstack(still.states), np.vstack(offsets(still.states))])
+    return linalg.lstsq(known, seen)[0][: len(still.Phi)].T
 
 
 def _forced(Phi, experiment, data):

@@ -18,7 +18,7 @@ from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProble
 from sklearn_hd._match.match import periodic_match
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
+from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import without_noise
 from sklearn_hd.algorithms.periodic.periodic_realization import (
@@ -313,7 +313,7 @@ def _simulated(model, C, inputs, directions, lifted, seen):
     if model.at_rest:
         stretches = periods_at_rest(inputs)
         lifted, seen = ([each[s][rows] for s, rows in stretches] for each in (lifted, seen))
-        directions = [np.ones((len(y), 1)) for y in lifted]
+        directions = offsets(lifted)
     response = state_response(Phi, C, directions, lifted, seen)
     return response, sum(map(len, lifted)) - directions[0].shape[1] - n
 

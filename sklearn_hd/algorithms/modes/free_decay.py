@@ -1,6 +1,6 @@
 """Multipliers of the Poincaré map of a machine whose inputs rest, from its free decays.
 
-    y[k] = O Φ^k z_0 + c,   y[k]: all samples of period k, one row a period
+    y[k] = O Φ^k z_0 + c,   y[k]: all samples of period k, one row a period; c one for each decay
 
 A machine that inputs hold away from its orbit is on another one, with multipliers of its own.
 While it comes back, errors of the linear model die with the square of the motion. c is what the
@@ -25,7 +25,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 from sklearn_hd.algorithms.signals.rest import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 
-__all__ = ["FreeDecay", "free_decay", "periods_at_rest"]
+__all__ = ["FreeDecay", "free_decay", "offsets", "periods_at_rest"]
 
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12
@@ -82,6 +82,11 @@ def periods_at_rest(inputs):
     return found
 
 
+def offsets(decays):
+    """A constant of its own for each decay: what its level is off by."""
+    return [np.eye(len(decays))[[s] * len(y)] for s, y in enumerate(decays)]
+
+
 def free_decay(decays, order=None, compare=True):
     """The modes of some free decays; None where the decays are too short for any.
 
@@ -106,11 +111,11 @@ def free_decay(decays, order=None, compare=True):
     stacked = np.vstack(decays)
     n_rows, edges = len(stacked), np.cumsum([len(y) for y in decays])[:-1]
     most = min(MOST_STATES if order is None else order, n_rows // LEAST_DECAY, stacked.shape[1])
-    about = stacked - stacked.mean(axis=0)
+    about = np.vstack([y - y.mean(axis=0) for y in decays])
     if most < (order or 1) or not np.any(about):
         return None
     _, values, V = linalg.svd(about, full_matrices=False)
-    ones = [np.ones((len(y), 1)) for y in decays]
+    ones = offsets(decays)
     orders, wide = [order], order_by_wide_gap(values, EXACT * values[0], most)
     if order is None:
         orders = range(1, most + 1) if wide is None else [wide]
@@ -118,7 +123,7 @@ def free_decay(decays, order=None, compare=True):
     best = None
     for n in orders:
         states = np.split(stacked @ V[:n].T, edges)
-        Phi = _possible(refine_multipliers(_steps(states), ones, decays))
+        Phi = _possible(refine_multipliers(_steps(states, ones), ones, decays))
         left = left_by(Phi, ones, stacked)
         rss = max(float(np.sum(left**2)), EXACT**2 * float(np.sum(stacked**2)))
         bic = n_free * np.log(rss / n_free) + n * price
@@ -128,7 +133,7 @@ def free_decay(decays, order=None, compare=True):
             break
     _, n, Phi, states, left = best
     told = int(np.sum(values > WEAK * values[0]))
-    noise = wide is not None or is_noise(left, n_rows - 1 - n, left.shape[1])
+    noise = wide is not None or is_noise(left, n_rows - len(decays) - n, left.shape[1])
     if n > told and len(orders) > 1 and not noise:
         return free_decay(decays, told, compare)
     if n == most < MOST_STATES and order is None and not noise:
@@ -188,9 +193,8 @@ def _possible(Phi):
     return np.real(V @ np.diag(values) @ linalg.inv(V))
 
 
-def _steps(states):
-    """Φ of least squares from period to period, beside a constant."""
-    before = np.vstack([x[:-1] for x in states])
+def _steps(states, ones):
+    """Φ of least squares from period to period, beside the constants."""
+    before = np.vstack([np.hstack([x, c])[:-1] for x, c in zip(states, ones, strict=True)])
     after = np.vstack([x[1:] for x in states])
-    known = np.hstack([before, np.ones((len(before), 1))])
-    return linalg.lstsq(known, after)[0][:-1].T
+    return linalg.lstsq(before, after)[0][: states[0].shape[1]].T

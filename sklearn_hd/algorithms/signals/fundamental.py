@@ -35,7 +35,7 @@ FEWEST = 8  # periods of a record
 LARGEST = 100_000  # samples in all windows; beyond, rows are left out evenly
 FLOOR = 1e-4  # noise in parts of an output's motion, below which no record is taken to be
 BEYOND = 5.0  # standard deviations at which a value is another
-CLEAR = 1.1  # times the variance left at one frequency that is left at another
+CLEAR = 2.0  # times the mean square that is left; noise alone may leave 1.8 times
 ASTRAY = 1e-3  # turns
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
 NOISE = (
@@ -163,7 +163,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     """The estimate, if the record says clearly that the frequency given is another's.
 
     To be clear, the estimate has to be five standard deviations away (or drift by as many),
-    a tenth less has to be left unexplained, and the phase has to go astray by a thousandth of a
+    half of it has to be left unexplained, and the phase has to go astray by a thousandth of a
     turn. A fraction that explains the record better is no mismatch: slow motion may look like it.
 
     Parameters
