@@ -182,7 +182,7 @@ def _growth_rate(y, spp):
 
 def warn_of_growth(model, experiment):
     """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
-    if not experiment.basis.harmonic or model.n_states == 0:
+    if not experiment.basis.harmonic or model.n_states == 0 or searching():
         return
     rate, longest = growth_rate(model), longest_span(experiment)
     period = 2.0 * np.pi / experiment.basis.omega

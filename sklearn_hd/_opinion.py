@@ -128,16 +128,14 @@ def doubtful(exponents, opinion):
     return vague & _lasting(exponents, opinion.omega)
 
 
-def warn_unconfirmed(exponents, opinion, complete=False):
-    """Warn of exponents that the second opinion does not confirm, and of those it has beside.
+def warn_unconfirmed(exponents, opinion):
+    """Warn of exponents that the second opinion does not confirm.
 
     Parameters
     ----------
     exponents : complex ndarray, shape (n,)
         Of the model, 1/s.
     opinion : Opinion or None
-    complete : bool
-        Whether the model has to have all exponents of the opinion.
     """
     if opinion is None or searching():
         return
@@ -151,18 +149,5 @@ def warn_unconfirmed(exponents, opinion, complete=False):
             f"{exponents[k]:.4g} 1/s, {opinion.way} have {nearest[k]:.4g} ± "
             f"{SURE * spread[k] * _rates(exponents, opinion.omega)[k]:.2g} 1/s next to it; use a "
             f"longer record, smaller motions or less noise, or another order",
-            IdentifiabilityWarning,
-        )
-        return
-    if not complete:
-        return
-    known = SURE * opinion.deviations <= VAGUE * _rates(opinion.exponents, opinion.omega)
-    asked = opinion.exponents[known & _lasting(opinion.exponents, opinion.omega)]
-    _, apart, _ = Opinion(exponents, np.zeros(len(exponents)), opinion.omega, "").about(asked)
-    if np.any(apart > DOUBT):
-        k = int(np.argmax(apart))
-        warn(
-            f"{opinion.way} have an exponent {asked[k]:.4g} 1/s that the model of "
-            f"{len(exponents)} states lacks; raise the order",
             IdentifiabilityWarning,
         )

@@ -372,6 +372,7 @@ STRUCTURES = {
 
 
 @pytest.mark.parametrize("case", STRUCTURES)
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_matcher_parameters(u, y, case):
     params, message = STRUCTURES[case]
     base = Pipeline([*identify(u, y, order=6).steps, ("reduce", SpuriousModeReducer())]).fit(u, y)

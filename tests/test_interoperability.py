@@ -155,6 +155,7 @@ def test_time_series_split_on_one_long_record():
     assert scores.min() > 0.98
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_cross_val_predict_mirrors_the_rows(short, groups):
     pipe = heave_pipeline(short.omega, n_states=3)
     predicted = cross_val_predict(
@@ -237,6 +238,10 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     skops.dump(fitted, path)
     trusted = skops.get_untrusted_types(file=path)
     assert set(trusted) <= {
+        "sklearn_hd._excitation.Excitation",
+        "sklearn_hd._excitation.Information",
+        "sklearn_hd.algorithms.signals.lifting.InputDirections",
+        "sklearn_hd._opinion.Opinion",
         "sklearn_hd._readings.sliding.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
         "sklearn_hd._match.match.Match",
@@ -267,6 +272,10 @@ def test_skops_keeps_a_structure(tmp_path, short):
     skops.dump(pipe, path)
     trusted = skops.get_untrusted_types(file=path)
     assert set(trusted) == {
+        "sklearn_hd._excitation.Excitation",
+        "sklearn_hd._excitation.Information",
+        "sklearn_hd.algorithms.signals.lifting.InputDirections",
+        "sklearn_hd._opinion.Opinion",
         "sklearn_hd._readings.sliding.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
         "sklearn_hd._match.match.Match",
@@ -342,6 +351,10 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     trusted = skops.get_untrusted_types(file=path)
     expected = {
         "sklearn_hd._readings.period.PeriodBasis",
+        "sklearn_hd._excitation.Excitation",
+        "sklearn_hd._excitation.Information",
+        "sklearn_hd.algorithms.signals.lifting.InputDirections",
+        "sklearn_hd._frame.Lifted",
         "sklearn_hd._frame.LTIModel",
         "sklearn_hd._readings.basis.Timing",
         "sklearn_hd._match.match.Match",
@@ -420,6 +433,7 @@ def test_records_from_a_csv_file(tmp_path, short, fitted):
     pd.testing.assert_frame_equal(predicted, fitted.predict(short.inputs.loc[0]), rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_two_records_equal_one_only_where_they_should(short):
     """The same record twice gives the model of one; another record moves it."""
     u, y = short.inputs.loc[0], short.outputs.loc[0]

@@ -168,6 +168,7 @@ def test_a_search_cut_short_is_said():
 
 
 @pytest.mark.filterwarnings("ignore:the record lasts")
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():
     """From the decomposition with eight numbers in A to all coefficients of F that show."""
     data = make_flapping_wing("lti-signal", n_periods=120, start=10)

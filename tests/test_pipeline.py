@@ -221,6 +221,7 @@ def test_extreme_units(ltp):
         assert same_poles(pipe["reduce"].system_.poles(), plain, 1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_poor_match_between_different_orders_is_said(ltp):
     two_states = MatrixStructure(
         [["a", 0], [0, "b"]], np.full((2, 1), np.nan), np.vstack([np.eye(2), [[0, np.nan]]])

@@ -82,6 +82,7 @@ def test_shares_of_harmonics_are_of_the_whole_response():
     assert shares[0] == pytest.approx(expected)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_constant_dynamics_are_alike_at_each_azimuth():
     display = AzimuthDisplay.from_estimator(cases.sampled(output_harmonics=0))
     lines = [line.get_ydata() for line in display.pulse_lines_.values()]
@@ -193,6 +194,7 @@ def test_modes_come_back_at_the_orders_beyond():
     assert np.abs(steady.to_numpy()[:, None] - true).min(axis=0).max() < 0.1 * np.abs(true[0])
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_what_samples_do_not_have_is_refused_with_a_way_out():
     u, y = cases.service_record()
     with pytest.raises(ValueError, match=r"no coefficients to draw; use HarmonicsDisplay.from_da"):

@@ -108,6 +108,7 @@ def test_an_azimuth_at_constant_speed_is_the_same_as_omega():
     assert by_azimuth["harmonics"].get_feature_names_out().tolist() == ["u", "psi"]
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_rotor_whose_speed_varies_by_a_tenth():
     data = make_rotor(random_state=0, speed_variation=0.1)
     X, split = data.inputs.assign(psi=data.azimuth), 6000
@@ -186,6 +187,7 @@ def test_a_feedthrough_is_found_where_there_is_one():
     assert pipe.score(u, direct) > 0.99
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_oversampled_records_are_thinned():
     data = make_rotor(n_turns=100, sample_time=0.001, hold=30, random_state=0)
     pipe = pipeline(data.omega).fit(data.inputs, data.outputs)
@@ -240,6 +242,7 @@ def test_stable_asks_for_stable_models():
         ).fit(u, y)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_model_of_nothing_says_so():
     rng = np.random.default_rng(0)
     time = np.arange(3000) / 10

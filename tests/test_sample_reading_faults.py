@@ -105,6 +105,7 @@ def test_few_rows_by_thinning_name_the_hop():
 
 
 @pytest.mark.parametrize("noise", [0.02, 2.0])
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_motion_that_thinning_loses_is_named(noise):
     """A response of 20 samples, read at every eighth, left 0.2 unexplained without a word."""
     u, y = record(samples=200.0, rows=6000, noise=noise)
@@ -165,6 +166,7 @@ def test_an_order_too_high_is_a_question_of_rows():
     assert any("rows enough for order 12" in str(each.message) for each in told)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_long_record_may_begin_at_rest():
     """Choices were made on the first 10 000 rows: no harmonics, of which there are two."""
     noise = 0.02 * np.random.default_rng(1).standard_normal(30000)

@@ -128,6 +128,7 @@ def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
 
 
 @pytest.mark.parametrize("seed", [1, 7, 13])
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_orders_of_no_periodic_system_are_passed_over(seed):
     """Of fast modes noise leaves multipliers of either sign; machines have even numbers below 0."""
     rng, n = np.random.default_rng(seed), 4
@@ -261,6 +262,7 @@ def test_one_output_leads_to_floquet_coordinates():
     assert pipe.score(u, y) == pytest.approx(pipe[:2].score(u, y), abs=1e-5)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_structure_that_cannot_respond_so_is_told(measured):
     rigid = HarmonicStructure(F={"0": [[0, 1], [-1.0, -0.2]]}, G={"0": [[0], ["b"]]})
     with pytest.warns(IdentifiabilityWarning, match="variance of the response.*structure=None"):

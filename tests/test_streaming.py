@@ -149,6 +149,7 @@ def test_chunks_seen_through_a_sliding_window_give_the_model_of_the_record(excit
     assert_same_model(parts, whole, 1e-8)
 
 
+@pytest.mark.filterwarnings("ignore:.* within trim_span=")
 def test_arrays_go_on_in_the_phase_of_their_trim(rng):
     """Chunks of other than whole periods."""
     X, y = (frame.to_numpy() for frame in simulated(rng, [1500]))

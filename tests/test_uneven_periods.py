@@ -139,6 +139,7 @@ def test_other_records_are_read_on_the_grid_of_the_fit():
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.ResamplingWarning")
+@pytest.mark.filterwarnings("ignore:.* within trim_span=")
 def test_gaps_and_trim_on_the_resampled_grid():
     X = periodic(50.3)
     X.iloc[400:420] = np.nan

@@ -113,7 +113,7 @@ def identify(data, settings, experiment):
     )
     opinion = of_free_decays(still, experiment, at_rest)
     warn_of_growth(fit.model, experiment)
-    warn_unconfirmed(fit.model.exponents(), opinion, complete=not at_rest)
+    warn_unconfirmed(fit.model.exponents(), opinion)
     model = _lifted(fit.model, data, experiment, known, forced)
     return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion), forced=forced)
 
@@ -128,8 +128,10 @@ def _lifted(model, data, experiment, known, forced):
     longest = max(map(len, outputs))
     if outgrows_numbers(A, longest):
         return model
-    if forced is not None:
+    basis, constant = experiment.basis, experiment.basis.output_trim is not None
+    if forced is not None:  # which holds what the constant direction would
         outputs = [y - (forced / output_scale(experiment)).ravel() for y in outputs]
+        W, constant = [w[:, :-1] for w in W], False
     if known is not None:
         B, states = known
     else:
@@ -140,8 +142,8 @@ def _lifted(model, data, experiment, known, forced):
     sights = response_to_states(states, W, outputs)[0]
     W, outputs, states = map(np.vstack, (W, outputs, states))
     D = linalg.lstsq(W, outputs - states @ sights.T)[0].T
-    basis, u = experiment.basis, np.vstack(lifted_periods(experiment, experiment.inputs))
-    if basis.output_trim is None:
+    u = np.vstack(lifted_periods(experiment, experiment.inputs))
+    if not constant:
         W, B, D = (np.pad(M, ((0, 0), (0, 1))) for M in (W, B, D))
     size = np.sqrt(np.mean(u**2, axis=(0, 1)))
     size = np.tile(np.where(size > 0.0, size, 1.0), u.shape[1])

@@ -53,6 +53,7 @@ MOST_STATES = 20  # tried by order="auto"
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 PLACES = 8  # evenly over it, at which these lie
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
+MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
 
@@ -182,7 +183,7 @@ def identify(data, settings, experiment):
     warn_of_little(layout, sums.n_rows, best, basis)
     warn_of_drift(data, predictor, basis, ROWS_COMPARED)
     warn_of_growth(model, best, data)
-    if not searching():
+    if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
         model = replace(model, opinion=_of_halves(model, data, layout, best, settings, basis))
         warn_unconfirmed(model.exponents(), model.opinion)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])

@@ -66,7 +66,11 @@ def _found(sampling, blocks, basis):
     Where nothing rests those of all turns, if outputs hold little else, or of those in which the
     inputs alone rest: what that of the outputs is off by is identified with the dynamics.
     """
-    inputs, outputs = (_lifted(sampling, values, basis) for values in blocks)
+    units = [_exponent(values) for values in blocks]
+    inputs, outputs = (
+        _lifted(sampling, [np.ldexp(z, -unit) for z in values], basis)
+        for values, unit in zip(blocks, units, strict=True)
+    )
     u, y = (np.concatenate(signals) for signals in (inputs, outputs))
     if len(y) < LEAST_TURNS:
         return None
@@ -85,7 +89,15 @@ def _found(sampling, blocks, basis):
     waveform = y[rest].mean(axis=0)
     if not stands or np.max(np.abs(waveform)) <= NONE * np.max(np.abs(y)):
         return None
-    return {"input_trim": u[rest].mean(axis=0), "output_trim": waveform, "trim_known": known}
+    trim = (
+        np.ldexp(z, unit) for z, unit in zip((u[rest].mean(axis=0), waveform), units, strict=True)
+    )
+    return dict(zip(("input_trim", "output_trim"), trim, strict=True), trim_known=known)
+
+
+def _exponent(values):
+    """Of the power of two near the largest of some signals: squares of their parts stay numbers."""
+    return int(np.frexp(max(np.max(np.abs(z), initial=0.0) for z in values))[1])
 
 
 def _share(waveform, turns):
