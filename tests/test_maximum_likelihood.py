@@ -105,6 +105,7 @@ def test_harmonics_of_a_sliding_analyzer():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_matrix_structure_period_by_period():
     """Three harmonics fit the signals of the periodic system best 9 % away from its own."""
     data = make_flapping_wing("ltp", n_periods=60, start=5, snr=100, random_state=1)

@@ -472,6 +472,7 @@ def test_floquet_coordinates_have_finite_deviations(system):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_intervals_hold_the_truth_as_often_as_they_say():
     system, inside, errors = mathieu(), [], []
     structure = HarmonicStructure(F=1, G=0)

@@ -192,12 +192,6 @@ def test_an_order_too_high_for_the_free_decays_is_in_doubt(noisy):
     )
 
 
-@pytest.mark.slow
-def test_likelihood_brings_a_match_that_grows_back(noisy):
-    pipe = matched(noisy, structure=HarmonicStructure(), criterion="output_error")
-    assert pipe.score(noisy.inputs, noisy.outputs) > 0.99
-
-
 def test_too_few_periods_are_counted():
     X, y = record(orbit(-0.05), 12)
     message = (

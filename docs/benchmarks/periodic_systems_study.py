@@ -100,9 +100,10 @@ def record(system, kind, seed, n_periods=None):
 
 
 def pipeline(omega, criterion="hinf", order="auto", **analyzer):
+    analyzer = {"reading": "period", "trim_span": None} | analyzer  # systems that rest at zero
     return Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(omega, reading="period", **analyzer)),
+            ("harmonics", HarmonicAnalyzer(omega, **analyzer)),
             ("identify", MOESPRegressor(order=order)),
             ("reduce", SpuriousModeReducer()),
             ("match", StructuredMatcher(structure=HarmonicStructure(), criterion=criterion)),

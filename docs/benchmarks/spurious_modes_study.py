@@ -222,7 +222,12 @@ def identify(trial, noise, seed):
         draws = np.random.default_rng([7, seed]).standard_normal(y.shape)
         y = y + noise * draws * y.std(ddof=0).to_numpy()
     analyzer = HarmonicAnalyzer(
-        trial.omega, output_harmonics=trial.kept, window=trial.window, hop=trial.hop
+        trial.omega,
+        output_harmonics=trial.kept,
+        window=trial.window,
+        hop=trial.hop,
+        reading="sliding",
+        trim_span=None,  # systems that rest at zero
     )
     steps = [("harmonics", analyzer), ("identify", MOESPRegressor())]
     pipe = Pipeline([*steps, ("reduce", SpuriousModeReducer())])

@@ -17,6 +17,7 @@ from scipy import linalg, sparse
 
 from sklearn_hd._continuous import input_scale, output_scale
 from sklearn_hd._opinion import decays_at_rest
+from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._reduce.choice import MAX_GROWTH
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.likelihood.output_error import output_error
@@ -36,6 +37,7 @@ from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 __all__ = ["LikelyModes", "harmonic_form", "most_likely", "refined_modes"]
 
+AT_ZERO = 0.1  # of an input's largest value: no level of a step
 STEPS = 20  # of the search; a start 0.13 1/s off needs more than 10
 WORTH = 0.01  # variances of the noise that a step has to gain: a tenth of a standard deviation
 HARMONICS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of shapes: a fourth more each costs no likelihood
@@ -206,8 +208,8 @@ def harmonic_form(experiment, choices):
     """
     basis = experiment.basis
     spp, omega, n = basis.samples_per_period, basis.omega, len(basis.outputs)
-    decay = max(decays_at_rest(experiment)[0], key=lambda y: np.sum(y**2), default=None)
-    if decay is None or len(decay) < 2 * n:
+    decay = _strongest_decay(experiment, 2 * n)
+    if decay is None:
         return None, None
     refined = [_refined_exponents(decay, choice) for choice in choices]
     longest = max(map(len, experiment.outputs)) / spp  # periods
@@ -233,6 +235,20 @@ def harmonic_form(experiment, choices):
     if np.max(np.linalg.eigvals(A).real) > max(0.0, np.max(np.linalg.eigvals(shapes.R).real)):
         return None, None  # noise, or too few harmonics: a decay that grows
     return A, np.diag(_coefficient_scale(experiment))
+
+
+def _strongest_decay(experiment, least):
+    """Of the free decays about zero inputs, of least length, the strongest; None if none."""
+    lifted = lifted_periods(experiment, experiment.inputs)
+    largest = np.max(np.abs(np.concatenate(lifted)), axis=(0, 1), initial=0.0)
+    parts = zip(*decays_at_rest(experiment), strict=True)
+    about_zero = [
+        y
+        for y, (s, rows) in parts
+        if len(y) >= least
+        and np.all(np.mean(np.abs(lifted[s][rows]), axis=(0, 1)) <= AT_ZERO * largest)
+    ]
+    return max(about_zero, key=lambda y: np.sum(y**2), default=None)
 
 
 def _refined_exponents(decay, exponents):
