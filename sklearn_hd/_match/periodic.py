@@ -1,7 +1,7 @@
 """From a period-synchronous model to the linear time-periodic one behind it, in closed form.
 
-1. The Poincaré map Φ, refined on the raw record; what every sample of the period sees of
-   the state; from both the mode shapes P(ψ) and R = log(Φ)/T.
+1. The Poincaré map Φ identified; what every sample of the period sees of the state; from
+   both the mode shapes P(ψ) and R = log(Φ)/T.
 2. F(ψ) = (P′ + P R) P⁻¹ where the outputs determine the state; else Floquet coordinates,
    in which F = R and the outputs are P(ψ) x.
 3. G(ψ) and Q(ψ) by linear least squares on the raw record.

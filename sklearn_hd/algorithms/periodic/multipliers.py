@@ -11,7 +11,7 @@ from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, TINY, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, TINY
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
@@ -45,7 +45,6 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
     largest : float, optional
         Size that multipliers may have; by default what a record can show, and a start
         beyond that is left as it is.
-    max_steps : int, default=25
 
     Returns
     -------
@@ -495,16 +494,6 @@ def without_noise(Phi, directions, lifted):
     Q = orthonormal_range(np.hstack([modes.inputs, modes.responses(polynomials(steps))[1]]))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
-
-
-def told_apart(Phi, lifted):
-    """Whether free decays move in as many directions as Φ has multipliers.
-
-    One decay cannot show both modes of a double multiplier.
-    """
-    regressors = Modes([block[:, :0] for block in lifted]).responses(polynomials(Phi))[1]
-    seen = linalg.svdvals(regressors / column_sizes(regressors))
-    return len(seen) >= len(Phi) and seen[len(Phi) - 1] > UNKNOWN * seen[0]
 
 
 def _is_white(rest, n_columns):
