@@ -16,7 +16,7 @@ from sklearn_hd.algorithms.periodic.harmonic_decomposition import derivative_mat
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import TrimError
 
-BLOCK = 4096  # azimuths at a time: bounds the memory
+BLOCK = 1024  # azimuths at a time: bounds the memory
 
 
 def solve_harmonic_balance(
@@ -115,8 +115,7 @@ def solve_harmonic_balance(
 def evaluate_harmonics(coefficients, psi):
     """Periodic signals of given real coefficients at any azimuths.
 
-    Σ_k S_k e^{jkψ} is summed as Σ_l e^{jlqψ} Σ_i S_{lq+i} e^{jiψ}, with q about √N: the
-    exponentials, 2√N instead of N at each azimuth, are what takes time.
+    e^{j(n+k)ψ} = e^{jnψ} e^{jkψ}: one exponential at each azimuth, for they take time.
 
     Parameters
     ----------
@@ -135,19 +134,18 @@ def evaluate_harmonics(coefficients, psi):
     [1.5, 0.5]
     """
     psi = np.asarray(psi, dtype=float)
-    cosines, sines = coefficients[1::2], coefficients[2::2]
-    q = int(np.ceil(np.sqrt(len(cosines) + 1)))
-    width = coefficients[0].size
-    S = np.zeros((q * q, width), dtype=complex)
-    S[0] = coefficients[0].ravel()
-    S[1 : len(cosines) + 1] = (cosines - 1j * sines).reshape(len(cosines), width)
-    S = S.reshape(q, q, width).transpose(1, 0, 2).reshape(q, q * width)
-    values = np.empty((psi.size, width))
+    flat, n = coefficients.reshape(len(coefficients), -1), len(coefficients) // 2
+    values = np.empty((psi.size, flat.shape[1]))
     for start in range(0, psi.size, BLOCK):
-        some = psi.reshape(-1, 1)[start : start + BLOCK]
-        fine, coarse = np.exp(1j * some * np.arange(q)), np.exp(1j * some * (q * np.arange(q)))
-        partial = (fine @ S).reshape(len(some), q, width)
-        values[start : start + BLOCK] = np.einsum("pl,plc->pc", coarse, partial).real
+        some = psi.ravel()[start : start + BLOCK]
+        waves, done = np.empty((len(some), n), dtype=complex), min(n, 1)
+        waves[:, :done] = np.exp(1j * some)[:, None]
+        while done < n:
+            more = min(done, n - done)
+            waves[:, done : done + more] = waves[:, :more] * waves[:, done - 1 : done]
+            done += more
+        np.matmul(waves.view(float), flat[1:], out=values[start : start + BLOCK])
+    values += flat[0]
     return values.reshape(*psi.shape, *coefficients.shape[1:])
 
 
