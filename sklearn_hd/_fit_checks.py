@@ -42,10 +42,10 @@ def warn_of_mismatch(experiment):
     """Warn if the data repeat themselves at another frequency than omega.
 
     Where inputs never rest for some periods nothing can be said, nor where the
-    azimuth was measured.
+    azimuth was measured. In a search the fit of all data says it.
     """
     basis = experiment.basis
-    if not basis.harmonic or basis.timing.azimuth is not None:
+    if not basis.harmonic or basis.timing.azimuth is not None or searching():
         return
     outputs, trim = experiment.outputs, experiment.output_trim()
     if trim is not None and basis.small_signal is None:
