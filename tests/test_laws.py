@@ -21,7 +21,7 @@ from law_cases import (
 from scipy import linalg
 
 from sklearn_hd import HarmonicAnalyzer
-from sklearn_hd.algorithms.lti.hinf import h2_norm, hinf_norm
+from sklearn_hd.algorithms.lti.hinf import hinf_norm
 from sklearn_hd.algorithms.lti.simulation import (
     continuous_to_discrete,
     discrete_to_continuous,
@@ -47,26 +47,21 @@ def test_similarity_leaves_response_and_markov_parameters_alone(system, seed):
 
 @examples(25)
 @given(systems(), systems(discrete=False, feedthrough=False), SEEDS)
-def test_similarity_leaves_norms_alone(sampled, continuous, seed):
+def test_similarity_leaves_the_norm_alone(sampled, continuous, seed):
     for system in (sampled, continuous):
         moved = system.moved(well_conditioned(np.random.default_rng(seed), len(system.A)))
-        for norm in (lambda *model: hinf_norm(*model)[0], h2_norm):
-            found, true = (norm(*model.matrices, model.dt) for model in (moved, system))
-            np.testing.assert_allclose(found, true, rtol=1e-8)
+        found, true = (hinf_norm(*model.matrices, model.dt)[0] for model in (moved, system))
+        np.testing.assert_allclose(found, true, rtol=1e-8)
 
 
 @examples(25)
 @given(systems(min_inputs=0), st.floats(0.0, 2.0 * np.pi))
-def test_no_response_exceeds_the_norms(system, angle):
-    """σ_max(G) ≤ ‖G‖_∞ everywhere, and ‖G‖_2² is the sum of the squares of the impulse response."""
+def test_no_response_exceeds_the_norm(system, angle):
+    """σ_max(G) ≤ ‖G‖_∞ everywhere."""
     largest, _ = hinf_norm(*system.matrices, system.dt)
     response = frequency_response(*system.matrices, np.exp(1j * angle))[0]
     gain = np.max(np.linalg.svd(response, compute_uv=False), initial=0.0)  # also of no input
     assert gain <= largest * (1.0 + 1e-9)
-    impulse = markov(*system.matrices, count=1000)
-    np.testing.assert_allclose(
-        h2_norm(*system.matrices, system.dt), linalg.norm(impulse), rtol=1e-9
-    )
 
 
 @examples(40)

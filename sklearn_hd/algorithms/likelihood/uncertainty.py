@@ -143,46 +143,12 @@ def propagate_std(jacobian, covariance):
     return np.where(depends, np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def floquet_exponent_std(structure, theta, covariance, omega, n_phases):
-    """Floquet exponents and their standard deviations, to first order.
+def exponent_slopes(form, parameters):
+    """Floquet exponents of a form, and their derivatives by the parameters of its structure.
 
         λ = log(μ)/T,   ∂μ/∂θ = wᴴ ∂M/∂θ v / (wᴴ v)
 
     with left and right eigenvectors w and v of the monodromy matrix M.
-
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    theta : array_like, shape (k,)
-    covariance : ndarray, shape (k, k)
-    omega : float
-        Fundamental frequency, rad/s.
-    n_phases : int
-        Intervals into which a period is divided.
-
-    Returns
-    -------
-    exponents : complex ndarray, shape (n,)
-        In 1/s, from the rightmost leftwards. Their imaginary parts are known up to
-        multiples of ω, or up to the sampling frequency if F is constant.
-    std : complex ndarray, shape (n,)
-        Standard deviation of the real part + j times that of the imaginary part. Not
-        finite for repeated exponents, which have no derivative.
-
-    Examples
-    --------
-    >>> from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-    >>> decay = PeriodicStructure(np.zeros((1, 2, 1)), [[[[-1.0], [0.0]]]], 1, ["rate"])
-    >>> exponents, std = floquet_exponent_std(decay, [2.0], np.array([[0.01]]), 6.28, 16)
-    >>> exponents.round(12).tolist(), std.round(12).tolist()
-    ([(-2+0j)], [(0.1+0j)])
-    """
-    exponents, slopes = exponent_slopes(Form(structure, omega, n_phases), theta)
-    return exponents, propagate_std(slopes, covariance)
-
-
-def exponent_slopes(form, parameters):
-    """Floquet exponents of a form, and their derivatives by the parameters of its structure.
 
     Parameters
     ----------
@@ -194,7 +160,10 @@ def exponent_slopes(form, parameters):
     Returns
     -------
     exponents : complex ndarray, shape (n,)
+        In 1/s, from the rightmost leftwards. Their imaginary parts are known up to
+        multiples of ω, or up to the sampling frequency if F is constant.
     slopes : complex ndarray, shape (n, k)
+        Not finite for repeated exponents, which have no derivative.
     """
     if form.discrete and form.n_points is not None and form.structure.varies[0]:
         return _slopes_of_longer_steps(form, np.asarray(parameters, dtype=float))

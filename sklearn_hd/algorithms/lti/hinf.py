@@ -12,7 +12,7 @@ from scipy import linalg
 from sklearn_hd._checks import real_array
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["check_stable", "h2_norm", "hinf_norm", "refine_peaks", "tops_between"]
+__all__ = ["check_stable", "hinf_norm", "refine_peaks", "tops_between"]
 
 
 def hinf_norm(A, B, C, D, dt=None):
@@ -178,58 +178,6 @@ def tops_between(frequencies, gains):
 
 
 _APART = 1e-9  # distance of frequencies, relative, of two points
-
-
-def h2_norm(A, B, C, D, dt=None):
-    """H2 norm of a stable model: the size of its impulse response.
-
-        ‖G‖_2² = tr(C P Cᵀ),         A P + P Aᵀ + B Bᵀ = 0      (continuous, D = 0)
-        ‖G‖_2² = tr(C P Cᵀ + D Dᵀ),  A P Aᵀ − P + B Bᵀ = 0      (discrete)
-
-    Parameters
-    ----------
-    A, B, C, D : array_like, shapes (n, n), (n, m), (l, n), (l, m)
-        State-space matrices.
-    dt : float, True or None
-        Sample time in seconds; None or 0 for continuous time. The discrete norm is
-        that of the pulse response, with no factor dt.
-
-    Returns
-    -------
-    norm : float
-        Infinite (``inf``) for a continuous model with D ≠ 0. The Lyapunov solution loses half of
-        its digits when squares cancel: a norm below 1e-8 of ‖B‖ ‖C‖ is not resolved.
-
-    Raises
-    ------
-    UnstableModelError
-        If a pole lies on or outside the stability boundary.
-
-    References
-    ----------
-    Zhou, Doyle, Glover (1996), Robust and Optimal Control, section 4.5.
-
-    Examples
-    --------
-    3/(s + 2) has the impulse response 3 e^(−2t), of energy 9/4:
-
-    >>> round(h2_norm([[-2.0]], [[1.0]], [[3.0]], [[0.0]]), 9)
-    1.5
-    """
-    A, B, C, D = _matrices(A, B, C, D)
-    sample_time = _sample_time(dt)
-    direct = float(np.sum(D**2))
-    if sample_time is None and direct > 0:
-        check_stable(A, dt)
-        return np.inf
-    if len(A) == 0:
-        return np.sqrt(direct)
-    check_stable(A, dt)
-    if sample_time is None:
-        gramian = linalg.solve_continuous_lyapunov(A, -B @ B.T)
-    else:
-        gramian = linalg.solve_discrete_lyapunov(A, B @ B.T)
-    return float(np.sqrt(max(np.trace(C @ gramian @ C.T) + direct, 0.0)))
 
 
 def check_stable(A, dt=None, what="the model"):

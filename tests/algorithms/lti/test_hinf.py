@@ -5,7 +5,7 @@ import pytest
 import slycot
 from scipy import linalg
 
-from sklearn_hd.algorithms.lti.hinf import h2_norm, hinf_norm
+from sklearn_hd.algorithms.lti.hinf import hinf_norm
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -113,8 +113,10 @@ def test_norm_is_reached_at_the_peak_frequency():
         assert linalg.norm(response, 2) == pytest.approx(norm, rel=1e-8)
 
 
-@pytest.mark.parametrize("norm", [lambda *m: hinf_norm(*m)[0], h2_norm])
-def test_norms_do_not_see_a_change_of_state_and_scale_with_outputs(norm):
+def test_the_norm_does_not_see_a_change_of_state_and_scales_with_outputs():
+    def norm(*model):
+        return hinf_norm(*model)[0]
+
     random = np.random.default_rng(4)
     A, B, C, D = random_model(random, 4, 2, 3, direct=False)
     T = random.standard_normal((4, 4))
@@ -123,35 +125,12 @@ def test_norms_do_not_see_a_change_of_state_and_scale_with_outputs(norm):
     assert norm(A, B, -7 * C, D) == pytest.approx(7 * norm(A, B, C, D), rel=1e-9)
 
 
-def test_h2_norm_of_an_oscillator():
-    # ∫ h² dt of ω²/(s² + 2ζωs + ω²) is ω/(4ζ)
-    assert h2_norm(*oscillator(3.0, 0.05)) == pytest.approx(np.sqrt(3.0 / 0.2), rel=1e-9)
-
-
-def test_discrete_h2_norm_is_the_length_of_the_pulse_response():
-    A, B, C, D = random_model(np.random.default_rng(5), 3, 2, 2, dt=1.0)
-    pulses, state = [D], B
-    for _ in range(1000):
-        pulses.append(C @ state)
-        state = A @ state
-    assert h2_norm(A, B, C, D, dt=1.0) == pytest.approx(linalg.norm(np.array(pulses)), rel=1e-9)
-
-
-def test_h2_norm_of_feedthrough():
-    D = np.array([[3.0, 4.0]])
-    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0))
-    assert h2_norm(*empty, D) == np.inf
-    assert h2_norm(*empty, D, dt=True) == pytest.approx(5.0)
-    assert h2_norm(*empty, 0 * D) == 0.0
-
-
-@pytest.mark.parametrize("norm", [hinf_norm, h2_norm])
-def test_unstable_model_names_its_pole(norm):
+def test_unstable_model_names_its_pole():
     A = np.array([[0.3, 2.0], [-2.0, 0.3]])
     with pytest.raises(UnstableModelError, match=r"pole at 0\.3 ± 2j, outside the open left half"):
-        norm(A, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
+        hinf_norm(A, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
     with pytest.raises(UnstableModelError, match=r"pole at -1\.5, outside the open unit disc"):
-        norm([[-1.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1)
+        hinf_norm([[-1.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1)
 
 
 def test_hidden_unstable_pole_and_pole_on_the_axis_are_refused():
