@@ -1,52 +1,15 @@
 """The frequency of a machine, from its records."""
 
-from dataclasses import dataclass
-
 from sklearn_hd._checks import check_missing
 from sklearn_hd._readings import PlainReading
 from sklearn_hd._readings.basis import Timing
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals import fundamental
+from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
 
 __all__ = ["OmegaEstimate", "estimate_omega"]
-
-
-@dataclass(frozen=True)
-class OmegaEstimate:
-    """Frequency of a machine, as :func:`estimate_omega` returns it.
-
-    Parameters
-    ----------
-    omega : float
-        Frequency, rad/s; halfway through the records where it drifts.
-    std : float
-        Standard deviation of ``omega``, rad/s.
-    drift : float
-        Change from the first sample to the last, rad/s; zero where the records show none.
-    drift_std : float
-        Standard deviation of that change, rad/s.
-    rivals : tuple of float
-        Fractions of ``omega`` that explain the records better, and multiples of it that the
-        records do not exclude, rad/s.
-
-    References
-    ----------
-    Kanjilal, Palit (1995), On multiple pattern extraction using singular value
-    decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
-
-    Examples
-    --------
-    >>> OmegaEstimate(165.25, 0.01, 0.0, 0.1, ()).omega
-    165.25
-    """
-
-    omega: float
-    std: float
-    drift: float
-    drift_std: float
-    rivals: tuple
 
 
 def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None, missing="raise"):
@@ -94,6 +57,9 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     Kanjilal, Palit (1995), On multiple pattern extraction using singular value
     decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
 
+    Golub, Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least
+    squares problems whose variables separate, SIAM J. Numerical Analysis 10(2), 413-432.
+
     Examples
     --------
     >>> from sklearn_hd import estimate_omega
@@ -131,4 +97,4 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             f"is alike; give as guess the one that the machine turns at",
             IdentifiabilityWarning,
         )
-    return OmegaEstimate(found.omega, found.std, found.drift, found.drift_std, found.rivals)
+    return found

@@ -22,9 +22,6 @@ PUBLIC = [
 ]
 BESIDE = [  # functions of other modules that docs/api.md names
     ("sklearn_hd.algorithms.lti.hinf", "hinf_norm"),
-    ("sklearn_hd.algorithms.lti.hinf", "h2_norm"),
-    ("sklearn_hd.algorithms.signals.fundamental", "estimate_omega"),
-    ("sklearn_hd.algorithms.signals.fundamental", "FundamentalEstimate"),
 ]
 EXEMPT = {
     "ES01": "the summary line is enough where it says all",

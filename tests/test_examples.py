@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
 PUBLIC = {  # modules that the API reference names
     "sklearn_hd",
-    "sklearn_hd.algorithms.signals.fundamental",
     "sklearn_hd.algorithms.lti.hinf",
     "sklearn_hd.datasets",
     "sklearn_hd.exceptions",

@@ -36,6 +36,8 @@ LARGEST = 100_000  # samples in all windows; beyond, rows are left out evenly
 FLOOR = 1e-4  # noise in parts of an output's motion, below which no record is taken to be
 BEYOND = 5.0  # standard deviations at which a value is another
 CLEAR = 2.0  # times the mean square that is left; noise alone may leave 1.8 times
+SLIGHT = 1.2  # times: what a first-order gain is held against, which CLEAR asks to be real
+RANKS = 7  # at most, that a first-order gain is sought at
 ASTRAY = 1e-3  # turns
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
 NOISE = (
@@ -43,28 +45,28 @@ NOISE = (
 )  # times n + d: above (√n + √d)², the largest singular value of noise, squared
 
 
-class FundamentalEstimate(NamedTuple):
-    """What a record says of its fundamental frequency.
-
-    Made by :func:`estimate_omega`; each parameter is an attribute.
+class OmegaEstimate(NamedTuple):
+    """Frequency at which records repeat themselves, as :func:`estimate_omega` returns it.
 
     Parameters
     ----------
     omega : float
-        Estimate, rad/s; in the middle of the records where it drifts.
+        Frequency, rad/s; halfway through the records where it drifts.
     std : float
-        Its standard deviation, rad/s.
-    drift, drift_std : float
-        Change from the start to the end, rad/s, and its standard deviation. Zero where the
-        records do not show one.
+        Standard deviation of ``omega``, rad/s.
+    drift : float
+        Change from the first sample to the last, rad/s; zero where the records show none.
+    drift_std : float
+        Standard deviation of that change, rad/s.
+    rivals : tuple of float
+        Fractions of ``omega`` that explain the records better, and multiples of it that the
+        records do not exclude, rad/s.
     residual, residual_given : float
-        Variance that is left at the estimate and at the frequency given, of all rows
+        Variance that is left at the estimate and at the frequency searched about, of all rows
         together.
     turns : float
-        By how many turns the phase of the frequency given goes astray over the longest segment.
-    rivals : tuple of float
-        Fractions of the estimate that explain the records better, and multiples of it that
-        these do not exclude.
+        By how many turns the phase of the frequency searched about goes astray over the longest
+        segment.
 
     References
     ----------
@@ -73,7 +75,7 @@ class FundamentalEstimate(NamedTuple):
 
     Examples
     --------
-    >>> estimate = FundamentalEstimate(165.2, 0.01, 0.0, 0.02, 0.01, 0.2, 0.1, ())
+    >>> estimate = OmegaEstimate(165.2, 0.01, 0.0, 0.02, (), 0.01, 0.2, 0.1)
     >>> estimate.residual < estimate.residual_given
     True
     """
@@ -82,10 +84,10 @@ class FundamentalEstimate(NamedTuple):
     std: float
     drift: float
     drift_std: float
+    rivals: tuple
     residual: float
     residual_given: float
     turns: float
-    rivals: tuple
 
 
 def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=None):
@@ -110,22 +112,8 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
 
     Returns
     -------
-    estimate : FundamentalEstimate
+    estimate : OmegaEstimate
         Where least is left unexplained.
-
-    Raises
-    ------
-    ValueError
-        If a number is not positive, the records are too short, or no frequency within the
-        span is better than the others.
-
-    References
-    ----------
-    Kanjilal, Palit (1995), On multiple pattern extraction using singular value
-    decomposition, IEEE Trans. Signal Processing 43(6), 1536-1540.
-
-    Golub, Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least
-    squares problems whose variables separate, SIAM J. Numerical Analysis 10(2), 413-432.
 
     Examples
     --------
@@ -173,13 +161,16 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
 
     Returns
     -------
-    estimate : FundamentalEstimate or None
+    estimate : OmegaEstimate or None
         None where there is no mismatch, or nothing to tell it from.
     """
     periods = _Periods(inputs, outputs, sample_time, omega, starts)
     if not periods.moves:
         return None
-    ends = periods.at_home() or periods.search(span)
+    home = periods.at_home()
+    if home and not periods.may_gain():
+        return None
+    ends = periods.beside() if home else periods.search(span)
     if ends is None:
         return None
     found = periods.estimate(*ends)
@@ -221,6 +212,12 @@ def _unit(blocks):
     return [(z - mean) / size for z in blocks]
 
 
+def _beyond(X, rank):
+    """What some patterns leave of rows."""
+    U, s, V = linalg.svd(X, full_matrices=False, check_finite=False)
+    return X - (U[:, :rank] * s[:rank]) @ V[:rank]
+
+
 class _Fit(NamedTuple):
     """A frequency, its slope in time, and what is left of the periods beside some patterns."""
 
@@ -258,7 +255,8 @@ class _Periods:
         self.weights = self.reciprocal_noise()
         self.floor = FLOOR**2 * np.mean(self.weights**2)
         enough = self.n_harmonics > 0 and self.n_turns >= FEWEST
-        self.moves = enough and self.fit(omega).rank > 0
+        self.here = self.fit(omega) if enough else _Fit(omega, 0.0, np.inf, 0, np.inf)
+        self.moves = self.here.rank > 0
 
     def reciprocal_noise(self):
         """Of each output: sixth differences are those of noise, as harmonics are smooth."""
@@ -371,13 +369,12 @@ class _Periods:
     def residual(self, place, rank, turns, signals=None):
         """What some patterns leave of the rows at (omega, slope), and how many rows count."""
         _, X, n = self.rows(*place, turns, signals)
-        U, s, V = linalg.svd(X, full_matrices=False, check_finite=False)
-        return X - (U[:, :rank] * s[:rank]) @ V[:rank], n
+        return _beyond(X, rank), n
 
     def explained(self, fit, turns):
-        """The records as the fit explains them, put together from the windows."""
-        Y, _, _ = self.rows(fit.omega, fit.slope, turns)
-        left, _ = self.residual((fit.omega, fit.slope), fit.rank, turns)
+        """The records as the fit explains them, put together from the windows, and the residual."""
+        Y, X, n_rows = self.rows(fit.omega, fit.slope, turns)
+        left = _beyond(X, fit.rank)
         n = self.n_harmonics
         a = (Y - left).reshape(len(Y), 2 * n + 1, -1) / self.weights
         told, done = [], 0
@@ -394,7 +391,7 @@ class _Periods:
             np.add.at(sums, rows, values)
             np.add.at(total, rows, weight)
             told.append(np.hstack([sums / total[:, None], z[:, self.n_outputs :]]))
-        return told
+        return told, left, n_rows
 
     def units(self, n):
         """Changes of omega, and of the slope, by which the phase of the last harmonic turns."""
@@ -408,14 +405,14 @@ class _Periods:
         would look like a signal that does.
         """
         turns = self.turns(fit.omega, fit.slope)
-        told, place = self.explained(fit, turns), np.array([fit.omega, fit.slope])
+        told, left, n_rows = self.explained(fit, turns)
+        place = np.array([fit.omega, fit.slope])
         steps = np.diag(1e-3 * self.units(2))[:n]
         slopes = [
             self.residual(place + h, fit.rank, turns, told)[0]
             - self.residual(place - h, fit.rank, turns, told)[0]
             for h in steps
         ]
-        left, n_rows = self.residual(place, fit.rank, turns)
         return np.array(slopes) / (2e-3 * self.units(n)[:, None, None]), left, n_rows, turns
 
     def descend(self, fit, n, most=10):
@@ -470,12 +467,29 @@ class _Periods:
         return max(best)[1:]
 
     def at_home(self):
-        """The fits beside the frequency given, if a first look finds no better one."""
-        here = self.fit(self.omega)
+        """Whether a first look finds no better frequency than the one given."""
         around = self.omega * (1.0 + np.array([-0.03, -0.01, -3e-3, 3e-3, 0.01, 0.03]))
-        if any(self.fit(w).score < here.score for w in around):
-            return None
-        fits = [self.climb(here, 1), self.descend(here, 1)]  # fewer patterns may tell more
+        return all(self.fit(w).score >= self.here.score for w in around)
+
+    def may_gain(self):
+        """Whether less may be left beside the frequency given, to first order, at some rank."""
+        _, X, n = self.rows(self.omega)
+        ranks = np.unique(np.geomspace(1, self.here.rank, RANKS).round().astype(int))
+        for rank, there in zip(ranks, self.scores(X, n)[1][ranks], strict=True):
+            if there <= (SLIGHT - 1.0) * self.floor:
+                return False  # nor do more patterns leave more
+            J, left, _, _ = self.slopes(self.here._replace(rank=rank), 2)
+            J, left = J.reshape(2, -1).T * self.units(2), left.ravel()
+            gained = left - J @ linalg.lstsq(J, left, cond=1e-10)[0]
+            share = np.sum(gained**2) / max(np.sum(left**2), 1e-300)
+            if there + self.floor > SLIGHT * (there * share + self.floor):
+                return True
+        return False
+
+    def beside(self):
+        """The best fits beside the frequency given: of constant speed, and of any."""
+        # fewer patterns may tell more
+        fits = [self.climb(self.here, 1), self.descend(self.here, 1)]
         steady = min((fit for fit in fits if fit), key=lambda fit: fit.score)
         return self.descend(steady, 1), self.descend(steady, 2)
 
@@ -531,15 +545,15 @@ class _Periods:
         fit = drifting if drifts else steady
         given = self.fit(self.omega, 0.0, fit.rank)
         off = max(abs(fit.omega / self.omega - 1.0), abs(drift) * drifts / (8.0 * fit.omega))
-        return FundamentalEstimate(
+        return OmegaEstimate(
             float(fit.omega),
             float(self.deviations(fit, 1 + drifts)[0]),
             float(drift) if drifts else 0.0,
             float(drift_std),
+            self.rivals(fit),
             float(fit.left + self.floor),
             float(given.left + self.floor),
             float(off * self.longest),
-            self.rivals(fit),
         )
 
     def tells(self, estimate, span):
