@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy import sparse, stats
 
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import as_records, simulate
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
@@ -83,13 +84,11 @@ def errors_and_intervals(case, wing, n_seeds, *, free_initial_state=True):
         rng = np.random.default_rng(seed)
         y = clean + noise * rng.standard_normal(clean.shape)
         start = 0.02 * size * rng.standard_normal(structure.constant.shape)
-        result = output_error(
-            structure,
+        result = output_error_of(
+            Form(structure, ltp.omega, N_PHASES, observe),
             [(u, y, 0)],
-            ltp.omega,
-            N_PHASES,
             theta + structure.basis @ start.ravel(),
-            **options,
+            free_initial_state=free_initial_state,
         )
         assert result.converged
         errors.append(result.theta - theta)

@@ -32,7 +32,8 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
@@ -135,7 +136,9 @@ class Case:
             start[: min(3, len(start)), :2, 2:] = G[: min(3, len(start))]
             theta = structure.nearest(start)
             # the fit of the class to the clean record, each output weighed as under noise
-            theta = output_error(structure, record, self.omega, SPP, theta, sigma=sigma).theta
+            theta = output_error_of(
+                Form(structure, self.omega, SPP), record, theta, sigma=sigma
+            ).theta
         found = fisher_information(
             structure, theta, record, self.omega, SPP, sigma, observe=observe
         )

@@ -19,8 +19,9 @@ from sklearn_hd._continuous import input_scale, output_scale
 from sklearn_hd._opinion import decays_at_rest
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._reduce.choice import MAX_GROWTH
+from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.modes.families import real_block
@@ -99,18 +100,18 @@ def most_likely(segments, exponents, P, omega, n_phases, observe=None, start=Non
     near = np.zeros((len(P), n + P.shape[1], n + m))
     near[0, :n, :n], near[:, n:, :n] = R, P
     given = (omega, n_phases)
-    options = {"observe": observe, "tol": WORTH / size, "keep_stable": False}
+    options = {"tol": WORTH / size, "keep_stable": False}
     if start is None:
         driven = _modal_structure(near, [], n, ["B"])
         nothing = np.zeros(driven.n_parameters)
-        linear = output_error(driven, segments, *given, nothing, max_iter=1, **options)
+        form = Form(driven, *given, observe)
+        linear = output_error_of(form, segments, nothing, max_iter=1, **options)
         near, x0 = driven.coefficients(linear.theta), linear.x0
     else:
         near[: len(start.B), :n, n:], x0 = start.B, start.x0
     free = _modal_structure(np.zeros(near.shape), exponents, n, ["B", "P"])
-    result = output_error(
-        free, segments, *given, free.nearest(near), x0=x0, max_iter=STEPS, **options
-    )
+    form, nearest = Form(free, *given, observe), free.nearest(near)
+    result = output_error_of(form, segments, nearest, x0=x0, max_iter=STEPS, **options)
     response = sampled_response(free, result.theta, *given, observe, sensitivities=False)
     records = as_records(segments, m, segments[0][1].shape[1])
     left = [residuals(response, *each) for each in zip(records, result.x0, strict=True)]

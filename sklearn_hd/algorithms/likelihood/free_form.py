@@ -103,7 +103,8 @@ def free_form(
     predicts : bool
         Whether there is a gain; none is taken where it does not pay (Schwarz's criterion).
     max_iter, tol
-        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error`, for each start.
+        As for :func:`~sklearn_hd.algorithms.likelihood.output_error.output_error_of`, for each
+        start.
     n_starts, random_state : int
         Further starts of time-invariant models, at random.
 

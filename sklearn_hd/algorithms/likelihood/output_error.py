@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import noisy_input_problem
 from sklearn_hd.algorithms.likelihood.search import (
@@ -32,14 +31,11 @@ SETTLED = 1e-3  # relative change of noise levels; far below their own error
 SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
 
 
-def output_error(
-    structure,
+def output_error_of(
+    form,
     segments,
-    omega,
-    n_phases,
     theta0,
     *,
-    observe=None,
     free_initial_state=True,
     x0=None,
     sigma=None,
@@ -55,19 +51,14 @@ def output_error(
 
     Parameters
     ----------
-    structure : PeriodicStructure
+    form : Form
+        Of the structure whose parameters are sought, at any clock.
     segments : list of (inputs, outputs, first_phase)
         Records: inputs (n_samples, m), held from sample to sample, outputs
         (n_samples, l), NaN where missing, and the phase of the first sample (samples
         after ψ = 0).
-    omega : float
-        Fundamental frequency, rad/s.
-    n_phases : int
-        Samples a period.
     theta0 : array_like, shape (k,)
         Start, near enough for the valley of the optimum.
-    observe : ndarray, shape (n_phases, l, l_model), optional
-        What is measured of the model's outputs at each phase.
     free_initial_state : bool, default=True
         Whether each segment's initial state is estimated too.
     x0 : array_like, shape (n_segments, n), optional
@@ -98,45 +89,16 @@ def output_error(
     --------
     The rate of a lag from its step response, without noise:
 
+    >>> from sklearn_hd.algorithms.likelihood.forms import Form
     >>> from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
     >>> lag = PeriodicStructure(np.array([[[0.0, 1.0], [1.0, 0.0]]]),
     ...                         np.array([[[[-1.0, 0.0], [0.0, 0.0]]]]), 1, ("rate",))
     >>> u, t = np.ones((50, 1)), 0.1 * np.arange(50)
     >>> y = (1 - np.exp(-2.0 * t[:, None])) / 2.0
-    >>> result = output_error(lag, [(u, y, 0)], 2 * np.pi, 10, [1.0])
+    >>> result = output_error_of(Form(lag, 2 * np.pi, 10), [(u, y, 0)], [1.0])
     >>> bool(np.isclose(result.theta[0], 2.0, rtol=1e-13))
     True
     """
-    return output_error_of(
-        Form(structure, omega, n_phases, observe),
-        segments,
-        theta0,
-        free_initial_state=free_initial_state,
-        x0=x0,
-        sigma=sigma,
-        input_sigma=input_sigma,
-        bounds=bounds,
-        max_iter=max_iter,
-        tol=tol,
-        keep_stable=keep_stable,
-    )
-
-
-def output_error_of(
-    form,
-    segments,
-    theta0,
-    *,
-    free_initial_state=True,
-    x0=None,
-    sigma=None,
-    input_sigma=None,
-    bounds=None,
-    max_iter=50,
-    tol=1e-8,
-    keep_stable=True,
-):
-    """The same of a form, at any clock."""
     problem = likelihood_problem(form, segments, free_initial_state, sigma)
     point = start(problem, theta0, x0)
     options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable, "bounds": bounds}

@@ -65,7 +65,7 @@ def fisher_information(
     theta : array_like, shape (k,)
         Where to take it: the truth for the bound.
     segments : list of (inputs, outputs, first_phase)
-        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error`; outputs only
+        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error_of`; outputs only
         tell by NaN which samples are missing, and may be None.
     omega : float
         Fundamental frequency, rad/s.

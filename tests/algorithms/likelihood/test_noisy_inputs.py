@@ -7,12 +7,16 @@ from scipy import linalg
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import innovation_filter, noisy_input_problem
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals, simulate
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 
 OMEGA, N_PHASES = 2 * np.pi, 16
 SIGMA, INPUT_SIGMA = np.array([0.1, 0.3]), np.array([0.2, 0.5])
+
+
+def fitted(structure, segments, theta0, **options):
+    return output_error_of(Form(structure, OMEGA, N_PHASES), segments, theta0, **options)
 
 
 @pytest.fixture
@@ -104,17 +108,15 @@ def records(structure, rng, noise, input_noise, *, n_samples=800):
 def test_exact_inputs_are_plain_output_error(structure, rng):
     segments, theta = records(structure, rng, 0.1, 0.0)
     options = {"sigma": [0.1, 0.2], "tol": 1e-14}
-    plain = output_error(structure, segments, OMEGA, N_PHASES, theta, **options)
-    total = output_error(
-        structure, segments, OMEGA, N_PHASES, theta, input_sigma=[0.0, 0.0], **options
-    )
+    plain = fitted(structure, segments, theta, **options)
+    total = fitted(structure, segments, theta, input_sigma=[0.0, 0.0], **options)
     np.testing.assert_allclose(total.theta, plain.theta, rtol=1e-9)
     np.testing.assert_allclose(total.covariance, plain.covariance, rtol=1e-7)
     assert total.cost == pytest.approx(plain.cost)
     assert total.n_parameters == plain.n_parameters
     np.testing.assert_allclose(total.fit_percent, plain.fit_percent)
-    estimated = output_error(structure, segments, OMEGA, N_PHASES, theta, input_sigma=[0.0, 0.0])
-    plain = output_error(structure, segments, OMEGA, N_PHASES, theta)
+    estimated = fitted(structure, segments, theta, input_sigma=[0.0, 0.0])
+    plain = fitted(structure, segments, theta)
     np.testing.assert_allclose(estimated.theta, plain.theta, rtol=1e-4)
     np.testing.assert_allclose(estimated.sigma, plain.sigma, rtol=1e-3)
     assert estimated.n_parameters == plain.n_parameters
@@ -122,7 +124,7 @@ def test_exact_inputs_are_plain_output_error(structure, rng):
 
 def test_noise_levels_of_the_outputs_are_found_beside_that_of_the_inputs(structure, rng):
     segments, theta = records(structure, rng, SIGMA, INPUT_SIGMA)
-    result = output_error(structure, segments, OMEGA, N_PHASES, theta, input_sigma=INPUT_SIGMA)
+    result = fitted(structure, segments, theta, input_sigma=INPUT_SIGMA)
     assert result.converged
     np.testing.assert_allclose(result.sigma, SIGMA, rtol=0.3)
     assert np.all(np.abs(result.theta - theta) < 4 * result.theta_std)
@@ -131,8 +133,8 @@ def test_noise_levels_of_the_outputs_are_found_beside_that_of_the_inputs(structu
 def test_all_noise_may_be_the_inputs(structure, rng):
     """Outputs without noise: little is left to them, within √(2/400) of the variance."""
     segments, theta = records(structure, rng, 0.0, INPUT_SIGMA, n_samples=400)
-    result = output_error(structure, segments, OMEGA, N_PHASES, theta, input_sigma=INPUT_SIGMA)
-    plain = output_error(structure, segments, OMEGA, N_PHASES, theta)
+    result = fitted(structure, segments, theta, input_sigma=INPUT_SIGMA)
+    plain = fitted(structure, segments, theta)
     assert np.all(result.sigma**2 < 2.0 * np.sqrt(2 / 400) * plain.sigma**2)
     assert np.all(np.abs(result.theta - theta) < 4 * result.theta_std)
 
@@ -140,7 +142,7 @@ def test_all_noise_may_be_the_inputs(structure, rng):
 def test_errors_say_what_is_needed(structure, rng):
     segments, theta = records(structure, rng, 0.1, 0.1, n_samples=80)
     with pytest.raises(ValueError, match=r"input_sigma=\[0.1\] must hold a standard deviation"):
-        output_error(structure, segments, OMEGA, N_PHASES, theta, input_sigma=[0.1])
+        fitted(structure, segments, theta, input_sigma=[0.1])
 
 
 @pytest.mark.slow
@@ -150,7 +152,7 @@ def test_total_least_squares_beats_least_squares(structure):
     for seed in range(100):
         segments, theta = records(structure, np.random.default_rng(seed), SIGMA, INPUT_SIGMA)
         for name, known in (("plain", None), ("total", INPUT_SIGMA)):
-            result = output_error(structure, segments, OMEGA, N_PHASES, theta, input_sigma=known)
+            result = fitted(structure, segments, theta, input_sigma=known)
             errors[name].append(result.theta - theta)
             covered[name].append(np.abs(errors[name][-1]) < 1.96 * result.theta_std)
     rms = {name: np.sqrt(np.mean(np.square(each), axis=0)) for name, each in errors.items()}

@@ -6,7 +6,7 @@ from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import (
     as_records,
     output_sensitivities,
@@ -22,6 +22,10 @@ from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure,
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 OMEGA, N_PHASES = 2 * np.pi, 16
+
+
+def fitted(structure, segments, theta0, **options):
+    return output_error_of(Form(structure, OMEGA, N_PHASES), segments, theta0, **options)
 
 
 def structure_of(coefficients, free, n_states):
@@ -120,11 +124,9 @@ def test_simulation_is_the_recursion(oscillator, rng):
 def test_noise_free_records_give_the_truth(oscillator, rng, free_initial_state):
     structure, theta = oscillator
     segments, x0 = recorded(structure, theta, rng)
-    result = output_error(
+    result = fitted(
         structure,
         segments,
-        OMEGA,
-        N_PHASES,
         theta * 1.1,
         free_initial_state=free_initial_state,
         x0=None if free_initial_state else x0,
@@ -150,7 +152,7 @@ def test_time_invariant_states_measured_give_the_regression(rng):
     block = np.eye(4)
     block[:3] = regression
     exact = linalg.logm(block).real[:3] * N_PHASES * OMEGA / (2 * np.pi)
-    result = output_error(structure, [(u, y, 0)], OMEGA, N_PHASES, theta * 1.05)
+    result = fitted(structure, [(u, y, 0)], theta * 1.05)
     np.testing.assert_allclose(result.theta.reshape(3, 4), exact, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(result.theta, theta, rtol=1e-11, atol=1e-12)
 
@@ -164,7 +166,7 @@ def test_outputs_of_very_different_size_and_noise(rng):
     structure, theta = structure_of(M, free, 1)
     [(u, y, phase)], _ = recorded(structure, theta, rng, lengths=(300,), phases=(0,))
     y[:, 0] += 1e5 * rng.standard_normal(300)
-    result = output_error(structure, [(u, y, phase)], OMEGA, N_PHASES, theta * 0.9)
+    result = fitted(structure, [(u, y, phase)], theta * 0.9)
     assert result.converged
     np.testing.assert_allclose(result.theta[:2], theta[:2], rtol=1e-12)
     assert abs(result.theta[2] - theta[2]) < 4 * result.theta_std[2]
@@ -176,7 +178,7 @@ def test_missing_samples_are_left_out(oscillator, rng):
     structure, theta = oscillator
     segments, _ = recorded(structure, theta, rng)
     segments[0][1][[3, 4, 50]] = np.nan
-    result = output_error(structure, segments, OMEGA, N_PHASES, theta * 1.05)
+    result = fitted(structure, segments, theta * 1.05)
     np.testing.assert_allclose(result.theta, theta, rtol=1e-12)
     assert result.n_residuals == 150 + 97 - 3
 
@@ -192,7 +194,7 @@ def test_observed_harmonics(rng):
     functions = harmonic_functions(2 * np.pi * np.arange(N_PHASES) / N_PHASES, [0, 1])
     observe = functions[:, None, :]
     segments, x0 = recorded(structure, theta, rng, observe=observe)
-    result = output_error(structure, segments, OMEGA, N_PHASES, theta * 1.03, observe=observe)
+    result = output_error_of(Form(structure, OMEGA, N_PHASES, observe), segments, theta * 1.03)
     np.testing.assert_allclose(result.theta, theta, rtol=1e-10)
     np.testing.assert_allclose(result.x0, x0, atol=1e-10)
 
@@ -213,7 +215,7 @@ def test_parameters_without_effect_are_named(rng):
     y = simulate(sampled_response(structure, theta, OMEGA, N_PHASES), record, [0.5])[1]
     start = theta * [1.1, 1.2, 1.0, 1.3]
     y += 0.01 * rng.standard_normal(y.shape)
-    result = output_error(structure, [(u, y, phase)], OMEGA, N_PHASES, start)
+    result = fitted(structure, [(u, y, phase)], start)
     assert result.converged
     assert result.unidentified == ("0,0,1", "0,0,2", "0,1,0")
     assert result.theta[1] * result.theta[3] == pytest.approx(6.0, rel=0.01)
@@ -250,17 +252,17 @@ def test_unstable_steps_are_refused_when_asked(rng):
     free[0, 0, 0] = True
     structure, theta = structure_of(M, free, 1)
     segments, _ = recorded(structure, theta, rng)
-    held = output_error(structure, segments, OMEGA, N_PHASES, [-0.1])
+    held = fitted(structure, segments, [-0.1])
     assert held.theta[0] <= 0.0
     assert held.theta[0] == pytest.approx(0.0, abs=1e-4)
-    loose = output_error(structure, segments, OMEGA, N_PHASES, [-0.1], keep_stable=False)
+    loose = fitted(structure, segments, [-0.1], keep_stable=False)
     np.testing.assert_allclose(loose.theta, theta, rtol=1e-11)
 
 
 def test_criteria_count_everything_estimated(oscillator, rng):
     structure, theta = oscillator
     segments, _ = recorded(structure, theta, rng, noise=0.1)
-    result = output_error(structure, segments, OMEGA, N_PHASES, theta)
+    result = fitted(structure, segments, theta)
     N, d = 247, 6 + 4 + 1
     assert (result.n_residuals, result.n_parameters) == (N, d)
     rss = np.sum(residual_vector(structure, result.theta, segments, result.x0) ** 2)
@@ -275,8 +277,8 @@ def test_criteria_count_everything_estimated(oscillator, rng):
 def test_noise_levels_may_be_given(oscillator, rng):
     structure, theta = oscillator
     segments, _ = recorded(structure, theta, rng, noise=0.1)
-    free = output_error(structure, segments, OMEGA, N_PHASES, theta)
-    given = output_error(structure, segments, OMEGA, N_PHASES, theta * 1.1, sigma=[0.2])
+    free = fitted(structure, segments, theta)
+    given = fitted(structure, segments, theta * 1.1, sigma=[0.2])
     np.testing.assert_allclose(given.theta, free.theta, rtol=1e-3)
     ratio = given.theta_std / free.theta_std
     np.testing.assert_allclose(ratio, 0.2 / free.sigma[0], rtol=1e-4)
@@ -317,7 +319,7 @@ def test_errors_say_what_is_needed(oscillator, rng):
     u, y, _ = segments[0]
 
     def fit(segments=segments, theta0=theta, **options):
-        return output_error(structure, segments, OMEGA, N_PHASES, theta0, **options)
+        return fitted(structure, segments, theta0, **options)
 
     with pytest.raises(ValueError, match=r"segment 0 has inputs of shape \(150, 1\) and outputs"):
         fit([(u, y[:-1], 0)])
@@ -332,17 +334,14 @@ def test_errors_say_what_is_needed(oscillator, rng):
     with pytest.raises(ValueError, match=r"x0 has shape \(2,\); 2 segments of 2 states need"):
         fit(x0=[0.0, 0.0])
     with pytest.raises(ValueError, match=r"the response at theta0 overflows \(spectral radius"):
-        output_error(structure, [(np.ones((9000, 1)), np.ones((9000, 1)), 0)], OMEGA, N_PHASES,
+        fitted(structure, [(np.ones((9000, 1)), np.ones((9000, 1)), 0)],
                      [90.0, 0.0, 0.0, 90.0, 4.0, 0.0])  # fmt: skip
 
 
 def test_each_step_counts_once_and_goes_down(oscillator, rng):
     structure, theta = oscillator
     segments, _ = recorded(structure, theta, rng, noise=0.05)
-    results = [
-        output_error(structure, segments, OMEGA, N_PHASES, 1.2 * theta, max_iter=k)
-        for k in (1, 2, 3)
-    ]
+    results = [fitted(structure, segments, 1.2 * theta, max_iter=k) for k in (1, 2, 3)]
     assert [result.n_iter for result in results] == [1, 2, 3]
     costs = [result.cost for result in results]
     assert costs[0] > costs[1] > costs[2]
