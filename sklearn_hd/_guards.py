@@ -8,6 +8,8 @@ Overflow ends in an error of ours, not in a warning and infinities.
 import functools
 import os
 import sys
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -43,6 +45,7 @@ def one_blas_thread(method):
 
 ROWS = 64  # side by side
 CACHED = 8192  # rows that fit into a cache
+_CANDIDATES = ContextVar("candidates", default=False)
 
 
 def within_range(call):
@@ -91,9 +94,21 @@ def searches():
         frame = frame.f_back
 
 
+@contextmanager
+def candidates():
+    """Models fitted within are candidates, of which another fit has said what there is to say."""
+    token = _CANDIDATES.set(True)
+    try:
+        yield
+    finally:
+        _CANDIDATES.reset(token)
+
+
 def searching():
     """Whether a call is of a candidate of a search, whose score tells what warnings would."""
-    return any(frame.f_code.co_name == "_fit_and_score" for frame in searches())
+    return _CANDIDATES.get() or any(
+        frame.f_code.co_name == "_fit_and_score" for frame in searches()
+    )
 
 
 def square_sums(signal):

@@ -11,6 +11,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd._checks import check_positive
+from sklearn_hd._guards import candidates
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
@@ -374,7 +375,7 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         if orders is None:
             orders = range(1, min(first.order_ + 4, (block_rows - 1) * n_outputs) + 1)
         found, orders = {}, sorted(orders)
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), candidates():
             warnings.simplefilter("ignore", UserWarning)  # what the first fit said
             for n in orders:
                 model = clone(identifier).set_params(order=n, block_rows=block_rows).fit(X, y)
