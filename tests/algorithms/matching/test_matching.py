@@ -213,18 +213,17 @@ def test_first_order_match_against_nelder_mead_and_the_hankel_bound():
 def test_disturbed_heave_reaches_one_optimum_from_any_start(size):
     structure, truth = subsystem("heave")
     random = np.random.default_rng(11)
-    for _ in range(3):
-        model = disturbed_heave(size, random)
-        results = [
-            match_structure(*model, structure, theta0=truth * (1 + random.uniform(-0.5, 0.5, 10)))
-            for _ in range(2)
-        ]
-        best = min(result.hinf_error for result in results)
-        for result in results:
-            assert result.hinf_error <= best * (1 + NEAR)
-            assert result.hinf_error <= result.hinf_error_least_squares
-            assert not result.exact
-            assert linalg.eigvals(result.A).real.max() < 0
+    model = disturbed_heave(size, random)
+    results = [
+        match_structure(*model, structure, theta0=truth * (1 + random.uniform(-0.5, 0.5, 10)))
+        for _ in range(2)
+    ]
+    best = min(result.hinf_error for result in results)
+    for result in results:
+        assert result.hinf_error <= best * (1 + NEAR)
+        assert result.hinf_error <= result.hinf_error_least_squares
+        assert not result.exact
+        assert linalg.eigvals(result.A).real.max() < 0
 
 
 def test_no_direction_lowers_the_norm_at_an_optimum():
