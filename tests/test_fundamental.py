@@ -17,8 +17,6 @@ from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
 
-OFF = [0.01, -0.003]
-
 
 def wing(kind="ltp", **kwargs):
     return make_flapping_wing(kind, **{"n_periods": 60, "start": 5, "random_state": 0} | kwargs)
@@ -37,7 +35,6 @@ def arrays(data):
 
 KINDS = {
     "ltp": ("ltp", {}),
-    "ltp, 16 samples": ("ltp", {"samples_per_period": 16}),
     "ltp, 3211": ("ltp", {"input": "3211"}),
     "ltp, records": ("ltp", {"n_records": 3}),
     "ltp, noise": ("ltp", {"snr": 20}),
@@ -49,19 +46,21 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize(("kind", "kwargs"), KINDS.values(), ids=KINDS)
-def test_a_wrong_frequency_is_found_out_and_the_right_one_is_not(kind, kwargs):
-    inputs, outputs, dt, omega = arrays(wing(kind, **kwargs))
+@pytest.mark.parametrize("name", KINDS)
+def test_a_wrong_frequency_is_found_out_and_the_right_one_is_not(name):
+    """Off by 1 % or by 0.3 %, in turn."""
+    kind, kwargs = KINDS[name]
+    inputs, outputs, dt, omega = arrays(wing(kind, samples_per_period=32, **kwargs))
     assert omega_mismatch(inputs, outputs, dt, omega) is None
-    for off in OFF:
-        found = omega_mismatch(inputs, outputs, dt, omega * (1 + off))
-        assert abs(found.omega / omega - 1) < 1e-3
-        assert found.residual < found.residual_given
+    off = (0.01, -0.003)[list(KINDS).index(name) % 2]
+    found = omega_mismatch(inputs, outputs, dt, omega * (1 + off))
+    assert abs(found.omega / omega - 1) < 1e-3
+    assert found.residual < found.residual_given
 
 
 def test_noise_on_the_inputs_too():
     """A twentieth of each: 1 % off is found out, to a thousandth."""
-    for seed in range(3):
+    for seed in range(2):
         data = wing(snr=20, noise_on="both", random_state=seed)
         inputs, outputs, dt, omega = arrays(data)
         assert omega_mismatch(inputs, outputs, dt, omega) is None
@@ -101,7 +100,7 @@ def test_random_periodic_systems():
     u = np.zeros((len(t), 1))
     u[5 * spp : 15 * spp], u[15 * spp : 25 * spp] = 1.0, -1.0
     tried = 0
-    while tried < 8:
+    while tried < 4:
         F = RandomHarmonics(rng, n=int(rng.integers(2, 5)), n_harmonics=int(rng.integers(1, 4)))
         system = LTPSystem(F, lambda psi, n=F.n: np.ones((*np.shape(psi), n, 1)), omega=omega)
         if max(system.floquet_exponents().real) > -0.02:
@@ -235,11 +234,11 @@ def fit(data, off, **kwargs):
 def test_a_fit_at_a_wrong_frequency_names_the_right_one(kind, snr):
     data = wing(kind, snr=snr)
     assert fit(data, 0.0) == []
-    for off, said in ((0.01, r"0.99% more|1.00% more"), (-0.003, r"0.30% less")):
-        (message,) = fit(data, off)
-        assert np.any([words in message for words in said.split("|")])
-        named = float(message.split("set omega=")[1].split(",")[0])
-        assert named == pytest.approx(data.omega, rel=1e-5 if snr is None else 1e-4)
+    off, said = (-0.003, r"0.30% less") if snr else (0.01, r"0.99% more|1.00% more")
+    (message,) = fit(data, off)
+    assert np.any([words in message for words in said.split("|")])
+    named = float(message.split("set omega=")[1].split(",")[0])
+    assert named == pytest.approx(data.omega, rel=1e-5 if snr is None else 1e-4)
 
 
 def test_pairs_and_azimuths_at_a_wrong_frequency():
