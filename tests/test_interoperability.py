@@ -39,8 +39,8 @@ from sklearn_hd.datasets import make_flapping_wing
 
 @pytest.fixture(scope="module")
 def short():
-    """Six noisy doublet records of sixty periods."""
-    return make_flapping_wing("ltp", n_records=6, n_periods=60, start=5, snr=50, random_state=7)
+    """Three noisy doublet records of sixty periods."""
+    return make_flapping_wing("ltp", n_records=3, n_periods=60, start=5, snr=50, random_state=7)
 
 
 @pytest.fixture(scope="module")
