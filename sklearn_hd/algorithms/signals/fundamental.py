@@ -114,14 +114,6 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
     -------
     estimate : OmegaEstimate
         Where least is left unexplained.
-
-    Examples
-    --------
-    >>> t = np.arange(2000) / 32
-    >>> y = np.exp(-0.05 * t) * (1 + 0.5 * np.cos(2 * np.pi * t))
-    >>> estimate = estimate_omega([np.zeros((2000, 1))], [y[:, None]], 1 / 32, 6.2)
-    >>> bool(abs(estimate.omega / (2 * np.pi) - 1) < 1e-6)
-    True
     """
     hint = "seconds from row to row, rad/s, and a share of omega"
     given = {} if omega is None else {"omega": omega}
