@@ -18,6 +18,7 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._excitation import Excitation
+from sklearn_hd._exported import Exported
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
@@ -88,7 +89,7 @@ def _has_gain(step):
     return step._predicts_ahead()
 
 
-class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
+class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):

@@ -23,6 +23,7 @@ from sklearn_hd.systems.arguments import (
     periodic_matrix,
     precision,
 )
+from sklearn_hd.systems.export import export_model
 from sklearn_hd.systems.from_decomposition import read_decomposition
 from sklearn_hd.systems.harmonic_transfer import model_response
 from sklearn_hd.systems.minimal import harmonic_modes, minimal_model
@@ -424,8 +425,7 @@ class LTPSystem(NamedSignals):
 
             λ + jkω,   k = −N … N,   of which k = 0 is the base mode
 
-        The base mode is the one that the mean of F continues. Inputs without harmonics of their
-        own reach copy k by one harmonic of the mode's input vector alone.
+        The base mode is the one that the mean of F continues.
 
         Parameters
         ----------
@@ -452,8 +452,6 @@ class LTPSystem(NamedSignals):
 
         Examples
         --------
-        Where F is constant, nothing but the base mode is reached:
-
         >>> system = LTPSystem([[-1.0]], [[1.0]], omega=5.0)
         >>> system.harmonic_modes(1)[["copy", "controllability"]].to_numpy().tolist()
         [[0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]
@@ -576,6 +574,18 @@ class LTPSystem(NamedSignals):
         x = floquet.propagate_periodic(Phi, forcing, x0)
         y = measure(self.P, x, psi) + measure(self.Q, u, psi)
         return (y, x) if return_states else y
+
+    def export(self, path, *, n_phases=64):
+        """Write the system to a file, as :func:`export_model` does.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Ends in ``.json`` (:func:`load_model` reads it) or ``.mat`` (for MATLAB).
+        n_phases : int, default=64
+            Azimuths in a period at which the matrices are tabulated, too.
+        """
+        export_model(self, path, n_phases=n_phases)
 
     def _hd_matrix(self, n_harmonics):
         F = matrix_coefficients(self.F, 2 * n_harmonics)
