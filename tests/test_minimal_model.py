@@ -5,10 +5,12 @@ import warnings
 import control
 import numpy as np
 import pytest
-from periodic_cases import coupled, mathieu
+from periodic_cases import coupled, mathieu, record
 from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
+from sklearn.pipeline import Pipeline
 
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem, flapping_blade
 
@@ -186,7 +188,7 @@ def test_twins_that_one_input_moves_alike_are_one():
 
 
 def test_what_goes_through_copies_is_said():
-    system = mathieu()  # 1.37 rad/s at an ω of 2: a copy at 0.63
+    system = mathieu(3.0, 1.0)  # 1.6 rad/s at an ω of 2: a copy at 0.4
     with pytest.warns(IdentifiabilityWarning, match=r"misses 0\.\d+ of the response"):
         _, loss = system.minimal_model(return_loss=True)
     assert loss > 0.1
@@ -210,7 +212,7 @@ def test_eigenvalues_that_do_not_converge_are_said(monkeypatch):
     monkeypatch.setattr("sklearn_hd.systems.minimal.MOST_HARMONICS", 4)
     with (
         pytest.warns(ConvergenceWarning, match="off the Floquet exponent: F has kinks"),
-        pytest.warns(IdentifiabilityWarning, match="misses 2"),
+        pytest.warns(IdentifiabilityWarning, match="misses 1"),
     ):
         machine.minimal_model()
 
@@ -226,3 +228,20 @@ def test_eigenvalues_that_do_not_converge_are_said(monkeypatch):
 def test_it_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
         mathieu().minimal_model(**arguments)
+
+
+def test_an_identified_machine_is_made_faster():
+    machine = slow()
+    u, y = record(machine, n_periods=60, samples=16, noise=0.01, seed=1)
+    pipe = Pipeline([
+        ("harmonics", HarmonicAnalyzer(machine.omega, output_harmonics=1, reading="period")),
+        ("identify", MOESPRegressor(2)),
+        ("match", StructuredMatcher(structure=HarmonicStructure(F=1, G=0),
+                                    criterion="output_error")),
+    ]).fit(u, y)  # fmt: skip
+    model = pipe["match"].ltp_.minimal_model()
+    gain, _, poles = control.lqr(model, np.eye(2), [[1.0]])
+    closed = closed_loop(machine, model, gain)  # the true machine
+    np.testing.assert_allclose(np.sort(closed.real), np.sort(poles.real), rtol=0.05)
+    assert closed.real.max() < -0.6
+    assert machine.floquet_exponents().real.max() > -0.06

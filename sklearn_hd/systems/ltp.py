@@ -487,8 +487,8 @@ class LTPSystem(NamedSignals):
             ripple within a period, one of u = −K x(t) on these states: check it by the
             exponents of the closed loop, ``LTPSystem(F - G K, …)``.
         loss : float
-            Only with ``return_loss=True``: what is missed of the response of an output to an
-            input, rms over frequencies up to ω/2 (or the fastest mode), of the worst pair.
+            Only with ``return_loss=True``: share missed of the response of an output (with its
+            harmonics) to an input, rms over frequencies up to ω/2 or the fastest mode; worst pair.
 
         Raises
         ------

@@ -99,8 +99,9 @@ class ModesKept:
     error : float
         Largest distance of an eigenvalue from the one that was asked for, rad/s.
     loss : float
-        What replacing the others by their steady response leaves of the response of an output to
-        an input, rms over frequencies up to ω/2 or the fastest mode wanted, of the worst pair.
+        What replacing the others by their steady response leaves, as a share of the response of an
+        output and its harmonics to an input: rms over frequencies up to ω/2 or the fastest mode
+        wanted, of the worst pair.
     """
 
     A: np.ndarray
@@ -153,20 +154,22 @@ def split_modes(coefficients, omega, wanted, n_harmonics, n_outputs, n_copies):
     means = np.eye(n, len(A))
     A, B, C = block_diagonal(A, B, np.vstack([C, means]), found[places], np.delete(found, places))
     k, out = len(wanted), (2 * n_outputs + 1) * l
-    rest = A[k:, k:], B[k:, :m], C[:out, k:]
-    D0 = D[:out, :m]
-    steady = D0 - rest[2] @ linalg.solve(rest[0], rest[1])
-    own = A[:k, :k], B[:k, :m], C[:out, :k]
+    own = A[:k, :k], B[:k, :m], C[:-n, :k]
+    rest = A[k:, k:], B[k:, :m], C[:-n, k:]
+    change = -rest[2] @ linalg.solve(rest[0], rest[1])
     s = _frequencies(found, max(0.5 * omega, np.max(np.abs(wanted), initial=0.0)))
-    left = frequency_response(*rest, D0 - steady, s)
-    whole = left + frequency_response(*own, steady, s)
-    left, whole = (np.linalg.norm(values, axis=0) for values in (left, whole))
+    left = frequency_response(*rest, -change, s)
+    whole = left + frequency_response(*own, D[:, :m] + change, s)
+    left, whole = (
+        np.linalg.norm(values.reshape(-1, l, m), axis=0) for values in (left[:, :out], whole)
+    )
     there = whole > DEPENDENT * np.max(whole, initial=0.0)
     loss = float(np.max(left[there] / whole[there], initial=0.0))
+    own, steady = (own[0], own[1], own[2][:out]), (D[:, :m] + change)[:out]
     eigenvalues, from_left, from_right = linalg.eig(own[0], left=True)
     reach = _by_harmonic(from_left.conj().T @ B[:k], m, K, 1j)
-    shown = _by_harmonic((C[: len(C) - n, :k] @ from_right).T, l, K, -1j)
-    return ModesKept(*own, steady, C[len(C) - n :, :k], eigenvalues, reach, shown, error, loss)
+    shown = _by_harmonic((C[:-n, :k] @ from_right).T, l, K, -1j)
+    return ModesKept(*own, steady, C[-n:, :k], eigenvalues, reach, shown, error, loss)
 
 
 def _frequencies(poles, highest):
