@@ -14,7 +14,12 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import HALF, UNKNOWN
 from sklearn_hd.algorithms.lti.residualization import block_diagonal
-from sklearn_hd.algorithms.periodic.base_modes import base_families, shares, split_modes
+from sklearn_hd.algorithms.periodic.base_modes import (
+    base_families,
+    distance_from,
+    shares,
+    split_modes,
+)
 from sklearn_hd.algorithms.periodic.floquet import state_units
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.arguments import harmonic_names
@@ -116,15 +121,25 @@ def _with_copies(family, n_copies, omega):
 
 def _converged(system, units, wanted, n_outputs, n_copies):
     """The modes wanted, of a decomposition of as many harmonics as they need."""
-    n = system.n_states
-    N, most = max(4, 2 * n_copies), max(8, min(MOST_HARMONICS, MOST_STATES // (2 * n)))
-    while True:
+    n, N = system.n_states, max(4, 2 * n_copies)
+    most = max(2 * N, min(MOST_HARMONICS, MOST_STATES // (2 * n)))
+    kept = None
+    while kept is None:
         F, G, P, Q = system.fourier_coefficients(max(2 * N, N + n_copies, N + n_outputs))
         scaled = F * (units / units[:, None]), G / units[:, None], P * units, Q
-        kept = split_modes(scaled, system.omega, wanted, N, n_outputs, n_copies)
-        if kept.error <= HALF * system.omega or most < 2 * N:
-            break
-        N *= 2
+        last = most < 2 * N
+        if last or distance_from(scaled[0], system.omega, wanted, N) <= HALF * system.omega:
+            try:
+                kept = split_modes(scaled, system.omega, wanted, N, n_outputs, n_copies)
+            except (ValueError, np.linalg.LinAlgError) as error:  # at fewer harmonics, by chance
+                if last:
+                    raise ValueError(
+                        f"base modes and copies of the harmonic decomposition of {N} harmonics "
+                        f"cannot be told apart to working precision ({error}); F varies too much "
+                        f"for a time-invariant model: design for the periodic system itself"
+                    ) from None
+        if kept is None:
+            N *= 2
     if kept.error > CLOSE * system.omega:
         warn(
             f"an eigenvalue of the harmonic decomposition of {N} harmonics is still "
