@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.periodic.floquet import state_units
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.arguments import harmonic_names
 
-MOST_STATES = 1500  # of a decomposition whose eigenvalues take seconds, not minutes
+MOST_STATES = 800  # of a decomposition, whose eigenvalues then take about a second
 MOST_HARMONICS = 64
 MOST_LOSS = 0.1  # of a response, that a model may miss without a word
 CLOSE = 1e-6  # of ω: eigenvalues that are told as those of the system
