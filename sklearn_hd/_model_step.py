@@ -18,9 +18,9 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._excitation import Excitation
-from sklearn_hd._fit_checks import DUST
+from sklearn_hd._exported import Exported
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
-from sklearn_hd._guards import extremes, one_blas_thread, within_range
+from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
@@ -31,9 +31,10 @@ from sklearn_hd._records.data import (
     read_signals,
 )
 from sklearn_hd._records.sampling import joined
-from sklearn_hd._records.states import initial_states
+from sklearn_hd._records.states import initial_states, states_by_record
 from sklearn_hd._residuals import ResidualTests
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._scoring import compared, meet_at_rest, power_of_two
 from sklearn_hd._simulators import (
     LiftedSimulator,
     SegmentSimulator,
@@ -44,10 +45,9 @@ from sklearn_hd._simulators import (
 )
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
-from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
 WARMUP_SHARE = 0.25
-MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 
 
 def upstream(step, X, y):
@@ -89,7 +89,7 @@ def _has_gain(step):
     return step._predicts_ahead()
 
 
-class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
+class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):
@@ -312,6 +312,63 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
 
+    @one_blas_thread
+    @within_range
+    def initial_state(self, X, y):
+        """State at the start of each segment, fitted to its first rows as ``score`` does.
+
+            x0 = arg min Σ (y − ŷ(x0))²   over the first ``warmup`` seconds
+
+        after the first whole window, each output in parts of its size. ``predict(X, x0=x0)``
+        then simulates what ``score`` compares.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs as at fit; None if there were none.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs on the rows of X.
+
+        Returns
+        -------
+        x0 : DataFrame or ndarray, shape (n_segments, n_states)
+            A DataFrame by record, or by segment where gaps part a record; an array if X is
+            one. Its columns are named as the states of the model that ``predict`` simulates.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If X and y do not fit the model.
+
+        Warns
+        -----
+        IdentifiabilityWarning
+            If segments are too short to be scored: their states are those of least size that
+            fit all their rows.
+        """
+        check_is_fitted(self)
+        check_outputs_given(y)
+        X = without_inputs(y) if X is None else X
+        experiment = self._experiment(X, y)
+        simulators, states, short = self._simulators(experiment), [], []
+        for simulator, measured in zip(simulators, experiment.outputs, strict=True):
+            warm, counted = self._score_rows(simulator, experiment)
+            if counted.start >= counted.stop:
+                short.append(len(measured))
+                warm = slice(0, len(measured))
+            states.append(fit_initial_state(simulator, as_seen(simulator, measured), warm))
+        if short:
+            warn(
+                f"{len(short)} of {len(states)} segment(s) are shorter than one analysis window "
+                f"and the warm-up (the longest of {max(short)} rows): their initial states are the "
+                f"smallest that fit these rows; give longer records or a smaller warmup",
+                IdentifiabilityWarning,
+            )
+        named = states_by_record(states, experiment.base, simulators[0].model.state_names)
+        return named if is_pandas(from_elsewhere(X, "X")) else named.to_numpy()
+
     def _fitted_simulation(self, X, y, horizon=None, loads=False):
         """Measured and simulated (or predicted) outputs on the rows that count, and those rows.
 
@@ -351,7 +408,7 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
             )
         truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
         rows = joined(rows)  # by columns, which are quick to sum
-        _meet_at_rest(truth, simulated, experiment.measured[rows])
+        meet_at_rest(truth, simulated, experiment.measured[rows])
         return truth, simulated, rows
 
     def _fitted_outputs(self, simulator, outputs, rows, horizon):
@@ -527,54 +584,6 @@ class ModelStep(FrameTransformer, ResidualTests, RegressorMixin, BaseEstimator):
         return self.model_.to_control()
 
 
-def scored_simulation(step, X, y, horizon=None, loads=False):
-    """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows.
-
-    With a horizon, outputs predicted so many rows ahead; with loads, the forced response of models
-    of samples within.
-    """
-    check_is_fitted(step)
-    return step._fitted_simulation(X, y, horizon, loads)
-
-
-def compared(step, X, y, sample_weight=None, horizon=None):
-    """Measured and simulated outputs on the rows that count, and the rows' weights.
-
-    None, and a warning, where outputs grow until the spread of such scores over folds would be no
-    number. A search over orders goes on: that candidate is the worst.
-    """
-    try:
-        truth, simulated, rows = scored_simulation(step, X, y, horizon)
-        weight = weights_of(rows, sample_weight, len(y))
-        with np.errstate(over="ignore"):
-            grown = np.max(np.abs(extremes(simulated)) / power_of_two(truth))
-    except UnstableModelError:
-        grown = np.inf
-    if grown < MOST_SCORED:
-        return truth, simulated, weight
-    warn(
-        f"a {type(step).__name__} scores -inf: its model is unstable, or not of these outputs, and "
-        f"its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the growing modes "
-        f"(SpuriousModeReducer), lower the order, or score a shorter span",
-        InstabilityWarning,
-    )
-    return None
-
-
-def _meet_at_rest(truth, simulated, measured):
-    """Take outputs that stand still, to rounding, for met where the simulation does, too."""
-    dust = DUST * np.max(np.abs(extremes(measured)), axis=0)
-    for j in np.flatnonzero(np.ptp(truth, axis=0) <= dust):
-        if np.max(np.abs(simulated[:, j] - truth[:, j])) <= dust[j]:
-            simulated[:, j] = truth[:, j]
-
-
-def power_of_two(values):
-    """About the largest magnitude of each column, as a power of two: dividing rounds nothing."""
-    _, exponent = np.frexp(np.max(np.abs(extremes(values)), axis=0))
-    return np.ldexp(1.0, np.clip(exponent, -1000, 1000))
-
-
 def _float_types(y, n_outputs):
     """Name of the type of each prediction: that of y where it is one of floats, else float64."""
     given = y.dtypes if isinstance(y, pd.DataFrame) else [y.dtype]
@@ -584,24 +593,3 @@ def _float_types(y, n_outputs):
         for dtype in given
     ]
     return types if len(types) == n_outputs else types[:1] * n_outputs
-
-
-def weights_of(rows, sample_weight, n_samples):
-    """Weights of the rows that count, after checking that there is one for each row."""
-    if sample_weight is None:
-        return None
-    try:
-        weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are no numbers") from None
-    if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
-        raise ValueError(
-            f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
-            f"each of the {n_samples} rows"
-        )
-    if not weight[rows].any():
-        raise ValueError(
-            f"sample_weight is zero on all {len(rows)} rows that are scored (warm-up and "
-            f"incomplete periods are not); give some of them a weight"
-        )
-    return weight[rows]

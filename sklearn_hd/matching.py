@@ -109,8 +109,8 @@ class StructuredMatcher(ModelStep):
     system_ : control.StateSpace
         The matched model, in continuous time, its states named by the structure.
     ltp_ : LTPSystem
-        The linear time-periodic system, for periodic structures; its
-        ``harmonic_decomposition(n_harmonics)`` gives the model for any N.
+        The linear time-periodic system, for periodic structures. ``system_``, its decomposition,
+        has copies of its modes: design on ``ltp_.minimal_model()``, which has none.
     theta_ : Series, shape (n_parameters,)
         The parameters by name.
     theta_std_ : Series, shape (n_parameters,)

@@ -15,7 +15,7 @@ LAYERS = [
     {"_readings"},
     {"_frame", "_sample_model"},
     {"_records"},
-    {"_continuous", "_excitation", "_fit_checks", "_residuals"},
+    {"_continuous", "_excitation", "_exported", "_fit_checks", "_residuals", "_scoring"},
     {"_opinion"},
     {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
     {"frequency", "harmonics", "subspace", "reduction", "matching"},

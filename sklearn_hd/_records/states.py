@@ -50,6 +50,31 @@ def initial_states(x0, base, n_states, state_names=None):
     return x0
 
 
+def states_by_record(states, base, state_names=None):
+    """States of segments as a table that :func:`initial_states` reads.
+
+    Parameters
+    ----------
+    states : sequence of ndarray, shape (n_states,)
+        One a segment.
+    base : TimeBase
+    state_names : sequence of str, optional
+        As control.StateSpace has them by default.
+
+    Returns
+    -------
+    table : DataFrame, shape (n_segments, n_states)
+        Indexed by record; by segment where a record has several.
+    """
+    once = len(set(base.records)) == len(base.records)
+    index = pd.Index(base.records if once else range(len(states)))
+    if index.nlevels == 1:
+        index.name = "record" if once else "segment"
+    n_states = len(states[0])
+    columns = [f"x[{i}]" for i in range(n_states)] if state_names is None else list(state_names)
+    return pd.DataFrame(np.reshape(states, (len(states), n_states)), index, columns)
+
+
 def _in_order(frame, state_names):
     """Columns in the order of the states, where they bear their names."""
     if state_names is not None and set(frame.columns) == set(state_names):
@@ -60,6 +85,8 @@ def _in_order(frame, state_names):
 def _rows(frame, base):
     """Rows by record where the index holds records, else one a segment as they stand."""
     labels = list(frame.index)
+    if labels == list(range(len(base.segments))) and len(set(base.records)) < len(labels):
+        return frame.to_numpy()  # gaps part a record
     if set(base.records) <= set(labels) and len(set(labels)) == len(labels):
         return dict(zip(labels, frame.to_numpy(), strict=True))
     if labels == list(range(len(labels))):

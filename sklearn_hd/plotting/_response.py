@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import check_span, signal_names
-from sklearn_hd._model_step import ModelStep, scored_simulation
+from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.data import read_experiment
+from sklearn_hd._scoring import scored_simulation
 from sklearn_hd._tables import to_float
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.model_selection import fit_percent

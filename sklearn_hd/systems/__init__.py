@@ -1,12 +1,14 @@
 """Step 1 and what a model is: periodic systems, nonlinear and linear, and named ones."""
 
 from sklearn_hd.systems.arguments import FourierMatrix
+from sklearn_hd.systems.export import export_model
 from sklearn_hd.systems.flapping_flight import flapping_wing, hawkmoth
 from sklearn_hd.systems.harmonic_transfer import (
     HarmonicTransferFunction,
     estimate_harmonic_transfer_function,
 )
 from sklearn_hd.systems.held_feedback import HeldFeedback
+from sklearn_hd.systems.load import load_model
 from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
@@ -33,9 +35,11 @@ __all__ = [
     "coupled_oscillators",
     "duffing",
     "estimate_harmonic_transfer_function",
+    "export_model",
     "flapping_blade",
     "flapping_wing",
     "hawkmoth",
+    "load_model",
     "mathieu",
     "meissner",
     "multiblade_model",

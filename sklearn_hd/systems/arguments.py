@@ -8,6 +8,7 @@ import numpy as np
 from sklearn_hd._checks import real_array
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import fourier_coefficients
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 
 
 class NamedSignals:
@@ -60,6 +61,18 @@ def check_names(names, parameter, count=None, letter=None):
             f"{parameter}={list(given)} must hold {count} different names, one for each signal"
         )
     return given
+
+
+def harmonic_names(names, n_harmonics):
+    """Names of harmonics in the paper's order: all signals' 0, then 1c, 1s, ….
+
+    Examples
+    --------
+    >>> harmonic_names(["w", "phi_dot"], 1)
+    ['w_0', 'phi_dot_0', 'w_1c', 'phi_dot_1c', 'w_1s', 'phi_dot_1s']
+    """
+    labels = harmonic_labels(range(n_harmonics + 1))
+    return [f"{name}_{label}" for label in labels for name in names]
 
 
 def check_times(t):

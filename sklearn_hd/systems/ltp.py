@@ -10,19 +10,23 @@ from sklearn_hd._guards import within_range
 from sklearn_hd.algorithms.periodic import floquet
 from sklearn_hd.algorithms.periodic import harmonic_decomposition as hd
 from sklearn_hd.algorithms.periodic.floquet import floquet_exponents
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels, times_near_zero_phase
+from sklearn_hd.algorithms.signals.fourier import times_near_zero_phase
 from sklearn_hd.systems.arguments import (
     NamedSignals,
     check_inputs,
     check_names,
     check_state,
     check_times,
+    harmonic_names,
     matrix_coefficients,
     measure,
     periodic_matrix,
     precision,
 )
+from sklearn_hd.systems.export import export_model
+from sklearn_hd.systems.from_decomposition import read_decomposition
 from sklearn_hd.systems.harmonic_transfer import model_response
+from sklearn_hd.systems.minimal import harmonic_modes, minimal_model
 
 
 class LTPSystem(NamedSignals):
@@ -107,6 +111,60 @@ class LTPSystem(NamedSignals):
         if output_names is None and measures_states:
             output_names = self.state_names
         self.output_names = check_names(output_names, "output_names", n_outputs, "y")
+
+    @classmethod
+    @within_range
+    def from_harmonic_decomposition(
+        cls,
+        model,
+        omega,
+        *,
+        state_names=None,
+        input_names=None,
+        output_names=None,
+        tolerance=0.1,
+    ):
+        """Periodic system of which a model is the harmonic decomposition.
+
+            F, G, P, Q = arg min ‖[A + ωN, B; C, D] − [T(F), T(G); T(P), T(Q)]‖
+
+        the inverse of :meth:`harmonic_decomposition`: it returns the Fourier coefficients of
+        F up to harmonic 2 N, of G up to N + M, of P up to L + N and of Q up to L + M.
+
+        Parameters
+        ----------
+        model : control.StateSpace
+            Continuous. Its labels say which harmonic of which signal each state, input and
+            output is (w_0, w_1c, …), in any order; harmonics may differ by signal.
+        omega : float
+            Fundamental frequency in rad/s.
+        state_names, input_names, output_names : sequence of str, optional
+            Signals, where the labels do not tell; coefficients then stand in the paper's
+            order (all signals' harmonic 0, then 1c, 1s, …).
+        tolerance : float, default=0.1
+            Share of a matrix (Frobenius norm, units of the signals scaled out) that the
+            nearest such pattern may leave.
+
+        Returns
+        -------
+        system : LTPSystem
+            Its matrices are Fourier series.
+
+        Raises
+        ------
+        ValueError
+            If more than ``tolerance`` is left, labels are not understood, the model is
+            discrete, or the harmonics kept leave a coefficient undetermined.
+
+        Warns
+        -----
+        IdentifiabilityWarning
+            If more than rounding is left, with the share: the model is not quite of that form.
+        """
+        names = {"state_names": state_names, "input_names": input_names}
+        names["output_names"] = output_names
+        matrices, names = read_decomposition(model, omega, names, tolerance)
+        return cls(*matrices, omega=omega, **names)
 
     @property
     def period(self):
@@ -352,7 +410,7 @@ class LTPSystem(NamedSignals):
         eigenvalues, vectors, _ = hd.participation_factors(self._hd_matrix(N))
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
-        sizes = _harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
+        sizes = hd.harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
         total = sizes.sum(axis=0)  # none where a mode does not move a state
         shares = np.divide(sizes, total, out=np.zeros_like(sizes), where=total > 0.0)
         index = pd.MultiIndex.from_product(
@@ -360,6 +418,115 @@ class LTPSystem(NamedSignals):
         )
         values = np.swapaxes(shares, 0, 1).reshape(-1, n)
         return pd.DataFrame(values, index, pd.Index(eigenvalues[base], name="eigenvalue"))
+
+    @within_range
+    def harmonic_modes(self, n_harmonics):
+        """Modes of the harmonic decomposition: which are copies, and what u_0 and y_0 have of them.
+
+            λ + jkω,   k = −N … N,   of which k = 0 is the base mode
+
+        The base mode is the one that the mean of F continues.
+
+        Parameters
+        ----------
+        n_harmonics : int
+            N, copies told on either side.
+
+        Returns
+        -------
+        modes : DataFrame
+            ``eigenvalue`` and that of its ``base`` mode in 1/s; ``copy``, k;
+            ``controllability``, from u_0, and ``observability``, in y_0: the harmonic that
+            serves this copy, as a share of the largest of the mode, from 0 to 1. A negative
+            multiplier has two base modes, σ ± jω/2.
+
+        Raises
+        ------
+        ValueError
+            If ``n_harmonics`` is negative or not whole.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If eigenvalues of the decomposition stay off the Floquet exponents.
+
+        Examples
+        --------
+        >>> system = LTPSystem([[-1.0]], [[1.0]], omega=5.0)
+        >>> system.harmonic_modes(1)[["copy", "controllability"]].to_numpy().tolist()
+        [[0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]
+        """
+        return harmonic_modes(self, _check_harmonics("n_harmonics", n_harmonics))
+
+    @within_range
+    def minimal_model(self, n_copies=0, n_output_harmonics=0, *, return_loss=False):
+        """Time-invariant model to design a controller with: controllable and observable.
+
+            ẋ = A x + B u_0,   Y = C x + D u_0
+
+        The harmonic decomposition has n (2 N + 1) states. Its base modes are split off from
+        their copies (ordered Schur form); the copies left out act at once, by their steady
+        response in D (residualization). The eigenvalues of A are Floquet exponents. Modes that
+        u_0 does not reach, or Y does not show, are left out, too.
+
+        Parameters
+        ----------
+        n_copies : int, default=0
+            K. Copies λ ± jω … λ ± jKω that are kept: what the model needs if its inputs
+            act, or its outputs see, mostly by harmonics.
+        n_output_harmonics : int, default=0
+            L, harmonics of the outputs.
+        return_loss : bool, default=False
+            Whether to return what the model misses, too.
+
+        Returns
+        -------
+        model : control.StateSpace
+            Continuous. Its states are means of states, w_0, …, where as many determine its
+            modes; else modal, z1, z2, …. A gain K of u_0 = −K x then is, but for the
+            ripple within a period, one of u = −K x(t) on these states: check it by the
+            exponents of the closed loop, ``LTPSystem(F - G K, …)``.
+        loss : float
+            Only with ``return_loss=True``: share missed of the response of an output (with its
+            harmonics) to an input, rms over frequencies up to ω/2 or the fastest mode; worst pair.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is out of its range, or a base mode and a copy have the same eigenvalue.
+
+        Warns
+        -----
+        IdentifiabilityWarning
+            Of each mode left out that u_0 does not reach or Y does not show, by its exponent;
+            if the loss exceeds 0.1.
+        ConvergenceWarning
+            As :meth:`harmonic_modes`.
+
+        References
+        ----------
+        Lopez, Prasad (2017), J. American Helicopter Society 62 (decomposition);
+        Kokotović, Khalil, O'Reilly (1999), Singular Perturbation Methods in Control.
+
+        Examples
+        --------
+        >>> F = np.zeros((3, 2, 2))
+        >>> F[0], F[1, 1, 0] = [[0.0, 1.0], [-1.0, -0.2]], -0.3
+        >>> system = LTPSystem(F, [[0.0], [1.0]], omega=6.0, state_names=["q", "v"])
+        >>> model = system.minimal_model()
+        >>> model.nstates, model.state_labels
+        (2, ['q_0', 'v_0'])
+        >>> gain, _, poles = control.lqr(model, np.eye(2), [[1.0]])
+        >>> F[0] -= [[0.0], [1.0]] @ gain
+        >>> closed = LTPSystem(F, [[0.0], [1.0]], omega=6.0).floquet_exponents()
+        >>> bool(np.allclose(np.sort(closed.real), np.sort(poles.real), rtol=0.02))
+        True
+        """
+        check_flag("return_loss", return_loss)
+        check_count("n_copies", n_copies, 0, "0 keeps the base modes alone")
+        L = _check_harmonics("n_output_harmonics", n_output_harmonics)
+        model, loss = minimal_model(self, n_copies, L)
+        return (model, loss) if return_loss else model
 
     @within_range
     def simulate(self, u, t, x0=None, *, return_states=False):
@@ -397,7 +564,7 @@ class LTPSystem(NamedSignals):
         u = check_inputs(u, len(t), self.input_names)
         x0 = check_state(x0, u.shape[:-2], self.state_names)
         psi = self.omega * times_near_zero_phase(t, self.omega)
-        intervals = psi[: _intervals_of_a_period(psi) + 1]
+        intervals = psi[: floquet.intervals_of_a_period(psi) + 1]
         tolerance = max(1e-14, precision(self.F, self.G))
         Phi, Gamma = floquet.transition_matrices(
             self.F, self.G, intervals, self.omega, tolerance=tolerance
@@ -408,6 +575,18 @@ class LTPSystem(NamedSignals):
         y = measure(self.P, x, psi) + measure(self.Q, u, psi)
         return (y, x) if return_states else y
 
+    def export(self, path, *, n_phases=64):
+        """Write the system to a file, as :func:`export_model` does.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Ends in ``.json`` (:func:`load_model` reads it) or ``.mat`` (for MATLAB).
+        n_phases : int, default=64
+            Azimuths in a period at which the matrices are tabulated, too.
+        """
+        export_model(self, path, n_phases=n_phases)
+
     def _hd_matrix(self, n_harmonics):
         F = matrix_coefficients(self.F, 2 * n_harmonics)
         return hd.toeplitz_matrix(F, n_harmonics, n_harmonics) - hd.derivative_matrix(
@@ -415,39 +594,5 @@ class LTPSystem(NamedSignals):
         )
 
 
-def harmonic_names(names, n_harmonics):
-    """Names of harmonics in the paper's order: all signals' 0, then 1c, 1s, ….
-
-    Examples
-    --------
-    >>> harmonic_names(["w", "phi_dot"], 1)
-    ['w_0', 'phi_dot_0', 'w_1c', 'phi_dot_1c', 'w_1s', 'phi_dot_1s']
-    """
-    labels = harmonic_labels(range(n_harmonics + 1))
-    return [f"{name}_{label}" for label in labels for name in names]
-
-
 def _check_harmonics(name, value):
     return check_count(name, value, 0, "0 keeps the mean alone")
-
-
-def _harmonic_sizes(vectors):
-    """|c_k| + |c_−k| of each harmonic from real-order coefficients (2N + 1, …)."""
-    cosines, sines = vectors[1::2], vectors[2::2]
-    pairs = 0.5 * (np.abs(cosines - 1j * sines) + np.abs(cosines + 1j * sines))
-    return np.concatenate([np.abs(vectors[:1]), pairs])
-
-
-def _intervals_of_a_period(psi):
-    """Intervals after which the sample azimuths repeat; all of them if they do not.
-
-    Azimuths count as the same within 1e-10 rad: the rounding of ωt over thousands
-    of periods stays below it.
-    """
-    n_intervals = len(psi) - 1
-    p = round(2.0 * np.pi / (psi[1] - psi[0]))
-    if not 1 <= p < n_intervals:
-        return n_intervals
-    k = np.arange(len(psi))
-    expected = psi[k % p] + 2.0 * np.pi * (k // p)
-    return p if np.max(np.abs(psi - expected)) < 1e-10 else n_intervals

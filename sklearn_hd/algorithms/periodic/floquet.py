@@ -321,6 +321,21 @@ def state_units(F):
 # ---- periodic recursion -------------------------------------------------------------------
 
 
+def intervals_of_a_period(psi):
+    """Intervals after which the sample azimuths repeat; all of them if they do not.
+
+    Azimuths count as the same within 1e-10 rad: the rounding of ωt over thousands
+    of periods stays below it.
+    """
+    n_intervals = len(psi) - 1
+    p = round(2.0 * np.pi / (psi[1] - psi[0]))
+    if not 1 <= p < n_intervals:
+        return n_intervals
+    k = np.arange(len(psi))
+    expected = psi[k % p] + 2.0 * np.pi * (k // p)
+    return p if np.max(np.abs(psi - expected)) < 1e-10 else n_intervals
+
+
 def product_of(Phi):
     """Φ[p−1] … Φ[1] Φ[0]."""
     product = np.eye(Phi.shape[1])

@@ -5,7 +5,7 @@ Written for the harmonics of x, u and y, a periodic system is time-invariant:
     Ẋ = A X + B U,   Y = C X + D U                                        (Eq. 8)
 
 Its matrices are multiplications by Fourier series, of which this file has the coefficients
-(jumps of the matrices included) and the Toeplitz form.
+(jumps of the matrices included), the Toeplitz form, and the way back from it.
 ``LTPSystem``, trims and harmonic transfer functions need them.
 """
 
@@ -101,6 +101,52 @@ def toeplitz_matrix(coefficients, n_row_harmonics, n_column_harmonics):
     T = _real_rows(T, Ny)
     T = np.swapaxes(_real_columns(np.swapaxes(T, 0, 1), Nx), 0, 1)
     return T.real.transpose(0, 2, 1, 3).reshape((2 * Ny + 1) * rows, (2 * Nx + 1) * columns)
+
+
+def toeplitz_coefficients(T, row_places, column_places):
+    """Fourier coefficients of the multiplication that is nearest to a matrix.
+
+    M* = arg min_M ‖T − T(M)‖, with T(M) between the harmonics that two signals have
+    (:func:`toeplitz_matrix`), the Frobenius norm, and entries of M each on their own.
+
+    Parameters
+    ----------
+    T : ndarray, shape (..., n_rows, n_columns)
+        Between one pair of signals; leading axes are further pairs with the same harmonics.
+    row_places, column_places : sequence of int
+        Which coefficients each signal has, as places in the order 0, 1c, 1s, ….
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 K + 1, ...)
+        K is the sum of the highest harmonics of the two signals.
+    nearest : ndarray, shape (..., n_rows, n_columns)
+        T(M*).
+    unseen : list of int
+        Harmonics that T does not determine, whose coefficients are not unique.
+
+    Examples
+    --------
+    >>> T = np.array([[0.0, 0.5, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    >>> M, nearest, unseen = toeplitz_coefficients(T, range(3), range(3))
+    >>> M.round(12).tolist(), bool(np.allclose(nearest, T)), unseen
+    ([0.0, 1.0, 0.0, 0.0, 0.0], True, [])
+    """
+    rows, columns = list(row_places), list(column_places)
+    Ny, Nx = (max(places, default=0) + 1 >> 1 for places in (rows, columns))
+    K = Ny + Nx
+    units = np.eye(2 * K + 1)[:, :, None, None]
+    patterns = np.array([toeplitz_matrix(e, Ny, Nx)[np.ix_(rows, columns)] for e in units])
+    patterns = patterns.reshape(len(patterns), -1).T
+    flat = T.reshape(-1, patterns.shape[0]).T
+    coefficients, _, rank, _ = linalg.lstsq(patterns, flat)
+    unseen = []
+    if rank < patterns.shape[1]:
+        blind = linalg.null_space(patterns)
+        places = np.flatnonzero(np.linalg.norm(blind, axis=1) > 1e-10)
+        unseen = sorted({(int(place) + 1) // 2 for place in places})
+    nearest = (patterns @ coefficients).T.reshape(T.shape)
+    return coefficients.reshape(-1, *T.shape[:-2]), nearest, unseen
 
 
 def harmonic_decomposition(F, G, P, Q, omega, n_states, n_inputs, n_outputs):
@@ -201,6 +247,13 @@ def participation_factors(A):
     eigenvalues, V = eigenvalues[order], V[:, order]
     products = np.abs(V * np.linalg.inv(V).T)
     return eigenvalues, V, products / products.sum(axis=0)
+
+
+def harmonic_sizes(vectors):
+    """|c_k| + |c_−k| of each harmonic from real-order coefficients (2N + 1, …)."""
+    cosines, sines = vectors[1::2], vectors[2::2]
+    pairs = 0.5 * (np.abs(cosines - 1j * sines) + np.abs(cosines + 1j * sines))
+    return np.concatenate([np.abs(vectors[:1]), pairs])
 
 
 # ---- Fourier integrals ---------------------------------------------------------------------
