@@ -26,6 +26,10 @@ class PeriodicMatrix:
     held : bool, default=False
         Whether a value holds until the next sample.
 
+    References
+    ----------
+    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, 2009.
+
     Examples
     --------
     >>> psi = 2 * np.pi * np.arange(8) / 8
@@ -106,6 +110,7 @@ class PeriodicMatrix:
         Returns
         -------
         matrix : PeriodicMatrix
+            With as many samples.
 
         Raises
         ------

@@ -49,6 +49,10 @@ class PeriodicEstimator:
     sensor_noise : ndarray, shape (p, l, l)
         Covariance V of the noise of y; in continuous time its intensity.
 
+    References
+    ----------
+    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, 2009.
+
     Examples
     --------
     >>> from sklearn_hd.systems import mathieu
@@ -71,12 +75,13 @@ class PeriodicEstimator:
 
         Parameters
         ----------
-        input_trim, output_trim : array_like, optional
-            As :class:`Observer` takes them.
+        input_trim, output_trim : array_like, shapes (m,) and (l,), optional
+            Or by the samples of a period, as :class:`Observer` takes them.
 
         Returns
         -------
         observer : Observer
+            Reset to zero at ψ = 0.
         """
         return Observer(self, input_trim=input_trim, output_trim=output_trim)
 
@@ -93,14 +98,14 @@ def periodic_kalman(system, W, V, *, noise_input=None, sample_time=None):
     ----------
     system : LTPSystem
         F, G, P and Q.
-    W : array_like or callable
-        Intensity of w, (n, n) or (q, q), positive semidefinite: covariance of its integral over
+    W : array_like or callable, shape (n, n) or (q, q)
+        Intensity of w, positive semidefinite: covariance of its integral over
         a second. Constant or periodic as :class:`~sklearn_hd.systems.LTPSystem` takes matrices.
-    V : array_like or callable
-        Of v, (l, l), positive definite: with ``sample_time`` the covariance of one sample, else
+    V : array_like or callable, shape (l, l)
+        Of v, positive definite: with ``sample_time`` the covariance of one sample, else
         the intensity, which is that covariance times the sample time.
-    noise_input : array_like or callable, optional
-        E, (n, q). By default the identity: noise on each state.
+    noise_input : array_like or callable, shape (n, q), optional
+        E. By default the identity: noise on each state.
     sample_time : float, optional
         Seconds from one y to the next, through which u is held; a whole number of samples makes
         a period. None is a continuous filter.
@@ -236,6 +241,11 @@ class Observer:
     ValueError
         If the estimator is continuous, or a shape does not fit.
 
+    References
+    ----------
+    R. E. Kalman, "A new approach to linear filtering and prediction problems", Journal of
+    Basic Engineering 82 (1960).
+
     Examples
     --------
     >>> from sklearn_hd.systems import mathieu
@@ -326,7 +336,7 @@ class Observer:
         Returns
         -------
         state : ndarray, shape (n,)
-            x̂ at this sample, the departure from trim.
+            Departure from trim at this sample, x̂.
 
         Raises
         ------
@@ -373,8 +383,8 @@ class OutputFeedback:
         Sampled; a truncated one as well.
     estimator : PeriodicEstimator
         Of the same sample time, states and inputs.
-    input_trim, output_trim : array_like, optional
-        As :class:`Observer` takes them.
+    input_trim, output_trim : array_like, shapes (m,) and (l,), optional
+        Or by the samples of a period, as :class:`Observer` takes them.
 
     Attributes
     ----------
@@ -385,6 +395,10 @@ class OutputFeedback:
     ------
     ValueError
         If regulator and estimator do not fit each other.
+
+    References
+    ----------
+    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, 2009.
 
     Examples
     --------
@@ -421,8 +435,12 @@ class OutputFeedback:
 
         Parameters
         ----------
-        x0, covariance, psi
-            As for :meth:`Observer.reset`.
+        x0 : array_like, shape (n,), optional
+            Estimate, as for :meth:`Observer.reset`.
+        covariance : array_like, shape (n, n), optional
+            Of its error.
+        psi : float, default=0.0
+            Azimuth of the first sample, radians.
 
         Raises
         ------

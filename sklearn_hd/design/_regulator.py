@@ -43,6 +43,12 @@ class PeriodicRegulator:
         Seconds for which u is held; None in continuous time.
     loss : float
         Of :meth:`truncated`: relative increase of the cost; 0 for the best gain.
+    problem : object
+        What was solved: the matrices of its steps, or the functions of ψ.
+
+    References
+    ----------
+    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, 2009.
 
     Examples
     --------
@@ -58,7 +64,7 @@ class PeriodicRegulator:
     multipliers: np.ndarray
     sample_time: float | None
     loss: float = 0.0
-    _problem: object = field(repr=False, default=None)
+    problem: object = field(repr=False, default=None)
 
     @property
     def is_stable(self):
@@ -105,8 +111,8 @@ class PeriodicRegulator:
 
         Parameters
         ----------
-        W : array_like or callable
-            Intensity of the noise, (n, n), constant or periodic as
+        W : array_like or callable, shape (n, n)
+            Intensity of the noise, constant or periodic as
             :class:`~sklearn_hd.systems.LTPSystem` takes matrices. Noise that enters through a
             matrix E has the intensity E Eᵀ.
 
@@ -159,11 +165,11 @@ class PeriodicRegulator:
             )
         K, error, T = self.gain.values, estimator.filtered.values, self.system.period
         if self.sample_time is None:
-            R = self._problem.R(self.gain.azimuths)
+            R = self.problem.R(self.gain.azimuths)
             rate = np.mean(np.einsum("kij,kil,klm,kjm->k", K, R, K, error))
         else:
-            B, X = self._problem.B, np.roll(self.cost_to_go.values, -1, axis=0)
-            R = self._problem.R + np.swapaxes(B, 1, 2) @ X @ B
+            B, X = self.problem.B, np.roll(self.cost_to_go.values, -1, axis=0)
+            R = self.problem.R + np.swapaxes(B, 1, 2) @ X @ B
             rate = np.sum(np.einsum("kij,kil,klm,kjm->k", K, R, K, error)) / T
         return float(_noise_cost(self, estimator.noise) + rate)
 
@@ -175,7 +181,7 @@ class PeriodicRegulator:
         ----------
         n_harmonics : int
             N; 0 makes the gain constant.
-        W : array_like or callable, optional
+        W : array_like or callable, shape (n, n), optional
             Intensity of the noise under which ``loss`` compares :meth:`h2_cost`. By default it
             compares the cost from the worst state at the worst azimuth: no noise loses more.
 
@@ -193,14 +199,12 @@ class PeriodicRegulator:
         gain = self.gain.truncated(n_harmonics)
         if self.sample_time is None:
             K = FourierMatrix(gain.coefficients(n_harmonics))
-            X, steps = self._problem.evaluate(K)
+            X, steps = self.problem.evaluate(K)
         else:
-            X, steps = self._problem.evaluate(gain.values)
+            X, steps = self.problem.evaluate(gain.values)
         multipliers = multipliers_of(steps)
         if not np.abs(multipliers[0]) < 1.0:
-            return replace(
-                self, gain=gain, cost_to_go=None, multipliers=multipliers, loss=np.inf
-            )
+            return replace(self, gain=gain, cost_to_go=None, multipliers=multipliers, loss=np.inf)
         made = replace(
             self,
             gain=gain,
@@ -223,8 +227,8 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
     ----------
     system : LTPSystem
         F and G are used.
-    Q, R : array_like or callable
-        Weights of states (n, n) and inputs (m, m), constant or periodic as
+    Q, R : array_like or callable, shapes (n, n) and (m, m)
+        Weights of states and inputs, constant or periodic as
         :class:`~sklearn_hd.systems.LTPSystem` takes matrices. Q is positive semidefinite, R
         positive definite.
     sample_time : float, optional
@@ -282,7 +286,7 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
         PeriodicMatrix(X, held),
         multipliers,
         None if sample_time is None else float(sample_time),
-        _problem=problem,
+        problem=problem,
     )
 
 
