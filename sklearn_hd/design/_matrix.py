@@ -92,7 +92,7 @@ class PeriodicMatrix:
             If ``n_harmonics`` is negative, not whole or more than the samples tell.
         """
         N = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
-        if N > self.max_harmonics:
+        if self.max_harmonics < N:
             raise ValueError(
                 f"n_harmonics={N} is more than the {len(self.values)} samples of a period tell; "
                 f"give {self.max_harmonics} at most"

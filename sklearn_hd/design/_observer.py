@@ -19,7 +19,7 @@ from sklearn_hd.design._problem import (
     transposed,
 )
 from sklearn_hd.design._regulator import PeriodicRegulator
-from sklearn_hd.systems import FourierMatrix, LTPSystem
+from sklearn_hd.systems import LTPSystem
 from sklearn_hd.systems.arguments import periodic_matrix, precision
 
 

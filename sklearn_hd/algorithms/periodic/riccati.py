@@ -21,8 +21,8 @@ In continuous time, −Ẋ = Fᵀ X + X F − X E X + Q with E = G R⁻¹ Gᵀ h
 
     d/dt [x; λ] = [F, −E; −Q, −Fᵀ] [x; λ]
 
-moves by Z over an interval, and A = Z_22⁻ᵀ, H = −Z_22⁻¹ Z_21, G = −Z_12 Z_22⁻¹. With E = 0, H is the
-integral of the cost over the interval, with Q = 0, G that of the noise (Van Loan).
+moves by Z over an interval, and A = Z_22⁻ᵀ, H = −Z_22⁻¹ Z_21, G = −Z_12 Z_22⁻¹. With E = 0, H is
+the integral of the cost over the interval; with Q = 0, G is that of the noise (Van Loan).
 
 A Lyapunov equation is (1) with G = 0. The filter's equation is (1) with A transposed, backwards.
 Designs of regulators and filters need all this.
