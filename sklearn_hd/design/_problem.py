@@ -76,8 +76,6 @@ class ContinuousProblem:
         return X, K, closed_loop(A, G, X)
 
     def evaluate(self, K):
-        """K is a callable of ψ here."""
-
         def loop(psi):
             return self.F(psi) - self.G(psi) @ K(psi)
 
@@ -132,7 +130,8 @@ def samples_of(system, sample_time):
     if sample_time is None:
         return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
     dt = check_positive("sample_time", sample_time, "seconds", "inputs are held for it")
-    p = check_period(system.omega, dt, 0)
+    once = abs(dt * system.omega / (2.0 * np.pi) - 1.0) < HALF  # a period, fed back once in it
+    p = 1 if once else check_period(system.omega, dt, 0)
     return 2.0 * np.pi * np.arange(p + 1) / p
 
 

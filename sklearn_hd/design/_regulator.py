@@ -26,7 +26,7 @@ from sklearn_hd.systems.arguments import precision
 class PeriodicRegulator:
     """State feedback u = −K(ψ) x with the cost that it leads to.
 
-    Made by :func:`periodic_lqr` and by :meth:`truncated`; each parameter is an attribute.
+    Made by :func:`periodic_lqr` and :meth:`with_gain`; each parameter is an attribute.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class PeriodicRegulator:
     sample_time : float or None
         Seconds for which u is held; None in continuous time.
     loss : float
-        Of :meth:`truncated`: relative increase of the cost; 0 for the best gain.
+        Relative increase of the cost above that of the best gain; 0 for it.
     problem : object
         What was solved: the matrices of its steps, or the functions of ψ.
 
@@ -146,8 +146,8 @@ class PeriodicRegulator:
         Raises
         ------
         ValueError
-            If the estimator is not of the same system and sample time, or the gain is truncated:
-            the two parts add up for the best one alone.
+            If the estimator is not of the same system and sample time, or the gain is not the
+            best one: the two parts add up for it alone.
 
         References
         ----------
@@ -158,11 +158,7 @@ class PeriodicRegulator:
                 "regulator and estimator must be of one system and one sample_time; design both "
                 "with the same"
             )
-        if self.loss:
-            raise ValueError(
-                "the cost with a truncated gain is not a sum of two parts; ask the regulator that "
-                "it was truncated from"
-            )
+        self._check_best()
         K, error, T = self.gain.values, estimator.filtered.values, self.system.period
         if self.sample_time is None:
             R = self.problem.R(self.gain.azimuths)
@@ -173,7 +169,6 @@ class PeriodicRegulator:
             rate = np.sum(np.einsum("kij,kil,klm,kjm->k", K, R, K, error)) / T
         return float(_noise_cost(self, estimator.noise) + rate)
 
-    @within_range
     def truncated(self, n_harmonics, W=None):
         """The regulator whose gain keeps the first harmonics alone, and what that loses.
 
@@ -181,6 +176,30 @@ class PeriodicRegulator:
         ----------
         n_harmonics : int
             N; 0 makes the gain constant.
+        W : array_like or callable, shape (n, n), optional
+            As for :meth:`with_gain`.
+
+        Returns
+        -------
+        regulator : PeriodicRegulator
+            As from :meth:`with_gain`.
+
+        Raises
+        ------
+        ValueError
+            If ``n_harmonics`` is more than the samples tell, W is no intensity, or this is not
+            the best regulator.
+        """
+        return self.with_gain(self.gain.truncated(n_harmonics), W)
+
+    @within_range
+    def with_gain(self, gain, W=None):
+        """The same loop under another gain, and what that loses.
+
+        Parameters
+        ----------
+        gain : PeriodicMatrix or array_like, shape (m, n)
+            K with as many samples, or constant: of another model, or of another method.
         W : array_like or callable, shape (n, n), optional
             Intensity of the noise under which ``loss`` compares :meth:`h2_cost`. By default it
             compares the cost from the worst state at the worst azimuth: no noise loses more.
@@ -193,28 +212,41 @@ class PeriodicRegulator:
         Raises
         ------
         ValueError
-            If ``n_harmonics`` is more than the samples tell, or W is no intensity.
+            If the gain is of another shape, W is no intensity, or this is not the best
+            regulator.
         """
+        self._check_best()
         intensity = None if W is None else _intensity(self, W)
-        gain = self.gain.truncated(n_harmonics)
-        if self.sample_time is None:
-            K = FourierMatrix(gain.coefficients(n_harmonics))
-            X, steps = self.problem.evaluate(K)
-        else:
-            X, steps = self.problem.evaluate(gain.values)
+        gain = self._same_shape(gain)
+        X, steps = self.problem.evaluate(gain if self.sample_time is None else gain.values)
         multipliers = multipliers_of(steps)
-        if not np.abs(multipliers[0]) < 1.0:
-            return replace(self, gain=gain, cost_to_go=None, multipliers=multipliers, loss=np.inf)
-        made = replace(
-            self,
-            gain=gain,
-            cost_to_go=PeriodicMatrix(X, self.gain.held),
-            multipliers=multipliers,
-        )
-        if intensity is None:
-            return replace(made, loss=_worst_loss(X, self.cost_to_go.values))
-        ratio = _noise_cost(made, intensity) / _noise_cost(self, intensity)
-        return replace(made, loss=float(max(ratio - 1.0, 0.0)))
+        stable = np.abs(multipliers[0]) < 1.0
+        cost_to_go = PeriodicMatrix(X, gain.held) if stable else None
+        made = replace(self, gain=gain, cost_to_go=cost_to_go, multipliers=multipliers)
+        if not stable:
+            loss = np.inf
+        elif intensity is None:
+            loss = _worst_loss(X, self.cost_to_go.values)
+        else:
+            loss = _noise_cost(made, intensity) / _noise_cost(self, intensity) - 1.0
+        return replace(made, loss=float(max(loss, 0.0)))
+
+    def _check_best(self):
+        if self.loss:
+            raise ValueError(
+                f"this regulator's gain is not the best one (loss={self.loss:.3g}); ask the "
+                f"regulator that periodic_lqr returned"
+            )
+
+    def _same_shape(self, gain):
+        """A gain given, at the samples of this one."""
+        p, m, n = self.gain.values.shape
+        wanted = f"a PeriodicMatrix of {p} samples {m} x {n}, or a matrix {m} x {n}"
+        if not isinstance(gain, PeriodicMatrix):
+            gain = PeriodicMatrix(np.array(real_array("gain", gain, wanted), ndmin=3))
+        if gain.values.shape[1:] != (m, n) or len(gain.values) not in (1, p):
+            raise ValueError(f"gain has samples of shape {gain.values.shape}; give {wanted}")
+        return PeriodicMatrix(np.broadcast_to(gain.values, (p, m, n)), self.gain.held)
 
 
 @within_range
