@@ -7,7 +7,7 @@ from scipy import linalg
 
 from sklearn_hd._checks import check_numbers, real_array
 from sklearn_hd._guards import within_range
-from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.periodic.riccati import hamiltonian_triples, multipliers_of
 from sklearn_hd.design._matrix import PeriodicMatrix
 from sklearn_hd.design._problem import (
@@ -338,7 +338,11 @@ def _held_problem(system, Q, R, psi):
 
     tolerance = max(1e-14, precision(system.F, system.G, Q, R))
     A, _, H = hamiltonian_triples(rates, None, weights, psi, system.omega, tolerance=tolerance)
-    return SampledProblem(A[:, :n, :n], A[:, :n, n:], H[:, :n, :n], H[:, n:, n:], H[:, :n, n:])
+    Gamma = A[:, :n, n:]
+    inputs = system.G(np.linspace(psi[0], psi[-1], 257))
+    size = np.max(np.abs(inputs), axis=0) * system.period / (len(psi) - 1)
+    Gamma = np.where(np.abs(Gamma) > EXACT * size, Gamma, 0.0)  # an integral of nothing is rounding
+    return SampledProblem(A[:, :n, :n], Gamma, H[:, :n, :n], H[:, n:, n:], H[:, :n, n:])
 
 
 def _intensity(regulator, W):

@@ -1,0 +1,197 @@
+"""
+Does it fly?
+============
+
+Two machines are identified from noisy records with their pilots on. Do controllers that are
+designed on these models fly the real, nonlinear machines?
+"""
+
+# %%
+# Two machines
+# ------------
+# The flapping wing falls or climbs slowly back to hover by itself; the hawkmoth tumbles within a
+# second. Each state and each input has a size: departures of that size count alike in the cost,
+# and sensors have noise of 1 % of it. A controller reads the sensors and sets the inputs 32 times
+# in a wingbeat.
+
+# sphinx_gallery_thumbnail_number = 1
+import warnings
+from dataclasses import dataclass
+
+import control
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
+from sklearn_hd.algorithms.periodic.integration import runge_kutta
+from sklearn_hd.design import OutputFeedback, periodic_kalman, periodic_lqr
+from sklearn_hd.exceptions import InstabilityWarning
+from sklearn_hd.systems import HeldFeedback, PeriodicSystem, flapping_wing, hawkmoth
+
+S = 32  # samples of a wingbeat
+
+
+@dataclass
+class Machine:
+    """A nonlinear machine, and what counts as much or little of its signals."""
+
+    system: PeriodicSystem
+    state_sizes: np.ndarray
+    input_sizes: np.ndarray
+
+    def __post_init__(self):
+        self.trim = self.system.trim(40)
+        self.ltp = self.system.linearize(self.trim)  # the exact model
+        self.step = self.system.period / S
+        self.trim_outputs = self.trim.states(2.0 * np.pi * np.arange(S) / S)
+        self.Q = np.diag(self.state_sizes**-2.0)
+        self.R = np.diag(self.input_sizes**-2.0)
+        self.noise = 0.01 * self.state_sizes
+
+
+wing = flapping_wing()
+machines = {
+    "wing": Machine(wing, np.array([0.3, 30.0]), 0.1 * wing.trim().inputs),
+    "hawkmoth": Machine(hawkmoth(), np.array([0.3, 0.1, 5.0, 0.2]), np.array([0.06, 0.02])),
+}
+
+
+def fly(machine, start, steer, n_beats, noise):
+    """Departures from trim of some flights at once: inputs, states and what sensors say.
+
+    ``steer(k, y)`` gives the inputs of all flights at sample k.
+    """
+    system, x, log = machine.system, start.T, []
+    for k in range(n_beats * S):
+        rest = machine.trim_outputs[k % S]
+        y = x.T + noise[:, k]
+        u = steer(k, y)
+        log.append((u - machine.trim.inputs, x.T - rest, y - rest))
+        x = runge_kutta(system.f, x, u.T, k % S * machine.step, machine.step / 2, 2)
+    return (np.stack(signal, axis=1) for signal in zip(*log, strict=True))
+
+
+# %%
+# The records
+# -----------
+# A pilot sets the inputs once a wingbeat, from the means of the wingbeat before. Small steps at
+# random, eight in a wingbeat, are added to them after 30 quiet wingbeats.
+
+
+def record(machine, rng, n_beats=150, n_flights=2, steps=0.3):
+    """Inputs and noisy outputs of flights under a pilot, the trim in them."""
+    system, trim = machine.system, machine.trim
+    sizes = {"state_sizes": machine.state_sizes, "input_sizes": machine.input_sizes}
+    K = HeldFeedback(system, trim, samples_per_period=S, **sizes).gain
+    shape = (n_flights, n_beats * S, system.n_states)
+    signs = rng.choice([-1.0, 1.0], (n_flights, n_beats * 8, system.n_inputs))
+    excitation = steps * machine.input_sizes * signs.repeat(S // 8, axis=1)
+    excitation[:, : 30 * S] = 0.0
+    pilot, beat = np.zeros((n_flights, system.n_inputs)), []
+
+    def steer(k, y):
+        if k % S == 0 and k:
+            pilot[:] = -(np.mean(beat, axis=0) - machine.trim_outputs.mean(axis=0)) @ K.T
+            beat.clear()
+        beat.append(y)
+        return trim.inputs + pilot + excitation[:, k]
+
+    start = np.tile(trim.initial_state, (n_flights, 1))
+    u, _, y = fly(machine, start, steer, n_beats, machine.noise * rng.standard_normal(shape))
+    y = y + np.tile(machine.trim_outputs, (n_beats, 1))
+    t = np.arange(n_beats * S) * machine.step
+    index = pd.MultiIndex.from_product([range(n_flights), t], names=["record", "time"])
+    return (
+        pd.DataFrame((u + trim.inputs).reshape(len(index), -1), index, system.input_names),
+        pd.DataFrame(y.reshape(len(index), -1), index, system.output_names),
+    )
+
+
+# %%
+# The models
+# ----------
+# Both are read wingbeat by wingbeat (``reading="period"``), with the pilot on (``"pbsid"``).
+
+
+def identify(machine, u, y):
+    """The linear time-periodic model."""
+    omega = machine.system.omega
+    trim_span = (0.0, 30 * machine.system.period)
+    steps = [
+        ("harmonics", HarmonicAnalyzer(omega, reading="period", trim_span=trim_span)),
+        ("identify", MOESPRegressor(machine.ltp.n_states, weighting="pbsid")),
+        ("reduce", SpuriousModeReducer()),
+        ("match", StructuredMatcher(structure=HarmonicStructure())),
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InstabilityWarning)  # a moth without a pilot is unstable
+        return Pipeline(steps).fit(u, y)["match"].ltp_
+
+
+rng = np.random.default_rng(0)
+models = {name: identify(machine, *record(machine, rng)) for name, machine in machines.items()}
+for name, model in models.items():
+    for which, ltp in (("true", machines[name].ltp), ("identified", model)):
+        print(f"{name:>9}, {which:>10}:", ltp.floquet_exponents().round(2))
+
+# %%
+# The controllers
+# ---------------
+# On each model, the exact one and the identified one, two regulators are designed. One is
+# periodic. The other is what is done where periodic models are not at hand: the harmonic
+# decomposition with its harmonics at rest leaves a time-invariant model of the means, and its LQR
+# is a constant gain. Both read the states of the same model's periodic Kalman filter.
+
+
+def mean_model(ltp):
+    """A and B of the states' means; the first harmonics follow at once."""
+    hd, n, m = ltp.harmonic_decomposition(1), ltp.n_states, ltp.n_inputs
+    A, B = hd.A, hd.B[:, :m]
+    rest = np.linalg.solve(A[n:, n:], np.column_stack([A[n:, :n], B[n:]]))
+    return A[:n, :n] - A[:n, n:] @ rest[:, :n], B[:n] - A[:n, n:] @ rest[:, n:]
+
+
+def controllers(machine, ltp):
+    """Periodic and constant gain."""
+    noise = np.diag(machine.state_sizes**2), np.diag(machine.noise**2)
+    kalman = periodic_kalman(ltp, *noise, sample_time=machine.step)
+    best = periodic_lqr(ltp, machine.Q, machine.R, sample_time=machine.step)
+    constant = control.lqr(*mean_model(ltp), machine.Q, machine.R)[0]
+    trims = {"input_trim": machine.trim.inputs, "output_trim": machine.trim_outputs}
+    for regulator in (best, best.with_gain(constant)):
+        yield OutputFeedback(regulator, kalman, **trims)
+
+
+NAMES = ["periodic, exact", "periodic, identified", "constant, exact", "constant, identified"]
+
+
+def compare(machine, model, rng, n_flights=6, n_beats=30):
+    """States of all flights by controller, and the costs of each."""
+    pairs = zip(controllers(machine, machine.ltp), controllers(machine, model), strict=True)
+    designs = [each for pair in pairs for each in pair]  # in the order of NAMES
+    kicks = machine.state_sizes * rng.standard_normal((n_flights, machine.ltp.n_states))
+    noise = machine.noise * rng.standard_normal((n_flights, n_beats * S, machine.ltp.n_states))
+    flights, costs = [], []
+    for controller in designs:
+        crew = [OutputFeedback(controller.regulator, controller.observer.estimator,
+                               input_trim=machine.trim.inputs, output_trim=machine.trim_outputs)
+                for _ in range(n_flights)]  # fmt: skip
+        for each in crew:
+            each.reset(covariance=np.diag(machine.state_sizes**2))
+
+        def steer(k, y, crew=crew):
+            return np.array([each.control(one) for each, one in zip(crew, y, strict=True)])
+
+        u, x, _ = fly(machine, machine.trim.initial_state + kicks, steer, n_beats, noise)
+        spent = np.einsum("fki,ij,fkj->f", x, machine.Q, x)
+        spent += np.einsum("fki,ij,fkj->f", u, machine.R, u)
+        flights.append(x)
+        costs.append(machine.step * spent)
+    return np.array(flights), np.array(costs)
