@@ -325,24 +325,26 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
 def _held_problem(system, Q, R, psi):
     """Sampled problem of inputs held over each step, its cost integrated between samples."""
     n, m = system.n_states, system.n_inputs
+    costs = np.einsum("kii->i", R(psi[:-1])) / (len(psi) - 1)
+    units = 2.0 ** np.round(-0.5 * np.log2(costs))  # in which inputs cost one
 
     def rates(psi):
         M = np.zeros((len(psi), n + m, n + m))
-        M[:, :n, :n], M[:, :n, n:] = system.F(psi), system.G(psi)
+        M[:, :n, :n], M[:, :n, n:] = system.F(psi), system.G(psi) * units
         return M
 
     def weights(psi):
         M = np.zeros((len(psi), n + m, n + m))
-        M[:, :n, :n], M[:, n:, n:] = Q(psi), R(psi)
+        M[:, :n, :n], M[:, n:, n:] = Q(psi), R(psi) * (units * units[:, None])
         return M
 
     tolerance = max(1e-14, precision(system.F, system.G, Q, R))
     A, _, H = hamiltonian_triples(rates, None, weights, psi, system.omega, tolerance=tolerance)
-    Gamma = A[:, :n, n:]
+    Gamma, S, R = A[:, :n, n:] / units, H[:, :n, n:] / units, H[:, n:, n:]
     inputs = system.G(np.linspace(psi[0], psi[-1], 257))
     size = np.max(np.abs(inputs), axis=0) * system.period / (len(psi) - 1)
     Gamma = np.where(np.abs(Gamma) > EXACT * size, Gamma, 0.0)  # an integral of nothing is rounding
-    return SampledProblem(A[:, :n, :n], Gamma, H[:, :n, :n], H[:, n:, n:], H[:, :n, n:])
+    return SampledProblem(A[:, :n, :n], Gamma, H[:, :n, :n], R / (units * units[:, None]), S)
 
 
 def _intensity(regulator, W):

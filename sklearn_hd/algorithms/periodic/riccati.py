@@ -110,19 +110,22 @@ def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
     (1.0, 0.0, 2.0)
     """
     n = F(psi[:1]).shape[-1]
+    seen = np.linspace(psi[0], psi[-1], 257)
+    scale = 1.0
+    if E is None or Q is None:  # G or H is linear in the other, which may have any unit
+        scale = _scale(F, E or Q, seen, omega)
 
     def hamiltonian(psi):
         Z, M = np.zeros((len(psi), 2 * n, 2 * n)), F(psi)
         Z[:, :n, :n], Z[:, n:, n:] = M, -_T(M)
         if E is not None:
-            Z[:, :n, n:] = -E(psi)
+            Z[:, :n, n:] = -E(psi) * scale
         if Q is not None:
-            Z[:, n:, :n] = -Q(psi)
+            Z[:, n:, :n] = -Q(psi) * scale
         return Z
 
     units = state_units(hamiltonian)
-    ends = np.linspace(psi[0], psi[-1], 257)
-    values = hamiltonian(ends) * (units / units[:, None])
+    values = hamiltonian(seen) * (units / units[:, None])
     size = np.max(np.linalg.norm(values, axis=(1, 2)))
     turned = size * np.max(np.diff(psi)) / omega / ROTATION
     parts = 2 ** int(np.ceil(np.log2(np.clip(turned, 1.0, MOST_PARTS))))
@@ -131,8 +134,17 @@ def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
     Z = transition_matrices(hamiltonian, None, fine, omega, tolerance=tolerance)[0]
     Z = Z.reshape(len(psi) - 1, parts, 2 * n, 2 * n)
     solved = np.linalg.inv(Z[..., n:, n:])
-    triples = _T(solved), -Z[..., :n, n:] @ solved, -solved @ Z[..., n:, :n]
+    triples = _T(solved), -Z[..., :n, n:] @ solved / scale, -solved @ Z[..., n:, :n] / scale
     return composed(*(np.swapaxes(M, 0, 1) for M in triples))
+
+
+def _scale(F, weight, psi, omega):
+    """Power of two that makes a weight as large as F in the states' units."""
+    units = state_units(F)
+    rates = np.max(np.abs(F(psi) * (units / units[:, None])), initial=0.0)
+    size = 0.0 if weight is None else np.max(np.abs(weight(psi)))
+    largest = max(rates, omega / np.ptp(psi))
+    return 2.0 ** np.round(np.log2(largest / size)) if size > 0.0 else 1.0
 
 
 def composed(A, G, H):
