@@ -21,6 +21,7 @@ PUBLIC = {  # modules that the API reference names
     "sklearn_hd.algorithms.signals.fundamental",
     "sklearn_hd.algorithms.lti.hinf",
     "sklearn_hd.datasets",
+    "sklearn_hd.design",
     "sklearn_hd.exceptions",
     "sklearn_hd.model_selection",
     "sklearn_hd.plotting",
