@@ -16,6 +16,7 @@ PUBLIC = [
     "sklearn_hd",
     "sklearn_hd.systems",
     "sklearn_hd.datasets",
+    "sklearn_hd.design",
     "sklearn_hd.structures",
     "sklearn_hd.model_selection",
     "sklearn_hd.plotting",

@@ -20,6 +20,7 @@ PUBLIC = {  # modules that the API reference names
     "sklearn_hd",
     "sklearn_hd.algorithms.lti.hinf",
     "sklearn_hd.datasets",
+    "sklearn_hd.design",
     "sklearn_hd.exceptions",
     "sklearn_hd.model_selection",
     "sklearn_hd.plotting",

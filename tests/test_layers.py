@@ -19,7 +19,7 @@ LAYERS = [
     {"_opinion"},
     {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
     {"frequency", "harmonics", "subspace", "reduction", "matching"},
-    {"datasets", "model_selection", "plotting"},
+    {"datasets", "design", "model_selection", "plotting"},
     {"__init__"},
 ]
 TOPICS = [  # of algorithms; two of one row know nothing of each other

@@ -1,0 +1,175 @@
+"""Quadratic problems of a period: what regulators and, transposed and backwards, filters solve.
+
+Both kinds have ``solve() -> X, K, steps`` (the stabilising solution, its gain and the closed
+loop's steps), ``evaluate(K) -> X, steps`` (the cost under another gain) and
+``unreachable() -> multipliers`` that no gain can move into the unit circle.
+"""
+
+import reprlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_hd._checks import check_period, check_positive
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
+from sklearn_hd.algorithms.periodic.riccati import (
+    closed_loop,
+    hamiltonian_triples,
+    multipliers_of,
+    riccati_triples,
+    solve_periodic_lyapunov,
+    solve_periodic_riccati,
+    unreachable_multipliers,
+)
+from sklearn_hd.systems import LTPSystem
+from sklearn_hd.systems.arguments import periodic_matrix, precision
+
+POINTS = 256  # of a period in continuous time: harmonics up to 127
+
+
+@dataclass(frozen=True, eq=False)
+class SampledProblem:
+    """x_{k+1} = A_k x_k + B_k u_k, cost Σ xᵀQx + 2xᵀSu + uᵀRu; arrays of p steps."""
+
+    A: np.ndarray
+    B: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
+    S: np.ndarray
+
+    def solve(self):
+        A, G, H = riccati_triples(self.A, self.B, self.Q, self.R, self.S)
+        X = solve_periodic_riccati(A, G, H)
+        after = np.roll(X, -1, axis=0)
+        pushed = transposed(self.B) @ after
+        K = np.linalg.solve(self.R + pushed @ self.B, pushed @ self.A + transposed(self.S))
+        return X, K, self.A - self.B @ K
+
+    def evaluate(self, K):
+        steps, crossed = self.A - self.B @ K, self.S @ K
+        cost = self.Q - crossed - transposed(crossed) + transposed(K) @ self.R @ K
+        return solve_periodic_lyapunov(steps, cost), steps
+
+    def unreachable(self):
+        _, G, _ = riccati_triples(self.A, self.B, self.Q, self.R)
+        return unreachable_multipliers(self.A, G)
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousProblem:
+    """ẋ = F x + G u, cost ∫ xᵀQx + uᵀRu dt; callables of ψ."""
+
+    F: object
+    G: object
+    Q: object
+    R: object
+    omega: float
+
+    @property
+    def psi(self):
+        return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
+
+    def solve(self):
+        A, G, H = self._triples(self.F, self._reach, self.Q)
+        X, psi = solve_periodic_riccati(A, G, H), self.psi[:-1]
+        K = np.linalg.solve(self.R(psi), transposed(self.G(psi)) @ X)
+        return X, K, closed_loop(A, G, X)
+
+    def evaluate(self, K):
+        def loop(psi):
+            return self.F(psi) - self.G(psi) @ K(psi)
+
+        def cost(psi):
+            gain = K(psi)
+            return self.Q(psi) + transposed(gain) @ self.R(psi) @ gain
+
+        steps, _, H = self._triples(loop, None, cost)
+        return solve_periodic_lyapunov(steps, H), steps
+
+    def unreachable(self):
+        A, G, _ = self._triples(self.F, self._reach, None)
+        return unreachable_multipliers(A, G)
+
+    def _reach(self, psi):
+        G = self.G(psi)
+        return G @ np.linalg.solve(self.R(psi), transposed(G))
+
+    def _triples(self, F, E, Q):
+        tolerance = max(1e-14, precision(self.F, self.G, self.Q, self.R))
+        return hamiltonian_triples(F, E, Q, self.psi, self.omega, tolerance=tolerance)
+
+
+def solved(problem, unreached, unseen):
+    """X, K and multipliers of a problem, or an error that names what no gain stabilises."""
+    lost = problem.unreachable()
+    if len(lost):
+        raise ValueError(f"{_worded(lost)}: {unreached}")
+    X, K, steps = problem.solve()
+    finite = np.all(np.isfinite(steps))
+    multipliers = multipliers_of(steps) if finite else np.array([np.nan + 0j])
+    if not np.abs(multipliers[0]) < 1.0 - HALF:
+        raise ValueError(f"{_worded(multipliers[:1])} stays in the closed loop: {unseen}")
+    return X, K, multipliers
+
+
+def _worded(multipliers):
+    several = "multipliers" if len(multipliers) > 1 else "multiplier"
+    values = ", ".join(
+        f"{mu.real:.6g}" if abs(mu.imag) <= EXACT * abs(mu) else f"{mu:.6g}" for mu in multipliers
+    )
+    return f"{several} {values} of a period"
+
+
+def samples_of(system, sample_time):
+    """Ends in radians of the steps of one period that a design is made for."""
+    if not isinstance(system, LTPSystem):
+        raise ValueError(
+            f"system={reprlib.repr(system)} must be an LTPSystem: ltp_ of a fitted matcher, or "
+            f"what PeriodicSystem.linearize returns"
+        )
+    if sample_time is None:
+        return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
+    dt = check_positive("sample_time", sample_time, "seconds", "inputs are held for it")
+    once = abs(dt * system.omega / (2.0 * np.pi) - 1.0) < HALF  # a period, fed back once in it
+    p = 1 if once else check_period(system.omega, dt, 0)
+    return 2.0 * np.pi * np.arange(p + 1) / p
+
+
+def check_weight(name, matrix, size, psi, *, definite):
+    """Callable of ψ of a symmetric weight, positive (semi)definite at azimuths psi."""
+    function, shape = periodic_matrix(matrix, name)
+    if shape != (size, size):
+        raise ValueError(f"{name} is {shape[0]} x {shape[1]}; it must be {size} x {size}")
+    values = function(psi)
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"{name} holds NaN or infinity at some azimuths; make it finite")
+    largest = np.max(np.abs(values), initial=0.0)
+    if np.max(np.abs(values - transposed(values)), initial=0.0) > HALF * largest:
+        raise ValueError(f"{name} is not symmetric; give (M + M.T) / 2")
+    smallest = np.linalg.eigvalsh(values)[:, 0]
+    worst = int(np.argmin(smallest))
+    if smallest[worst] < -EXACT * largest or (definite and not smallest[worst] > 0.0):
+        kind = "definite" if definite else "semidefinite"
+        raise ValueError(
+            f"{name} must be positive {kind}; at psi = {psi[worst]:.4g} rad its smallest "
+            f"eigenvalue is {smallest[worst]:.4g}"
+        )
+    return function
+
+
+def held_integral(M, system, W, psi):
+    """∫ Φ M W Mᵀ Φᵀ dt over each step: covariance that noise of intensity W leaves; and Φ."""
+
+    def intensity(psi):
+        entered = M(psi)
+        return entered @ W(psi) @ transposed(entered)
+
+    tolerance = max(1e-14, precision(system.F, M, W))
+    Phi, covariance, _ = hamiltonian_triples(
+        system.F, intensity, None, psi, system.omega, tolerance=tolerance
+    )
+    return covariance, Phi
+
+
+def transposed(M):
+    return np.swapaxes(M, -1, -2)
