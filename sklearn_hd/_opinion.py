@@ -17,10 +17,17 @@ from sklearn_hd.algorithms.linalg.rounding import TINY
 from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["Opinion", "decays_at_rest", "of_free_decays", "of_halves", "warn_unconfirmed"]
+__all__ = [
+    "Opinion",
+    "decays_at_rest",
+    "doubtful",
+    "of_free_decays",
+    "of_halves",
+    "of_multipliers",
+    "warn_unconfirmed",
+]
 
-DOUBT = 0.1  # of a rate, by which two ways may be apart: an engineer has another answer beyond
-VAGUE = 0.2  # of a rate, within which an exponent of its own has to be known
+DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has another answer beyond
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 SURE = 2.0  # standard deviations that an exponent may be off by
@@ -58,6 +65,13 @@ class Opinion:
         """The opinion that some exponents are, known as well as this one knows them."""
         return replace(self, exponents=exponents, way=way, own=False)
 
+    def of_identified(self, exponents):
+        """That exponents are as identified: what moves them has to say so."""
+        known = np.zeros(len(exponents))
+        return replace(
+            self, exponents=exponents, deviations=known, way="the map identified has", own=True
+        )
+
     def about(self, exponents):
         """The nearest exponent to each of some, its distance and deviation, in parts of its rate.
 
@@ -88,29 +102,38 @@ def _lasting(exponents, omega):
 
 
 def decays_at_rest(experiment):
-    """Outputs of the periods of free decay, in like units, and which periods they are."""
+    """Outputs of the periods of free decay, in like units, and which periods they are.
+
+    Returns
+    -------
+    decays : list of ndarray, shapes (n_periods_s, samples_per_period, l)
+    stretches : list of (segment, slice)
+    """
     stretches = periods_at_rest(lifted_periods(experiment, experiment.inputs))
     lifted = lifted_periods(experiment, experiment.outputs, output_scale(experiment))
-    return [lifted[s][rows].reshape(len(lifted[s][rows]), -1) for s, rows in stretches], stretches
+    return [lifted[s][rows] for s, rows in stretches], stretches
 
 
 def of_free_decays(found, experiment, own=False):
     """The opinion of free decays; None where there are none."""
     if found is None:
         return None
-    omega, duration = experiment.basis.omega, longest_span(experiment)
+    way = "the free decays at rest have"
+    return of_multipliers(found.multipliers, found.deviations, experiment, way, own)
+
+
+def of_multipliers(multipliers, deviations, experiment, way, own):
+    """The opinion that multipliers are, with the standard deviations of their logarithms."""
+    omega, z = experiment.basis.omega, np.where(multipliers == 0.0, TINY, multipliers)
     rate = omega / (2.0 * np.pi)
-    z = found.multipliers
-    exponents = np.log(np.where(z == 0.0, TINY, z)) * rate
-    return Opinion(
-        exponents, found.deviations * rate, omega, "the free decays at rest", own, duration
-    )
+    exponents, longest = np.log(z.astype(complex)) * rate, longest_span(experiment)
+    return Opinion(exponents, deviations * rate, omega, way, own, longest)
 
 
 def of_halves(exponents, halves, omega):
     """The opinion of both halves of a record: for each exponent their mean, and half their gap."""
     own = [Opinion(half, np.zeros(len(half)), omega, "").about(exponents)[0] for half in halves]
-    way = "the two halves of the record"
+    way = "the two halves of the record have"
     return Opinion(np.mean(own, axis=0), 0.5 * np.abs(own[1] - own[0]), omega, way, True)
 
 
@@ -121,7 +144,7 @@ def doubtful(exponents, opinion):
     it does not know itself is held against modes that outlast the record alone.
     """
     _, apart, spread = opinion.about(exponents)
-    vague = ~((apart <= DOUBT) & (SURE * spread <= VAGUE))
+    vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
     if not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
@@ -144,10 +167,11 @@ def warn_unconfirmed(exponents, opinion):
     doubt = doubtful(exponents, opinion)
     if doubt.any():
         k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
+        error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]
+        within = f" ± {error:.2g}" if error > 0.0 else ""
         warn(
             f"{int(doubt.sum())} of {len(exponents)} exponents are in doubt: the model has "
-            f"{exponents[k]:.4g} 1/s, {opinion.way} have {nearest[k]:.4g} ± "
-            f"{SURE * spread[k] * _rates(exponents, opinion.omega)[k]:.2g} 1/s next to it; use a "
+            f"{exponents[k]:.4g} 1/s, {opinion.way} {nearest[k]:.4g}{within} 1/s next to it; use a "
             f"longer record, smaller motions or less noise, or another order",
             IdentifiabilityWarning,
         )

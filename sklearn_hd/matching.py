@@ -1,6 +1,7 @@
 """Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -268,7 +269,7 @@ class StructuredMatcher(ModelStep):
         of_samples = isinstance(model, SampleModel)
         match = self._of_samples if of_samples else self._of_rows
         match = match(model, experiment)
-        _warn_of_moves(model, match)
+        _warn_of_moves(model, match, self._likely)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
         return self._remember(match.model, experiment.basis, X, y, experiment)
 
@@ -627,7 +628,7 @@ class StructuredMatcher(ModelStep):
         return self.match_.found.singular_values
 
 
-def _warn_of_moves(model, match):
+def _warn_of_moves(model, match, likely):
     """Of exponents that the match has moved away from what a second opinion confirms."""
     opinion = model.opinion
     if opinion is None or searching():
@@ -636,3 +637,6 @@ def _warn_of_moves(model, match):
         periodic = match.periodic
         found = periodic.to_system().floquet_exponents() if periodic else match.model.exponents()
         warn_unconfirmed(found, opinion)
+        unconfirmed = doubtful(found, replace(opinion, own=True))
+        if not likely and unconfirmed.any():
+            warn_unconfirmed(found[unconfirmed], opinion.of_identified(model.exponents()))

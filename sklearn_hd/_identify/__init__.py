@@ -13,7 +13,7 @@ from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._opinion import decays_at_rest, of_free_decays
 from sklearn_hd._readings import SampleBasis
-from sklearn_hd.algorithms.modes.free_decay import free_decay
+from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts
 
 __all__ = [
     "Settings",
@@ -44,7 +44,7 @@ def _opinion(experiment):
     """
     decays, _ = decays_at_rest(experiment)
     if decays:
-        return of_free_decays(free_decay(decays), experiment)
+        return of_free_decays(free_decay(smooth_parts(decays)), experiment)
     if sum(map(len, experiment.outputs)) > MOST_ROWS:
         return None
     at_samples = replace(
@@ -57,7 +57,9 @@ def _opinion(experiment):
         except ValueError:
             return None
     model = found.model
-    return None if model.opinion is None else model.opinion.of(model.exponents(), "the samples")
+    return (
+        None if model.opinion is None else model.opinion.of(model.exponents(), "the samples have")
+    )
 
 
 def identify(data, settings):

@@ -24,17 +24,24 @@ from sklearn_hd._frame import Lifted
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
-from sklearn_hd._opinion import decays_at_rest, of_free_decays, warn_unconfirmed
+from sklearn_hd._opinion import (
+    decays_at_rest,
+    doubtful,
+    of_free_decays,
+    of_multipliers,
+    warn_unconfirmed,
+)
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.modes.free_decay import free_decay, offsets
+from sklearn_hd.algorithms.modes.free_decay import free_decay, offsets, smooth_parts
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
     is_possible,
     leaves_white_noise,
     left_by,
+    multiplier_deviations,
     order_by_residual,
     outgrows_numbers,
     refine_multipliers,
@@ -112,10 +119,22 @@ def identify(data, settings, experiment):
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
     opinion = of_free_decays(still, experiment, at_rest)
+    if not (settings.predictor or at_rest):
+        opinion = _more_doubtful(opinion, fit.model, experiment, data)
     warn_of_growth(fit.model, experiment)
     warn_unconfirmed(fit.model.exponents(), opinion)
     model = _lifted(fit.model, data, experiment, known, forced)
     return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion), forced=forced)
+
+
+def _more_doubtful(opinion, model, experiment, data):
+    """The opinion of free decays, unless that of the whole record's own likelihood doubts more."""
+    multipliers, deviations = multiplier_deviations(
+        model.A, data.excitation, _raw_periods(experiment)
+    )
+    own = of_multipliers(multipliers, deviations, experiment, "its own likelihood has", True)
+    doubts = [0 if o is None else doubtful(model.exponents(), o).sum() for o in (opinion, own)]
+    return own if opinion is None or doubts[1] > doubts[0] else opinion
 
 
 def _lifted(model, data, experiment, known, forced):
@@ -210,10 +229,9 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
     nonlinear machine away from its orbit: its own map is that of its free decays.
     """
     Phi = _refined(A, C, experiment, data, unit, settings.stable)
-    decays, stretches = decays_at_rest(experiment)
-    still = (
-        free_decay(decays, None if settings.order == "auto" else settings.order) if decays else None
-    )
+    raw, stretches = decays_at_rest(experiment)
+    decays = smooth_parts(raw)
+    still = free_decay(decays, None if settings.order == "auto" else settings.order)
     if still is None or noise is not None or (settings.stable and _grows(still.Phi, experiment)):
         return Phi, C, still, False
     if _linear(Phi, still, decays, experiment, data):

@@ -252,9 +252,10 @@ class InputProblem:
         return _Fit(count, bic, solution, unknown, n_unknown, rest, left)
 
     def _systematic(self, left):
-        """Covariance of what is left of neighbouring samples, summed.
+        """Covariance of what is left of neighbouring samples, or of neighbouring periods, summed.
 
-        From its predictor's states, what a period leaves is no white noise in any case.
+        The larger of both: noise repeats itself in neither. From its predictor's states, what a
+        period leaves is no white noise in any case.
         """
         if self.starts is not None:
             return 0.0
@@ -266,7 +267,8 @@ class InputProblem:
             whole = rest + np.tensordot(combinations, part.unfolded(rows), (1, 2))
             samples.append(whole.reshape(-1, len(self.scale))[:length])
         samples = np.vstack(samples)
-        return float(np.sum(samples[1:] * samples[:-1]))
+        lags = 1, self.experiment.basis.samples_per_period
+        return max(float(np.sum(samples[lag:] * samples[:-lag])) for lag in lags)
 
     def _realization(self, fit, n_harmonics, first, physical):
         """What a fit found, harmonics of G beyond the first count taken for what they are."""

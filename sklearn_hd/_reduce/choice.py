@@ -315,7 +315,7 @@ def confirmed(verdicts, reasons, exponents, opinion, replaced=False):
     verdicts, reasons = list(verdicts), list(reasons)
     for i in np.flatnonzero(doubt & np.isin(verdicts, "genuine")):
         verdicts[i] = "second-order" if sums[i] <= DOUBT else "weak" if replaced else "ambiguous"
-        beside = f"{opinion.way} have {nearest[i]:.4g} rad/s next to it"
+        beside = f"{opinion.way} {nearest[i]:.4g} rad/s next to it"
         kept = "not in the model" if replaced else "kept, but in doubt"
         reasons[i] = f"{'sum of two others' if sums[i] <= DOUBT else kept}: {beside}"
     return verdicts, reasons

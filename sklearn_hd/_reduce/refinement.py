@@ -244,7 +244,7 @@ def _strongest_decay(experiment, least):
     largest = np.max(np.abs(np.concatenate(lifted)), axis=(0, 1), initial=0.0)
     parts = zip(*decays_at_rest(experiment), strict=True)
     about_zero = [
-        y
+        y.reshape(len(y), -1)
         for y, (s, rows) in parts
         if len(y) >= least
         and np.all(np.mean(np.abs(lifted[s][rows]), axis=(0, 1)) <= AT_ZERO * largest)

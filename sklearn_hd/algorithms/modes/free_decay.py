@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.fft import dct
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -25,7 +26,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 from sklearn_hd.algorithms.signals.rest import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 
-__all__ = ["FreeDecay", "free_decay", "offsets", "periods_at_rest"]
+__all__ = ["FreeDecay", "free_decay", "offsets", "periods_at_rest", "smooth_parts"]
 
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12
@@ -33,6 +34,7 @@ ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the strongest mode
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 PATIENCE = 2
+SURE = 2.0  # standard deviations that an estimate may be off by
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,9 @@ class FreeDecay:
     states : list of ndarray, shapes (n_periods_s, n)
     multipliers : complex ndarray, shape (n,)
     deviations : ndarray, shape (n,)
-        Standard deviations of their logarithms. Where more than noise is left, what they change
-        by without the first period of each decay, whose motion is the largest, counts too.
+        Standard deviations of their logarithms. What they change by without the first period of
+        each decay, whose motion is the largest, counts too: all of it where more than noise is
+        left, else what is beyond the errors of the rest.
     """
 
     Phi: np.ndarray
@@ -82,6 +85,35 @@ def periods_at_rest(inputs):
     return found
 
 
+def smooth_parts(decays):
+    """Cosines of each period and output, without the fast ones that hold noise alone.
+
+    What a motion costs in parameters falls with the columns, so weaker motions can be told.
+
+    Parameters
+    ----------
+    decays : list of ndarray, shapes (n_periods_s, samples_per_period, l)
+
+    Returns
+    -------
+    parts : list of ndarray, shapes (n_periods_s, q)
+    """
+    if not decays:
+        return []
+    cosines = [dct(y, axis=1, norm="ortho") for y in decays]
+    about = np.vstack([c - c.mean(axis=0) for c in cosines])
+    n_rows = len(about) - len(decays)
+    kept = []
+    for own in np.moveaxis(about, 2, 0):
+        few, enough = 1, own.shape[1]
+        while few < enough:
+            half = (few + enough) // 2
+            noise = n_rows > 1 and is_noise(own[:, half:], n_rows, own.shape[1] - half)
+            few, enough = (few, half) if noise else (half + 1, enough)
+        kept.append(enough)
+    return [np.hstack([c[:, :k, j] for j, k in enumerate(kept)]) for c in cosines]
+
+
 def offsets(decays):
     """A constant of its own for each decay: what its level is off by."""
     return [np.eye(len(decays))[[s] * len(y)] for s, y in enumerate(decays)]
@@ -108,6 +140,8 @@ def free_decay(decays, order=None, compare=True):
     -------
     found : FreeDecay or None
     """
+    if not decays:
+        return None
     stacked = np.vstack(decays)
     n_rows, edges = len(stacked), np.cumsum([len(y) for y in decays])[:-1]
     most = min(MOST_STATES if order is None else order, n_rows // LEAST_DECAY, stacked.shape[1])
@@ -133,21 +167,24 @@ def free_decay(decays, order=None, compare=True):
             break
     _, n, Phi, states, left = best
     told = int(np.sum(values > WEAK * values[0]))
-    noise = wide is not None or is_noise(left, n_rows - len(decays) - n, left.shape[1])
+    sizes = n_rows - len(decays) - n, left.shape[1]
+    noise = wide is not None or is_noise(left, *sizes)
     if n > told and len(orders) > 1 and not noise:
         return free_decay(decays, told, compare)
     if n == most < MOST_STATES and order is None and not noise:
         return None  # there may be more
     multipliers, deviations = multiplier_deviations(Phi, ones, decays)
     later = [y[1:] for y in decays if len(y) > 2]
-    smaller = free_decay(later, n, False) if compare and later and not noise else None
+    smaller = free_decay(later, n, False) if compare and later else None
     if smaller is not None:
         own, other = (
             np.log(np.where(z == 0.0, TINY, z)) for z in (multipliers, smaller.multipliers)
         )
         apart = own[:, None] - other
         apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
-        deviations = np.hypot(deviations, apart.min(axis=1))
+        allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
+        moved = np.min(np.maximum(apart - allowed, 0.0), axis=1)
+        deviations = np.hypot(deviations, moved)
     return _without_products(FreeDecay(Phi, states, multipliers, deviations))
 
 
