@@ -279,9 +279,9 @@ class MOESPRegressor(ModelStep):
         Where a mode outlasts some thousand rows, and a record is longer, B and D come from the
         triangular factor alone, and are less certain than those of ``fit``.
 
-        With a ``half_life`` h, a row that is a rows (or periods, or seconds) old has the weight
-        2^(−a/h), and the model is that of ``fit`` by weighted least squares, whatever the chunks: it
-        follows a machine that changes by about h / ln 2, the mean age of what it remembers, later.
+        With a ``half_life`` h, what is a periods (or seconds) old has the weight 2^(−a/h), and the
+        model is that of ``fit`` by weighted least squares, whatever the chunks. It follows a
+        machine that changes about h / ln 2 later: the mean age of what it remembers.
         The trim that the analyzer has learned is not forgotten.
 
         Parameters

@@ -38,7 +38,7 @@ def in_chunks(X, y, size, half_life, **settings):
 
 
 def weighted_gram(signals, starts, half_life, block_rows):
-    """Products of weighted Hankel columns, of rows ordered U_f, U_p, Y_p, Y_f, and Σw of columns."""
+    """Products of weighted Hankel columns [U_f; U_p; Y_p; Y_f], and Σw of the columns."""
     n_lags, total, weight = 2 * block_rows, 0.0, 0.0
     n = len(signals[0])
     for start, stop in zip(starts, [*starts[1:], n], strict=True):
@@ -216,7 +216,7 @@ def test_half_lives_that_remember_nothing_are_refused(rng, half_life, words):
 def test_the_half_life_stays_that_of_the_first_chunk(rng):
     X, y = simulated(rng, 600)
     model = in_chunks(X.iloc[:300], y.iloc[:300], 300, 20.0)
-    with pytest.raises(ValueError, match="half_life=30.0 is other than that of the chunks before"):
+    with pytest.raises(ValueError, match=r"half_life=30.0 is other than that of the chunks before"):
         model.set_params(half_life=30.0).partial_fit(X.iloc[300:], y.iloc[300:])
 
 

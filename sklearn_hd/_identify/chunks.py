@@ -3,7 +3,8 @@
 Rows are read as a fit would read them all at once: plain rows as they are; through a sliding
 window those at ψ = 0 mod hop, once their windows, hops and whole periods are complete. The raw
 rows that this takes are carried over to the next chunk; the rest are statistics that merge.
-With a half-life the rows are weighted by their age (:mod:`~sklearn_hd.algorithms.subspace.forgetting`).
+With a half-life the rows are weighted by their age
+(:mod:`~sklearn_hd.algorithms.subspace.forgetting`).
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from sklearn_hd._identify.modulation import (
     n_modulating_harmonics,
     steps_at_one_phase,
 )
-from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
+from sklearn_hd._identify.statistics import REMEMBERING, Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._tables import STEP_TOLERANCE, resolution
@@ -104,7 +105,7 @@ class Stream:
     statistics: Statistics | None = None
     record: OpenRecord | None = None
     changes: np.ndarray | float = 0.0
-    forgetting: Forgetting = Forgetting()
+    forgetting: Forgetting = REMEMBERING
     n_read: int = 0
     moved: np.ndarray | float = 0.0
 

@@ -9,11 +9,11 @@ follows a model of the same form,
 
     x̃[k+1] = μA x̃[k] + μB ũ[k],    ỹ[k] = C x̃[k] + D ũ[k]
 
-so least squares for B, D and the initial state run unchanged, with μA for A. Block row a of a Hankel
-matrix of z̃ is μ^a times that of z, its columns weighted: divided by μ^a, its factor is that of
-Z W Zᵀ, and A, C and the Kalman gain follow as ever. When rows arrive, all that was
-summed before is multiplied by whole powers of two alone, which rounds nothing; so chunks of any
-size give the same sums.
+so least squares for B, D and the initial state run unchanged, with μA for A. Block row a of a
+Hankel matrix of z̃ is μ^a times that of z, its columns weighted. Divided by μ^a, its factor is that
+of Z W Zᵀ, and A, C and the Kalman gain follow as ever. When rows arrive, all that was summed before
+is multiplied by whole powers of two alone, which rounds nothing; so chunks of any size give the
+same sums.
 
 N weighted rows tell as much as (Σw)² / Σw² rows alike (Kish, 1965): with white noise the
 variance of a weighted mean is σ² Σw² / (Σw)². No record has more than (1 + 2^{−1/h}) /
