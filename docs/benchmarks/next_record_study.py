@@ -11,7 +11,7 @@ default settings (HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer) and
 - ``wing``: F(ψ) has kinks, and HarmonicStructure() leaves its harmonics to the data.
 
 - ``bound``: smallest standard deviation of an unbiased estimate, in percent of the exponent;
-- ``rms``, ``worst``: errors of the estimates in percent, over the seeds;
+- ``median``, ``rms``, ``worst``: errors of the estimates in percent, over the seeds;
 - ``gain``: rms (bound) of the doublet over that of the input.
 
     python docs/benchmarks/next_record_study.py --seeds 20
@@ -51,11 +51,11 @@ def cut(ltp):
     )
 
 
-def identified(inputs, outputs, omega, structure, criterion):
+def identified(inputs, outputs, omega, structure, reading, criterion):
     """Exponents of one record, from the rightmost leftwards."""
     pipe = Pipeline(
         [
-            ("harmonics", HarmonicAnalyzer(omega)),
+            ("harmonics", HarmonicAnalyzer(omega, reading=reading)),
             ("identify", MOESPRegressor()),
             ("reduce", SpuriousModeReducer()),
             ("match", StructuredMatcher(structure=structure, criterion=criterion)),
@@ -88,6 +88,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--criteria", nargs="+", default=["hinf", "output_error"])
+    parser.add_argument("--reading", default="auto")
     parser.add_argument("--machine", choices=["truncated", "wing"], default="truncated")
     parser.add_argument("--kinds", nargs="+", default=["steps", "multisine"])
     options = parser.parse_args()
@@ -118,7 +119,7 @@ def main():
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 error, reading = errors(
-                    u, system, sigma, range(options.seeds), structure, criterion
+                    u, system, sigma, range(options.seeds), structure, options.reading, criterion
                 )
             rms[kind] = np.sqrt(np.nanmean(error**2, axis=0))
             for k in range(error.shape[1]):
@@ -129,6 +130,7 @@ def main():
                         "reading": reading,
                         "exponent": k,
                         "bound_%": bounds[kind][k],
+                        "median_%": np.nanmedian(error[:, k]),
                         "rms_%": rms[kind][k],
                         "worst_%": np.nanmax(error[:, k]),
                         "no_model": int(np.isnan(error[:, k]).sum()),

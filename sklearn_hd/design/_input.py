@@ -9,6 +9,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_choice, check_count, check_numbers, check_positive
+from sklearn_hd._excitation import TOO_LARGE
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._match.likelihood import RecordData, with_loads
 from sklearn_hd._records.data import read_experiment
@@ -84,15 +85,16 @@ class InputDesign:
         if "at_hand" not in self.phases:
             return ""
         hand, new = self.phases["at_hand"], self.phases["designed"]
-        worse = self.phases.index[(hand > LACKS * new) | (np.isinf(hand) & np.isfinite(new))]
+        worse = self.phases.index[hand > LACKS * new]
         words = []
         for name in worse.unique("input"):
             degrees = worse[worse.get_level_values("input") == name].get_level_values("azimuth")
             most = hand.loc[name].loc[degrees].max()
-            known = "nothing" if np.isinf(most) else f"but for {most:.2g} of its size"
+            known = f"the motion that it makes there is known but for {most:.2g} of its size"
+            known = known if most < 1.0 else "nothing is known of the motion that it makes there"
             where = "ψ = " + ", ".join(f"{each:g}°" for each in degrees)
             where = "all azimuths" if len(degrees) == N_PHASES else where
-            words.append(f"{name} at {where} (the motion that it makes there is known {known})")
+            words.append(f"{name} at {where} ({known})")
         return "; ".join(words)
 
 
@@ -202,6 +204,7 @@ def design_input(
     n_periods = _whole_periods(length, quiet, plant)
     rng, which = check_random_state(random_state), _which(exponents, plant)
     coarse = plant.at(plant.rows_of_search)
+    plant.check_growth(coarse, quiet + n_periods)
     family = KINDS[kind](n_periods * coarse.n_phases, len(amplitude), coarse.n_phases)
     most = np.inf
     if energy is not None:
@@ -224,7 +227,7 @@ def design_input(
     if not np.isfinite(lowest):
         raise ValueError(plant.why_unknown(fine, u))
     used = np.sum((u / amplitude) ** 2) * plant.period / plant.n_phases
-    at_hand = None if X is None else plant.covariance_at_hand(model, X)
+    at_hand = None if X is None else plant.at_hand(model, X)
     return InputDesign(
         *plant.flown(u),
         *plant.compared(fine, coarse, u, at_hand),
@@ -280,21 +283,24 @@ class _Plant:
         """Inputs, and one that is 1 where loads are unknown, too."""
         return u if self.n_loads < 0 else np.hstack([u, np.ones((len(u), 1))])
 
+    def check_growth(self, clock, n_periods):
+        """Raise ValueError if the motion grows beyond all measure."""
+        form = clock.bound.form
+        radius = form.radius(form.response(self.theta, sensitivities=False))
+        if radius > 1.0 and not n_periods * np.log(radius) < np.log(TOO_LARGE):
+            raise ValueError(
+                f"the model is unstable (largest multiplier {radius:.3g}), and its motion grows by "
+                f"more than {TOO_LARGE:g} within {n_periods} periods; design a shorter record, or "
+                f"close a loop around the machine first"
+            )
+
     def why_unknown(self, clock, u):
         """Why the exponents are not determined, and the way out."""
         bound = clock.bound
-        radius = bound.form.radius(bound.form.response(self.theta, sensitivities=False))
-        if radius > 1.0:
-            return (
-                f"the model is unstable (largest multiplier {radius:.3g}), and its motion outgrows "
-                f"all numbers within length={len(u) * self.period / self.n_phases:.4g} s; design a "
-                f"shorter record, or close a loop around the machine first"
-            )
-        found = bound.covariance([(self.with_load(u), None, 0)])
-        names = np.array(self.structure.parameter_names)[~np.isfinite(np.diag(found))]
+        names = bound.information([(self.with_load(u), None, 0)]).unidentified
         return (
             f"no input tried within this budget determines the exponents: the parameters "
-            f"{names[:6].tolist()}{' and others' if len(names) > 6 else ''} move no output apart; "
+            f"{list(names[:6])}{' and others' if len(names) > 6 else ''} move no output apart; "
             f"raise length, drive further inputs, or give structure=HarmonicStructure(...) with "
             f"fewer harmonics or known entries"
         )
@@ -316,13 +322,13 @@ class _Plant:
 
     def compared(self, fine, coarse, u, at_hand):
         """Tables of the exponents and of what is known at each phase."""
-        covariance = fine.bound.covariance([(self.with_load(u), None, 0)])
-        std = fine.bound.std_of(covariance)
+        found = fine.bound.information([(self.with_load(u), None, 0)])
+        std = fine.bound.std_of(found)
         pulses, index = self._pulses(coarse.n_phases)
         table = pd.DataFrame(
             {"exponent": fine.bound.exponents, "std_real": std.real, "std_imag": std.imag}
         )
-        phases = pd.DataFrame({"designed": coarse.bound.doubts(covariance, pulses)}, index)
+        phases = pd.DataFrame({"designed": coarse.bound.doubts(found, pulses)}, index)
         if at_hand is not None:
             before = fine.bound.std_of(at_hand)
             table["std_real_at_hand"], table["std_imag_at_hand"] = before.real, before.imag
@@ -343,13 +349,13 @@ class _Plant:
         names = ["input", "azimuth"]
         return pulses, pd.MultiIndex.from_product([self.input_names, degrees], names=names)
 
-    def covariance_at_hand(self, model, X):
-        """Of the parameters, from a record of the inputs X."""
+    def at_hand(self, model, X):
+        """What a record of the inputs X tells of the parameters."""
         if isinstance(model, LTPSystem):
             segments, form = self._segments(X), self.form(self.n_phases)
         else:
             segments, form = self._segments_of_fit(model, X)
-        return ExponentBound(form, self.theta, self.sigma).covariance(segments)
+        return ExponentBound(form, self.theta, self.sigma).information(segments)
 
     def _segments(self, X):
         """Records of an LTPSystem, at a whole number of samples a period."""

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.predictor import as_records, output_sensitivities
@@ -30,6 +31,7 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     information_of,
     propagate_std,
 )
+from sklearn_hd.algorithms.linalg.rounding import EPS
 
 __all__ = ["ExponentBound", "Multisines", "Steps", "exchange"]
 
@@ -67,9 +69,9 @@ class ExponentBound:
         """From the rightmost leftwards, complex, 1/s."""
         return self._slopes[0]
 
-    def covariance(self, segments):
+    def information(self, segments):
         """Of θ, as :class:`~.uncertainty.FisherInformation` has it."""
-        return information_of(self.form, self.theta, segments, self.sigma).covariance
+        return information_of(self.form, self.theta, segments, self.sigma)
 
     def std(self, segments):
         """Smallest standard deviations of the exponents.
@@ -83,11 +85,11 @@ class ExponentBound:
         std : complex ndarray, shape (n,)
             Of the real part + j times that of the imaginary part; infinite where not determined.
         """
-        return self.std_of(self.covariance(segments))
+        return self.std_of(self.information(segments))
 
-    def std_of(self, covariance):
-        """The same from a covariance of θ."""
-        return propagate_std(self._slopes[1], covariance)
+    def std_of(self, found):
+        """The same from the information of θ."""
+        return propagate_std(self._slopes[1], found.covariance)
 
     def cost(self, inputs, which=slice(None)):
         """Mean logarithm of the deviations of some exponents; infinite where one is unknown."""
@@ -97,21 +99,26 @@ class ExponentBound:
             return np.inf
         return float(np.mean(np.log(std)))
 
-    def doubts(self, covariance, pulses):
+    def doubts(self, found, pulses):
         """What is not known of the motion that pulses make, in parts of it.
 
         Parameters
         ----------
-        covariance : ndarray, shape (k, k)
+        found : FisherInformation
             Of θ.
         pulses : list of ndarray, shapes (n_samples, m)
 
         Returns
         -------
         doubts : ndarray, shape (n_pulses,)
-            Root mean square of its deviation, outputs in parts of their noise; NaN where a pulse
-            moves nothing.
+            Root mean square of its deviation, outputs in parts of their noise. Beyond 1 nothing
+            is known; NaN where a pulse moves nothing.
         """
+        size = np.sqrt(np.diag(found.information))
+        size = np.where(size > 0.0, size, 1.0)
+        strength, directions = linalg.eigh(found.information / np.outer(size, size))
+        least = len(size) * EPS * strength[-1]  # below it a direction's own is rounding
+        root = directions / np.sqrt(np.maximum(strength, least)) / size[:, None]
         response = self.form.response(self.theta, sensitivities=True)
         doubts = []
         for u in pulses:
@@ -119,9 +126,9 @@ class ExponentBound:
             start = np.zeros(self.form.n_states)
             pieces = output_sensitivities(response, record, start, free_x0=False)
             dy = np.concatenate([dy for _, _, dy in pieces], axis=1) / self.sigma
-            std = propagate_std(np.moveaxis(dy[:-1], 0, -1), covariance)
-            size = np.sqrt(np.sum(dy[-1] ** 2))
-            doubts.append(np.sqrt(np.sum(std**2)) / size if size > 0.0 else np.nan)
+            moved = dy.reshape(len(dy), -1)
+            spread, motion = np.linalg.norm(moved[:-1].T @ root), np.linalg.norm(moved[-1])
+            doubts.append(spread / motion if motion > 0.0 else np.nan)
         return np.array(doubts)
 
 
