@@ -10,6 +10,9 @@ default settings (HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer) and
   truth lies in the model class, and the bound is that of the estimate;
 - ``wing``: F(ψ) has kinks, and HarmonicStructure() leaves its harmonics to the data.
 
+The criterion ``from_truth`` (truncated only) is the same likelihood, its search begun at the truth:
+what the record holds, whatever the steps before the likelihood make of it.
+
 - ``bound``: smallest standard deviation of an unbiased estimate, in percent of the exponent;
 - ``median``, ``rms``, ``worst``: errors of the estimates in percent, over the seeds;
 - ``gain``: rms (bound) of the doublet over that of the input.
@@ -31,12 +34,15 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.uncertainty import exponent_slopes
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.design import design_input
 from sklearn_hd.systems import LTPSystem
 
 RECORD = {"n_periods": 60, "start": 5}
-WIDTH, SNR = 10, 20.0
+WIDTH, SNR, SPP = 10, 20.0, 64
 STRUCTURE = HarmonicStructure(F=4, G=1)
 
 
@@ -52,7 +58,7 @@ def cut(ltp):
 
 
 def identified(inputs, outputs, omega, structure, reading, criterion):
-    """Exponents of one record, from the rightmost leftwards."""
+    """Exponents of one record, from the rightmost leftwards, and the reading taken."""
     pipe = Pipeline(
         [
             ("harmonics", HarmonicAnalyzer(omega, reading=reading)),
@@ -64,6 +70,19 @@ def identified(inputs, outputs, omega, structure, reading, criterion):
     return pipe["match"].ltp_.floquet_exponents(), pipe["harmonics"].basis_.reading
 
 
+def from_truth(inputs, outputs, system, sigma):
+    """Exponents of largest likelihood near those of the system."""
+    names = system.state_names, system.input_names, system.output_names
+    structure = STRUCTURE.resolve(*names, {})
+    whole = np.zeros(structure.constant.shape)
+    whole[:, :2, :2], whole[:3, :2, 2:] = (M.coefficients for M in (system.F, system.G))
+    whole[0, 2:, :2] = np.eye(2)
+    theta = structure.nearest(whole)
+    record = [(inputs.to_numpy(), outputs.to_numpy(), 0)]
+    found = output_error(structure, record, system.omega, SPP, theta, sigma=sigma)
+    return exponent_slopes(Form(structure, system.omega, SPP), found.theta)[0], "-"
+
+
 def errors(inputs, system, sigma, seeds, *settings):
     """Relative errors (n_seeds, n_exponents) in percent, and the reading taken; NaN: no model."""
     clean = system.simulate(inputs.to_numpy(), inputs.index.to_numpy())
@@ -72,7 +91,10 @@ def errors(inputs, system, sigma, seeds, *settings):
         noise = sigma * np.random.default_rng(seed).standard_normal(clean.shape)
         outputs = pd.DataFrame(clean + noise, inputs.index, list(system.output_names))
         try:
-            exponents, reading = identified(inputs, outputs, system.omega, *settings)
+            if settings[-1] == "from_truth":
+                exponents, reading = from_truth(inputs, outputs, system, sigma)
+            else:
+                exponents, reading = identified(inputs, outputs, system.omega, *settings)
         except ValueError as error:
             print(f"seed {seed}: {error}")
             exponents, reading = np.full(len(truth), np.nan), "none"
@@ -87,7 +109,7 @@ def errors(inputs, system, sigma, seeds, *settings):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--criteria", nargs="+", default=["hinf", "output_error"])
+    parser.add_argument("--criteria", nargs="+", default=["hinf", "output_error", "from_truth"])
     parser.add_argument("--reading", default="auto")
     parser.add_argument("--machine", choices=["truncated", "wing"], default="truncated")
     parser.add_argument("--kinds", nargs="+", default=["steps", "multisine"])
