@@ -41,7 +41,7 @@ LACKS = 2.0  # times the doubt that the designed record leaves
 class InputDesign:
     """What :func:`design_input` finds.
 
-    Attributes
+    Parameters
     ----------
     inputs : DataFrame, shape (n_samples, n_inputs)
         Ready to fly: changes of the inputs about their trim, held from sample to sample. Time in
@@ -61,6 +61,10 @@ class InputDesign:
         ∫ Σ (u / amplitude)² dt, seconds.
     n_evaluations : int
         Inputs compared.
+
+    References
+    ----------
+    Ljung (1999), System Identification, section 13.3 (informative experiments).
 
     Examples
     --------
@@ -164,6 +168,7 @@ def design_input(
     Returns
     -------
     design : InputDesign
+        With ``inputs``, a DataFrame to fly, the deviations to expect, and what is lacking so far.
 
     Raises
     ------
