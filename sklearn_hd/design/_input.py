@@ -47,7 +47,7 @@ class InputDesign:
         Ready to fly: changes of the inputs about their trim, held from sample to sample. Time in
         seconds; the first row is at ψ = 0.
     outputs : DataFrame, shape (n_samples, n_outputs)
-        What the model makes of them, about the trim: is that still small motion?
+        What the model makes of them, about the trim; look whether that is a small motion.
     exponents : DataFrame, shape (n_states, 3 or 6)
         Floquet exponents of the model, 1/s, and ``std_real`` and ``std_imag``, the smallest
         standard deviations of an unbiased estimate from the new record. With a record at hand also
