@@ -9,7 +9,8 @@ import pytest
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information, floquet_exponent_std
 from sklearn_hd.design import design_input
 from sklearn_hd.systems import LTPSystem, mathieu
@@ -52,7 +53,8 @@ def test_the_bound_and_the_errors_fall_at_equal_energy(designed):
         for seed in range(6):
             y = clean + NOISE * np.random.default_rng(seed).standard_normal(clean.shape)
             record = [(X.to_numpy(), y, 0)]
-            found = output_error(structure, record, SYSTEM.omega, SPP, theta, sigma=[NOISE] * 2)
+            form = Form(structure, SYSTEM.omega, SPP)
+            found = output_error_of(form, record, theta, sigma=[NOISE] * 2)
             exponents, _ = floquet_exponent_std(
                 structure, found.theta, found.covariance, SYSTEM.omega, SPP
             )

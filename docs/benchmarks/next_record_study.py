@@ -35,7 +35,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.output_error import output_error
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
 from sklearn_hd.algorithms.likelihood.uncertainty import exponent_slopes
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.design import design_input
@@ -79,8 +79,9 @@ def from_truth(inputs, outputs, system, sigma):
     whole[0, 2:, :2] = np.eye(2)
     theta = structure.nearest(whole)
     record = [(inputs.to_numpy(), outputs.to_numpy(), 0)]
-    found = output_error(structure, record, system.omega, SPP, theta, sigma=sigma)
-    return exponent_slopes(Form(structure, system.omega, SPP), found.theta)[0], "-"
+    form = Form(structure, system.omega, SPP)
+    found = output_error_of(form, record, theta, sigma=sigma)
+    return exponent_slopes(form, found.theta)[0], "-"
 
 
 def errors(inputs, system, sigma, seeds, *settings):
