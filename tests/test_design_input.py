@@ -11,7 +11,11 @@ from sklearn.pipeline import Pipeline
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.output_error import output_error_of
-from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information, floquet_exponent_std
+from sklearn_hd.algorithms.likelihood.uncertainty import (
+    exponent_slopes,
+    fisher_information,
+    propagate_std,
+)
 from sklearn_hd.design import design_input
 from sklearn_hd.systems import LTPSystem, mathieu
 
@@ -55,9 +59,7 @@ def test_the_bound_and_the_errors_fall_at_equal_energy(designed):
             record = [(X.to_numpy(), y, 0)]
             form = Form(structure, SYSTEM.omega, SPP)
             found = output_error_of(form, record, theta, sigma=[NOISE] * 2)
-            exponents, _ = floquet_exponent_std(
-                structure, found.theta, found.covariance, SYSTEM.omega, SPP
-            )
+            exponents, _ = exponent_slopes(form, found.theta)
             errors[-1].append(np.abs(exponents - SYSTEM.floquet_exponents()))
     rms = np.sqrt(np.mean(np.square(errors), axis=1))
     assert np.all(rms[1] < 0.7 * rms[0])
@@ -78,7 +80,8 @@ def test_the_deviations_are_the_bound_of_the_record(designed):
         record = [(X.to_numpy(), None, 0)]
         sigma = [NOISE] * 2
         found = fisher_information(structure, theta, record, SYSTEM.omega, SPP, sigma)
-        exponents, std = floquet_exponent_std(structure, theta, found.covariance, SYSTEM.omega, SPP)
+        exponents, slopes = exponent_slopes(Form(structure, SYSTEM.omega, SPP), theta)
+        std = propagate_std(slopes, found.covariance)
         np.testing.assert_allclose(designed.exponents["exponent"], exponents, rtol=1e-9)
         np.testing.assert_allclose(designed.exponents[f"std_real{name}"], std.real, rtol=1e-9)
         np.testing.assert_allclose(designed.exponents[f"std_imag{name}"], std.imag, rtol=1e-9)
