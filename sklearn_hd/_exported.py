@@ -17,7 +17,7 @@ class Exported:
 
         The file has the periodic system, where there is one, and the time-invariant matrices A,
         B, C, D of ``system_``; names and units as in the record; exponents with their standard
-        deviations; waveforms of the trim, and the forced periodic response.
+        deviations; waveforms of the trim, and the forced periodic response; delays in seconds.
         :func:`~sklearn_hd.systems.load_model` reads JSON back.
 
         Parameters
@@ -54,6 +54,9 @@ def _contents(step, n_phases):
     if uncertainty is not None:
         contents["exponents"] = np.asarray(uncertainty.exponents, dtype=complex)
         contents["exponents_std"] = np.asarray(uncertainty.exponents_std, dtype=complex)
+    delays = step.model_.delays
+    if delays is not None:  # seconds, by input and by output; the matrices are without them
+        contents |= {"input_delay": delays.inputs, "output_delay": delays.outputs}
     if not basis.harmonic:
         return contents
     contents |= {"omega": basis.omega, "sample_time": basis.sample_time}

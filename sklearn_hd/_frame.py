@@ -68,6 +68,8 @@ class LTIModel:
         What another way has found of its exponents.
     lifted : Lifted or None
         What happens within a period, where the model is one of whole periods.
+    delays : Delays or None
+        Of its signals, which the matrices know nothing of.
     """
 
     A: np.ndarray
@@ -86,6 +88,7 @@ class LTIModel:
     at_rest: bool = False
     opinion: object = None
     lifted: Lifted | None = None
+    delays: object = None
 
     @property
     def n_states(self):

@@ -17,6 +17,7 @@ from sklearn_hd._checks import (
     signal_names,
 )
 from sklearn_hd._containers import from_elsewhere, is_pandas
+from sklearn_hd._delayed import Delayed
 from sklearn_hd._excitation import Excitation
 from sklearn_hd._exported import Exported
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
@@ -30,6 +31,7 @@ from sklearn_hd._records.data import (
     read_experiment,
     read_signals,
 )
+from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states, states_by_record
 from sklearn_hd._residuals import ResidualTests
@@ -45,6 +47,7 @@ from sklearn_hd._simulators import (
 )
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 WARMUP_SHARE = 0.25
@@ -66,7 +69,7 @@ def upstream(step, X, y):
                 f"in a Pipeline (with no step between them that makes a frame anew), or give it "
                 f"one: {type(step).__name__}(estimator=...)"
             )
-        return read_for_fit(frame, y), frame.model
+        return _at_machine(frame, y), frame.model
     if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
         isinstance(step.estimator, type)
     ):
@@ -81,7 +84,13 @@ def upstream(step, X, y):
             f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
             f"SpuriousModeReducer, or a Pipeline that ends in one"
         )
-    return read_for_fit(frame, y), frame.model
+    return _at_machine(frame, y), frame.model
+
+
+def _at_machine(frame, y):
+    """The record of a fit in the machine's own time, without the delays of the model."""
+    experiment, delays = read_for_fit(frame, y), frame.model.delays
+    return experiment if delays is None else in_machine_time(experiment, delays)
 
 
 def _has_gain(step):
@@ -89,7 +98,7 @@ def _has_gain(step):
     return step._predicts_ahead()
 
 
-class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseEstimator):
+class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMixin, BaseEstimator):
     """A step that owns a model: it hands the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):
@@ -121,7 +130,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
         self.target_kind_ = next((k for t, k in kinds.items() if isinstance(y, t)), None)
         if self.target_kind_ is None:
             self.target_kind_ = "vector" if y.ndim == 1 else "array"
-        told = None if experiment is None else self._simulators(experiment)
+        told = None if experiment is None else self._simulators(experiment, exact=False)
         if told is not None:
             told = Excitation.of(experiment, told, self._n_input_harmonics())
         self._excitation = told
@@ -236,7 +245,10 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
         self._warn_of_inputs(experiment, simulators)
         starts = self._starts(x0, experiment, simulators[0].model)
         outputs = [
-            simulator.outputs(start, recompose=not self.predicts_harmonics_)
+            late(
+                simulator.outputs(start, recompose=not self.predicts_harmonics_),
+                self._samples_late(experiment),
+            )
             for simulator, start in zip(simulators, starts, strict=True)
         ]
         return self._mirror(self._with_trim(outputs, experiment), X)
@@ -244,6 +256,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
     def _warn_of_inputs(self, experiment, simulators):
         """Warn of inputs whose effect the record of the fit did not show."""
         if self._excitation is not None:
+            if experiment.delays is not None:
+                simulators = self._simulators(experiment, exact=False)
             self._excitation.warn(experiment, simulators)
 
     def _starts(self, x0, experiment, model=None):
@@ -353,11 +367,13 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
         X = without_inputs(y) if X is None else X
         experiment = self._experiment(X, y)
         simulators, states, short = self._simulators(experiment), [], []
-        for simulator, measured in zip(simulators, experiment.outputs, strict=True):
+        samples, unread = self._samples_late(experiment), leads(experiment)[1]
+        for simulator, outputs in zip(simulators, experiment.outputs, strict=True):
+            measured = advanced(outputs, samples)
             warm, counted = self._score_rows(simulator, experiment)
             if counted.start >= counted.stop:
                 short.append(len(measured))
-                warm = slice(0, len(measured))
+                warm = slice(0, max(1, len(measured) - unread))
             states.append(fit_initial_state(simulator, as_seen(simulator, measured), warm))
         if short:
             warn(
@@ -379,8 +395,10 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
         truth, simulated, rows = [], [], []
         simulators = self._simulators(experiment)
         self._warn_of_inputs(experiment, simulators)
+        samples = (self._samples_late if horizon is None else self._samples_ahead)(experiment)
         parts = zip(simulators, experiment.outputs, sampling.pieces, strict=True)
         for i, (simulator, y_segment, piece) in enumerate(parts):
+            y_segment = advanced(y_segment, samples)
             warm, counted = self._score_rows(simulator, experiment)
             if counted.start >= counted.stop:
                 continue
@@ -395,6 +413,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
             outputs = self._fitted_outputs(simulator, seen, warm, horizon)
             forced = (not loads) * simulator.forced()
             if seen is y_segment:
+                forced = np.broadcast_to(forced, outputs.shape)
+                outputs, forced = (late(each, samples) for each in (outputs, forced))
                 known = forced if trim is None else trim[i] + forced
                 truth.append(measured - piece.back(known)[within])
             else:
@@ -432,9 +452,11 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
     def _score_rows(self, simulator, experiment):
         """Rows of one segment that the initial state is fitted on, and those scored."""
         first, last = experiment.basis.scored_rows(simulator.time)
+        unknown, unread = leads(experiment)
+        first += unknown
         warm = self._warmup_samples(experiment)
-        warm = max(1, min(warm, int(WARMUP_SHARE * (last - first))))
-        return slice(first, first + warm), slice(first + warm, last)
+        warm = max(1, min(warm, int(WARMUP_SHARE * (last - first - 2 * unread))))
+        return slice(first, first + warm), slice(first + warm + unread, last - unread)
 
     def _warmup_samples(self, experiment):
         if self._check_warmup() is None:
@@ -460,7 +482,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
             check_output_names(experiment.output_names, self.target_names_, "the model")
         if not experiment.basis.harmonic:
             self._check_step(experiment.base)
-        return experiment
+        delays = self.model_.delays
+        return experiment if delays is None else with_delayed_inputs(experiment, delays)
 
     def _check_step(self, base):
         """Raise ValueError if plain rows are another step apart than those of a discrete model."""
@@ -482,7 +505,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
                 f"same HarmonicAnalyzer"
             )
 
-    def _simulators(self, experiment):
+    def _simulators(self, experiment, *, exact=True):
+        """Simulators of each segment; fractions of delays ``exact`` where the model holds them."""
         if isinstance(self.model_, SampleModel):
             return sample_simulators(self.model_, experiment)
         basis, dt, times = experiment.basis, experiment.base.sample_time, experiment.times()
@@ -567,12 +591,23 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, RegressorMixin, BaseE
         horizon = check_count("horizon", horizon, 1, "1 is the next row")
         experiment = self._experiment(X, y)
         simulators, recompose = self._simulators(experiment), not self.predicts_harmonics_
-        starts = [None] * len(simulators)
+        samples = self._samples_ahead(experiment)
+        starts, unread = [None] * len(simulators), leads(experiment)[1]
         if x0 is not None:
             starts = self._starts(x0, experiment, simulators[0].model)
         parts = zip(simulators, experiment.outputs, starts, strict=True)
         outputs = [
-            predicted_ahead(simulator, measured, horizon, start, recompose=recompose)
+            late(
+                predicted_ahead(
+                    simulator,
+                    advanced(measured, samples),
+                    horizon,
+                    start,
+                    rows=slice(0, len(measured) - unread),
+                    recompose=recompose,
+                ),
+                samples,
+            )
             for simulator, measured, start in parts
         ]
         return self._mirror(self._with_trim(outputs, experiment), X)

@@ -393,4 +393,5 @@ def left_of(step, X, y):
     check_is_fitted(step)
     check_outputs_given(y)
     experiment = step._experiment(without_inputs(y) if X is None else X, y)
+    experiment = step._compared(experiment)
     return remainder(experiment, step._simulators(experiment))

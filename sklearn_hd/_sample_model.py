@@ -74,6 +74,11 @@ class SampleModel:
         Fourier coefficients of the inputs' periodic mean at fit; None is zero.
     opinion : Opinion or None
         What another way has found of its exponents.
+    delays : Delays or None
+        Of its signals.
+    split : tuple of ndarray of int, or None
+        Whole samples of the delays of inputs and outputs, where the matrices hold the rest: there
+        are two of each input then, its new value and the old one.
     """
 
     innovations: PeriodicInnovations
@@ -85,6 +90,8 @@ class SampleModel:
     n_loads: int = -1
     input_mean: np.ndarray | None = None
     opinion: object = None
+    delays: object = None
+    split: tuple | None = None
 
     state_names = None
     windowed = False
@@ -146,7 +153,8 @@ class SampleModel:
         """The constant matrices as an LTIModel, without the forced response."""
         A, B, C, D = (M[0] for M in self.innovations.matrices())
         names = self.input_names, self.output_names
-        return LTIModel(A, B, C, D, self.dt, *names, feedthrough=self.feedthrough, closed_loop=True)
+        how = {"feedthrough": self.feedthrough, "closed_loop": True, "delays": self.delays}
+        return LTIModel(A, B, C, D, self.dt, *names, **how)
 
     def of_matched(self, coefficients, n_states, n_loads):
         """The samples of a continuous model about the forced response of this one.

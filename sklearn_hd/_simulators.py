@@ -5,6 +5,7 @@ from scipy import linalg
 
 from sklearn_hd._guards import extremes
 from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._records.delays import both_values
 from sklearn_hd._sample_model import AtSamples, SampleSimulator
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
@@ -178,6 +179,8 @@ def sample_simulators(model, experiment):
     """Simulators of a model of samples at their azimuths, one a segment."""
     raw = model.input_names == tuple(experiment.basis.input_signals)
     inputs = experiment.inputs if raw else experiment.drive
+    if model.split is not None and experiment.delays is not None:
+        inputs = [both_values(u, model.split[0]) for u in experiment.origin.inputs]
     parts = zip(inputs, experiment.times(), experiment.phases, strict=True)
     return [SampleSimulator(model, experiment.basis, *part) for part in parts]
 

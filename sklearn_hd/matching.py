@@ -12,17 +12,16 @@ from sklearn_hd._checks import check_choice, check_count, check_fraction, check_
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, searching, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
+from sklearn_hd._match.exclusions import LIKELIHOODS, checked_together
 from sklearn_hd._match.free import match_free
-from sklearn_hd._match.likelihood import (
-    LikelihoodSettings,
-    match_likelihood,
-    warn_closed_loop,
-)
+from sklearn_hd._match.likelihood import match_likelihood, warn_closed_loop
 from sklearn_hd._match.match import PeriodicSimulator
 from sklearn_hd._match.periodic import match_periodic
+from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._model_step import ModelStep, upstream
 from sklearn_hd._opinion import doubtful, warn_unconfirmed
+from sklearn_hd._records.delays import in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
@@ -30,7 +29,6 @@ from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
-LIKELIHOODS = ("output_error", "prediction_error")
 CRITERIA = ("hinf", "least_squares", *LIKELIHOODS)
 
 
@@ -159,6 +157,9 @@ class StructuredMatcher(ModelStep):
     rank_ : int
         How many combinations of parameters the outputs determine.
     n_iter_ : int
+    delays_, delay_std_ : Series
+        Delays of the signals, seconds; those that MOESPRegressor left to the data are parameters
+        of the likelihoods.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 
@@ -276,7 +277,7 @@ class StructuredMatcher(ModelStep):
     def _of_samples(self, model, experiment):
         """The match of a model of samples at their azimuths."""
         periodic = isinstance(self.structure, HarmonicStructure) or not model.time_invariant
-        noise = self._checked_together(experiment.basis, periodic, periodic)
+        noise = checked_together(self, experiment.basis, periodic, periodic)
         if not self._likely:
             return match_samples(model, experiment, self.structure, self._norm_settings())
         settings = self._likelihood_settings(noise)
@@ -293,7 +294,7 @@ class StructuredMatcher(ModelStep):
         structure = HarmonicStructure() if lifted and self.structure is None else self.structure
         periodic = isinstance(structure, HarmonicStructure)
         settings = self._likelihood_settings(
-            self._checked_together(experiment.basis, lifted, periodic)
+            checked_together(self, experiment.basis, lifted, periodic)
         )
         if self._likely and structure is None and not experiment.basis.harmonic:
             return match_free(model, experiment, settings)
@@ -336,78 +337,41 @@ class StructuredMatcher(ModelStep):
             for value in noise.values() if isinstance(noise, Mapping) else [noise]:
                 check_positive("input_noise", value, "units of the input", hint)
 
-    def _checked_together(self, basis, lifted, periodic):
-        """Refuse parameters that exclude each other; the noise of each input, or None."""
-        likelihood = self._likely
-        if self.output_weights is not None or self.input_weights is not None:
-            if likelihood:
-                raise ValueError(
-                    f"criterion={self.criterion!r} weighs each output by its noise; output_weights "
-                    f"and input_weights are those of a norm, so leave them None, or use "
-                    f"criterion='hinf' or 'least_squares'"
-                )
-            if lifted and periodic:
-                raise ValueError(
-                    "this model is brought to periodic form in closed form, where nothing is "
-                    "weighed; leave output_weights and input_weights None, or, period by period, "
-                    "use criterion='output_error', which weighs each output by its noise"
-                )
-        given = self.input_noise
-        if given is None:
-            return None
-        if not likelihood:
-            raise ValueError(
-                f"input_noise={given!r} is allowed for by maximum likelihood only; fit with "
-                f"criterion='output_error', or leave input_noise=None"
-            )
-        if self.criterion == "prediction_error":
-            raise ValueError(
-                f"input_noise={given!r} is allowed for in simulations only, and "
-                f"criterion='prediction_error' predicts; fit with criterion='output_error', or "
-                f"leave input_noise=None, where noise on the inputs counts as gusts"
-            )
-        if self.structure is None and not basis.harmonic:
-            raise ValueError(
-                f"input_noise={given!r} is allowed for with the parameters of a structure, and "
-                f"structure=None leaves every entry free; give a MatrixStructure, or leave "
-                f"input_noise=None"
-            )
-        if basis.reading == "sample":
-            raise ValueError(
-                f"input_noise={given!r} cannot be told from loads, which a model of samples has; "
-                f"use HarmonicAnalyzer(reading='period'), or leave input_noise=None"
-            )
-        if not periodic and not np.all(basis.held):
-            raise ValueError(
-                "input_noise is that of the measured inputs, but this model is driven by their "
-                "harmonics; keep harmonic 0 of the inputs alone, or use a HarmonicStructure"
-            )
-        names = basis.input_signals
-        values = given if isinstance(given, Mapping) else dict.fromkeys(names, given)
-        if set(values) != set(names):
-            raise ValueError(
-                f"input_noise={given!r} must give a standard deviation for each of the inputs "
-                f"{list(names)}"
-            )
-        return np.array([float(values[name]) for name in names])
-
     def _norm_settings(self):
         names = ("criterion", "output_weights", "input_weights")
         names += ("n_starts", "random_state", "max_iter")
         return NormSettings(**{name: getattr(self, name) for name in names})
 
-    def _simulators(self, experiment):
-        if self.match_.sampled is not None and not self.predicts_harmonics_:
-            return sample_simulators(self.match_.sampled, experiment)
+    def _simulators(self, experiment, *, exact=True):
+        sampled = self.match_.sampled
+        if sampled is not None and not self.predicts_harmonics_:
+            if exact or sampled.split is None:
+                return sample_simulators(sampled, experiment)
+            if experiment.basis.reading == "sample":  # whose turns hold no whole samples
+                return None
         periodic = self.match_.periodic
         if periodic is None or self.predicts_harmonics_:
-            return super()._simulators(experiment)
+            return super()._simulators(experiment, exact=exact)
         basis = experiment.basis
         response = periodic.sampled(basis.samples_per_period)
         return [
             PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
             for u, time in zip(experiment.inputs, experiment.times(), strict=True)
         ]
+
+    @property
+    def _split(self):
+        """Whole samples of the delays of inputs and outputs, where its samples hold the rest."""
+        return None if self.match_.sampled is None else self.match_.sampled.split
+
+    def _samples_late(self, experiment):
+        found = super()._samples_late(experiment)
+        return found if self._split is None else self._split[1]
+
+    def _compared(self, experiment):
+        if self._split is None:
+            return super()._compared(experiment)
+        return in_whole_samples(experiment.origin, *self._split)
 
     def _n_input_harmonics(self):
         periodic = self.match_.periodic

@@ -75,6 +75,8 @@ class SpuriousModeReducer(ModelStep):
     left_out_ : float
         Share of the variance that the modes kept leave unexplained which all
         modes together would explain.
+    delays_, delay_std_ : Series
+        Delays of the signals, seconds, as identified.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 

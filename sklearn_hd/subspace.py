@@ -1,5 +1,6 @@
 """Step 3: subspace identification of a discrete-time state-space model."""
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 
 import numpy as np
@@ -11,10 +12,12 @@ from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._identify import Settings, identify, identify_record, most_block_rows
 from sklearn_hd._identify.checks import PREDICTOR, checked
 from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
+from sklearn_hd._identify.delays import without_delays
 from sklearn_hd._identify.partitions import Partitions, is_partitioned
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import check_features
+from sklearn_hd._records.delays import as_measured, asked_delays
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
@@ -93,6 +96,14 @@ class MOESPRegressor(ModelStep):
         decide what counts as large. With one output nothing changes; with several it weighs
         the outputs anew, and moves eigenvalues as far as noise and nonlinearity leave them open.
         With ``reading="sample"`` signals always are, by their motion about the periodic mean.
+    input_delay, output_delay : float, dict or "auto", default=0.0
+        Seconds, whole samples or not, by which the machine feels an input after it was commanded,
+        and by which an output is measured after the machine had it; a dict gives some signals
+        theirs, the others have none. ``"auto"`` (of all, or in a dict) searches whole samples, at
+        most 50 or half a period, and refines them by the likelihood of plain data. Other models
+        are refined in ``StructuredMatcher(criterion="output_error")``. Sums of an
+        input's and an output's delay are all that is seen: with both ``"auto"`` the first output
+        has none. Models are in the machine's own time; ``predict`` puts delays in.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data, and
@@ -146,6 +157,9 @@ class MOESPRegressor(ModelStep):
         Where identified; Fourier coefficients, shape (2 H + 1, order, n_outputs), where it varies.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
         Where the Kalman gain is identified; in the units of the outputs.
+    delays_, delay_std_ : Series
+        Delay of each input and output in seconds, and its standard deviation; NaN where it was
+        given, or found in whole samples.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 
@@ -154,7 +168,8 @@ class MOESPRegressor(ModelStep):
     ValueError
         At ``fit``, if the record is too short for the block rows, an input or
         all outputs are constant, the block rows do not exceed the window, or the order
-        exceeds the rank that block rows allow.
+        exceeds the rank that block rows allow; if a delay is negative, not finite, of no signal
+        or longer than the record.
 
     Warns
     -----
@@ -211,6 +226,8 @@ class MOESPRegressor(ModelStep):
         disturbance_model=False,
         stable=False,
         scale=True,
+        input_delay=0.0,
+        output_delay=0.0,
         warmup=None,
         memory=None,
         half_life=None,
@@ -222,6 +239,8 @@ class MOESPRegressor(ModelStep):
         self.disturbance_model = disturbance_model
         self.stable = stable
         self.scale = scale
+        self.input_delay = input_delay
+        self.output_delay = output_delay
         self.warmup = warmup
         self.memory = memory
         self.half_life = half_life
@@ -256,13 +275,20 @@ class MOESPRegressor(ModelStep):
         for chunks in ("_stream", "n_effective_rows_"):  # of a partial_fit before
             self.__dict__.pop(chunks, None)
         if is_partitioned(X) or is_partitioned(y):
+            self._refuse_delays("dask's partitions")
             data = Partitions(X, y, lambda basis: most_block_rows(basis, settings))
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
         experiment = read_for_fit(X, y)
-        found, basis = identify_record(experiment, settings), experiment.basis
+        delays = asked_delays(self.input_delay, self.output_delay, experiment)
+        if delays is None:
+            found = identify_record(experiment, settings)
+        else:
+            found, experiment = without_delays(experiment, delays, settings, identify_record)
+        basis = experiment.basis
         if found.forced is not None:
-            basis = replace(basis, output_trim=basis.output_trim + found.forced)
+            forced = as_measured(found.forced, found.model.delays, basis)
+            basis = replace(basis, output_trim=basis.output_trim + forced)
         return self._store(found, basis, X, y, experiment)
 
     @one_blas_thread
@@ -345,6 +371,7 @@ class MOESPRegressor(ModelStep):
         """
         check_outputs_given(y)
         X = without_inputs(y) if X is None else X
+        self._refuse_delays("chunks")
         settings, stream = self._settings(), getattr(self, "_stream", None)
         experiment = read_chunk(X, y, stream)
         check_features(self, X, reset=stream is None)
@@ -355,6 +382,17 @@ class MOESPRegressor(ModelStep):
             self.n_effective_rows_ = n_effective_rows
         self._stream = stream
         return self
+
+    def _refuse_delays(self, what):
+        """Raise ValueError if sums over rows would have to be of delayed signals."""
+        for name in ("input_delay", "output_delay"):
+            value = getattr(self, name)
+            parts = list(value.values()) if isinstance(value, Mapping) else [value]
+            if any(part != 0 for part in parts):
+                raise ValueError(
+                    f"{name}={value!r} needs records in memory, and {what} are read as they come; "
+                    f"use fit with pandas or arrays, or shift the signals by whole samples before"
+                )
 
     def _settings(self):
         """The parameters of the method, checked."""

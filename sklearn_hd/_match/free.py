@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from sklearn_hd._match.likelihood import Fit, RecordData, uncertainty_of, warn_refined
+from sklearn_hd._match.likelihood import uncertainty_of, warn_refined
 from sklearn_hd._match.match import Match
+from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._sample_model import SampleModel
@@ -108,7 +109,7 @@ def _free(start, data, settings):
     into = found.slopes[:, places].T
     covariance = into @ found.result.covariance @ into.T
     result = replace(found.result, theta=theta, gain=found.gain, covariance=covariance)
-    return Fit(structure, replace(form, structure=structure), result, into), sampled
+    return Fit(structure, replace(form, structure=structure), result, data, into), sampled
 
 
 def _places(structure, shape):
@@ -137,7 +138,8 @@ def _as_samples(model):
     gain = np.zeros((1, n, n_outputs)) if model.kalman_gain is None else model.kalman_gain[None]
     innovations = PeriodicInnovations(whole, gain, np.eye(n_outputs), 2.0 * np.pi)
     names = model.input_names, model.output_names
-    return SampleModel(innovations, 2.0 * np.pi / model.dt, model.dt, *names, model.feedthrough)
+    how = {"feedthrough": model.feedthrough, "delays": model.delays}
+    return SampleModel(innovations, 2.0 * np.pi / model.dt, model.dt, *names, **how)
 
 
 def _structure(shape, n, feedthrough):

@@ -9,94 +9,24 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy import sparse
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._match.match import Uncertainty, periodic_match
+from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.samples import decomposed_basis
 from sklearn_hd._match.trust import trusted, warn_of_slow
-from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._records.delays import warn_of_doubt
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
-from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain, prediction_error
-from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, OverflowingStartError
-from sklearn_hd.algorithms.periodic.behind_samples import samples_of
-from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels, sampled_harmonics
+from sklearn_hd.algorithms.likelihood.search import (
+    OverflowingStartError,
+)
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
-FEW_STEPS = 30  # of a search with more harmonics: one that takes longer is not determined
-COARSE = 0.1  # of the likelihood, in all, by which a candidate may miss its best
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
-ALIGNED = 1e-6  # of a sample, by which the first may miss a phase
-
-
-@dataclass(frozen=True, eq=False)
-class LikelihoodSettings:
-    """How to fit.
-
-    Attributes
-    ----------
-    criterion : {"output_error", "prediction_error"}
-    max_iter : int
-    input_noise : ndarray, shape (m,), or None
-    n_starts, random_state : int
-        Further starts at random, of models with all entries free.
-    """
-
-    criterion: str
-    max_iter: int
-    input_noise: np.ndarray | None = None
-    n_starts: int = 0
-    random_state: int | None = 0
-
-    @property
-    def predicts(self):
-        """Whether the model has a Kalman gain."""
-        return self.criterion == "prediction_error"
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A fit of a structure, with the form and the record that it was fitted to.
-
-    Attributes
-    ----------
-    structure : PeriodicStructure
-        Without loads.
-    form : Form
-        With loads and gain.
-    result : LikelihoodResult
-    into : ndarray, shape (k, k'), or None
-        How the structure's parameters change with those of the search, where these are others.
-    """
-
-    structure: PeriodicStructure
-    form: Form
-    result: LikelihoodResult
-    into: np.ndarray | None = None
-
-    @property
-    def theta(self):
-        """Parameters of the structure."""
-        return self.result.theta[: self.structure.n_parameters]
-
-    @property
-    def covariance(self):
-        """Their covariance."""
-        k = self.structure.n_parameters
-        return self.result.covariance[:k, :k]
-
-    @property
-    def aic(self):
-        """Akaike's criterion."""
-        return self.result.aic
 
 
 def match_likelihood(match, structure, experiment, settings):
@@ -120,7 +50,7 @@ def match_likelihood(match, structure, experiment, settings):
             f"criterion={settings.criterion!r} needs a structure whose parameters the record "
             f"determines; give a MatrixStructure or a HarmonicStructure"
         )
-    periodic = match.periodic
+    periodic, delays = match.periodic, match.model.delays
     data = RecordData.of(experiment, periodic is not None, match.sampled)
     wanted = HarmonicStructure() if structure is None else structure
     bounds, given = None, match.structure
@@ -131,16 +61,23 @@ def match_likelihood(match, structure, experiment, settings):
         fit = _refine_harmonics(match, wanted, open_to, data, settings)
     else:
         fit = data.fit(given, match.theta, settings, bounds=bounds)
-    sampled = data.sampled(fit, match)
-    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), all_parameters(fit))
+    data, delays = fit.data, fit.data.delays_of(fit, delays)
+    experiment, sampled = data.experiment, data.sampled(fit, match)
+    simulators = sample_simulators(sampled, experiment)
+    trust = trusted(fit, experiment, simulators, fit.result.point.theta)
     warn_of_slow(fit, trust, experiment)
+    if data.cells is not None:
+        delays = data.deviations(delays, trust.covariance[fit.structure.n_parameters :])
+        warn_of_doubt(delays)
+        sampled = replace(sampled, delays=delays)
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
     else:
         basis = experiment.basis if match.sampled is None else decomposed_basis(match, experiment)
         refined = _periodic(match, fit, basis, trust)
     warn_refined(fit.result, settings)
-    return replace(refined, n_iter=fit.result.n_iter, sampled=sampled)
+    model = replace(refined.model, delays=delays)
+    return replace(refined, model=model, n_iter=fit.result.n_iter, sampled=sampled)
 
 
 def _periodic(match, fit, basis, trust):
@@ -162,178 +99,6 @@ def _invariant(match, structure, fit, trust):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class RecordData:
-    """A record as a likelihood sees it.
-
-    Attributes
-    ----------
-    segments : list of (inputs, outputs, first phase or azimuths)
-        A constant input last where there are loads.
-    omega, n_phases : float
-    observe : ndarray or None
-    start : SampleModel or None
-        Whose forced response is where loads start from; None without.
-    discrete : bool
-    """
-
-    segments: list
-    omega: float
-    n_phases: float
-    observe: np.ndarray | None
-    start: SampleModel | None
-    discrete: bool
-    n_loads: int = -1
-
-    @classmethod
-    def of(cls, experiment, raw, start, *, discrete=False):
-        basis = experiment.basis
-        inputs = experiment.inputs if raw else experiment.drive
-        omega, n_phases = sampling(experiment)
-        if start is None:
-            observe = None if raw or not basis.harmonic else _observation(basis)
-            where = [int(basis.phase_index(time)[0]) for time in experiment.times()]
-            n_loads = -1
-        else:
-            where = _where(experiment.phases, n_phases)
-            inputs = [np.hstack([u, np.ones((len(u), 1))]) for u in inputs]
-            observe, n_loads = None, basis.most_loads
-        segments = list(zip(inputs, experiment.outputs, where, strict=True))
-        return cls(segments, omega, n_phases, observe, start, discrete, n_loads)
-
-    def fit(self, structure, theta, settings, *, bounds=None, gain0=None, like=None, coarse=False):
-        """A structure of the inputs and outputs, fitted from some start.
-
-        ``like`` is a fit of another structure, of whose gain and loads this one has as many
-        harmonics, and starts from. A coarse one is to be compared with others.
-        """
-        whole, start = structure, np.asarray(theta, dtype=float)
-        if self.n_loads >= 0:
-            whole = with_loads(structure, self.n_loads)
-            if like is None:
-                loads = self.start.innovations.forced_response(max(1, self.n_loads))
-                loads = loads[: 2 * self.n_loads + 1].ravel()
-            else:
-                loads = like.result.theta[like.structure.n_parameters :]
-            start = np.concatenate([start, loads])
-            if bounds is not None:
-                wide = np.full(len(start) - len(theta), np.inf)
-                bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
-        form = self.form(whole, start)
-        options = {"bounds": bounds, "max_iter": settings.max_iter}
-        if coarse:
-            size = sum(y.size for _, y, _ in self.segments)
-            options |= {"max_iter": min(FEW_STEPS, settings.max_iter), "tol": COARSE / size}
-        if settings.predicts and like is not None:
-            form = form.with_gain(like.form.n_gain_harmonics)
-            found = fit_gain(form, self.segments, start, like.result.gain, **options)
-            return Fit(structure, form, found.result)
-        if settings.predicts:
-            found = prediction_error(form, self.segments, start, gain0=gain0, **options)
-            return Fit(structure, found.form, found.result)
-        result = output_error_of(
-            form, self.segments, start, input_sigma=settings.input_noise, **options
-        )
-        return Fit(structure, form, result)
-
-    def form(self, structure, theta):
-        """A structure at the clock of the record."""
-        between = any(np.ndim(where) for *_, where in self.segments)
-        n_phases = self.n_phases if between else round(self.n_phases)
-        form = Form(structure, self.omega, n_phases, self.observe, self.discrete)
-        if between and self.discrete:  # products of two matrices have twice the harmonics
-            return replace(form, n_points=4 * max(structure.n_harmonics, self.n_loads) + 1)
-        return interpolating(form, theta) if between else form
-
-    def sampled(self, fit, match):
-        """The predictor at samples, or the simulation of models of samples; else None."""
-        gain = fit.result.gain
-        structure, theta, n = fit.form.structure, fit.result.theta, fit.structure.n_states
-        step = 2.0 * np.pi / self.n_phases
-        if self.discrete:
-            moved = structure.coefficients(theta)
-        elif self.observe is not None:
-            moved = _coefficients(fit.form.response(all_parameters(fit), sensitivities=False))
-        else:
-            moved = samples_of(structure.coefficients(theta), n, self.omega, step)
-        if self.n_loads < 0:
-            moved = np.concatenate([moved, np.zeros((*moved.shape[:2], 1))], axis=2)
-        gain = np.zeros((1, n, moved.shape[1] - n)) if gain is None else gain
-        innovations = PeriodicInnovations(moved, gain, fit.result.spread, step)
-        if match.sampled is not None:
-            return replace(match.sampled, innovations=innovations)
-        model, dt = match.model, 2.0 * np.pi / self.omega / self.n_phases
-        names = self._names(match)
-        return SampleModel(innovations, self.omega, dt, *names, model.feedthrough, n_loads=-1)
-
-    def _names(self, match):
-        if match.periodic is not None:
-            return match.periodic.input_names, match.periodic.output_names
-        return match.model.input_names, match.model.output_names
-
-
-def all_parameters(fit):
-    gain = fit.result.gain
-    return np.concatenate([fit.result.theta, [] if gain is None else gain.ravel()])
-
-
-def _coefficients(response):
-    """Fourier coefficients of [A B; C D](ψ) from the samples of a turn."""
-    parts = [
-        sampled_harmonics(M, (len(M) - 1) // 2) if len(M) > 1 else M
-        for M in (response.Psi, response.Out)
-    ]
-    whole = np.zeros(
-        (max(map(len, parts)), parts[0].shape[1] + parts[1].shape[1], parts[0].shape[2])
-    )
-    whole[: len(parts[0]), : parts[0].shape[1]] = parts[0]
-    whole[: len(parts[1]), parts[0].shape[1] :] = parts[1]
-    return whole
-
-
-def _where(phases, n_phases):
-    """First phase of each segment where all samples lie on those of a whole number; else all ψ."""
-    first = np.array([psi[0] for psi in phases]) * n_phases / (2.0 * np.pi)
-    drift = abs(n_phases - round(n_phases)) / n_phases * max(map(len, phases))
-    if max(drift, np.max(np.abs(first - np.round(first)))) <= ALIGNED:
-        return [round(each) for each in first]
-    return list(phases)
-
-
-def with_loads(structure, n_loads):
-    """A structure with one more input, which is 1, and moves the outputs by a Fourier series.
-
-    Parameters
-    ----------
-    structure : PeriodicStructure
-    n_loads : int
-        Harmonics; each coefficient of each output is a parameter, after the structure's own.
-    """
-    size, rows, columns = structure.constant.shape
-    n, size_all = structure.n_states, max(size, 2 * n_loads + 1)
-    constant = np.zeros((size_all, rows, columns + 1))
-    constant[:size, :, :-1] = structure.constant
-    basis = structure.basis.tocoo()
-    place = np.unravel_index(basis.coords[1], structure.constant.shape)
-    moved = np.ravel_multi_index(place, constant.shape)
-    h, i = np.divmod(np.arange((2 * n_loads + 1) * (rows - n)), rows - n)
-    loads = np.ravel_multi_index((h, n + i, np.full(len(h), columns)), constant.shape)
-    k = structure.n_parameters
-    table = sparse.coo_array(
-        (
-            np.concatenate([basis.data, np.ones(len(loads))]),
-            (
-                np.concatenate([basis.coords[0], k + np.arange(len(loads))]),
-                np.concatenate([moved, loads]),
-            ),
-        ),
-        shape=(k + len(loads), constant.size),
-    )
-    labels = harmonic_labels(range(n_loads + 1))
-    names = tuple(f"load[{j}]_{labels[which]}" for which, j in zip(h, i, strict=True))
-    return PeriodicStructure(constant, table.tocsr(), n, structure.parameter_names + names)
-
-
 def _n_harmonics_of_outputs(match, structure):
     """Highest harmonic of P in a match; None where P is the identity."""
     asked, periodic = structure.n_harmonics("P"), match.periodic
@@ -344,9 +109,9 @@ def _n_harmonics_of_outputs(match, structure):
 
 def uncertainty_of(fit, trust, affine, seen):
     """What a fit says of its own precision."""
-    result = fit.result
+    result, k = fit.result, fit.structure.n_parameters
     return Uncertainty(
-        trust.covariance,
+        trust.covariance[:k, :k],
         result.sigma,
         result.aic,
         result.bic,
@@ -357,20 +122,6 @@ def uncertainty_of(fit, trust, affine, seen):
         kind=trust.kind,
         tests=trust.tests,
     )
-
-
-def sampling(experiment):
-    """Fundamental frequency and samples a period; plain data count one sample a period."""
-    basis = experiment.basis
-    if not basis.harmonic:
-        return 2.0 * np.pi / experiment.base.sample_time, 1
-    return basis.omega, basis.samples_per_period
-
-
-def _observation(basis):
-    """What is measured of harmonic coefficients at each phase."""
-    spp = basis.samples_per_period
-    return basis.recomposition(2.0 * np.pi * np.arange(spp) / spp)
 
 
 def _open_counts(match, structure):

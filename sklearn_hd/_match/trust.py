@@ -35,7 +35,7 @@ class Trust:
     Attributes
     ----------
     covariance : ndarray, shape (k, k)
-        Of the structure's parameters.
+        Of the structure's parameters, then of free delays.
     exponents, exponents_std : complex ndarray, shape (n,)
     kind : {"information", "robust"}
     tests : dict of list, or None
@@ -74,9 +74,10 @@ def trusted(fit, experiment, simulators, parameters):
     -------
     trust : Trust
     """
-    result, k = fit.result, fit.structure.n_parameters
+    result, places = fit.result, fit.places
     exponents, slopes = exponent_slopes(fit.form, parameters)
-    slopes, n = slopes[:, :k], len(slopes)
+    k, n, own = len(places), len(slopes), fit.structure.n_parameters
+    slopes = np.pad(slopes[:, :own], [(0, 0), (0, k - own)])
     plain = propagate_std(slopes, fit.covariance)
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
         return Trust(fit.covariance, exponents, plain, "information", None)
@@ -86,7 +87,7 @@ def trusted(fit, experiment, simulators, parameters):
     white = whole_covariance(result)
     robust = tests is not None and not tests["passed"].all()
     found = parts["time"].sandwich(white) if robust else white
-    into = np.eye(k, len(white)) if fit.into is None else fit.into
+    into = np.eye(len(white))[places] if fit.into is None else fit.into
     gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
     own, by_noise = (
         np.maximum(np.einsum("rk,kj,rj->r", gradients, C, gradients), 0.0) for C in (found, white)

@@ -219,6 +219,10 @@ class Experiment:
         Outputs at the user's rows, as given.
     output_names : tuple of str
         Of the columns of ``measured``.
+    origin : Experiment or None
+        The record as it was measured, where this is one without its delays.
+    delays : Delays or None
+        What was taken out of it.
     """
 
     base: TimeBase
@@ -229,6 +233,8 @@ class Experiment:
     outputs: list | None = None
     measured: np.ndarray | None = None
     output_names: tuple = ()
+    origin: object = None
+    delays: object = None
 
     @property
     def has_gaps(self):

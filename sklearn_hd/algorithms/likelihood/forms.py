@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from sklearn_hd.algorithms.periodic.delayed_response import Fractions, delayed_response
 from sklearn_hd.algorithms.periodic.floquet import product_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
@@ -28,8 +29,8 @@ MOST_TURNS = 40  # of which one comes nearest to whole samples
 class Form:
     """A model affine in its parameters, sampled, and the gain of its predictor.
 
-    Its parameters are those of the structure, then the Fourier coefficients of K(ψ) in the order
-    harmonic, state, output.
+    Its parameters are those of the structure, then free delays, then the Fourier coefficients of
+    K(ψ) in the order harmonic, state, output.
 
     Attributes
     ----------
@@ -47,6 +48,10 @@ class Form:
         Of K(ψ); None for a simulation, without K.
     n_points : int or None
         Azimuths of a turn between which matrices are interpolated, odd; None for the samples'.
+    delays : Fractions or None
+        Of a sample, of what is late; inputs are then given as the new ones, and the old ones.
+    gauge : bool
+        Whether coordinates are free, so that directions that move no output do not count.
     """
 
     structure: PeriodicStructure
@@ -56,6 +61,8 @@ class Form:
     discrete: bool = False
     n_gain_harmonics: int | None = None
     n_points: int | None = None
+    delays: Fractions | None = None
+    gauge: bool = False
 
     @property
     def n_states(self):
@@ -64,6 +71,16 @@ class Form:
     @property
     def n_outputs(self):
         return self.structure.n_outputs if self.observe is None else self.observe.shape[1]
+
+    @property
+    def n_inputs(self):
+        """Inputs of its records."""
+        return self.structure.n_inputs * (1 if self.delays is None else 2)
+
+    @property
+    def n_model(self):
+        """Number of parameters but for those of K."""
+        return self.structure.n_parameters + (0 if self.delays is None else len(self.delays.free))
 
     @property
     def n_gains(self):
@@ -90,7 +107,7 @@ class Form:
         if self.n_gain_harmonics is None:
             return None
         shape = (2 * self.n_gain_harmonics + 1, self.n_states, self.n_outputs)
-        return np.asarray(parameters)[self.structure.n_parameters :].reshape(shape)
+        return np.asarray(parameters)[self.n_model :].reshape(shape)
 
     def response(self, parameters, *, sensitivities):
         """Its matrices at the samples of a turn, or between samples, and derivatives."""
@@ -98,6 +115,17 @@ class Form:
         n_points = self.n_phases if self.n_points is None else self.n_points
         if self.discrete:
             found = evaluated_response(self.structure, theta, n_points, sensitivities=sensitivities)
+        elif self.delays is not None:
+            found = delayed_response(
+                self.structure,
+                theta,
+                self.delays.at(parameters[self.structure.n_parameters : self.n_model]),
+                self.omega,
+                self.n_phases,
+                self.observe,
+                sensitivities=sensitivities,
+                n_points=n_points,
+            )
         else:
             found = sampled_response(
                 self.structure,

@@ -417,7 +417,7 @@ def _range(matrix):
 
 def likelihood_problem(form, segments, free_x0, sigma=None, correlated=False):
     """The problem, its records checked."""
-    records = as_records(segments, form.structure.n_inputs, form.n_outputs)
+    records = as_records(segments, form.n_inputs, form.n_outputs)
     if sigma is not None:
         sigma = np.asarray(sigma, dtype=float)
         if sigma.shape != (form.n_outputs,) or not np.all(sigma > 0):

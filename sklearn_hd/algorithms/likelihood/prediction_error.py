@@ -64,10 +64,10 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     -------
     found : PredictionError
     """
-    settings, k = {"bounds": bounds, "max_iter": max_iter, "tol": tol}, len(theta0)
+    settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
     first, gain = first_gain(form, segments, theta0, gain0)
     best = fit_gain(form.with_gain(first), segments, theta0, gain, **settings)
-    theta = best.result.theta
+    theta = best.result.without_gain
     without = form.with_gain(None)
     if without.radius(without.response(theta, sensitivities=False)) < 1.0:
         simulated = fit_gain(without, segments, theta, None, **settings)
@@ -77,7 +77,7 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
         return best
     for counts in (range(first + 1, most_harmonics(form) + 1), range(first - 1, -1, -1)):
         for count in counts:
-            theta, gain = best.result.theta[:k], best.result.gain
+            theta, gain = best.result.without_gain, best.result.gain
             found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
             if found.result.aic >= best.result.aic or not found.result.converged:
                 break

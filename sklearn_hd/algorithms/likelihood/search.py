@@ -5,11 +5,11 @@ The covariance S of what is left is at its own optimum wherever parameters are: 
 Initial states enter linearly and are eliminated from each step.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem
+from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem, likelihood_problem
 
 STALLED = 1e-2  # fall of the cost, in all where no step pays, per residual at rounding
 FIRST_DAMPING = 1e-6
@@ -29,6 +29,8 @@ class LikelihoodResult:
     ----------
     theta : ndarray, shape (k,)
         Of the structure.
+    delays : ndarray, shape (k_d,)
+        Those that are parameters, in samples beyond the whole ones of the record.
     gain : ndarray, shape (2 H + 1, n, l), or None
         Fourier coefficients of K; None for a simulation.
     x0 : list of ndarray, shape (n,)
@@ -36,9 +38,9 @@ class LikelihoodResult:
     spread : ndarray, shape (l, l)
         Covariance of what is left, corrected for the degrees of freedom that the fit has used
         (all outputs share them alike), or as given.
-    covariance : ndarray, shape (k, k)
-        Of θ, gain and initial states being unknown: inverse of the Fisher matrix. Infinite on
-        the diagonal and NaN off it for parameters that are not identified.
+    covariance : ndarray, shape (k + k_d, k + k_d)
+        Of θ and delays, gain and initial states being unknown: inverse of the Fisher matrix.
+        Infinite on the diagonal and NaN off it for parameters that are not identified.
     cost : float
         Negative logarithm of the likelihood.
     n_residuals : int
@@ -62,6 +64,7 @@ class LikelihoodResult:
     """
 
     theta: np.ndarray
+    delays: np.ndarray
     gain: np.ndarray | None
     x0: list
     spread: np.ndarray
@@ -86,7 +89,18 @@ class LikelihoodResult:
     @property
     def theta_std(self):
         """Standard deviation of each parameter, infinite if it is not identified."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.diag(self.covariance))[: len(self.theta)]
+
+    @property
+    def without_gain(self):
+        """Parameters but for those of K: to start from."""
+        return np.concatenate([self.theta, self.delays])
+
+    @property
+    def own_cost(self):
+        """The same a value, with noise as it is left, where that was given."""
+        problem = replace(self.problem, sigma=None)
+        return problem.cost(self.point.moments) / self.n_residuals
 
     @property
     def aic(self):
@@ -131,7 +145,7 @@ def search(problem, point, *, max_iter, tol, keep_stable, bounds):
 def start(problem, theta0, x0=None):
     """The point to start from; initial states that are free and not given are fitted."""
     form, n_segments = problem.form, len(problem.records)
-    theta, k = np.array(theta0, dtype=float), form.structure.n_parameters + form.n_gains
+    theta, k = np.array(theta0, dtype=float), form.n_model + form.n_gains
     if theta.shape != (k,):
         raise ValueError(f"theta0 has shape {theta.shape}; the structure has {k} parameters")
     start = np.zeros((n_segments, form.n_states)) if x0 is None else np.array(x0, dtype=float)
@@ -156,6 +170,18 @@ def start(problem, theta0, x0=None):
             break
         point, spread = trial, problem.spread(trial.moments)
     return point
+
+
+def cost_of_best_inputs(form, segments, theta0, sigma):
+    """Cost of the F and P given with the best G, Q and initial states; infinite where it overflows.
+
+    ``sigma`` has the standard deviation of what each output leaves.
+    """
+    problem = likelihood_problem(form, segments, True, sigma)
+    try:
+        return problem.with_best_inputs(start(problem, theta0)).cost
+    except OverflowingStartError:
+        return np.inf
 
 
 def _damped_step(problem, point, system, damping, keep_stable):
@@ -184,11 +210,11 @@ def _damped_step(problem, point, system, damping, keep_stable):
 def result_of(problem, search):
     """Estimates with their covariance where a search ended."""
     form, point, n_residuals = problem.form, search.point, problem.n_residuals
-    k = form.structure.n_parameters
+    k, gauge = form.structure.n_parameters, form.discrete or form.gauge
     system = problem.linearise(point)
-    n_theta = int(np.sum(system.kept)) if form.discrete else len(point.theta)  # no similarities
+    n_theta = int(np.sum(system.kept)) if gauge else len(point.theta)  # no similarities
     n_fitted = n_theta + (point.x0.size if problem.free_x0 else 0)
-    covariance, unknown = system.covariance(gauge=form.discrete)
+    covariance, unknown = system.covariance(gauge=gauge)
     spread, n_noises, correction = problem.spread(point.moments), 0, 1.0
     if problem.sigma is None:
         spent, n = n_fitted / n_residuals, len(spread)
@@ -197,10 +223,11 @@ def result_of(problem, search):
         spread, covariance = spread * correction, covariance * correction
     return LikelihoodResult(
         theta=point.theta[:k],
+        delays=point.theta[k : form.n_model],
         gain=form.gain(point.theta),
         x0=list(point.x0),
         spread=spread,
-        covariance=covariance[:k, :k],
+        covariance=covariance[: form.n_model, : form.n_model],
         cost=point.cost,
         n_residuals=n_residuals,
         n_parameters=n_fitted + n_noises,

@@ -313,7 +313,7 @@ def sampled_response(
     """
     theta = np.asarray(theta, dtype=float)
     n_points = n_phases if n_points is None else n_points
-    Psi, dPsi = _transitions(structure, theta, omega, n_phases, n_points, sensitivities)
+    Psi, dPsi = transitions(structure, theta, omega, n_phases, n_points, sensitivities)
     Out, dOut = _outputs(structure, theta, n_points, observe, sensitivities)
     return SampledResponse(Psi, Out, dPsi, dOut)
 
@@ -358,8 +358,11 @@ def n_substeps(structure, theta, omega, n_phases, n_harmonics=0):
 # ---- states -------------------------------------------------------------------------------
 
 
-def _transitions(structure, theta, omega, n_phases, n_points, sensitivities):
-    """Ψ, shape (p, n, n + m), and ∂Ψ/∂θ, shape (k, p, n, n + m), or None."""
+def transitions(structure, theta, omega, n_phases, n_points, sensitivities, offset=0.0):
+    """Ψ, shape (p, n, n + m), and ∂Ψ/∂θ, shape (k, p, n, n + m), or None.
+
+    Of intervals of 2π / n_phases that begin ``offset`` radians after the samples.
+    """
     p = n_points if structure.varies[0] else 1
     S = n_substeps(structure, theta, omega, n_phases)
     if S > MAX_SUBSTEPS:
@@ -369,7 +372,7 @@ def _transitions(structure, theta, omega, n_phases, n_points, sensitivities):
             f"a period"
         )
     nodes, Psi, left, stages = _intervals(
-        structure, theta, omega, n_phases, p, S, adjoint=sensitivities
+        structure, theta, omega, n_phases, p, S, adjoint=sensitivities, offset=offset
     )
     if not sensitivities:
         return Psi, None
@@ -377,7 +380,7 @@ def _transitions(structure, theta, omega, n_phases, n_points, sensitivities):
     return Psi, _entry_derivatives(structure.dynamic_entries, functions, left, stages)
 
 
-def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True):
+def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True, offset=0.0):
     """Nodes of p intervals, (p, q), Ψ, and L and Z of each node, (p, q, …), or None."""
     n, m = structure.n_states, structure.n_inputs
     M = structure.coefficients(theta)[:, :n]
@@ -385,6 +388,7 @@ def _intervals(structure, theta, omega, n_phases, p, n_substeps, *, adjoint=True
     units[:n] = state_units(lambda psi: evaluate_harmonics(M[:, :, :n], psi))
     scale = units / units[:n, None]
     nodes, width = _nodes(p, n_phases, n_substeps)
+    nodes = nodes + offset
     values = evaluate_harmonics(M * scale, nodes)
     left, stages, steps = collocation(values * (width / omega), adjoint=adjoint)
     before, after = _chains(steps)
@@ -420,10 +424,10 @@ def _entry_derivatives(entries, functions, left, stages):
     harmonic, row, column, rates = entries
     pushes = left[:, :, :, row] * functions[:, :, None, harmonic]  # (p, q, n, e)
     moved = pushes.transpose(3, 0, 2, 1) @ stages[:, :, column].transpose(2, 0, 1, 3)
-    return _by_parameter(rates, moved)
+    return by_parameter(rates, moved)
 
 
-def _by_parameter(rates, moved):
+def by_parameter(rates, moved):
     """Derivatives by the parameters from those by the entries, (e, ...) -> (k, ...)."""
     flat = rates @ moved.reshape(len(moved), int(np.prod(moved.shape[1:])))
     return flat.reshape(rates.shape[0], *moved.shape[1:])
@@ -449,7 +453,7 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
     moved = np.zeros((len(row), len(Out), observe.shape[1], n + m))
     values = observe[:, :, row] * functions[:, None, harmonic]  # (q, l', e)
     moved[np.arange(len(row)), :, :, column] = values.transpose(2, 0, 1)
-    return Out, _by_parameter(rates, moved)
+    return Out, by_parameter(rates, moved)
 
 
 def _functions(n_points, n_phases, n_harmonics):
@@ -463,4 +467,4 @@ def _moved(entries, functions, shape):
     harmonic, row, column, rates = entries
     moved = np.zeros((len(row), *shape))
     moved[np.arange(len(row)), :, row, column] = functions.T[harmonic]
-    return _by_parameter(rates, moved)
+    return by_parameter(rates, moved)

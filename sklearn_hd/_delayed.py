@@ -1,0 +1,59 @@
+"""What steps say of the delays of their models' signals."""
+
+import numpy as np
+import pandas as pd
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_hd._records.delays import in_machine_time
+
+__all__ = ["Delayed"]
+
+
+class Delayed:
+    """A step whose model may have delays, which its matrices know nothing of."""
+
+    @property
+    def delays_(self):
+        """Delay of each input and output, seconds, as a Series."""
+        return self._delays("seconds", 0.0, "delay")
+
+    @property
+    def delay_std_(self):
+        """Standard deviation of each delay, as a Series; NaN where it was given."""
+        return self._delays("std", np.nan, "delay_std")
+
+    def _delays(self, what, none, name):
+        check_is_fitted(self)
+        delays = self.model_.delays
+        if delays is None:
+            names = [*self.basis_.input_signals, *self.target_names_]
+            return pd.Series(none, names, name=name)
+        return delays.table(what).rename(name)
+
+    def _samples_late(self, experiment):
+        """Samples by which each output is measured after the simulators have it."""
+        delays = self.model_.delays
+        if delays is None:
+            return np.zeros(1)
+        if self.predicts_harmonics_ and delays.outputs.any():
+            raise ValueError(
+                "outputs given as a HarmonicFrame are predicted as such, and coefficients cannot "
+                "be moved in time; fit with y in time, or with output_delay=0"
+            )
+        return delays.outputs / experiment.base.sample_time
+
+    def _compared(self, experiment):
+        """The same, outputs in the machine's own time, where only what is known is left."""
+        delays = self.model_.delays
+        return experiment if delays is None else in_machine_time(experiment.origin, delays)
+
+    def _samples_ahead(self, experiment):
+        """Samples by which outputs are late, which have to be alike where they tell the state."""
+        samples = self._samples_late(experiment)
+        if np.ptp(samples) > 0.0:
+            raise ValueError(
+                f"outputs that come late by {self.model_.delays.outputs.tolist()} s tell a row at "
+                f"different times, and predictions ahead of it would use what is measured after "
+                f"it; give one output_delay for all, or simulate (predict, horizon=None)"
+            )
+        return samples
