@@ -19,6 +19,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd._exported import _contents
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import mathieu
 
@@ -112,6 +113,24 @@ def test_a_structure_tells_the_delays_of_both():
 def test_wrong_delays_are_refused(delays, words):
     with pytest.raises(ValueError, match=words):
         MOESPRegressor(3, block_rows=8, **delays).fit(*plain_record())
+
+
+def test_an_input_that_rests_tells_no_delay():
+    u, y = plain_record()
+    with pytest.raises(ValueError, match="u1"):
+        MOESPRegressor(3, block_rows=8, input_delay="auto").fit(u.assign(u1=1.0), y)
+
+
+def test_files_have_the_delays_and_so_has_the_start_of_a_record():
+    u, y = plain_record((0.15, 0.4), (0.0, 0.1))
+    asked = {"input_delay": {"u0": 0.15, "u1": 0.4}, "output_delay": {"y1": 0.1}}
+    model = MOESPRegressor(3, block_rows=8, **asked).fit(u, y)
+    contents = _contents(model, 8)
+    np.testing.assert_allclose(contents["input_delay"], [0.15, 0.4])
+    np.testing.assert_allclose(contents["output_delay"], [0.0, 0.1])
+    later, known = u.iloc[60:], y.iloc[60:]
+    x0 = model.initial_state(later, known)  # which stands for inputs that are not known, too
+    np.testing.assert_allclose(model.predict(later, x0=x0).iloc[12:], known.iloc[12:], atol=1e-7)
 
 
 def test_chunks_are_refused_with_the_way_out():

@@ -11,6 +11,7 @@ from sklearn_hd._records.data import read_experiment
 from sklearn_hd._scoring import scored_simulation
 from sklearn_hd._tables import to_float
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.signals.late_signals import turned
 from sklearn_hd.model_selection import fit_percent
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (
@@ -397,7 +398,9 @@ def _loads(estimator, X, y, display):
     """Periodic outputs of a model of samples without inputs, on the rows of X."""
     of_samples, (step, handed) = step_of_samples(estimator, display), last_model_step(estimator, X)
     experiment = read_experiment(step.transform(handed), y)
-    coefficients = of_samples.loads_.to_numpy()
+    delays, coefficients = of_samples.model_.delays, of_samples.loads_.to_numpy()
+    if delays is not None:  # measured later than the machine has them
+        coefficients = turned(coefficients, experiment.basis.omega * delays.outputs)
     return experiment.sampling.back(
         [evaluate_harmonics(coefficients, psi) for psi in experiment.phases]
     )
