@@ -88,6 +88,14 @@ def test_a_periodic_machine_is_exact_with_a_delay_given_and_one_found(reading):
     np.testing.assert_array_equal(again.predict(u), steps.predict(u))
 
 
+def test_predictions_and_their_gain_find_a_delay_within_its_deviation():
+    u, y, dt = mathieu_record()
+    noise = 0.02 * y.std().to_numpy() * np.random.default_rng(3).standard_normal(y.shape)
+    known = {"input_delay": "auto", "output_delay": {"y_dot": 4.6 * dt}}
+    match = mathieu_steps("period", "prediction_error", **known).fit(u, y + noise)["match"]
+    assert abs(match.delays_["u"] / dt - 2.3) < 3.0 * match.delay_std_["u"] / dt < 0.05
+
+
 def test_a_structure_tells_the_delays_of_both():
     u, y, dt = mathieu_record()
     steps = mathieu_steps("period", "output_error", SPEED, input_delay="auto", output_delay="auto")
@@ -131,6 +139,13 @@ def test_files_have_the_delays_and_so_has_the_start_of_a_record():
     later, known = u.iloc[60:], y.iloc[60:]
     x0 = model.initial_state(later, known)  # which stands for inputs that are not known, too
     np.testing.assert_allclose(model.predict(later, x0=x0).iloc[12:], known.iloc[12:], atol=1e-7)
+
+
+def test_noise_of_inputs_is_refused_beside_parts_of_samples():
+    u, y, dt = mathieu_record()
+    steps = mathieu_steps("period", "output_error", input_delay=2.3 * dt)
+    with pytest.raises(ValueError, match="give delays of whole samples"):
+        steps.set_params(match__input_noise=0.01).fit(u, y)
 
 
 def test_chunks_are_refused_with_the_way_out():

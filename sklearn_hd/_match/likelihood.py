@@ -52,6 +52,12 @@ def match_likelihood(match, structure, experiment, settings):
         )
     periodic, delays = match.periodic, match.model.delays
     data = RecordData.of(experiment, periodic is not None, match.sampled)
+    if data.cells is not None and settings.input_noise is not None:
+        raise ValueError(
+            "input_noise is allowed for with inputs that switch at samples, and delays that are "
+            "'auto' or no whole samples have them switch between; give delays of whole samples, "
+            "or leave input_noise=None"
+        )
     wanted = HarmonicStructure() if structure is None else structure
     bounds, given = None, match.structure
     if periodic is None:

@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._checks import check_choice, check_count, check_numbers, check_positive
 from sklearn_hd._excitation import TOO_LARGE
 from sklearn_hd._guards import one_blas_thread, within_range
-from sklearn_hd._match.likelihood import RecordData, with_loads
+from sklearn_hd._match.record_data import RecordData, with_loads
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
 from sklearn_hd.algorithms.likelihood.input_design import (
@@ -392,7 +392,7 @@ class _Plant:
             frame = model[:-1].transform(X)
         experiment = matcher._experiment(frame)
         some = [np.zeros((len(u), len(self.output_names))) for u in experiment.inputs]
-        experiment = replace(experiment, outputs=some)
+        experiment = replace(experiment, outputs=some, delays=None)  # inputs as they arrive
         loaded = matcher.match_.sampled if self.n_loads >= 0 else None
         data = RecordData.of(experiment, True, loaded)
         segments = [(u, None, where) for u, _, where in data.segments]
