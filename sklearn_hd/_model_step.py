@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
@@ -23,7 +23,6 @@ from sklearn_hd._exported import Exported
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
-from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
     as_frame,
     check_features,
@@ -31,7 +30,7 @@ from sklearn_hd._records.data import (
     read_experiment,
     read_signals,
 )
-from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
+from sklearn_hd._records.delays import leads, with_delayed_inputs
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._records.states import initial_states, states_by_record
 from sklearn_hd._residuals import ResidualTests
@@ -51,46 +50,6 @@ from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 WARMUP_SHARE = 0.25
-
-
-def upstream(step, X, y):
-    """What a reducing or matching step reads: the experiment, and the model it starts from.
-
-    The model rides on X, or is that of ``step.estimator``, a clone of which is
-    fitted here (``step.estimator_``).
-    """
-    check_outputs_given(y)
-    step._check_warmup()
-    if step.estimator is None:
-        frame = as_frame(X)
-        if frame.model is None:
-            raise ValueError(
-                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor "
-                f"in a Pipeline (with no step between them that makes a frame anew), or give it "
-                f"one: {type(step).__name__}(estimator=...)"
-            )
-        return _at_machine(frame, y), frame.model
-    if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
-        isinstance(step.estimator, type)
-    ):
-        raise ValueError(
-            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
-            f"SpuriousModeReducer, or a Pipeline that ends in one"
-        )
-    step.estimator_ = clone(step.estimator).fit(X, y)
-    frame = step._upstream_frame(X)
-    if frame.model is None:
-        raise ValueError(
-            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
-            f"SpuriousModeReducer, or a Pipeline that ends in one"
-        )
-    return _at_machine(frame, y), frame.model
-
-
-def _at_machine(frame, y):
-    """The record of a fit in the machine's own time, without the delays of the model."""
-    experiment, delays = read_for_fit(frame, y), frame.model.delays
-    return experiment if delays is None else in_machine_time(experiment, delays)
 
 
 def _has_gain(step):

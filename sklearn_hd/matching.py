@@ -19,11 +19,12 @@ from sklearn_hd._match.match import PeriodicSimulator
 from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._match.samples import match_samples
-from sklearn_hd._model_step import ModelStep, upstream
+from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import doubtful, warn_unconfirmed
 from sklearn_hd._records.delays import in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
+from sklearn_hd._upstream import upstream
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
@@ -365,8 +366,7 @@ class StructuredMatcher(ModelStep):
         return None if self.match_.sampled is None else self.match_.sampled.split
 
     def _samples_late(self, experiment):
-        found = super()._samples_late(experiment)
-        return found if self._split is None else self._split[1]
+        return super()._samples_late(experiment) if self._split is None else self._split[1]
 
     def _compared(self, experiment):
         if self._split is None:

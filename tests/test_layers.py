@@ -25,7 +25,7 @@ LAYERS = [
         "_scoring",
     },
     {"_opinion"},
-    {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
+    {"_model_step", "_simulators", "_upstream", "_identify", "_reduce", "_match"},
     {"frequency", "harmonics", "subspace", "reduction", "matching"},
     {"datasets", "design", "model_selection", "plotting"},
     {"__init__"},
