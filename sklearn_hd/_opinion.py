@@ -7,6 +7,7 @@ a model's exponents and these are apart, or these do not tell, neither is sure.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import longest_span
@@ -131,10 +132,18 @@ def of_multipliers(multipliers, deviations, experiment, way, own):
 
 
 def of_halves(exponents, halves, omega):
-    """The opinion of both halves of a record: for each exponent their mean, and half their gap."""
-    own = [Opinion(half, np.zeros(len(half)), omega, "").about(exponents)[0] for half in halves]
+    """The opinion of both halves of a record, as many exponents each: their mean.
+
+    Known as well as the halves stay near to the whole.
+    """
+    own = []
+    for half in halves:
+        shifted = half + 1j * omega * np.round((exponents[:, None] - half).imag / omega)
+        rows, columns = linear_sum_assignment(np.abs(exponents[:, None] - shifted))
+        own.append(shifted[rows, columns])
+    spread = np.sqrt(np.mean(np.abs(np.array(own) - exponents) ** 2, axis=0))
     way = "the two halves of the record have"
-    return Opinion(np.mean(own, axis=0), 0.5 * np.abs(own[1] - own[0]), omega, way, True)
+    return Opinion(np.mean(own, axis=0), spread, omega, way, True)
 
 
 def doubtful(exponents, opinion):
