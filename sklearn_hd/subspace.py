@@ -104,6 +104,11 @@ class MOESPRegressor(ModelStep):
         last stay in its memory, and as much of the data, by which it knows them again. Reading
         its files can run code: give folders alone that nobody else writes. Not for
         ``reading="sample"``.
+    half_life : float or None, default=None
+        With ``partial_fit`` alone: the age at which a row weighs half as much as the newest one, so
+        that the model follows a machine that changes. It is in periods behind a
+        :class:`HarmonicAnalyzer`, in seconds (samples, where these are counted) on plain data.
+        Rows count, gaps between them do not. None forgets nothing.
 
     Attributes
     ----------
@@ -125,7 +130,10 @@ class MOESPRegressor(ModelStep):
     eigenvalues_ : complex ndarray, shape (order,)
         Of A; the Floquet multipliers, over one turn, where A varies with the azimuth.
     x0_ : ndarray, shape (n_segments, order)
-        Initial state of each segment of the data fitted.
+        Initial state of each segment of the data fitted; NaN where a half-life has forgotten it.
+    n_effective_rows_ : float
+        After ``partial_fit``: rows read so far. With a half-life (Σw)² / Σw² of their weights w: as
+        many rows alike tell as much.
     feedthrough_ : bool
         Whether D is free.
     feedthrough_reason_ : str
@@ -205,6 +213,7 @@ class MOESPRegressor(ModelStep):
         scale=True,
         warmup=None,
         memory=None,
+        half_life=None,
     ):
         self.order = order
         self.block_rows = block_rows
@@ -215,6 +224,7 @@ class MOESPRegressor(ModelStep):
         self.scale = scale
         self.warmup = warmup
         self.memory = memory
+        self.half_life = half_life
 
     @one_blas_thread
     @within_range
@@ -238,7 +248,13 @@ class MOESPRegressor(ModelStep):
         check_outputs_given(y)
         X = without_inputs(y) if X is None else X
         settings = self._settings()
-        self.__dict__.pop("_stream", None)  # chunks of a partial_fit before
+        if settings.half_life not in (None, np.inf):
+            raise ValueError(
+                f"half_life={settings.half_life} is that of partial_fit, and fit reads all rows "
+                f"alike; call partial_fit, or leave half_life=None"
+            )
+        for chunks in ("_stream", "n_effective_rows_"):  # of a partial_fit before
+            self.__dict__.pop(chunks, None)
         if is_partitioned(X) or is_partitioned(y):
             data = Partitions(X, y, lambda basis: most_block_rows(basis, settings))
             found, (X, y) = identify(data, settings), data.head
@@ -262,6 +278,11 @@ class MOESPRegressor(ModelStep):
 
         Where a mode outlasts some thousand rows, and a record is longer, B and D come from the
         triangular factor alone, and are less certain than those of ``fit``.
+
+        With a ``half_life`` h, what is a periods (or seconds) old has the weight 2^(−a/h), and the
+        model is that of ``fit`` by weighted least squares, whatever the chunks. It follows a
+        machine that changes about h / ln 2 later: the mean age of what it remembers.
+        The trim that the analyzer has learned is not forgotten.
 
         Parameters
         ----------
@@ -287,7 +308,8 @@ class MOESPRegressor(ModelStep):
         Warns
         -----
         ExcitationWarning
-            If an input, or all outputs, have not moved so far: there is no model yet.
+            If an input, or all outputs, have not moved so far: there is no model yet. With a
+            half-life, also if an input has rested for ten of them: the model stays as it is.
         IdentifiabilityWarning
             If all chunks so far have no model of this order. They are kept, this one too, and so
             is the model before.
@@ -295,6 +317,7 @@ class MOESPRegressor(ModelStep):
         References
         ----------
         Verhaegen (1994), Automatica 30(1), 61-74 (B and D from the factor).
+        Kish (1965), Survey Sampling, section 11.7 (the effective number of rows).
 
         Examples
         --------
@@ -308,6 +331,17 @@ class MOESPRegressor(ModelStep):
         ...     model = model.partial_fit(u[rows], y[rows])
         >>> round(float(model.eigenvalues_[0].real), 6)
         0.8
+
+        The pole moves from 0.8 to 0.6. With a half-life of 40 samples, 300 later it is known:
+
+        >>> for k in range(299):
+        ...     y[k + 1] = 0.6 * y[k] + u[k]
+        >>> forgetful = MOESPRegressor(order=1, block_rows=5, half_life=40.0)
+        >>> for start, pole in ((300, "0.8"), (0, "0.6")):
+        ...     rows = np.arange(start, start + 300)
+        ...     forgetful = forgetful.partial_fit(u[rows], y[rows])
+        >>> print(f"{forgetful.eigenvalues_[0].real:.2f}, {forgetful.n_effective_rows_:.0f} rows")
+        0.60, 115 rows
         """
         check_outputs_given(y)
         X = without_inputs(y) if X is None else X
@@ -315,9 +349,10 @@ class MOESPRegressor(ModelStep):
         experiment = read_chunk(X, y, stream)
         check_features(self, X, reset=stream is None)
         stream = with_chunk(stream, experiment, X, settings)
-        found = model_so_far(stream, settings)
+        found, n_effective_rows = model_so_far(stream, settings)
         if found is not None:
             self._store(found, experiment.basis, X, y)
+            self.n_effective_rows_ = n_effective_rows
         self._stream = stream
         return self
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd._checks import check_choice, check_count, check_flag
+from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
@@ -41,6 +41,9 @@ def checked(settings):
     check_choice("weighting", settings.weighting, WEIGHTINGS)
     if settings.block_rows is not None:
         check_count("block_rows", settings.block_rows, 2, "None chooses them")
+    if settings.half_life is not None and settings.half_life != np.inf:
+        hint = "partial_fit then forgets; None or infinity forgets nothing"
+        check_positive("half_life", settings.half_life, "periods, or seconds", hint)
     free = settings.feedthrough
     if not (isinstance(free, bool | np.bool_) or (isinstance(free, str) and free == "auto")):
         raise ValueError(f"feedthrough must be True, False or 'auto', got {free!r}")

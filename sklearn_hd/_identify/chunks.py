@@ -3,6 +3,8 @@
 Rows are read as a fit would read them all at once: plain rows as they are; through a sliding
 window those at ψ = 0 mod hop, once their windows, hops and whole periods are complete. The raw
 rows that this takes are carried over to the next chunk; the rest are statistics that merge.
+With a half-life the rows are weighted by their age
+(:mod:`~sklearn_hd.algorithms.subspace.forgetting`).
 """
 
 from dataclasses import dataclass, replace
@@ -19,17 +21,19 @@ from sklearn_hd._identify.modulation import (
     n_modulating_harmonics,
     steps_at_one_phase,
 )
-from sklearn_hd._identify.statistics import Channels, Statistics, ends_of
+from sklearn_hd._identify.statistics import REMEMBERING, Channels, Statistics, ends_of
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._tables import STEP_TOLERANCE, resolution
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.subspace.forgetting import Forgetting
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["Stream", "model_so_far", "read_chunk", "with_chunk"]
 
 MOST_BYTES = 2**33  # of one matrix of the sums
+MOST_REST = 10.0  # half-lives, after which motion weighs 2⁻¹⁰: deviations have grown 32 times
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,12 @@ class Stream:
         Times of the first and the last row.
     changes : ndarray, shape (samples_per_period, n_drive), or None
         Largest changes of the drive, by phase.
+    forgetting : Forgetting
+        Of the rows read.
+    n_read : int
+        Rows read.
+    moved : ndarray, shape (m,)
+        Rows read when each input last moved.
     """
 
     block_rows: int
@@ -95,11 +105,14 @@ class Stream:
     statistics: Statistics | None = None
     record: OpenRecord | None = None
     changes: np.ndarray | float = 0.0
+    forgetting: Forgetting = REMEMBERING
+    n_read: int = 0
+    moved: np.ndarray | float = 0.0
 
     # ---- chunks ------------------------------------------------------------------------------
 
     @classmethod
-    def begin(cls, experiment, block_rows, origin=None):
+    def begin(cls, experiment, block_rows, forgetting, origin=None):
         """A stream of no rows, of data such as those of an experiment."""
         basis, n_drive = experiment.basis, len(experiment.drive_names)
         channels = Channels(n_drive, len(experiment.output_names))
@@ -116,6 +129,7 @@ class Stream:
             channels,
             origin,
             float(experiment.sampling.clock[0]),
+            forgetting=forgetting,
         )
 
     def with_chunk(self, experiment):
@@ -222,8 +236,17 @@ class Stream:
 
     def _with_rows(self, rows, joined):
         """The stream with more rows of its open record."""
-        if self.basis.harmonic:
-            return self._with_complete_rows(rows, joined)
+        u = np.vstack([self.record.inputs[-1:], rows[1]])
+        add = self._with_complete_rows if self.basis.harmonic else self._with_plain_rows
+        stream = add(rows, joined)
+        changes = np.diff(u, axis=0)[::-1] != 0.0
+        if not len(changes):
+            return stream
+        ago = np.argmax(changes, axis=0) / self.basis.hop
+        moved = np.where(np.any(changes, axis=0), stream.n_read - ago, self.moved)
+        return replace(stream, moved=moved)
+
+    def _with_plain_rows(self, rows, joined):
         time, inputs, outputs = rows
         last = {"time": time[-1:], "inputs": inputs[-1:], "outputs": outputs[-1:]}
         rows = np.hstack([inputs, outputs])
@@ -233,11 +256,12 @@ class Stream:
     def _with_read(self, rows, ends, measured, joined):
         """The stream with rows read added to its statistics."""
         size = np.max(np.abs(measured), axis=0, initial=0.0)
-        of = self.channels, 2 * self.block_rows, [rows], [ends], size, len(measured)
+        weighted, shift = self.forgetting.weighted(rows, self.n_read)
+        of = self.channels, 2 * self.block_rows, [weighted], [ends], size, len(measured)
         more = Statistics.of(*of)
         if self.statistics is not None:
-            more = self.statistics.merge(more, joined)
-        return replace(self, statistics=more)
+            more = self.statistics.faded(shift).merge(more, joined)
+        return replace(self, statistics=more, n_read=self.n_read + len(rows))
 
     # ---- through a sliding window ------------------------------------------------------------
 
@@ -294,7 +318,7 @@ class Stream:
             nothing = ends_of(np.zeros((0, self.channels.n_drive + len(self.output_names))))
             stream = self._with_read(rows, nothing, self.record.outputs[:0], joined=True)
             if not steps_at_one_phase(self.changes):
-                lengths = stream.statistics.lengths
+                lengths = self.forgetting.effective_lengths(stream.statistics.lengths)
                 highest = n_modulating_harmonics(basis, lengths, self.channels.n_drive)
         facts = stream.statistics.facts(
             basis,
@@ -302,7 +326,14 @@ class Stream:
             self.sample_time,
             f"rows from t = {at(self.first)} to {at(self.last)}",
         )
-        return stream.statistics.data(facts, highest)
+        facts = facts.without(self._forgotten())
+        return stream.statistics.data(facts, highest, self.forgetting)
+
+    def _forgotten(self):
+        """Inputs that have rested for so long that their effect is forgotten."""
+        rest = self.n_read - self.moved > MOST_REST * self.forgetting.half_life
+        rest = np.broadcast_to(rest, len(self.input_names))
+        return {name for name, forgotten in zip(self.input_names, rest, strict=True) if forgotten}
 
 
 def _first_date(data):
@@ -322,8 +353,16 @@ def with_chunk(stream, experiment, X, settings):
     """
     asked = most_block_rows(experiment.basis, settings)
     check_rank_bound(settings.order, asked, len(experiment.basis.output_labels))
+    sample_time = (experiment.base if stream is None else stream).sample_time
+    forgetting = Forgetting(_half_life_in_rows(experiment.basis, sample_time, settings))
     if stream is None:
-        stream = Stream.begin(experiment, asked, _first_date(X))
+        _check_half_life(experiment, settings, forgetting)
+        stream = Stream.begin(experiment, asked, forgetting, _first_date(X))
+    elif forgetting != stream.forgetting:
+        raise ValueError(
+            f"half_life={settings.half_life} is other than that of the chunks before, whose rows "
+            f"are weighted already; begin anew with a clone of the estimator"
+        )
     elif asked > stream.block_rows:
         raise ValueError(
             f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
@@ -333,15 +372,51 @@ def with_chunk(stream, experiment, X, settings):
 
 
 def model_so_far(stream, settings):
-    """The fit of all chunks so far; None, which is said, where they do not suffice."""
+    """The fit of all chunks so far, and what rows they are worth.
+
+    None for the fit, which is said, where they do not suffice.
+    """
     data = stream.data()
     if not _suffices(data, settings):
-        return None
+        return None, data.n_effective_rows
     try:
-        return identify(data, settings)
+        return identify(data, settings), data.n_effective_rows
     except ValueError as error:  # which rows to come may mend
         warn(f"no model of the {data.facts.span()}: {error}", IdentifiabilityWarning)
-        return None
+        return None, data.n_effective_rows
+
+
+def _half_life_in_rows(basis, sample_time, settings):
+    """The half-life given, in periods or, of plain data, in seconds; in rows read."""
+    if settings.half_life is None:
+        return np.inf
+    rows_per_unit = basis.rows_per_period if basis.harmonic else 1.0 / sample_time
+    return float(settings.half_life) * rows_per_unit
+
+
+def _check_half_life(experiment, settings, forgetting):
+    """Raise ValueError if rows are forgotten before there are enough for any model."""
+    if forgetting.half_life == np.inf:
+        return
+    basis, most = experiment.basis, forgetting.most_rows
+    p = len(experiment.drive_names) + len(basis.output_labels)
+    i = _block_rows(basis, settings, [round(most)], p)
+    need = i * p + 1 + 2 * i
+    if most < need:
+        unit = "periods" if basis.harmonic else "seconds"
+        raise ValueError(
+            f"half_life={settings.half_life} {unit} remembers {most:.3g} rows at a time, too few "
+            f"for block_rows={i} with {p} signals, which ask for {need}; use "
+            f"half_life={1.01 * need / most * settings.half_life:.3g} or more, or fewer block rows"
+        )
+
+
+def _block_rows(basis, settings, lengths, n_channels):
+    """Block rows given, or as many as rows allow by default."""
+    i = asked_block_rows(basis, settings)
+    if settings.block_rows is None:
+        i = fewer_block_rows(i, basis.window_rows + 2, lengths, n_channels)
+    return i
 
 
 def _suffices(data, settings):
@@ -355,9 +430,7 @@ def _suffices(data, settings):
             ExcitationWarning,
         )
         return False
-    i = asked_block_rows(facts.basis, settings)
-    if settings.block_rows is None:
-        i = fewer_block_rows(i, facts.basis.window_rows + 2, data.lengths, n_channels)
+    i = _block_rows(facts.basis, settings, data.lengths, n_channels)
     order = 1 if settings.order == "auto" else int(settings.order)
     enough = n_hankel_columns(data.lengths, i) >= i * n_channels + order
     return enough and order <= (i - 1) * data.n_outputs

@@ -41,6 +41,7 @@ class Settings:
     stable: bool = False
     scale: bool = True
     memory: object = None
+    half_life: float | None = None
 
     @property
     def direct(self):

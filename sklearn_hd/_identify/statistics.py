@@ -26,7 +26,12 @@ from sklearn_hd._guards import extremes, square_sums
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._tables import why_short
 from sklearn_hd.algorithms.signals.lifting import InputDirections
-from sklearn_hd.algorithms.subspace.hankel import factor_of_products
+from sklearn_hd.algorithms.subspace.forgetting import Forgetting
+from sklearn_hd.algorithms.subspace.hankel import (
+    block_order,
+    factor_of_products,
+    n_hankel_columns,
+)
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.algorithms.subspace.sums import (
     Sums,
@@ -37,8 +42,9 @@ from sklearn_hd.algorithms.subspace.sums import (
     row_sums,
 )
 
-__all__ = ["Channels", "Facts", "Records", "Statistics", "Summed", "ends_of"]
+__all__ = ["REMEMBERING", "Channels", "Facts", "Records", "Statistics", "Summed", "ends_of"]
 
+REMEMBERING = Forgetting()
 FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 
 
@@ -109,6 +115,13 @@ class Facts:
             why_short(experiment.base),
             _together(experiment),
         )
+
+    def without(self, names):
+        """The same, some measured inputs counted as at rest."""
+        if not names:
+            return self
+        moving = self.moving & [name not in names for name in self.basis.drive_signals]
+        return replace(self, moving=moving, still=_still(self.basis.drive_signals, moving))
 
     @property
     def drive_names(self):
@@ -348,6 +361,13 @@ class Statistics:
             self.n_samples + later.n_samples,
         )
 
+    def faded(self, shift):
+        """The same of rows divided by 2 to the power of ``shift``, before others are merged."""
+        if shift == 0:
+            return self
+        closed = None if self.closed is None else self.closed.faded(shift)
+        return replace(self, open=tuple(each.faded(shift) for each in self.open), closed=closed)
+
     def total(self):
         """Sums over all segments, as if the last were over."""
         first, *last = (each.closed() for each in self.open)
@@ -383,9 +403,9 @@ class Statistics:
             *_output_motion(ends[:, :, m:], self.size),
         )
 
-    def data(self, facts, highest):
+    def data(self, facts, highest, forgetting=REMEMBERING):
         """Data of a fit, the drive times harmonics up to some projected."""
-        return Summed(self.total(), self.channels, facts, highest)
+        return Summed(self.total(), self.channels, facts, highest, forgetting)
 
 
 def _total(sums):
@@ -404,20 +424,32 @@ class Summed(_Data):
     facts : Facts
     highest : int
         Harmonics that what moves of the drive is projected with.
+    forgetting : Forgetting
+        How the rows are weighted.
+
+    Attributes
+    ----------
+    lengths : list of int
+        Rows of each segment; of weighted ones, as many as they are worth.
+    n_effective_rows : float
     """
 
-    def __init__(self, sums, channels, facts, highest):
+    def __init__(self, sums, channels, facts, highest, forgetting=REMEMBERING):
         self.sums, self.facts, self.raw = sums, facts, highest == 0
+        self.forgetting, self.n_rows = forgetting, [ends.n_rows for ends in sums.ends]
         wide = channels.waves(highest, facts.moving)
         self.place = np.searchsorted(wide, channels.waves(0, facts.moving))
         self.products = sums.products.channels(np.concatenate([wide, channels.outputs]))
-        self.lengths = [ends.n_rows for ends in sums.ends]
+        self.lengths = forgetting.effective_lengths(self.n_rows)
+        self.n_effective_rows = float(forgetting.n_effective(self.n_rows))
+        self.newest = forgetting.newest(sum(self.n_rows))
         self.n_inputs, self.n_outputs = len(wide), channels.n_outputs
         self.most_block_rows = len(self.products.lags) // 2
 
     def root_mean_squares(self):
         """Of each channel projected, inputs first; one where it is zero."""
-        return self.products.root_mean_squares()
+        mean = sum(self.n_rows) / np.sum(self.forgetting.weights(self.n_rows))
+        return self.products.root_mean_squares() * np.sqrt(mean) / self.newest
 
     def drive_sizes(self):
         """Root mean square of each of the drive; one where it does not move."""
@@ -426,8 +458,19 @@ class Summed(_Data):
         return sizes
 
     def factor(self, block_rows, scale):
-        """R factor of the block Hankel matrices, as ``hankel_factor`` gives."""
-        return factor_of_products(self.products.fewer(2 * block_rows), self.n_inputs, scale)
+        """R factor of the block Hankel matrices, as ``hankel_factor`` gives.
+
+        Its columns are weighted, and it is as large as that of so many alike as they are worth.
+        """
+        n_lags, growth = 2 * block_rows, self.forgetting.growth
+        R = factor_of_products(self.products.fewer(n_lags), self.n_inputs, scale)
+        if growth == 1.0:
+            return R
+        order = block_order(n_lags, self.n_inputs + self.n_outputs, self.n_inputs)
+        lag = order // (self.n_inputs + self.n_outputs)
+        weight = np.sum(self.forgetting.weights(self.n_rows, n_lags - 1))
+        worth = np.sqrt(n_hankel_columns(self.lengths, block_rows) / weight) / self.newest
+        return R * (worth / growth**lag)
 
     def input_matrices(self, A, C, feedthrough, scales):
         """B, D and the initial states, over all rows of all segments where A forgets.
@@ -435,22 +478,28 @@ class Summed(_Data):
         Where it does not, over all rows of segments that are at hand as a whole, or else from
         the triangular factor (Verhaegen, 1994) and each segment's first rows.
         """
-        which = np.flatnonzero(self.facts.moving)
+        which, growth = np.flatnonzero(self.facts.moving), self.forgetting.growth
         sums, own = self.sums.of_inputs(which), (scales[0][which], scales[1])
-        found = input_matrices_of_sums(A, C, sums, feedthrough, own)
+        found = input_matrices_of_sums(growth * A, C, sums, feedthrough, own)
         if found is None:
-            found = input_matrices_of_heads(A, C, sums.ends, feedthrough, own)
+            found = input_matrices_of_heads(growth * A, C, sums.ends, feedthrough, own)
         if found is None:
             i, size = self.most_block_rows, self.root_mean_squares()
             size[self.place], size[self.n_inputs :] = own
             R = self.factor(i, size)
             B, D = input_matrices_of_factor(A, C, R, i, self.n_inputs, feedthrough)
-            B, D = B[:, self.place], D[:, self.place]
-            found = B, D, initial_states_of_heads(A, B, C, D, sums.ends, own)
+            B, D = growth * B[:, self.place], D[:, self.place]
+            found = B, D, initial_states_of_heads(growth * A, B, C, D, sums.ends, own)
         B, D = np.zeros((len(A), len(scales[0]))), np.zeros((len(C), len(scales[0])))
         B[:, which], D[:, which], x0 = found
-        return B, D, x0
+        return B / growth, D, self._in_time(x0)
 
     def initial_states(self, A, B, C, D, K, covariance, scales):
         """Those that leave the least innovations."""
-        return initial_states_of_heads(A, B, C, D, self.sums.ends, scales, (K, covariance))
+        growth = self.forgetting.growth
+        model, noise = (growth * A, growth * B, C, D), (growth * K, covariance)
+        return self._in_time(initial_states_of_heads(*model, self.sums.ends, scales, noise))
+
+    def _in_time(self, x0):
+        """Initial states of segments as they were, of those of weighted rows."""
+        return x0 / self.forgetting.first(self.n_rows)[:, None]

@@ -1,5 +1,6 @@
-"""From the model to the controller: periodic regulators and Kalman filters."""
+"""From the model to the next record and the controller: inputs, regulators and Kalman filters."""
 
+from sklearn_hd.design._input import InputDesign, design_input
 from sklearn_hd.design._matrix import PeriodicMatrix
 from sklearn_hd.design._observer import (
     Observer,
@@ -10,11 +11,13 @@ from sklearn_hd.design._observer import (
 from sklearn_hd.design._regulator import PeriodicRegulator, periodic_lqr
 
 __all__ = [
+    "InputDesign",
     "Observer",
     "OutputFeedback",
     "PeriodicEstimator",
     "PeriodicMatrix",
     "PeriodicRegulator",
+    "design_input",
     "periodic_kalman",
     "periodic_lqr",
 ]

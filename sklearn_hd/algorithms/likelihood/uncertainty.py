@@ -98,14 +98,20 @@ def fisher_information(
     0.05
     """
     form, theta = Form(structure, omega, n_phases, observe), np.asarray(theta, dtype=float)
-    sigma = np.asarray(sigma, dtype=float)
-    problem = likelihood_problem(form, segments, free_initial_state)
     starts = np.zeros((len(segments), structure.n_states)) if x0 is None else np.asarray(x0, float)
+    return information_of(form, theta, segments, sigma, free_initial_state, starts)
+
+
+def information_of(form, theta, segments, sigma, free_initial_state=True, x0=None):
+    """The same of a form, at any clock."""
+    problem = likelihood_problem(form, segments, free_initial_state)
+    starts = np.zeros((len(segments), form.n_states)) if x0 is None else x0
     point = Point(theta, starts, None, 0.0, 0.0)
-    system = problem.linearise(point, np.diag(sigma**2))
+    system = problem.linearise(point, np.diag(np.asarray(sigma, dtype=float) ** 2))
     covariance, unknown = system.covariance()
     J = system.R[:, :-1]
-    names = tuple(name for name, bad in zip(structure.parameter_names, unknown, strict=True) if bad)
+    names = form.structure.parameter_names
+    names = tuple(name for name, bad in zip(names, unknown, strict=True) if bad)
     return FisherInformation(J.T @ J, covariance, names)
 
 

@@ -27,7 +27,7 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.linalg.triangular import all_above, safe_cholesky, triangle
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 
-__all__ = ["factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
+__all__ = ["block_order", "factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
 
 FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
@@ -70,7 +70,7 @@ def hankel_factor(inputs, outputs, block_rows, scale=None, products=None):
         return factor_of_products(products(records, n_lags, exact=True), n_inputs, scale)
     R = _orthogonal_factor(records, block_rows)
     if scale is not None:
-        R /= np.tile(scale, n_lags)[_block_order(n_lags, len(scale), n_inputs)]
+        R /= np.tile(scale, n_lags)[block_order(n_lags, len(scale), n_inputs)]
     return R
 
 
@@ -92,7 +92,7 @@ def factor_of_products(products, n_inputs, scale=None):
         None where plain sums have lost what R should say; exact ones never have.
     """
     n_lags = len(products.lags)
-    order = _block_order(n_lags, len(products.exponents), n_inputs)
+    order = block_order(n_lags, len(products.exponents), n_inputs)
     G = products.gram(order)
     R = safe_cholesky(G.high, overwrite=not products.exact)
     if R is None and products.exact:
@@ -127,7 +127,7 @@ def n_excited(R, block_rows, n_inputs):
 
 
 @functools.lru_cache(maxsize=8)
-def _block_order(n_lags, n_channels, n_inputs):
+def block_order(n_lags, n_channels, n_inputs):
     """Where the rows U_f, U_p, Y_p, Y_f stand among rows ordered by time."""
     rows = np.arange(n_lags * n_channels).reshape(n_lags, n_channels)
     past, future = np.split(rows, 2)

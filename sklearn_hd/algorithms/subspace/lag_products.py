@@ -111,6 +111,16 @@ class LagProducts:
     def _lags_in(self, exponents):
         return _times_powers(self.lags, self.exponents - exponents)
 
+    def faded(self, shift):
+        """The same of rows divided by 2 to the power of ``shift``."""
+        return replace(
+            self,
+            head=np.ldexp(self.head, -shift),
+            tail=np.ldexp(self.tail, -shift),
+            exponents=self.exponents - shift,
+            short=tuple(np.ldexp(z, -shift) for z in self.short),
+        )
+
     def n_columns(self, n_block_rows):
         """Number of Hankel columns that 2i block rows leave."""
         short = sum(max(0, len(z) - n_block_rows + 1) for z in self.short)
@@ -300,6 +310,11 @@ class Stretch:
     last: np.ndarray
     exponents: np.ndarray
     n_rows: int
+
+    def faded(self, shift):
+        """The same of rows divided by 2 to the power of ``shift``."""
+        first, last = (np.ldexp(rows, -shift) for rows in (self.first, self.last))
+        return replace(self, first=first, last=last, exponents=self.exponents - shift)
 
     def join(self, later):
         """This stretch and the rows right after it, as one."""

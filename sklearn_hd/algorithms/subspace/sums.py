@@ -72,6 +72,10 @@ class RecordEnds:
     tail: np.ndarray
     n_rows: int
 
+    def faded(self, shift):
+        """The same of rows divided by 2 to the power of ``shift``."""
+        return replace(self, head=np.ldexp(self.head, -shift), tail=np.ldexp(self.tail, -shift))
+
 
 @dataclass(frozen=True)
 class Sums:
@@ -105,6 +109,11 @@ class Sums:
         signals = np.concatenate([which, np.arange(n_inputs, n_signals)])
         ends = (replace(e, head=e.head[:, signals], tail=e.tail[:, which]) for e in self.ends)
         return replace(self, lags=self.lags[:, which][:, :, signals], ends=tuple(ends))
+
+    def faded(self, shift):
+        """The same of rows divided by 2 to the power of ``shift``, which a later row outweighs."""
+        ends = tuple(record.faded(shift) for record in self.ends)
+        return _faded(self, shift, ends)
 
     def __add__(self, other):
         return Sums(
@@ -150,9 +159,20 @@ class RowSums:
             ends,
         )
 
+    def faded(self, shift):
+        """The same of rows divided by 2 to the power of ``shift``."""
+        return _faded(self, shift, self.ends.faded(shift))
+
     def closed(self):
         """The whole record as a summand."""
         return Sums(self.products.closed(), self.lags, self.squares, (self.ends,))
+
+
+def _faded(sums, shift, ends):
+    """Sums, of one record or several, of rows divided by 2 to the power of ``shift``."""
+    lags, squares = (np.ldexp(each, -2 * shift) for each in (sums.lags, sums.squares))
+    products = sums.products.faded(shift)
+    return replace(sums, products=products, lags=lags, squares=squares, ends=ends)
 
 
 def row_sums(rows, n_lags, inputs, outputs):

@@ -58,7 +58,7 @@ def test_plain_products_of_the_hard_case_are_refused(hard):
     products = lag_products([(u, y)], 2 * BLOCK_ROWS, exact=False)
     assert factor_of_products(products, 3) is None
     G = products.gram().high
-    order = hankel._block_order(2 * BLOCK_ROWS, 6, 3)
+    order = hankel.block_order(2 * BLOCK_ROWS, 6, 3)
     G = (np.triu(G) + np.triu(G, 1).T)[np.ix_(order, order)]
     size = np.sqrt(np.diagonal(G))
     shifted = G / size / size[:, None] + 1e-14 * np.eye(len(G))
