@@ -157,7 +157,23 @@ def doubtful(exponents, opinion):
     if not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
+        vague |= _too_many(exponents, apart, opinion)
     return vague & _lasting(exponents, opinion.omega)
+
+
+def _too_many(exponents, apart, opinion):
+    """Which exponents are more than the opinion has, those nearest to it counted first.
+
+    Copies of one family, a multiple of jω apart, count once.
+    """
+    rates, counted, beyond = _rates(exponents, opinion.omega), [], np.zeros(len(exponents), bool)
+    for i in np.argsort(apart):
+        gap = exponents[counted] - exponents[i]
+        gap = gap - 1j * opinion.omega * np.round(gap.imag / opinion.omega)
+        if np.all(np.abs(gap) > DOUBT * rates[i]):
+            beyond[i] = len(counted) >= len(opinion.exponents)
+            counted += [] if beyond[i] else [i]
+    return beyond
 
 
 def warn_unconfirmed(exponents, opinion):
