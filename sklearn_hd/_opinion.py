@@ -146,18 +146,20 @@ def of_halves(exponents, halves, omega):
     return Opinion(np.mean(own, axis=0), spread, omega, way, True)
 
 
-def doubtful(exponents, opinion):
+def doubtful(exponents, opinion, counted=False):
     """Which exponents an opinion does not confirm.
 
     Its own have to be known. It contradicts others where it is apart by more than it may err; what
-    it does not know itself is held against modes that outlast the record alone.
+    it does not know itself is held against modes that outlast the record alone, and, ``counted``,
+    against those that are more than it has.
     """
     _, apart, spread = opinion.about(exponents)
     vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
     if not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
-        vague |= _too_many(exponents, apart, opinion)
+        if counted:
+            vague |= _too_many(exponents, apart, opinion)
     return vague & _lasting(exponents, opinion.omega)
 
 
@@ -176,7 +178,7 @@ def _too_many(exponents, apart, opinion):
     return beyond
 
 
-def warn_unconfirmed(exponents, opinion):
+def warn_unconfirmed(exponents, opinion, counted=False):
     """Warn of exponents that the second opinion does not confirm.
 
     Parameters
@@ -184,12 +186,14 @@ def warn_unconfirmed(exponents, opinion):
     exponents : complex ndarray, shape (n,)
         Of the model, 1/s.
     opinion : Opinion or None
+    counted : bool
+        Whether more modes than it has are in doubt: of a model that has copies of noise.
     """
     if opinion is None or searching():
         return
     exponents = np.asarray(exponents, complex)
     nearest, apart, spread = opinion.about(exponents)
-    doubt = doubtful(exponents, opinion)
+    doubt = doubtful(exponents, opinion, counted)
     if doubt.any():
         k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
         error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]

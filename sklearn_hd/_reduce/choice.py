@@ -308,7 +308,7 @@ def confirmed(verdicts, reasons, exponents, opinion, replaced=False):
 
     Where the model is not made of the modes themselves, such modes are not in it.
     """
-    doubt = doubtful(exponents, opinion)
+    doubt = doubtful(exponents, opinion, counted=True)
     sure = exponents[~doubt & np.isin(verdicts, "genuine")]
     nearest, _, _ = opinion.about(exponents)
     sums = (sure[:, None] + sure).ravel()

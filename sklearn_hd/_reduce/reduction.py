@@ -150,7 +150,7 @@ def _chosen(model, experiment, modes, method, n_states):
     model = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough)
     if model.opinion is not None:
         judged, reasons = confirmed(judged, reasons, modes.exponents, model.opinion, behind)
-        warn_unconfirmed(model.exponents(), model.opinion)
+        warn_unconfirmed(model.exponents(), model.opinion, counted=True)
     table = modes.exponents, modes.families, judged, reasons
     if model.opinion is not None and behind:
         table = with_those_behind(table, model, model.opinion)
