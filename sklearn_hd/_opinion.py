@@ -7,6 +7,7 @@ a model's exponents and these are apart, or these do not tell, neither is sure.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import longest_span
@@ -131,27 +132,53 @@ def of_multipliers(multipliers, deviations, experiment, way, own):
 
 
 def of_halves(exponents, halves, omega):
-    """The opinion of both halves of a record: for each exponent their mean, and half their gap."""
-    own = [Opinion(half, np.zeros(len(half)), omega, "").about(exponents)[0] for half in halves]
+    """The opinion of both halves of a record, as many exponents each: their mean.
+
+    Known as well as the halves stay near to the whole.
+    """
+    own = []
+    for half in halves:
+        shifted = half + 1j * omega * np.round((exponents[:, None] - half).imag / omega)
+        rows, columns = linear_sum_assignment(np.abs(exponents[:, None] - shifted))
+        own.append(shifted[rows, columns])
+    spread = np.sqrt(np.mean(np.abs(np.array(own) - exponents) ** 2, axis=0))
     way = "the two halves of the record have"
-    return Opinion(np.mean(own, axis=0), 0.5 * np.abs(own[1] - own[0]), omega, way, True)
+    return Opinion(np.mean(own, axis=0), spread, omega, way, True)
 
 
-def doubtful(exponents, opinion):
+def doubtful(exponents, opinion, counted=False):
     """Which exponents an opinion does not confirm.
 
     Its own have to be known. It contradicts others where it is apart by more than it may err; what
-    it does not know itself is held against modes that outlast the record alone.
+    it does not know itself is held against modes that outlast the record alone, and, ``counted``,
+    against those that are more than it has.
     """
     _, apart, spread = opinion.about(exponents)
     vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
     if not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
+        if counted:
+            vague |= _too_many(exponents, apart, opinion)
     return vague & _lasting(exponents, opinion.omega)
 
 
-def warn_unconfirmed(exponents, opinion):
+def _too_many(exponents, apart, opinion):
+    """Which exponents are more than the opinion has, those nearest to it counted first.
+
+    Copies of one family, a multiple of jω apart, count once.
+    """
+    rates, counted, beyond = _rates(exponents, opinion.omega), [], np.zeros(len(exponents), bool)
+    for i in np.argsort(apart):
+        gap = exponents[counted] - exponents[i]
+        gap = gap - 1j * opinion.omega * np.round(gap.imag / opinion.omega)
+        if np.all(np.abs(gap) > DOUBT * rates[i]):
+            beyond[i] = len(counted) >= len(opinion.exponents)
+            counted += [] if beyond[i] else [i]
+    return beyond
+
+
+def warn_unconfirmed(exponents, opinion, counted=False):
     """Warn of exponents that the second opinion does not confirm.
 
     Parameters
@@ -159,12 +186,14 @@ def warn_unconfirmed(exponents, opinion):
     exponents : complex ndarray, shape (n,)
         Of the model, 1/s.
     opinion : Opinion or None
+    counted : bool
+        Whether more modes than it has are in doubt: of a model that has copies of noise.
     """
     if opinion is None or searching():
         return
     exponents = np.asarray(exponents, complex)
     nearest, apart, spread = opinion.about(exponents)
-    doubt = doubtful(exponents, opinion)
+    doubt = doubtful(exponents, opinion, counted)
     if doubt.any():
         k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
         error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]

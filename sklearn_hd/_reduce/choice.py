@@ -35,6 +35,7 @@ __all__ = [
     "mode_table",
     "verdicts",
     "warn_of_doubt",
+    "with_those_behind",
     "without_trifles",
 ]
 
@@ -307,7 +308,7 @@ def confirmed(verdicts, reasons, exponents, opinion, replaced=False):
 
     Where the model is not made of the modes themselves, such modes are not in it.
     """
-    doubt = doubtful(exponents, opinion)
+    doubt = doubtful(exponents, opinion, counted=True)
     sure = exponents[~doubt & np.isin(verdicts, "genuine")]
     nearest, _, _ = opinion.about(exponents)
     sums = (sure[:, None] + sure).ravel()
@@ -319,6 +320,28 @@ def confirmed(verdicts, reasons, exponents, opinion, replaced=False):
         kept = "not in the model" if replaced else "kept, but in doubt"
         reasons[i] = f"{'sum of two others' if sums[i] <= DOUBT else kept}: {beside}"
     return verdicts, reasons
+
+
+def with_those_behind(table, model, opinion):
+    """A table of modes, and what a model has that is made of none of them: its free decays' modes.
+
+    Parameters
+    ----------
+    table : (exponents, families, verdicts, reasons)
+    model : LTIModel
+    opinion : Opinion
+    """
+    exponents, families, verdicts, reasons = table
+    shown = opinion.of_identified(exponents[np.isin(verdicts, "genuine")])
+    known = opinion.of_identified(model.exponents()).about(opinion.exponents)[1] <= DOUBT
+    more = opinion.exponents[known & ~(shown.about(opinion.exponents)[1] <= DOUBT)]
+    new = np.max(families, initial=-1) + 1 + np.arange(len(more))
+    return (
+        np.append(exponents, more),
+        np.append(families, new),
+        [*verdicts, *["genuine"] * len(more)],
+        [*reasons, *["of the free decays: the model is made of it"] * len(more)],
+    )
 
 
 def mode_table(exponents, families, verdicts, reasons):

@@ -23,6 +23,7 @@ from sklearn_hd._reduce.choice import (
     identified_modes,
     verdicts,
     warn_of_doubt,
+    with_those_behind,
 )
 from sklearn_hd._reduce.refinement import harmonic_form, refined_modes
 from sklearn_hd._warn import warn
@@ -149,8 +150,11 @@ def _chosen(model, experiment, modes, method, n_states):
     model = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough)
     if model.opinion is not None:
         judged, reasons = confirmed(judged, reasons, modes.exponents, model.opinion, behind)
-        warn_unconfirmed(model.exponents(), model.opinion)
-    return Reduction(model, (modes.exponents, modes.families, judged, reasons), r2, choice.left_out)
+        warn_unconfirmed(model.exponents(), model.opinion, counted=True)
+    table = modes.exponents, modes.families, judged, reasons
+    if model.opinion is not None and behind:
+        table = with_those_behind(table, model, model.opinion)
+    return Reduction(model, table, r2, choice.left_out)
 
 
 def _modal_pair(model, z, kept):

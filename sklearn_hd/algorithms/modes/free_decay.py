@@ -8,7 +8,7 @@ trim is off by. The period reading needs it where a whole record is not that of 
 system, and every reading of inputs that rest as a second opinion.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -173,19 +173,20 @@ def free_decay(decays, order=None, compare=True):
         return free_decay(decays, told, compare)
     if n == most < MOST_STATES and order is None and not noise:
         return None  # there may be more
-    multipliers, deviations = multiplier_deviations(Phi, ones, decays)
+    found = FreeDecay(Phi, states, *multiplier_deviations(Phi, ones, decays))
+    found = _without_products(found)
     later = [y[1:] for y in decays if len(y) > 2]
     smaller = free_decay(later, n, False) if compare and later else None
-    if smaller is not None:
-        own, other = (
-            np.log(np.where(z == 0.0, TINY, z)) for z in (multipliers, smaller.multipliers)
-        )
-        apart = own[:, None] - other
-        apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
-        allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
-        moved = np.min(np.maximum(apart - allowed, 0.0), axis=1)
-        deviations = np.hypot(deviations, moved)
-    return _without_products(FreeDecay(Phi, states, multipliers, deviations))
+    if smaller is None:
+        return found
+    own, other = (
+        np.log(np.where(z == 0.0, TINY, z)) for z in (found.multipliers, smaller.multipliers)
+    )
+    apart = own[:, None] - other
+    apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
+    allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
+    moved = np.min(np.maximum(apart - allowed, 0.0), axis=1)
+    return replace(found, deviations=np.hypot(found.deviations, moved))
 
 
 def _without_products(found):
