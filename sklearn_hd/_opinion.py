@@ -22,6 +22,7 @@ __all__ = [
     "Opinion",
     "decays_at_rest",
     "doubtful",
+    "more_doubtful",
     "of_free_decays",
     "of_halves",
     "of_multipliers",
@@ -161,6 +162,12 @@ def doubtful(exponents, opinion, counted=False):
         if counted:
             vague |= _too_many(exponents, apart, opinion)
     return vague & _lasting(exponents, opinion.omega)
+
+
+def more_doubtful(exponents, *opinions):
+    """Of several opinions that which doubts most of some exponents, the first of equals."""
+    held = [opinion for opinion in opinions if opinion is not None]
+    return max(held, key=lambda opinion: np.sum(doubtful(exponents, opinion)), default=None)
 
 
 def _too_many(exponents, apart, opinion):

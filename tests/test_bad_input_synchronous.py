@@ -125,12 +125,14 @@ def test_fixed_entries_that_outgrow_the_record(oscillation):
         synchronous(2.0, structure).fit(*oscillation)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the periodic orbit is unstable")  # by noise, or not
 def test_outputs_of_noise_for_the_most_part():
     with pytest.warns(IdentifiabilityWarning, match=r"explains only \d+% of the record's variance"):
         synchronous(2.0, order=2).fit(*record(mathieu(), noise=2.0))
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_harmonics_of_F_too_few_for_the_system(oscillation):
     """A constant F for a Mathieu oscillator is said to explain little, or refused."""
     pipe = synchronous(2.0, HarmonicStructure(F=0))

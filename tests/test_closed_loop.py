@@ -36,6 +36,7 @@ def growing(exponents):
     return above[np.argmax(above.real)]
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_only_the_predictor_sees_that_the_moth_is_unstable(gusty):
     frame = HarmonicAnalyzer(
         gusty.omega, reading="period", trim_span=gusty.trim_span

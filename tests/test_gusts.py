@@ -161,6 +161,7 @@ def test_loads_are_fitted_beside_the_rest():
     np.testing.assert_allclose(rest[:, 1], 0.0, atol=0.3)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.parametrize("structure", [MATHIEU, pytest.param(None, marks=pytest.mark.slow)])
 def test_a_turn_need_not_hold_whole_samples(structure):
     X, y = gusty(1, samples=16.25, load=1.0)
@@ -181,6 +182,7 @@ def test_deviations_without_gusts_are_those_of_simulations():
 LAG = MatrixStructure([["0", "1"], ["-k", "-c"]], [["0"], ["b"]], np.eye(2))
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.parametrize("reading", ["sample", "sliding", "plain"])
 def test_a_matrix_structure_is_refined_too(reading):
     """y″ = −2 y − 0.3 y′ + u, with nothing that turns."""
@@ -350,6 +352,7 @@ def test_gusts_name_prediction_error(reading, recorded):
         pipeline(reading, criterion="output_error").fit(*recorded)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_short_records_are_told(recorded):
     with pytest.warns(IdentifiabilityWarning, match=r"lasts \d+ time constants"):
         pipeline().fit(*gusty(0, periods=40))

@@ -206,6 +206,7 @@ def noisy_blade(seed, noise, n_periods=400, samples=16):
     return blade, u, y + noise * y.std().to_numpy() * rng.standard_normal(y.shape)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")  # MOESP's start
 @pytest.mark.parametrize(("seed", "noise"), [(0, 0.02), (0, 0.05), (2, 0.05)])
 @pytest.mark.filterwarnings("ignore:the outputs repeat themselves")
@@ -230,6 +231,7 @@ def blade_of_one_state():
     return u, y
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the periodic orbit is unstable")  # by noise, or not
 def test_measured_states_where_the_periods_show_too_few():
     u, y = blade_of_one_state()
@@ -242,6 +244,7 @@ def test_measured_states_where_the_periods_show_too_few():
     assert synchronous(1.0, order=2).fit(u, y).score(u, y) > 0.997
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_states_asked_for_are_kept():
     u, y = blade_of_one_state()
     one = HarmonicStructure(states=["beta"])

@@ -345,6 +345,7 @@ def test_a_matrix_structure_goes_through_the_closed_form():
 # ---- noise ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 @pytest.mark.parametrize("system", [mathieu(), deflection_only(), coupled()])
 def test_the_order_under_noise(system, noise):

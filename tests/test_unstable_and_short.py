@@ -181,6 +181,7 @@ def matched(data, **kwargs):
     return pipe.fit(data.inputs, data.outputs)
 
 
+@pytest.mark.filterwarnings("ignore:.*in a rest that is no noise")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
 def test_an_order_too_high_for_the_free_decays_is_in_doubt(noisy):
     """The third mode is noise's: the match keeps the multipliers identified, and does not grow."""

@@ -300,6 +300,7 @@ def test_three_azimuths_do_not_make_a_series_of_blade_matrices():
 # ---- the turbine identified ----------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_modes_of_the_turbine_come_back_from_a_noisy_record():
     """The 5 MW turbine's periodic model (OpenFAST), 300 turns, one percent of noise, read turn
     by turn: within what 20 other records (docs/world.md) had at worst, or half as much again."""

@@ -21,12 +21,13 @@ from sklearn_hd._fit_checks import (
     warn_of_offset,
 )
 from sklearn_hd._frame import Lifted
+from sklearn_hd._guards import searching
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._opinion import (
     decays_at_rest,
-    doubtful,
+    more_doubtful,
     of_free_decays,
     of_multipliers,
     warn_unconfirmed,
@@ -119,22 +120,20 @@ def identify(data, settings, experiment):
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
     opinion = of_free_decays(still, experiment, at_rest)
-    if not (settings.predictor or at_rest):
-        opinion = _more_doubtful(opinion, fit.model, experiment, data)
     warn_of_growth(fit.model, experiment)
-    warn_unconfirmed(fit.model.exponents(), opinion)
+    if settings.predictor or at_rest:
+        warn_unconfirmed(fit.model.exponents(), opinion)
+    elif not searching():
+        own = _of_its_likelihood(fit.model, experiment, data)
+        warn_unconfirmed(fit.model.exponents(), more_doubtful(fit.model.exponents(), opinion, own))
     model = _lifted(fit.model, data, experiment, known, forced)
     return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion), forced=forced)
 
 
-def _more_doubtful(opinion, model, experiment, data):
-    """The opinion of free decays, unless that of the whole record's own likelihood doubts more."""
-    multipliers, deviations = multiplier_deviations(
-        model.A, data.excitation, _raw_periods(experiment)
-    )
-    own = of_multipliers(multipliers, deviations, experiment, "its own likelihood has", True)
-    doubts = [0 if o is None else doubtful(model.exponents(), o).sum() for o in (opinion, own)]
-    return own if opinion is None or doubts[1] > doubts[0] else opinion
+def _of_its_likelihood(model, experiment, data):
+    """What the whole record tells of the model's own multipliers."""
+    found = multiplier_deviations(model.A, data.excitation, _raw_periods(experiment))
+    return of_multipliers(*found, experiment, "its own likelihood has", True)
 
 
 def _lifted(model, data, experiment, known, forced):
