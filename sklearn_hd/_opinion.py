@@ -133,10 +133,8 @@ def of_multipliers(multipliers, deviations, experiment, way, own):
 
 
 def of_halves(exponents, halves, omega):
-    """The opinion of both halves of a record, as many exponents each: their mean.
-
-    Known as well as the halves stay near to the whole.
-    """
+    """The opinion of both halves of a record: the whole's exponents, known as well as the halves
+    have one near to each."""
     own = []
     for half in halves:
         shifted = half + 1j * omega * np.round((exponents[:, None] - half).imag / omega)
@@ -144,7 +142,7 @@ def of_halves(exponents, halves, omega):
         own.append(shifted[rows, columns])
     spread = np.sqrt(np.mean(np.abs(np.array(own) - exponents) ** 2, axis=0))
     way = "the two halves of the record have"
-    return Opinion(np.mean(own, axis=0), spread, omega, way, True)
+    return Opinion(exponents, spread, omega, way, True)
 
 
 def doubtful(exponents, opinion, counted=False):

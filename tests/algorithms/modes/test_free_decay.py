@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from sklearn_hd.algorithms.modes.free_decay import free_decay, periods_at_rest
+from sklearn_hd.algorithms.modes.free_decay import free_decay, periods_at_rest, smooth_parts
 
 PHASES = 16
 
@@ -130,3 +130,54 @@ def test_decays_too_short_to_count_tell_nothing():
     assert (
         free_decay(decays_of([0.9, 0.5, 0.3 + 0.3j, 0.3 - 0.3j], n_periods=9, noise=1e-3)) is None
     )
+
+
+# ---- without the columns that hold noise alone -------------------------------------------------
+
+
+def smooth_decay(noise, seed=0, n_phases=32):
+    """Two outputs of two modes whose shapes are slow within the period, (periods, phases, 2)."""
+    rng, psi = np.random.default_rng(seed), 2 * np.pi * np.arange(n_phases) / n_phases
+    shapes = np.stack([[np.cos(psi), 2 + np.sin(psi)], [1 + np.sin(2 * psi), np.cos(psi)]])
+    y = np.einsum("km,mlp->kpl", np.array([0.8, 0.15]) ** np.arange(30)[:, None], shapes)
+    return y + noise * rng.standard_normal(y.shape)
+
+
+def test_smooth_parts_of_exact_decays_are_all_of_them():
+    y = smooth_decay(0.0)
+    (parts,) = smooth_parts([y])
+    np.testing.assert_allclose(parts @ parts.T, y.reshape(30, -1) @ y.reshape(30, -1).T, atol=1e-9)
+
+
+def test_smooth_parts_keep_the_motion_and_few_columns():
+    """An orthonormal part of each period: exact decays lose what is below the noise, no more."""
+    y, noise = smooth_decay(0.0), 0.02
+    (parts,) = smooth_parts([y + smooth_decay(noise) - y])
+    assert parts.shape[1] < 32
+    lost = np.sum(y**2) - np.sum(parts**2) + parts.size * noise**2
+    assert abs(lost) < 0.01 * np.sum(y**2)
+    assert smooth_parts([]) == []
+
+
+def test_smooth_parts_tell_modes_that_all_samples_do_not():
+    """The second mode is there for two periods: 10 seeds, noise of a third of its size."""
+    found = {"all": 0, "smooth": 0}
+    for seed in range(10):
+        y = smooth_decay(0.3, seed)
+        found["all"] += len(free_decay([y.reshape(30, -1)]).multipliers) == 2
+        found["smooth"] += len(free_decay(smooth_parts([y])).multipliers) == 2
+    assert found["smooth"] >= 9 > found["all"]
+
+
+def test_one_mode_for_two_says_that_it_moves():
+    """Where noise hides the second, the first is off; without the first period it is elsewhere."""
+    off, wide = [], []
+    for seed in range(20):
+        y = smooth_decay(1.0, seed)
+        found = free_decay([y.reshape(30, -1)])
+        if len(found.multipliers) == 1:
+            off.append(np.abs(np.log(found.multipliers[0].real / 0.8)))
+            wide.append(found.deviations[0])
+    off, wide = np.array(off), np.array(wide)
+    assert len(off) > 8
+    assert np.mean(off <= 4 * wide) > 0.9
