@@ -1,0 +1,100 @@
+"""Second opinions: what confirms exponents, and what leaves them in doubt."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd._opinion import Opinion, doubtful, more_doubtful, of_halves
+from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.systems import LTPSystem
+
+PAIR = np.array([-0.2 + 0.4j, -0.2 - 0.4j])
+
+
+def opinion(exponents, deviation, own=False):
+    exponents = np.asarray(exponents, complex)
+    return Opinion(exponents, np.full(len(exponents), deviation), 1.0, "they have", own, 500.0)
+
+
+def test_shifts_by_the_turn_are_the_same_exponent():
+    assert not doubtful(PAIR + 3j, opinion(PAIR, 1e-3)).any()
+
+
+@pytest.mark.parametrize(
+    ("deviation", "own", "doubted"),
+    [(1e-3, False, False), (1e-3, True, False), (0.05, True, True), (0.05, False, False)],
+)
+def test_own_exponents_have_to_be_known(deviation, own, doubted):
+    """A vague opinion of another way contradicts nothing; one of its own says that it is vague."""
+    assert doubtful(PAIR, opinion(PAIR, deviation, own)).all() == doubted
+
+
+def test_another_way_contradicts_beyond_its_errors():
+    assert doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 1e-3)).all()
+    assert not doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 0.03)).any()
+
+
+def test_modes_that_are_more_than_another_way_has_are_counted():
+    several = np.array(
+        [-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j]
+    )  # the last is the first's copy
+    vague = opinion([-0.21], 0.1)
+    assert not doubtful(several, vague).any()
+    assert doubtful(several, vague, counted=True).tolist() == [False, True, True, False]
+
+
+def test_what_a_turn_forgets_is_not_judged():
+    assert not doubtful(np.array([-3.0]), opinion([-9.0], 1e-3)).any()
+
+
+def test_the_opinion_that_doubts_more_is_taken():
+    sure, vague = opinion(PAIR, 1e-3, True), opinion(PAIR, 0.1, True)
+    assert more_doubtful(PAIR, sure, None, vague) is vague
+    assert more_doubtful(PAIR, sure, sure.of_identified(PAIR)) is sure
+    assert more_doubtful(PAIR, None) is None
+
+
+def test_halves_are_told_apart_one_exponent_each():
+    """Two exponents of the whole that one of a half explains: the other has no counterpart."""
+    whole = np.array([-0.3, -0.33])
+    halves = [np.array([-0.3, -0.9]), np.array([-0.3, -0.8])]
+    found = of_halves(whole, halves, 1.0)
+    assert doubtful(whole, found).tolist() == [False, True]
+
+
+def test_halves_that_agree_with_each_other_alone_do_not_confirm():
+    found = of_halves(PAIR, [1.2 * PAIR, 1.2 * PAIR], 1.0)
+    np.testing.assert_allclose(found.deviations, 0.2 * np.abs(PAIR))
+    assert doubtful(PAIR, found).all()
+
+
+def record(noise, n_periods=60, samples=32):
+    """One doublet of a system with a slow mode and one that a turn leaves 2 % of."""
+    F = np.zeros((3, 2, 2))
+    F[0], F[1] = [[-0.1, 0.2], [0.0, -0.6]], [[0.02, 0.1], [0.05, 0.0]]
+    system = LTPSystem(F, [[0.3], [1.0]], omega=1.0)
+    t = np.arange(n_periods * samples) * 2 * np.pi / samples
+    u = np.zeros((len(t), 1))
+    u[8 * samples : 11 * samples], u[11 * samples : 14 * samples] = 1.0, -1.0
+    y = system.simulate(u, t)
+    y = y + noise * y.std(axis=0) * np.random.default_rng(0).standard_normal(y.shape)
+    index = pd.Index(t, name="time")
+    return pd.DataFrame(u, index, ["u"]), pd.DataFrame(y, index, ["a", "b"]), system
+
+
+def test_a_model_of_the_whole_record_is_held_against_its_own_likelihood():
+    u, y, _ = record(0.3)
+    frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
+    with pytest.warns(IdentifiabilityWarning, match="in doubt: .* its own likelihood has .* ±"):
+        MOESPRegressor(2).fit(frame, y)
+
+
+def test_a_model_that_is_known_is_not_in_doubt():
+    u, y, system = record(0.001)
+    frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
+    found = MOESPRegressor(2).fit(frame, y)  # warnings are errors here
+    multipliers = np.exp(system.floquet_exponents() * 2 * np.pi)
+    np.testing.assert_allclose(
+        np.sort_complex(found.eigenvalues_), np.sort_complex(multipliers), atol=2e-3
+    )
