@@ -171,13 +171,13 @@ def more_doubtful(exponents, *opinions):
 def _too_many(exponents, apart, opinion):
     """Which exponents are more than the opinion has, those nearest to it counted first.
 
-    Copies of one family, a multiple of jω apart, count once.
+    Copies of one family, a multiple of jω apart, count once; each may be off by a doubt.
     """
     rates, counted, beyond = _rates(exponents, opinion.omega), [], np.zeros(len(exponents), bool)
     for i in np.argsort(apart):
         gap = exponents[counted] - exponents[i]
         gap = gap - 1j * opinion.omega * np.round(gap.imag / opinion.omega)
-        if np.all(np.abs(gap) > DOUBT * rates[i]):
+        if np.all(np.abs(gap) > 2.0 * DOUBT * rates[i]):
             beyond[i] = len(counted) >= len(opinion.exponents)
             counted += [] if beyond[i] else [i]
     return beyond
