@@ -100,6 +100,33 @@ def test_several_records_are_judged_together():
         assert reading(X, y) == expected
 
 
+def held(edges, levels, samples=64, noise=0.0):
+    """An input that takes these levels from these turns on."""
+    t = np.arange(60 * samples) / samples
+    u = np.append(0.0, levels)[np.searchsorted(edges, t, side="right")]
+    u = u + noise * np.random.default_rng(0).standard_normal(len(t))
+    index = pd.Index(t, name="time")
+    y = answer(u, OMEGA * t)
+    return pd.DataFrame({"u": u}, index), pd.DataFrame({"y": y}, index)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+@pytest.mark.parametrize(
+    ("edges", "expected"),
+    [
+        ([5.0, 6.37, 7.81], "period"),
+        (5.0 + np.cumsum([3, 1, 4, 1, 5, 9, 2, 6]), "period"),
+        (5.0 + np.cumsum([3.1, 1.4, 1.5, 9.2, 6.5, 3.5, 2.8, 1.9]), "sample"),
+    ],
+    ids=["a doublet", "steps at one azimuth", "steps at many azimuths"],
+)
+def test_inputs_that_move_in_many_directions_are_read_by_samples(edges, expected, noise):
+    X, y = held(
+        edges, np.resize([1.0, -1.0], len(edges)) * (np.arange(len(edges)) % 3 < 2), noise=noise
+    )
+    assert reading(X, y) == expected
+
+
 @pytest.mark.parametrize("n_turns", [0.125, 1, 5, 11])
 def test_few_turns_are_read_by_samples(n_turns):
     assert reading(*record(n_turns=n_turns)) == "sample"

@@ -6,11 +6,12 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.pipeline import Pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
 
 STEP = 0.01
 
@@ -190,3 +191,16 @@ def test_one_long_record_among_short_ones_takes_no_lags_that_they_lack():
     pipe = fitted(u, y)
     assert pipe["identify"].block_rows_ < 12
     assert pipe.score(*record(noise=0.0, seed=1000)) > 0.999
+
+
+@pytest.mark.parametrize("reading", ["sample", "period"])
+def test_a_clock_that_is_slightly_off_is_told(reading):
+    """One doublet: its waveform tells what its short motion does not."""
+    data = make_flapping_wing("nltp", amplitude=0.02)
+    analyzer = HarmonicAnalyzer(data.omega * 1.0001, reading=reading)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        make_pipeline(analyzer, MOESPRegressor()).fit(data.inputs, data.outputs)
+    told = [str(each.message) for each in said if each.category is FrequencyMismatchWarning]
+    assert len(told) == 1
+    assert "the data repeat themselves at 165.247" in told[0]

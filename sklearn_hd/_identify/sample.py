@@ -181,7 +181,7 @@ def identify(data, settings, experiment):
         data.means[0],
     )
     warn_of_little(layout, sums.n_rows, best, basis)
-    warn_of_drift(data, predictor, basis, ROWS_COMPARED)
+    warn_of_drift(data, predictor, experiment, ROWS_COMPARED)
     warn_of_growth(model, best, data)
     if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
         model = replace(model, opinion=_of_halves(model, data, layout, best, settings, basis))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._guards import searching
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE, azimuth_drift
@@ -104,8 +105,12 @@ def warn_of_little(layout, n_rows, best, basis):
         )
 
 
-def warn_of_drift(data, predictor, basis, most_rows):
-    """Of an omega that is off, so that the azimuth drifts."""
+def warn_of_drift(data, predictor, experiment, most_rows):
+    """Warn of an omega that is off, so that the azimuth drifts.
+
+    The predictor tells it from motion, the waveform of the turns in which inputs rest without.
+    """
+    basis = experiment.basis
     if basis.timing.azimuth is not None:
         return
     means = tuple(mean / scale for mean, scale in zip(data.means, data.scales, strict=True))
@@ -121,6 +126,8 @@ def warn_of_drift(data, predictor, basis, most_rows):
             f"correct omega until nothing is said, or give azimuth=",
             FrequencyMismatchWarning,
         )
+    else:
+        warn_of_mismatch(experiment)
 
 
 def warn_of_rest(segments, innovations, predictor):

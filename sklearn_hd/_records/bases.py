@@ -20,11 +20,12 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._readings import READINGS
 from sklearn_hd._tables import STANDARD_ERRORS
-from sklearn_hd.algorithms.signals.rest import inputs_rest
+from sklearn_hd.algorithms.signals.rest import inputs_rest, moved_directions
 
 __all__ = ["AUTO", "chosen_reading", "record_basis"]
 
 AUTO = "auto"
+FEW_DIRECTIONS = 4  # of one input within the turn: a doublet, its three edges anywhere
 NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
@@ -48,8 +49,9 @@ def chosen_reading(analyzer, inputs, outputs):
     psi = omega * inputs.places(omega, inputs.base.sample_time)
     known = np.isfinite(inputs.data).all(axis=1) & np.isfinite(psi)
     rows = [np.flatnonzero(known[segment]) + segment.start for segment in inputs.base.segments]
-    rest = inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
-    return "period" if rest else "sample"
+    parts = [inputs.data[k] for k in rows], [psi[k] for k in rows]
+    few = inputs_rest(*parts) and moved_directions(*parts) <= FEW_DIRECTIONS * len(inputs.names)
+    return "period" if few else "sample"
 
 
 def record_basis(analyzer, reading, inputs, output_names, timing):

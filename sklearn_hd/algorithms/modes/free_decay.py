@@ -21,6 +21,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     is_noise,
     left_by,
     multiplier_deviations,
+    outgrows_numbers,
     refine_multipliers,
 )
 from sklearn_hd.algorithms.signals.rest import rests
@@ -158,6 +159,8 @@ def free_decay(decays, order=None, compare=True):
     for n in orders:
         states = np.split(stacked @ V[:n].T, edges)
         Phi = _possible(refine_multipliers(_steps(states, ones), ones, decays))
+        if outgrows_numbers(Phi, max(len(y) for y in decays)):
+            continue  # no free decay
         left = left_by(Phi, ones, stacked)
         rss = max(float(np.sum(left**2)), EXACT**2 * float(np.sum(stacked**2)))
         bic = n_free * np.log(rss / n_free) + n * price
@@ -165,6 +168,8 @@ def free_decay(decays, order=None, compare=True):
             best = bic, n, Phi, states, left
         elif n >= best[1] + PATIENCE:
             break
+    if best is None:
+        return None
     _, n, Phi, states, left = best
     told = int(np.sum(values > WEAK * values[0]))
     sizes = n_rows - len(decays) - n, left.shape[1]
