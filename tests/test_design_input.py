@@ -208,6 +208,7 @@ def test_of_a_pipeline_the_deviations_at_hand_are_those_of_its_fit(reading):
         ({"length": 2.0}, r"length=2 s leaves no period for inputs after quiet_periods=4"),
         ({"length": 0.0}, "length must be a positive number"),
         ({"energy": 0.0}, "energy must be a positive number"),
+        ({"energy": 1e-9}, r"excite nothing above the noise: they hold 1e-09 s.* known to ± "),
         ({"kind": "chirp"}, "kind='chirp'|kind must be"),
         ({"noise_std": None}, "an LTPSystem tells no noise; give noise_std"),
         ({"noise_std": {"y": 1.0}}, "noise_std={'y': 1.0} must name each of"),

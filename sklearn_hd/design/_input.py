@@ -233,12 +233,22 @@ def design_input(
         raise ValueError(plant.why_unknown(fine, u))
     used = np.sum((u / amplitude) ** 2) * plant.period / plant.n_phases
     at_hand = None if X is None else plant.at_hand(model, X)
-    return InputDesign(
-        *plant.flown(u),
-        *plant.compared(fine, coarse, u, at_hand),
-        float(used),
-        n_evaluations,
-    )
+    told, lacking = plant.compared(fine, coarse, u, at_hand)
+    _check_told(told, float(used))
+    return InputDesign(*plant.flown(u), told, lacking, float(used), n_evaluations)
+
+
+def _check_told(told, used):
+    """Raise ValueError if no exponent would be known to better than its own size."""
+    spread = np.hypot(told["std_real"], told["std_imag"]).to_numpy()
+    size = np.abs(told["exponent"].to_numpy())
+    if np.all(spread > size):
+        k = int(np.argmin(spread))
+        raise ValueError(
+            f"the best inputs found excite nothing above the noise: they hold {used:.3g} s of "
+            f"energy at their amplitude, and leave the exponent {told['exponent'].iloc[k]:.4g} 1/s "
+            f"known to ± {spread[k]:.2g} 1/s; raise energy, amplitude or length, or lower the noise"
+        )
 
 
 # ---- what is to be identified ------------------------------------------------------------------
