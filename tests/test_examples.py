@@ -141,11 +141,13 @@ def test_thumbnails_words_and_pages_that_lack_are_told(check_site, site, tmp_pat
 
 
 def test_what_a_browser_finds_is_told(check_site):
-    narrow = {"page": "a.html", "scroll": 390, "width": 390, "wide": [], "blank": []}
+    narrow = {"page": "a.html", "scroll": 390, "width": 390, "wide": [], "blank": [], "unset": []}
     wide = narrow | {"page": "b.html", "scroll": 457, "wide": ["<table>"], "blank": ["c.png"]}
+    wide |= {"unset": ["Missing close brace"]}
     report = {"pages": [narrow, wide], "hits": {"trim": 3, "MOESP": 0}}
     assert check_site.wrong_to_the_eye(report) == [
         "b.html: 457 px wide on a screen of 390 px: <table>",
         "b.html: image c.png is blank",
+        "b.html: equation not set: Missing close brace",
         "search: no hit for 'MOESP'",
     ]
