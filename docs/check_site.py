@@ -1,4 +1,4 @@
-"""Look at the built site as a reader would: links, images, equations, search, phone width.
+"""Look at the built site as a reader would: links, images, notebooks, search, phone width.
 
     python docs/check_site.py docs/_build/html
 
@@ -7,6 +7,7 @@ network is not used. The exit status is 1 if anything is wrong.
 """
 
 import argparse
+import ast
 import json
 import re
 import shutil
@@ -156,6 +157,25 @@ def missing_thumbnails(site, examples=EXAMPLES):
     return wrong
 
 
+def wrong_notebooks(site, examples=EXAMPLES):
+    """Examples whose page offers no notebook, or one with other code than the script."""
+    wrong = []
+    for example in sorted(examples.glob("plot_*.py")):
+        page = site / "auto_examples" / f"{example.stem}.html"
+        links = Page(page.read_text(encoding="utf-8")).links if page.exists() else ()
+        link = next((link for link in links if link.endswith(f"{example.stem}.ipynb")), None)
+        if not link or not (file := (page.parent / link)).exists():
+            wrong.append(f"auto_examples/{example.stem}.html: no notebook")
+            continue
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        code = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+        script = ast.parse(example.read_text(encoding="utf-8"))
+        script.body = script.body[1:]  # the docstring is the text of the first cell
+        if ast.dump(ast.parse(code)) != ast.dump(script):
+            wrong.append(f"{file.name}: other code than {example.name}")
+    return wrong
+
+
 def missing_words(site, words=WORDS):
     """Words that the search index does not know, or knows in pages that are not there."""
     file = site / "searchindex.js"
@@ -250,7 +270,8 @@ def main():
     parser.add_argument("--browser", help="Chromium; looked for on the path by default")
     arguments = parser.parse_args()
     site = arguments.site.resolve()
-    wrong = broken_links(site) + missing_thumbnails(site) + missing_words(site)
+    wrong = broken_links(site) + missing_thumbnails(site) + wrong_notebooks(site)
+    wrong += missing_words(site)
     browser = arguments.browser or next(filter(None, map(shutil.which, BROWSERS)), None)
     report = browser and seen(site, browser)
     if report:

@@ -3,8 +3,8 @@
     python docs/draw_pages.py [PAGE ...]
 
 Blocks run in order, in one namespace. The figures that a block leaves open go into the files that
-the ``{image}`` directives between it and the next block name, in order. Without a page: all that show
-what their code draws.
+the ``{image}`` directives between it and the next block name, in order. Without a page: all pages
+that show what their code draws.
 """
 
 import re
