@@ -30,6 +30,8 @@ extensions = [
 ]
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
+autodoc_member_order = "groupwise"
+toc_object_entries_show_parents = "hide"
 templates_path = ["_templates"]
 exclude_patterns = ["_build"]
 MATHJAX = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax"

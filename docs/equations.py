@@ -25,6 +25,7 @@ SIGNS = {sign: sign for sign in "+-=/()[]|,.;:<>!"} | {
 }  # fmt: skip
 FUNCTIONS = {"cos", "sin", "tanh", "log", "det", "min", "max", "arg", "sup"}
 OPERATORS = {"tr", "std", "mean", "SE"}
+WIDTH = 75  # signs of plain text that take as much room as the text of a page
 SHORT_WORDS = {"of", "in", "so", "or", "to", "is"}
 TOKEN = re.compile(
     r"(?P<gap>\s{2,})|(?P<space>\s)|(?P<note>``[^`]+``|\"[^\"]+\"|\(Eqs?\. [^)]*\))"
@@ -43,14 +44,20 @@ def latex(lines):
     """LaTeX of an equation of one line or several, or None."""
     text = [unicodedata.normalize("NFD", line) for line in lines]
     margin = min(len(line) - len(line.lstrip()) for line in text)
+    rows = []
     try:
-        rows = [
-            r"\quad " * (len(line) - len(line.lstrip()) > margin) + translated(line.strip())
-            for line in text
-        ]
+        for line in text:
+            indent = r"\quad " * (len(line) - len(line.lstrip()) > margin)
+            rows += [indent + translated(part) for part in shortened(line.strip())]
     except Unknown:
         return None
     return rows[0] if len(rows) == 1 else " \\\\\n".join(f"& {row}" for row in rows)
+
+
+def shortened(line):
+    """The equations of a line that is too long for a page, else the line as it is."""
+    long = len(re.sub(r"\s{2,}", "  ", line)) > WIDTH
+    return re.split(r"\s{2,}(?![\s(=])", line) if long else [line]
 
 
 def translated(text):

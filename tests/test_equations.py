@@ -54,6 +54,12 @@ def test_lines_stand_one_below_the_other(latex):
     assert packed(latex(["    a", "      = b,"])) == packed(r"& a \\ & \quad = b,")
 
 
+def test_a_long_line_is_broken_between_its_equations(latex):
+    long = "x = " + 12 * "a + b + " + "c"
+    assert latex([f"{long},   y = x   (Eq. 6)"]).count("\\\\") == 1
+    assert "\\\\" not in latex([long])
+
+
 @pytest.mark.parametrize("plain", ["f(x, **kwargs)", "2 * x", "a ≠ b", "é", "√2", "√(a", "a ∈ ℝ"])
 def test_what_the_rule_does_not_know_stays_as_it_is_written(latex, plain):
     assert latex([plain]) is None
