@@ -46,7 +46,8 @@ html_theme_options = {
     "navbar_persistent": ["search-button"],  # the field would take a line of its own
 }
 ALONE = ("get_started", "choosing", "faq", "coming_from_*", "theory", "bibliography", "glossary")
-html_sidebars = {page: [] for page in (*ALONE, "cheat_sheet")}  # no section around them
+ALONE += ("cheat_sheet", "developing", "changelog")
+html_sidebars = {page: [] for page in ALONE}  # no section around them
 bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 
 BACKREFERENCES = "gallery_backreferences"
