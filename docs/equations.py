@@ -57,7 +57,7 @@ def latex(lines):
 def shortened(line):
     """The equations of a line that is too long for a page, else the line as it is."""
     long = len(re.sub(r"\s{2,}", "  ", line)) > WIDTH
-    return re.split(r"\s{2,}(?![\s(=])", line) if long else [line]
+    return re.split(r"(?<=,)\s{2,}(?![\s=])|\s{2,}(?=\((?!Eq))", line) if long else [line]
 
 
 def translated(text):
@@ -109,7 +109,7 @@ def piece(kind, value, first, beside_a_word):
         case "space":
             return r"\ " if beside_a_word else ""
         case "note":
-            font = "texttt" if value.startswith("``") else "text"
+            font = "text" if value.startswith("(") else "texttt"
             return rf"\{font}{{{value.strip('`')}}}".replace("_", r"\_")
         case "matrix":
             rows = [translated(row).replace(",", " &") for row in value[2:-2].split("], [")]
