@@ -1,4 +1,4 @@
-"""Look at the built site as a reader would: links, images, search, thumbnails, phone width.
+"""Look at the built site as a reader would: links, images, notebooks, search, phone width.
 
     python docs/check_site.py docs/_build/html
 
@@ -7,6 +7,7 @@ network is not used. The exit status is 1 if anything is wrong.
 """
 
 import argparse
+import ast
 import json
 import re
 import shutil
@@ -61,14 +62,23 @@ function wide(root) {  // what sticks out, but for code, tables and the like tha
     wide: found.slice(0, 3).map(node => node.outerHTML.replace(/\\s+/g, " ").slice(0, 100)),
   };
 }
+async function equations(root) {  // those that MathJax has not set, or has set as an error
+  const jax = frame.contentWindow.MathJax;
+  if (jax && jax.startup) await jax.startup.promise;
+  const unset = [...root.querySelectorAll(".math")].filter(node => !node.querySelector("svg"));
+  const wrong = [...root.querySelectorAll("[data-mjx-error]")];
+  return [...unset.map(node => node.textContent.slice(0, 60)),
+          ...wrong.map(node => node.getAttribute("data-mjx-error"))];
+}
 async function look(page) {
   await open_("/" + page);
-  const root = frame.contentDocument.documentElement, images = [...root.querySelectorAll("img")];
+  const root = frame.contentDocument.documentElement, unset = await equations(root);
+  const images = [...root.querySelectorAll("img")];
   images.forEach(image => { image.loading = "eager"; });
   await Promise.all(images.map(image => image.decode().catch(() => null)));
   const own = images.filter(image => image.src.startsWith(location.origin));
   return {
-    page, width: root.clientWidth, ...wide(root),
+    page, width: root.clientWidth, ...wide(root), unset,
     blank: own.filter(image => !image.naturalWidth).map(image => image.getAttribute("src")),
   };
 }
@@ -147,6 +157,25 @@ def missing_thumbnails(site, examples=EXAMPLES):
     return wrong
 
 
+def wrong_notebooks(site, examples=EXAMPLES):
+    """Examples whose page offers no notebook, or one with other code than the script."""
+    wrong = []
+    for example in sorted(examples.glob("plot_*.py")):
+        page = site / "auto_examples" / f"{example.stem}.html"
+        links = Page(page.read_text(encoding="utf-8")).links if page.exists() else ()
+        link = next((link for link in links if link.endswith(f"{example.stem}.ipynb")), None)
+        if not link or not (file := (page.parent / link)).exists():
+            wrong.append(f"auto_examples/{example.stem}.html: no notebook")
+            continue
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        code = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+        script = ast.parse(example.read_text(encoding="utf-8"))
+        script.body = script.body[1:]  # the docstring is the text of the first cell
+        if ast.dump(ast.parse(code)) != ast.dump(script):
+            wrong.append(f"{file.name}: other code than {example.name}")
+    return wrong
+
+
 def missing_words(site, words=WORDS):
     """Words that the search index does not know, or knows in pages that are not there."""
     file = site / "searchindex.js"
@@ -220,13 +249,14 @@ def seen(site, browser, width=PHONE, words=WORDS):
 
 
 def wrong_to_the_eye(report):
-    """Pages wider than the screen, blank images, searches without a hit."""
+    """Pages wider than the screen, blank images, equations not set, searches without a hit."""
     wrong = []
     for page in report["pages"]:
         if page["scroll"] > page["width"]:
             what = f"{page['scroll']} px wide on a screen of {page['width']} px"
             wrong.append(f"{page['page']}: {what}: {'; '.join(page['wide'])}")
         wrong += [f"{page['page']}: image {source} is blank" for source in page["blank"]]
+        wrong += [f"{page['page']}: equation not set: {which}" for which in page["unset"]]
     wrong += [f"search: no hit for {word!r}" for word, count in report["hits"].items() if not count]
     return wrong
 
@@ -240,7 +270,8 @@ def main():
     parser.add_argument("--browser", help="Chromium; looked for on the path by default")
     arguments = parser.parse_args()
     site = arguments.site.resolve()
-    wrong = broken_links(site) + missing_thumbnails(site) + missing_words(site)
+    wrong = broken_links(site) + missing_thumbnails(site) + wrong_notebooks(site)
+    wrong += missing_words(site)
     browser = arguments.browser or next(filter(None, map(shutil.which, BROWSERS)), None)
     report = browser and seen(site, browser)
     if report:
@@ -248,7 +279,7 @@ def main():
         wrong += wrong_to_the_eye(report)
     else:
         why = f"{browser} does not run" if browser else "no Chromium found"
-        print(f"skipped, as {why}: phone width, images as shown, search as typed")
+        print(f"skipped, as {why}: phone width, images and equations as shown, search as typed")
     print("\n".join(wrong) or "nothing is wrong with the site")
     return 1 if wrong else 0
 

@@ -1,14 +1,17 @@
 """Sphinx configuration: make -C docs html, or sphinx-build -W -b html docs docs/_build/html."""
 
+import sys
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib as mpl
-from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
 
 import sklearn_hd
 from sklearn_hd import exceptions
+
+sys.path.insert(0, str(Path(__file__).parent))
+from equations import latex
 
 project = "sklearn_hd"
 author = "The sklearn_hd developers"
@@ -18,21 +21,33 @@ version = release = sklearn_hd.__version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.bibtex",
 ]
 myst_enable_extensions = ["dollarmath"]
 numpydoc_show_class_members = False
+autodoc_member_order = "groupwise"
+toc_object_entries_show_parents = "hide"
+templates_path = ["_templates"]
 exclude_patterns = ["_build"]
-html_static_path = ["_static"]
-html_css_files = ["phone.css"]
+MATHJAX = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax"
+mathjax_path = "tex-svg-full.js"  # one file, no fonts: equations stand offline and from file://
+html_static_path = ["_static", str(MATHJAX / mathjax_path)]
+html_css_files = ["phone.css", "print.css"]
 html_title = "sklearn_hd"  # short: it stands beside buttons on a phone
 html_theme = "pydata_sphinx_theme"
-html_theme_options = {"navigation_with_keys": False}
-ALONE = ("get_started", "api", "choosing", "faq", "coming_from_*", "theory", "bibliography")
-html_sidebars = {page: [] for page in (*ALONE, "developing", "changelog")}  # no section around them
-html_math_renderer = "mathml"  # nothing to fetch: equations stand offline, too
+html_theme_options = {
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 8,
+    "navbar_persistent": ["search-button"],  # the field would take a line of its own
+}
+ALONE = ("get_started", "choosing", "faq", "coming_from_*", "theory", "bibliography", "glossary")
+ALONE += ("cheat_sheet", "developing", "changelog")
+html_sidebars = {page: [] for page in ALONE}  # no section around them
 bibtex_bibfiles, bibtex_reference_style = ["references.bib"], "author_year"
 
 BACKREFERENCES = "gallery_backreferences"
@@ -64,21 +79,32 @@ for category in vars(exceptions).values():  # an example that warns must say so 
         warnings.simplefilter("error", category)
 
 
-def equations_as_they_stand(app, what, name, obj, options, lines):
-    """Indented equations ahead of the first section of a docstring become literal blocks."""
-    shown, inside = [], False
+def set_equations(app, what, name, obj, options, lines):
+    """Indented equations ahead of the first section of a docstring become mathematics."""
+    shown, block, rest = [], [], []
     for k, line in enumerate(lines):
-        if set(line.strip()) == {"-"}:
-            shown += lines[k:]
+        section = bool(line) and set(line.strip()) == {"-"}
+        if line.startswith("    ") and not section:
+            block.append(line)
+            continue
+        if block:
+            found = latex(block)
+            body = [f"    {row}" for row in found.splitlines()] if found else block
+            shown += [".. math::" if found else "::", "", *body, ""]
+            block = []
+        if section:
+            rest = lines[k:]
             break
-        equation = line.startswith("    ")
-        if equation and not inside:
-            shown += ["::", ""]
-        elif inside and line and not equation:
-            inside = False
-        inside = equation or (inside and not line)
         shown.append(line)
-    lines[:] = shown
+    lines[:] = shown + rest
+
+
+def only_ours(app, what, name, obj, skip, options):
+    """Members that pandas, scikit-learn or Python define are described by them."""
+    described = getattr(obj, "fget", None) or getattr(obj, "func", None) or obj
+    described = getattr(described, "__func__", described)
+    home = getattr(described, "__module__", None) or ""
+    return skip or not home.startswith("sklearn_hd")
 
 
 def examples_that_use_it(app, what, name, obj, options, lines):
@@ -94,21 +120,9 @@ def room_for_code(app, pagename, templatename, context, doctree):
         context["theme_secondary_sidebar_items"] = []
 
 
-def inline_math(self, node):
-    """LaTeX as MathML, which browsers show by themselves."""
-    self.body.append(tex2mathml(node.astext()))
-    raise nodes.SkipNode
-
-
-def displayed_math(self, node):
-    """The same for an equation on a line of its own, which may be wider than a phone."""
-    self.body.append(f'<div class="equation">{tex2mathml(node.astext(), as_block=True)}</div>')
-    raise nodes.SkipNode
-
-
 def setup(app):
-    """Equations are kept before numpydoc rewrites the sections, examples are added after."""
-    app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))
-    app.connect("autodoc-process-docstring", equations_as_they_stand, priority=100)
+    """Equations are set before numpydoc rewrites the sections, examples are added after."""
+    app.connect("autodoc-process-docstring", set_equations, priority=100)
     app.connect("autodoc-process-docstring", examples_that_use_it, priority=900)
+    app.connect("autodoc-skip-member", only_ours)
     app.connect("html-page-context", room_for_code, priority=100)

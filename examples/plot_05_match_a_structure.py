@@ -12,6 +12,8 @@ What is knowledge of the physics worth, once a model has been identified from a 
 # of a twentieth of each output's standard deviation lies on top.
 
 # sphinx_gallery_thumbnail_number = 3
+import warnings
+
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
@@ -24,6 +26,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.plotting import BodeDisplay, ConvergenceDisplay, HarmonicsDisplay
 
 
@@ -103,17 +106,20 @@ BodeDisplay.from_estimator(
 # %%
 # Which is nearest to the truth?
 # ------------------------------
-# One record proves nothing. Error of A in percent, on five:
+# One record proves nothing. Error of A in percent, on five. Where noise leaves a mode in doubt,
+# the reducer would warn; here such a record counts like the others.
 
 exact = data.A_exact.to_numpy()
 errors = {}
-for seed in range(5):
-    record = fly(seed)
-    for name, structure in {"free": free, "physics": physics}.items():
-        for criterion in ("hinf", "output_error"):
-            A = identify(record, structure, criterion)["match"].system_.A
-            error = 100 * np.linalg.norm(A - exact) / np.linalg.norm(exact)
-            errors.setdefault((name, criterion), []).append(error)
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", IdentifiabilityWarning)
+    for seed in range(5):
+        record = fly(seed)
+        for name, structure in {"free": free, "physics": physics}.items():
+            for criterion in ("hinf", "output_error"):
+                A = identify(record, structure, criterion)["match"].system_.A
+                error = 100 * np.linalg.norm(A - exact) / np.linalg.norm(exact)
+                errors.setdefault((name, criterion), []).append(error)
 table = pd.DataFrame(errors, index=[f"record {seed}" for seed in range(5)])
 table.loc["median"] = table.median()
 table.round(2)

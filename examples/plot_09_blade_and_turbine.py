@@ -24,7 +24,7 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd.datasets import load_wind_turbine
-from sklearn_hd.exceptions import InstabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 from sklearn_hd.plotting import HarmonicsDisplay, SingularValueDisplay
 from sklearn_hd.systems import flapping_blade, multiblade_model, rotor_system
 
@@ -65,6 +65,7 @@ pipe = Pipeline(
 def exponents(pitch, flap):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InstabilityWarning)  # of the first guess, under noise
+        warnings.simplefilter("ignore", IdentifiabilityWarning)  # the intervals tell, below
         return pipe.fit(pitch, flap)["match"].eigenvalues_
 
 
@@ -141,7 +142,10 @@ pipe = Pipeline(
         ("harmonics", HarmonicAnalyzer(system.omega, output_harmonics=kept, reading="period")),
         ("identify", MOESPRegressor(order=10, block_rows=3)),
     ]
-).fit(force, motion)
+)
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", IdentifiabilityWarning)  # the truth stands beside them, below
+    pipe.fit(force, motion)
 SingularValueDisplay.from_estimator(pipe)
 
 # %%

@@ -7,6 +7,7 @@ import re
 import textwrap
 from dataclasses import is_dataclass
 from functools import cached_property
+from pathlib import Path
 
 import pytest
 from numpydoc.docscrape import get_doc_object
@@ -142,3 +143,12 @@ CONSTRUCTORS = {
 @each(name for name, constructor in CONSTRUCTORS.items() if refuses(constructor))
 def test_what_a_constructor_refuses_is_said(name):
     assert "Raises" in sections(TOP[name])
+
+
+def test_the_api_page_names_what_is_public():
+    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
+    listed = set()
+    for module, names in re.findall(r"currentmodule:: (\S+)\n\n.*?\n\n(.*?)```", page, re.DOTALL):
+        found = importlib.import_module(module)
+        listed |= {getattr(found, name) for name in names.split()}
+    assert listed == {*TOP.values(), *EXCEPTIONS.values()}

@@ -59,8 +59,13 @@ def assert_same_output(shown, stated):
 def test_page_runs_and_prints_what_it_states(page, capsys, tmp_path, monkeypatch):
     mpl.use("Agg")
     monkeypatch.chdir(tmp_path)
-    namespace, shown = run(page, capsys)
     plt.close("all")
+    namespace, shown = run(page, capsys)
+    drawn = len(plt.get_fignums())
+    plt.close("all")
+    if page.startswith("docs/guide/") or page == "docs/get_started.md":
+        pictures = re.findall(r"^```\{image\} (\S+)$", (ROOT / page).read_text(), re.MULTILINE)
+        assert drawn == len(pictures), "python docs/draw_pages.py draws what a page shows"
     for printed, stated in shown:
         if stated is not None:
             assert_same_output(printed, stated)

@@ -140,12 +140,34 @@ def test_thumbnails_words_and_pages_that_lack_are_told(check_site, site, tmp_pat
     assert check_site.missing_words(site) == ["there is no search index: searchindex.js"]
 
 
+@pytest.mark.parametrize(
+    ("cells", "told"),
+    [
+        (["x = 1\n", "x"], []),
+        (["x = 1", "x + 1"], ["plot_a.ipynb: other code than plot_a.py"]),
+        (None, ["auto_examples/plot_a.html: no notebook"]),
+    ],
+)
+def test_notebooks_hold_the_code_of_their_example(check_site, tmp_path, cells, told):
+    (tmp_path / "plot_a.py").write_text('"""Text."""\n\nx = 1\n\n# %%\n# More\n\nx\n')
+    folder = tmp_path / "auto_examples"
+    folder.mkdir()
+    (folder / "plot_a.html").write_text('<a href="../plot_a.ipynb">notebook</a>')
+    if cells is not None:
+        text = [{"cell_type": "markdown", "source": ["Text."]}]
+        code = [{"cell_type": "code", "source": [cell]} for cell in cells]
+        (tmp_path / "plot_a.ipynb").write_text(json.dumps({"cells": text + code}))
+    assert check_site.wrong_notebooks(tmp_path, tmp_path) == told
+
+
 def test_what_a_browser_finds_is_told(check_site):
-    narrow = {"page": "a.html", "scroll": 390, "width": 390, "wide": [], "blank": []}
+    narrow = {"page": "a.html", "scroll": 390, "width": 390, "wide": [], "blank": [], "unset": []}
     wide = narrow | {"page": "b.html", "scroll": 457, "wide": ["<table>"], "blank": ["c.png"]}
+    wide |= {"unset": ["Missing close brace"]}
     report = {"pages": [narrow, wide], "hits": {"trim": 3, "MOESP": 0}}
     assert check_site.wrong_to_the_eye(report) == [
         "b.html: 457 px wide on a screen of 390 px: <table>",
         "b.html: image c.png is blank",
+        "b.html: equation not set: Missing close brace",
         "search: no hit for 'MOESP'",
     ]

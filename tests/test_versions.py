@@ -58,3 +58,11 @@ def test_pages_state_the_bounds(bounds):
         "docs/get_started.md": f"Python {python} or later, with {libraries} or later",
     }.items():
         assert sentence in " ".join((ROOT / page).read_text(encoding="utf-8").split()), page
+
+
+def test_the_citation_names_this_version_and_the_paper():
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    paper = PROJECT["urls"]["Paper"].removeprefix("https://doi.org/")
+    assert f"\nversion: {PROJECT['version']}\n" in citation
+    assert f"doi: {paper}\n" in citation
+    assert f"{{{paper}}}" in (ROOT / "docs" / "references.bib").read_text(encoding="utf-8")

@@ -153,7 +153,7 @@ class HarmonicTransferFunction:
     def misfit(self, model):
         """Distance of a model from this estimate, in standard deviations.
 
-            √ mean_Ω |Ĥ_n − H_n|² / std²
+            √(mean_Ω (|Ĥ_n − H_n|² / std²))
 
         Near 1, the two agree within the noise; a model's error shows as more.
 

@@ -378,7 +378,7 @@ class LTPSystem(NamedSignals):
         The mode p(ψ) e^{λt}, p = Σ_k c_k e^{jkψ}, moves state i by the harmonics
         c_ik; the shares
 
-            (|c_ik| + |c_i,−k|) / Σ_k |c_ik|
+            (|c_ik| + |c_{i,−k}|) / Σ_k |c_ik|
 
         sum to one for each state and mode, or to zero where the mode does not move the state.
         Each Floquet exponent is represented by the
