@@ -27,9 +27,13 @@ run = lru_cache(maxsize=None)(paper.run)
 COLUMNS = [
     "data",
     "route",
+    "way",
     "subsystem",
     "amplitude",
+    "seeds",
     "e_percent",
+    "largest_e_percent",
+    "bound_percent",
     "paper_percent",
     "order_identified",
     "states_kept",
