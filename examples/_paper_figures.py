@@ -15,16 +15,16 @@ from sklearn_hd.plotting import (
 )
 
 INPUT_AT_REST = 1e-6  # percent of U*
+DPI = 150
 UNITS = {"Δw": "m/s", "Δφ̇": "rad/s", "ΔU": "% of U*"}
 COEFFICIENT_UNITS = {"U": "N m", "w": "m/s", "phi_dot": "rad/s"}
 STATE_NAMES = {"w": "(a) vertical speed w", "phi_dot": "(b) flapping speed φ̇"}
 
 
 def save(figure, folder, number, name):
-    """Write ``figure_NN_name.png`` and return its path."""
-    path = folder / f"figure_{number:02d}_{name}.png"
-    figure.savefig(path, dpi=150)
-    return path
+    """Write ``figure_NN_name.png``, and print a dot."""
+    figure.savefig(folder / f"figure_{number:02d}_{name}.png", dpi=DPI)
+    print(".", end="", flush=True)
 
 
 def blank(columns=1, size=(6.4, 4.0), **kwargs):

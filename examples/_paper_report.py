@@ -5,14 +5,21 @@ from collections import Counter
 import pandas as pd
 
 TABLE_NOTES = """\
-e is Eq. 27; noise rows are medians. Noise: white, on the outputs, 1/20 of each column's
-standard deviation over the record ("SNR 20" taken as a ratio). The paper prints neither
-sampling nor width nor amplitude of its doublet; here 64 samples a period, 10 + 10 periods,
-from period 132 (5 s) of 220, and from period 5 of 60 on the synchronous route. "pair": a
-second record begins downwards, and the odd part of both is identified. The paper's one
-figure for NLTP stands beside all of these.
+e is Eq. 27, in percent; noise rows are the rms over the seeds, beside the largest and the
+Cramér-Rao bound. Noise: white, on the outputs, 1/20 of each column's standard deviation over
+the record ("SNR 20" taken as a ratio). The paper prints neither sampling nor width nor
+amplitude of its doublet; here 64 samples a period, 10 + 10 periods, from period 132 (5 s) of
+220, and from period 5 of 60 period by period. "pair": a second record begins downwards, and
+the odd part of both is identified. The paper's one figure for NLTP stands beside all of these.
 A_exact is that of the trim which the data share (512 harmonics); the paper's is that of a
 trim of two harmonics (-54.747 where this one has {entry:.3f}).
+
+Why the ways differ on LTP and NLTP data:
+- Three modes kept. One member of each family is kept, one of the copies λ + jpω. No three
+  members are the modes of the three-state decomposition, which is an approximation itself.
+- Others residualized. The copies have a static gain, which becomes a feedthrough D. The known
+  form has D = 0. The matcher then weighs all frequencies alike, cannot meet D, and warns.
+- Free decay. It is not bound to one member of each family: it finds F(ψ) first.
 """
 ORDER_NOTES = """\
 Order by the gap: {ours} where the paper has 3, 11, 7 and 9 (lti, lti-signal, ltp, nltp).
@@ -22,12 +29,12 @@ window, which the paper does not print. The NLTP values fall steadily to the flo
 clear gap. On LTI-signal and LTP data the order found without noise is
 """
 NOISE_NOTES = """\
-"both" puts the noise on the input too, "allowed for" tells its size to the fit (total least
-squares). bound_percent is the Cramér-Rao bound on the rms of e for this record: on the route
-"paper" of the three-state model (A and B free, x0 and input known), the next column the same
-with one free entry in B; on the route "synchronous" of a periodic model with four harmonics in
-F and one in G. Those harmonics leave a bias of 0.9 % (F has kinks) beside the noise. The
-three-state model has a bias on LTP data too, and its bound is not that of other models.
+bound_percent is the Cramér-Rao bound on the rms of e for this record: on the route "paper" of
+the three-state model (A and B free, x0 and input known), the next column the same with one
+free entry in B; on the route "synchronous" of a periodic model with four harmonics in F and
+one in G. Those harmonics leave a bias of 0.9 % (F has kinks) beside the noise. The three-state
+model has a bias on LTP data too, and its bound is not that of other models. With --full, noise
+on "both" is on the input too; "allowed for" tells its size to the fit (total least squares).
 The paper's 0.0767 % (lti+noise) and 0.4514 % (ltp+noise) lie below the bounds of this record:
 its own must have held more (length, rate, or another meaning of SNR 20).
 """

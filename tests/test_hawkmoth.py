@@ -265,9 +265,9 @@ def test_hover_is_a_periodic_solution_that_stands_still(moth, trim):
     assert abs(over_ground.mean()) < 2e-3  # m/s; θ and the speeds beat together
 
 
-def test_amplitude_is_that_of_moths(trim):
-    """100° to 120° from end to end in hover (from memory of measurements)."""
-    assert 50.0 < np.degrees(trim.inputs[0]) < 60.0
+def test_amplitude_of_hover_is_that_of_the_page(trim):
+    """±54.7° about −3.6°: docs/world.md."""
+    np.testing.assert_allclose(np.degrees(trim.inputs), [54.7, -3.6], atol=0.06)
 
 
 def test_modes_are_those_of_hovering_insects(ltp):

@@ -27,9 +27,13 @@ run = lru_cache(maxsize=None)(paper.run)
 COLUMNS = [
     "data",
     "route",
+    "way",
     "subsystem",
     "amplitude",
+    "seeds",
     "e_percent",
+    "largest_e_percent",
+    "bound_percent",
     "paper_percent",
     "order_identified",
     "states_kept",
@@ -60,6 +64,10 @@ def published(route, data, doublet):
         (cases.LTP, (1, "LTP", "2 %")),
         (cases.NLTP, (1, "NLTP", "2 %")),
         (cases.NLTP_SMALL, (1, "NLTP", "0.5 %")),
+        (cases.OWN[0], (1, "LTP, three modes kept", "2 %")),
+        (cases.OWN[1], (1, "LTP, three modes, others residualized", "2 %")),
+        (cases.OWN[2], (1, "NLTP, three modes kept", "2 %")),
+        (cases.OWN[3], (1, "NLTP, three modes, others residualized", "2 %")),
         (cases.SYNC_LTP, (2, "LTP", "2 %")),
         (cases.SYNC_NLTP, (2, "NLTP", "2 %")),
         (replace(cases.SYNC_NLTP, amplitude=0.005), (2, "NLTP", "0.5 %")),
@@ -91,22 +99,51 @@ def test_rows_read_twice_as_often_change_nothing():
 
 
 @pytest.mark.parametrize(
+    ("case", "way"),
+    [
+        (cases.LTI_SIGNAL, "modes"),
+        (cases.LTP, "free decay"),
+        (cases.NLTP, "free decay"),
+        (cases.OWN[0], "three modes kept"),
+        (cases.OWN[1], "three modes, others residualized"),
+        (cases.SYNC_LTP, "period by period"),
+    ],
+    ids=lambda value: value.data if isinstance(value, cases.Case) else value,
+)
+def test_rows_say_where_their_matrix_comes_from(case, way):
+    assert run(case).way == way
+    assert paper.table_row([run(case)], seconds=0.0)["way"] == way
+
+
+@pytest.mark.parametrize("index", [0, 2], ids=["ltp", "nltp"])
+def test_the_papers_own_way_keeps_modes_that_were_identified(index):
+    own = run(cases.OWN[index]).model
+    identified = own["reduce"].modes_["eigenvalue"].to_numpy()
+    for pole in own["reduce"].system_.poles():
+        assert np.min(np.abs(identified - pole)) <= 1e-6 * abs(pole)
+
+
+def test_a_feedthrough_that_the_form_has_not_is_warned_of():
+    assert any("the feedthrough of the model" in text for text in run(cases.OWN[1]).warned)
+
+
+@pytest.mark.parametrize(
     ("case", "n_seeds", "row"),
     [
-        (cases.LTI_NOISE, 3, (1, "LTI + noise", "2 %")),
-        (cases.LTI_SIGNAL_NOISE, 3, (1, "LTI signal + analyzer + noise", "2 %")),
-        (cases.LTP_NOISE, 1, (1, "LTP + noise", "2 %")),
-        (cases.SYNC_LTP_NOISE, 3, (2, "LTP + noise, median of 20", "2 %")),
+        (cases.LTI_NOISE, 3, (1, "LTI + noise, rms", "2 %")),
+        (cases.LTI_SIGNAL_NOISE, 3, (1, "LTI signal + analyzer + noise, rms", "2 %")),
+        (cases.LTP_NOISE, 1, (1, "LTP + noise, rms", "2 %")),
+        (cases.SYNC_LTP_NOISE, 3, (2, "LTP + noise, rms of 20", "2 %")),
     ],
     ids=["lti", "lti-signal", "ltp", "synchronous ltp"],
 )
-def test_the_first_noisy_records_stay_within_twice_the_median_of_twenty(case, n_seeds, row):
-    errors = [run(case, seed).e_percent for seed in range(n_seeds)]
-    assert np.median(errors) <= 2.0 * published(*row)
+def test_the_first_noisy_records_stay_within_twice_the_rms_of_twenty(case, n_seeds, row):
+    seeds = range(paper.FIRST_SEED, paper.FIRST_SEED + n_seeds)
+    assert paper.rms([run(case, seed).e_percent for seed in seeds]) <= 2.0 * published(*row)
 
 
 def test_noise_on_the_synchronous_route_costs_little_more_than_it_must():
-    runs = [run(cases.SYNC_LTP_NOISE, seed) for seed in range(3)]
+    runs = [run(cases.SYNC_LTP_NOISE, paper.FIRST_SEED + seed) for seed in range(3)]
     row = paper.noise_row(runs, "outputs")
     # 1.08 % of noise and 0.93 % of the harmonics left out: 1.43 % rms; three seeds spread
     assert row["bound_percent"] == pytest.approx(1.08, abs=0.01)
@@ -162,7 +199,7 @@ def test_cramer_rao_bound_agrees_with_an_independent_programme(kind, free_inputs
 
 
 def test_noise_on_coefficients_costs_what_it_must():
-    runs = [run(cases.LTI_NOISE, seed) for seed in range(8)]
+    runs = [run(cases.LTI_NOISE, paper.FIRST_SEED + seed) for seed in range(8)]
     row = paper.noise_row(runs, "outputs")
     assert 0.7 <= row["rms_over_bound"] <= 1.5
 
@@ -178,21 +215,21 @@ def test_warnings_of_other_packages_pass_through_the_fit():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("case", "noise_on", "largest_median"),
+    ("case", "noise_on", "published_rms"),
     [
-        (cases.LTI_NOISE, "outputs", 2.0 * 0.61),
-        (cases.LTI_NOISE, "both", 2.0 * 1.27),
-        (cases.LTI_SIGNAL_NOISE, "outputs", 2.0 * 1.46),
-        (cases.LTI_SIGNAL_NOISE, "both", 2.0 * 18.0),
-        (cases.LTP_NOISE, "outputs", 2.0 * 1.00),
-        (cases.LTP_NOISE, "both", 2.0 * 15.0),
+        (cases.LTI_NOISE, "outputs", 0.47),
+        (cases.LTI_NOISE, "both", 1.04),
+        (cases.LTI_SIGNAL_NOISE, "outputs", 1.56),
+        (cases.LTI_SIGNAL_NOISE, "both", 15.2),
+        (cases.LTP_NOISE, "outputs", 1.71),
+        (cases.LTP_NOISE, "both", 4.3),
     ],
 )
-def test_noise_rows_over_twenty_seeds(case, noise_on, largest_median):
-    # twice the medians of docs/reproduce_paper.md; 18 % of LTI signals is not on that page
+def test_noise_rows_over_twenty_seeds(case, noise_on, published_rms):
+    # twice the rms of docs/reproduce_paper.md
     runs = paper.run_noisy(case, 20, noise_on)
     row = paper.noise_row(runs, noise_on)
-    assert row["median_e_percent"] <= largest_median
+    assert row["rms_e_percent"] <= 2.0 * published_rms
     # twenty seeds spread by a sixth about the bound, which is the three-state model's for LTP too
     assert row["rms_over_bound"] >= 0.6
     # more are kept where no three explain half of what all modes do: a rare record

@@ -244,9 +244,8 @@ def hawkmoth(
                                                    measured incidences of 30° to 40°
     ω                   2π 26.3 rad/s              Hayajnh et al. (2024); as in
                                                    :func:`flapping_wing`
-    I_yy                2.08e-7 kg m²              from memory, of what is used for Sun's
-                                                   model hawkmoth, not checked; a rod
-                                                   39 mm long has it
+    I_yy                2.08e-7 kg m²              choice: that of a uniform rod of mass m
+                                                   and 39 mm
     hinge               2 mm ahead, 2 mm above     choice, see below
     stroke plane        0                          choice; another angle turns θ
     ρ, g                1.225 kg/m³, 9.81 m/s²     standard atmosphere
