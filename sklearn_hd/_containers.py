@@ -76,8 +76,8 @@ def _of_xarray(data, what):
         if len(dims) == 2:
             way += f", or {what}.to_series() if {signals!r} are the records of one signal"
     return (
-        f"{what} is an xarray {type(data).__name__} of the dimensions {list(data.dims)}; make a "
-        f"frame of it, one column a signal, with the times as the last level of its index: {way}"
+        f"{what} is an xarray {type(data).__name__} with the dimensions {list(data.dims)}; convert "
+        f"it to a DataFrame with one column per signal and the times as the last index level: {way}"
     )
 
 
@@ -91,8 +91,8 @@ def check_no_records(data, what):
         given = f"[pd.DataFrame(record) for record in {what}]"
     keys = "" if named else f"keys=range({len(parts)}), "
     raise TypeError(
-        f"{what} is a {type(data).__name__} of {len(parts)} tables; make one frame of them, whose "
-        f'index says which record each row is of: pd.concat({given}, {keys}names=["record"])'
+        f"{what} is a {type(data).__name__} of {len(parts)} tables; join them to one DataFrame "
+        f'whose index names the record of each row: pd.concat({given}, {keys}names=["record"])'
     )
 
 
@@ -103,7 +103,7 @@ def check_no_clock(data, what):
         if few or not _is_clock(data, name):
             continue
         raise ValueError(
-            f"column {str(name)!r} of {what} is a clock, and would count as a signal "
+            f"column {str(name)!r} of {what} looks like a clock and would be used as a signal "
             f"(rename it if it is one); {_way(data, name, what, _starts(data[name]))}"
         )
 

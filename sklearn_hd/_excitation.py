@@ -76,16 +76,16 @@ class Excitation:
         share, each = self.directions.outside(_lifted(experiment, by_period))
         if share > MOST_OUTSIDE:
             where = (
-                "within the period, at phases or in directions in which the record of the fit "
-                "never did: a model of whole periods knows what inputs do in those alone; put "
-                "StructuredMatcher(structure=HarmonicStructure()) behind it, or record inputs that "
-                "change at these phases"
+                "at phases or in directions within the period in which the inputs never moved in "
+                "the record of the fit, and a model of whole periods is valid only for those seen "
+                "there; put StructuredMatcher(structure=HarmonicStructure()) behind it, or record "
+                "inputs that change at these phases"
                 if by_period
-                else "apart from each other, as they never did in the record of the fit: it tells "
-                "their effects together alone; record each of them moving by itself"
+                else "in which inputs move separately, as they never did in the record of the fit: "
+                "that record determines only their joint effect; record each input moving by itself"
             )
             warn(
-                f"{share:.2g} of the energy of the inputs {self._most(each)} is of motion {where}",
+                f"{share:.2g} of the energy of the inputs {self._most(each)} is motion {where}",
                 ExcitationWarning,
             )
         elif self.information is not None:
@@ -94,10 +94,10 @@ class Excitation:
                 warn(
                     f"the inputs {self._most(each)} move at phases of the period, or in "
                     f"directions, in which the record of the fit shows little of their effect: the "
-                    f"standard deviation of the motion predicted is "
-                    f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of it, where the fit "
-                    f"left {self.information.left:.2g}; record inputs that change at these phases, "
-                    f"too, each by itself, or allow G fewer harmonics",
+                    f"standard deviation of the predicted motion is "
+                    f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of that motion, while "
+                    f"the fit left {self.information.left:.2g}; record inputs that change at these "
+                    f"phases, too, each by itself, or allow G fewer harmonics",
                     ExcitationWarning,
                 )
 

@@ -119,8 +119,8 @@ class LTIModel:
         if not input_names:
             if self.kalman_gain is None:
                 raise AttributeError(
-                    "a model of outputs alone, without a Kalman gain, has no inputs to make a "
-                    "control.StateSpace of; fit with disturbance_model=True, or use model_.A and "
+                    "a model without inputs and without a Kalman gain cannot be written as a "
+                    "control.StateSpace; fit with disturbance_model=True, or use model_.A and "
                     "model_.C"
                 )
             B, D = self.kalman_gain, np.eye(len(self.C))
@@ -277,7 +277,7 @@ class FrameTransformer(TransformerMixin):
         """
         if transform not in (None, "default", "pandas"):
             raise ValueError(
-                f"transform={transform!r} would drop the harmonic basis and the model that ride on "
-                f"the frame; use 'pandas' or 'default'"
+                f"transform={transform!r} would drop the harmonic basis and the model that the "
+                f"frame carries; use 'pandas' or 'default'"
             )
         return super().set_output(transform=transform)

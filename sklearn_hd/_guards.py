@@ -62,10 +62,10 @@ def within_range(call):
         except ArithmeticError as error:
             name = type(args[0]).__name__ if "." in call.__qualname__ else call.__name__
             raise ValueError(
-                f"{name}: the arithmetic broke down "
-                f"({' '.join(str(error).split())}); the signals, or the gains between them, are "
-                f"probably too large or too small for floating-point numbers: give inputs and "
-                f"outputs in other units (between 1e-75 and 1e75 nothing can overflow)"
+                f"{name}: the computation failed ({' '.join(str(error).split())}); the signals, or "
+                f"the gains between them, are probably too large or too small for floating-point "
+                f"numbers: give inputs and outputs in other units (between 1e-75 and 1e75 nothing "
+                f"can overflow)"
             ) from error
         except Exception as error:
             _words_first(error)

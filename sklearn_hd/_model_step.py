@@ -280,7 +280,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         truth, simulated, weight = found
         if len(truth) < 2:
             raise ValueError(
-                "one row is left to score, which has no R²; give longer records or a smaller warmup"
+                "only one row is left to score, which has no R²; give longer records or a smaller "
+                "warmup"
             )
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
@@ -396,10 +397,10 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
             return simulator.outputs(fit_initial_state(simulator, outputs, rows))
         if not _has_gain(self):
             raise ValueError(
-                f"horizon={horizon!r} asks for predictions from measured outputs, for which "
-                f"{type(self).__name__} has no Kalman gain; use MOESPRegressor("
-                f"disturbance_model=True) or StructuredMatcher(criterion='prediction_error') as "
-                f"the last step, or horizon=None"
+                f"horizon={horizon!r} asks for predictions from measured outputs, but this "
+                f"{type(self).__name__} has no Kalman gain; use "
+                f"MOESPRegressor(disturbance_model=True) or "
+                f"StructuredMatcher(criterion='prediction_error') as the last step, or horizon=None"
             )
         recompose = not self.predicts_harmonics_
         return predicted_ahead(simulator, outputs, horizon, rows=rows, recompose=recompose)
@@ -450,8 +451,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         told = dt > 0.0 and len(base.time) > 1
         if told and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * base.uncertainty:
             raise ValueError(
-                f"the model was identified at a sample time of {dt:.6g} s, X has {found:.6g} s; "
-                f"resample X, or bring the model to continuous time with SpuriousModeReducer"
+                f"the model was identified at a sample time of {dt:.6g} s, but X has {found:.6g} "
+                f"s; resample X, or bring the model to continuous time with SpuriousModeReducer"
             )
 
     def _check_basis(self, basis):
@@ -460,7 +461,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         if difference is not None:
             name, here, there = difference
             raise ValueError(
-                f"X was analysed with {name}={here!r}, the data at fit with {there!r}; use the "
+                f"X was analysed with {name}={here!r}, but the data at fit with {there!r}; use the "
                 f"same HarmonicAnalyzer"
             )
 

@@ -132,8 +132,8 @@ def remainder(experiment, simulators):
     if n_rows * len(names) <= ROWS_PER_PARAMETER * n_parameters:
         raise ValueError(
             f"{n_rows} rows of {len(names)} output(s) with a model of {n_parameters} coefficients "
-            f"and initial states leave no residuals to test: {ROWS_PER_PARAMETER} values for each "
-            f"are the least; give a longer record, or a model with fewer states or harmonics"
+            f"and initial states leave no residuals to test: at least {ROWS_PER_PARAMETER} values "
+            f"for each are needed; give a longer record, or a model with fewer states or harmonics"
         )
     size = np.sqrt(np.mean(np.vstack([s.predicted + s.residuals for s in segments]) ** 2, axis=0))
     rest = np.sqrt(np.mean(np.vstack([s.residuals for s in segments]) ** 2, axis=0))
@@ -161,8 +161,8 @@ def _segment(at, outputs, psi, first):
     start = rows.started()
     if not np.max(np.abs(start), initial=0.0) < OVERFLOW:
         raise UnstableModelError(
-            "the simulation overflows and leaves no residuals to test: the model is unstable; fit "
-            "MOESPRegressor(disturbance_model=True), whose predictions are tested, or give a "
+            "the simulation overflows, so there are no residuals to test: the model is unstable; "
+            "fit MOESPRegressor(disturbance_model=True), whose predictions are tested, or give a "
             "shorter record"
         )
     x0 = rows.initial_state(inputs, outputs, np.diag(np.mean(outputs**2, axis=0)))
@@ -235,8 +235,8 @@ class _Counts:
             most_lags = left.n_rows // (ROWS_PER_DEGREE * n_outputs * max(n_outputs, m))
             if lags > most_lags:
                 raise ValueError(
-                    f"lags={lags} asks more than {left.n_rows} rows tell: {ROWS_PER_DEGREE} for "
-                    f"each degree of freedom allow {most_lags} at most; give fewer, or None"
+                    f"lags={lags} is more than {left.n_rows} rows allow: with {ROWS_PER_DEGREE} "
+                    f"rows for each degree of freedom, at most {most_lags}; give fewer, or None"
                 )
             own, inputs = lags, lags
         return cls(own, inputs, max(1, min(LAGS_BY_PHASE, most // pairs)), loads)

@@ -39,9 +39,9 @@ def compared(step, X, y, sample_weight=None, horizon=None):
     if grown < MOST_SCORED:
         return truth, simulated, weight
     warn(
-        f"a {type(step).__name__} scores -inf: its model is unstable, or not of these outputs, and "
-        f"its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the growing modes "
-        f"(SpuriousModeReducer), lower the order, or score a shorter span",
+        f"a {type(step).__name__} scores -inf: its model is unstable, or was fitted to other "
+        f"outputs, and its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the "
+        f"growing modes (SpuriousModeReducer), lower the order, or score a shorter span",
         InstabilityWarning,
     )
     return None
@@ -68,7 +68,7 @@ def weights_of(rows, sample_weight, n_samples):
     try:
         weight = np.asarray(sample_weight, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are no numbers") from None
+        raise ValueError("sample_weight holds values that are not numbers") from None
     if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
         raise ValueError(
             f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
@@ -77,6 +77,6 @@ def weights_of(rows, sample_weight, n_samples):
     if not weight[rows].any():
         raise ValueError(
             f"sample_weight is zero on all {len(rows)} rows that are scored (warm-up and "
-            f"incomplete periods are not); give some of them a weight"
+            f"incomplete periods are not scored); give some of them a weight"
         )
     return weight[rows]

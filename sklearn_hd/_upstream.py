@@ -22,23 +22,23 @@ def upstream(step, X, y):
         frame = as_frame(X)
         if frame.model is None:
             raise ValueError(
-                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor "
-                f"in a Pipeline (with no step between them that makes a frame anew), or give it "
-                f"one: {type(step).__name__}(estimator=...)"
+                f"{type(step).__name__} found no model on X; put it behind MOESPRegressor in a "
+                f"Pipeline (without a step between them that rebuilds the frame), or give it one: "
+                f"{type(step).__name__}(estimator=...)"
             )
         return _at_machine(frame, y), frame.model
     if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
         isinstance(step.estimator, type)
     ):
         raise ValueError(
-            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"estimator={step.estimator!r} does not make a model; give a MOESPRegressor or "
             f"SpuriousModeReducer, or a Pipeline that ends in one"
         )
     step.estimator_ = clone(step.estimator).fit(X, y)
     frame = step._upstream_frame(X)
     if frame.model is None:
         raise ValueError(
-            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"estimator={step.estimator!r} does not make a model; give a MOESPRegressor or "
             f"SpuriousModeReducer, or a Pipeline that ends in one"
         )
     return _at_machine(frame, y), frame.model

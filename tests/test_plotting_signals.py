@@ -86,7 +86,7 @@ def test_harmonics_in_a_span():
 
 def test_samples_that_are_counted_are_called_so():
     signals = pd.DataFrame({"u": np.cos(np.arange(80) * np.pi / 8)})
-    with pytest.warns(TimeBaseWarning, match="samples are counted"):
+    with pytest.warns(TimeBaseWarning, match="rows count as samples"):
         display = HarmonicsDisplay.from_data(signals, np.pi / 8)
     assert display.axes_[-1].get_xlabel() == "sample (–)"
 

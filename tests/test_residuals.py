@@ -177,7 +177,7 @@ def test_refusals():
     model.fit(u, y)
     with pytest.raises(ValueError, match="lags must be a whole number of at least 1, got 0"):
         model.residual_tests(u, y, lags=0)
-    with pytest.raises(ValueError, match="lags=1000000 asks more than"):
+    with pytest.raises(ValueError, match="lags=1000000 is more than"):
         model.residual_tests(u, y, lags=10**6)
     with pytest.raises(ValueError, match="level must be a number between 0 and 1, got 2"):
         model.residual_tests(u, y, level=2)
@@ -186,7 +186,7 @@ def test_refusals():
     u, y = innovations(4, n=1500)
     grown = MOESPRegressor(3).fit(u, y)
     grown.model_ = replace(grown.model_, A=2.0 * grown.model_.A)
-    with pytest.raises(UnstableModelError, match="leaves no residuals to test"):
+    with pytest.raises(UnstableModelError, match="no residuals to test"):
         grown.residual_tests(u, y)
     data = wing()
     pipe = sliding()[:2]

@@ -74,7 +74,7 @@ def _searched(experiment, delays):
     """Whole samples of the delays that are left to the data."""
     basis, dt, m = experiment.basis, experiment.base.sample_time, delays.n_inputs
     if not m:
-        raise ValueError("a delay 'auto' is told by inputs, and there are none; give seconds")
+        raise ValueError("a delay 'auto' is found from inputs, and there are none; give seconds")
     most, count = most_samples(experiment), HARMONICS if basis.harmonic else 0
     segments = list(zip(experiment.inputs, experiment.outputs, experiment.phases, strict=True))
     lags = first_answers(segments, most, OWN_PAST, count)
@@ -83,8 +83,8 @@ def _searched(experiment, delays):
     silent = np.concatenate([~told.any(axis=0), ~told.any(axis=1)]) & delays.free
     if silent.any() and basis.harmonic:  # of plain data the likelihood tells
         warn(
-            f"no answer of outputs to inputs within {most} samples ({most * dt:.3g} s) tells the "
-            f"delays of {names[silent].tolist()}: they are taken for zero; refine them with "
+            f"no output answers the inputs within {most} samples ({most * dt:.3g} s), so the "
+            f"delays of {names[silent].tolist()} are taken as zero; refine them with "
             f"StructuredMatcher(criterion='output_error'), use inputs that move more, or give them",
             IdentifiabilityWarning,
         )

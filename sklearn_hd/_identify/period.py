@@ -181,10 +181,10 @@ def _excitation(experiment, settings):
     if n_all > most:
         need = rows * n_all + 1 + states + 2 * rows - 1
         words = (
-            f"the inputs in the {experiment.span()} move in {n_all} directions within the "
-            f"period, of which {sum(lengths)} periods tell {most} apart at block_rows={rows}: "
-            f"{left_out:.2g} of their energy is taken for noise; {need} consecutive periods "
-            f"would do"
+            f"the inputs in the {experiment.span()} move in {n_all} directions within the period, "
+            f"and {sum(lengths)} periods can separate {most} of them at block_rows={rows}: "
+            f"{left_out:.2g} of their energy counts as noise; {need} consecutive periods would be "
+            f"enough"
         )
         if left_out > MOST_LEFT_OUT:
             raise ValueError(

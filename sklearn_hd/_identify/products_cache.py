@@ -185,12 +185,12 @@ def _from_folder(memory, key, make):
             if wrong is None:
                 return found
             file = os.path.join(shelf.store_backend.location, shelf.func_id, shelf.args_id)
-            warn(f"{file} is not what was kept there ({wrong}): made anew", CacheWarning)
+            warn(f"{file} is not what was kept there ({wrong}); it is computed anew", CacheWarning)
             shelf.clear()
     except (OSError, ValueError) as error:  # the latter of joblib's own notes there
         warn(
-            f"the folder memory={memory.location!r} cannot be used ({error}), so that nothing is "
-            f"kept; clear it, give another, or None",
+            f"the folder memory={memory.location!r} cannot be used ({error}), so nothing is kept; "
+            f"clear it, give another, or None",
             CacheWarning,
         )
         return make()
@@ -206,7 +206,7 @@ def _read(shelf, key):
             return value, None
     except Exception as error:  # reading a pickle can raise anything
         return None, f"{type(error).__name__}: {error}"
-    return None, "it is of other data or settings"
+    return None, "it belongs to other data or settings"
 
 
 def _made(key, make):

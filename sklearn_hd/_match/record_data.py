@@ -335,9 +335,9 @@ def _cells(experiment, raw):
         return cells
     if delays.free.any():
         raise ValueError(
-            "delays that the data decide need inputs as they were measured, but this model is "
-            "driven by their harmonics; keep harmonic 0 of the inputs alone, use a "
-            "HarmonicStructure, or give the delays in seconds"
+            "estimated delays need inputs as they were measured, but this model is driven by their "
+            "harmonics; keep only harmonic 0 of the inputs, use a HarmonicStructure, or give the "
+            "delays in seconds"
         )
     return None
 

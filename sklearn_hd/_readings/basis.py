@@ -146,8 +146,8 @@ class HarmonicBasis:
         if missing or extra:
             what = f"dropped {missing[0]!r}" if missing else f"added {extra[0]!r}"
             raise ValueError(
-                f"a step between HarmonicAnalyzer and this one has {what}; the analyzer made "
-                f"{made}: put steps that change columns before it"
+                f"a step between HarmonicAnalyzer and this one has {what}; the analyzer "
+                f"made {made}: put steps that change columns before the analyzer"
             )
         return frame[self.measured]
 

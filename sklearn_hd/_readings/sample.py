@@ -44,7 +44,7 @@ class SampleBasis(EveryRow, HarmonicBasis):
     n_load_harmonics: int | None = None
 
     reading = "sample"
-    nothing_spurious = "at the sensors' clock, without a window"
+    nothing_spurious = "identified from samples, without a window"
     lead = 0
     coefficient_labels = ()
 

@@ -322,13 +322,14 @@ class _ModulatedRates:
 
 def _excitation(input, n_periods, spp, start, width, size, offset, n_records, quiet, rng):
     n_samples = n_periods * spp
-    n_records = check_count("n_records", n_records, 1, "one is the least")
+    n_records = check_count("n_records", n_records, 1, "it is the number of records")
     if not isinstance(input, str):
         return _given(input, n_samples, n_records)
     check_choice("input", input, ("doublet", "3211", "multisine"))
     if not width * spp >= 1:
         raise ValueError(
-            f"width={width} is less than a sample; it counts periods, give {1 / spp:g} or more"
+            f"width={width} is shorter than a sample; it counts periods, so give {1 / spp:g} or "
+            f"more"
         )
     if input == "doublet":
         records = _doublets(n_samples, spp, start + offset, width, size, n_records, rng)
@@ -389,8 +390,8 @@ def _multisines(n_samples, spp, width, size, n_records, rng):
     cycles = np.arange(1, int(0.4 * n_values) + 1) / n_values
     if not len(cycles):
         raise ValueError(
-            f"a multisine needs three periods or more after the quiet ones; {n_values} are left: "
-            f"raise n_periods"
+            f"a multisine needs three periods or more after the quiet ones, but {n_values} are "
+            f"left; raise n_periods"
         )
     phases = rng.uniform(0.0, 2.0 * np.pi, (n_records, len(cycles)))
     values = np.cos(2.0 * np.pi * np.outer(np.arange(n_values), cycles) + phases[:, None]).sum(-1)
@@ -465,7 +466,7 @@ def _check_amplitudes(amplitude, n_records):
         raise ValueError(f"amplitude={amplitude!r} must be a finite number, or several")
     if several and (n_records != 1 or not np.all(amplitudes)):
         raise ValueError(
-            f"amplitude={amplitude!r} gives one record for each, with n_records={n_records}; give "
-            f"amplitudes other than zero and leave n_records at 1"
+            f"amplitude={amplitude!r} makes one record for each value, but n_records={n_records}; "
+            f"give amplitudes other than zero and leave n_records at 1"
         )
     return amplitudes

@@ -125,13 +125,13 @@ def make_hawkmoth(
     >>> bool(abs(data.multipliers[0]) < 0.75)
     True
     """
-    n_records = check_count("n_records", n_records, 1, "one is the least")
+    n_records = check_count("n_records", n_records, 1, "it is the number of records")
     n_periods = check_count("n_periods", n_periods, 1, "wingbeats of each record")
     S = check_count("samples_per_period", samples_per_period, 4, "64 resolve a wingbeat")
     quiet = check_count("quiet", quiet, 0, "wingbeats before the excitation")
     if quiet > n_periods:
         raise ValueError(
-            f"quiet={quiet} is more than n_periods={n_periods}; a record has no more than these"
+            f"quiet={quiet} exceeds n_periods={n_periods}, the length of a record; lower quiet"
         )
     check_numbers("nonnegative", "0 leaves it out", noise=noise, gust=gust)
     rng, truth = check_random_state(random_state), _truth()
@@ -213,7 +213,7 @@ def _check_upright(y, loop):
     if np.max(pitch) > np.pi / 2.0:
         row = int(np.argwhere(np.any(pitch > np.pi / 2.0, axis=0))[0, 0])
         raise RuntimeError(
-            f"the moth turns over in wingbeat {row // loop.samples_per_period}: excite it less, or "
+            f"the moth turns over in wingbeat {row // loop.samples_per_period}; excite it less, or "
             f"give less gust or another gain"
         )
 

@@ -129,7 +129,7 @@ def make_rotor(
     n_turns = check_count("n_turns", n_turns, 2, "the length of the record")
     hold = check_count("hold", hold, 1, "samples from step to step")
     omega = check_positive("omega", omega, "rad/s", "it is the rotor speed")
-    sample_time = check_positive("sample_time", sample_time, "seconds", "it parts the samples")
+    sample_time = check_positive("sample_time", sample_time, "seconds", "it separates samples")
     sizes = {"pitch": pitch, "turbulence": turbulence, "noise": noise}
     check_numbers("nonnegative", "0 leaves it out", **sizes, speed_variation=speed_variation)
     rng, ltp = check_random_state(random_state), _rotor(gamma, mu, nu, omega)
@@ -140,7 +140,7 @@ def make_rotor(
     if np.any(np.diff(psi) <= 0.0):
         raise ValueError(
             f"speed_variation={speed_variation:g} makes the rotor stand still or turn back; it is "
-            f"a share of the mean speed, and 0.1 is much"
+            f"a share of the mean speed, and 0.1 is already large"
         )
     asked = pitch * np.repeat(rng.choice([-1.0, 0.0, 1.0], -(-n // hold)), hold)[:n]
     gust = turbulence * _gusts(np.diff(psi, append=psi[-1] + omega * sample_time), rng)

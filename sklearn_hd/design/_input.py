@@ -94,8 +94,8 @@ class InputDesign:
         for name in worse.unique("input"):
             degrees = worse[worse.get_level_values("input") == name].get_level_values("azimuth")
             most = hand.loc[name].loc[degrees].max()
-            known = f"the motion that it makes there is known but for {most:.2g} of its size"
-            known = known if most < 1.0 else "nothing is known of the motion that it makes there"
+            known = f"its motion there is known only to {most:.2g} of its size"
+            known = known if most < 1.0 else "its motion there is unknown"
             where = "ψ = " + ", ".join(f"{each:g}°" for each in degrees)
             where = "all azimuths" if len(degrees) == N_PHASES else where
             words.append(f"{name} at {where} ({known})")
@@ -296,7 +296,7 @@ class _Plant:
             raise ValueError(
                 f"the model is unstable (largest multiplier {radius:.3g}), and its motion grows by "
                 f"more than {TOO_LARGE:g} within {n_periods} periods; design a shorter record, or "
-                f"close a loop around the machine first"
+                f"close a control loop around the machine first"
             )
 
     def why_unknown(self, clock, u):
@@ -304,8 +304,8 @@ class _Plant:
         bound = clock.bound
         names = bound.information([(self.with_load(u), None, 0)]).unidentified
         return (
-            f"no input tried within this budget determines the exponents: the parameters "
-            f"{list(names[:6])}{' and others' if len(names) > 6 else ''} move no output apart; "
+            f"no input tried within this budget determines the exponents: the outputs do not "
+            f"separate the parameters {list(names[:6])}{' and others' if len(names) > 6 else ''}; "
             f"raise length, drive further inputs, or give structure=HarmonicStructure(...) with "
             f"fewer harmonics or known entries"
         )
@@ -368,8 +368,8 @@ class _Plant:
         names = tuple(map(str, experiment.basis.drive_labels))
         if len(names) != len(self.input_names):
             raise ValueError(
-                f"X has the columns {list(names)}, the system the inputs {list(self.input_names)}; "
-                f"give one column for each"
+                f"X has the columns {list(names)}, but the system has the inputs "
+                f"{list(self.input_names)}; give one column for each"
             )
         segments = []
         for u, time in zip(experiment.inputs, experiment.times(), strict=True):
@@ -379,8 +379,9 @@ class _Plant:
             if not max(off, abs(rows[0] - round(rows[0]))) < 1e-3:
                 raise ValueError(
                     f"X has {2.0 * np.pi / (self.omega * experiment.base.sample_time):.6g} samples "
-                    f"a period, and must have samples_per_period={self.n_phases}, the first at a "
-                    f"multiple of them after ψ = 0; set samples_per_period, or resample X"
+                    f"per period, but must have samples_per_period={self.n_phases}, with the first "
+                    f"one a whole number of samples after ψ = 0; set samples_per_period, or "
+                    f"resample X"
                 )
             segments.append((u, None, round(rows[0])))
         return segments
@@ -405,7 +406,7 @@ class _Plant:
 def _plant(model, structure, noise_std, samples_per_period):
     """The plant of a model of either kind."""
     if structure is not None and not isinstance(structure, HarmonicStructure):
-        raise ValueError(f"structure={structure!r} is no HarmonicStructure; give one, or None")
+        raise ValueError(f"structure={structure!r} is not a HarmonicStructure; give one, or None")
     if isinstance(model, LTPSystem):
         return _of_system(model, structure, noise_std, samples_per_period)
     matcher = _matcher(model)
@@ -413,8 +414,8 @@ def _plant(model, structure, noise_std, samples_per_period):
     match, basis = matcher.match_, matcher.basis_
     if matcher.criterion == "prediction_error":
         raise ValueError(
-            "the model was fitted with criterion='prediction_error': gusts move its states, and "
-            "the bound here is that of noise on the outputs alone; fit with "
+            "the model was fitted with criterion='prediction_error', where gusts move its states, "
+            "but this bound counts only the noise on the outputs; fit with "
             "criterion='output_error', or give its ltp_ and noise_std for a bound without gusts"
         )
     if match.periodic is None or not (match.periodic.physical or structure is not None):
@@ -433,7 +434,7 @@ def _plant(model, structure, noise_std, samples_per_period):
     if noise_std is None:
         if match.uncertainty is None:
             raise ValueError(
-                "this model was fitted in a norm, which tells no noise; give noise_std, or fit "
+                "this model was fitted in a norm, so its noise is unknown; give noise_std, or fit "
                 "with criterion='output_error'"
             )
         noise_std = match.uncertainty.noise_std
@@ -444,8 +445,8 @@ def _plant(model, structure, noise_std, samples_per_period):
 def _of_system(system, structure, noise_std, samples_per_period):
     if noise_std is None:
         raise ValueError(
-            "an LTPSystem tells no noise; give noise_std, the standard deviation of each output's "
-            "(what sensors have: only their ratio moves the inputs found)"
+            "the noise of an LTPSystem is unknown; give noise_std, the standard deviation of each "
+            "output's sensor noise (only the ratios change the inputs found)"
         )
     names = system.state_names, system.input_names, system.output_names
     coefficients = system.fourier_coefficients(4 * MOST_HARMONICS)
@@ -491,8 +492,8 @@ def _n_harmonics(name, coefficients):
         if np.sum(squares[2 * k + 1 :]) <= TAIL**2 * np.sum(squares):
             return k
     raise ValueError(
-        f"{name} of the system has more than {MOST_HARMONICS} harmonics; say what of it is "
-        f"unknown: structure=HarmonicStructure(F=..., G=...)"
+        f"{name} of the system has more than {MOST_HARMONICS} harmonics; state what is unknown: "
+        f"structure=HarmonicStructure(F=..., G=...)"
     )
 
 
@@ -532,18 +533,18 @@ def _amplitudes(amplitude, names):
         return _by_name("amplitude", amplitude, names, "the largest change")
     except ValueError as error:
         raise ValueError(
-            f"{error}; with an amplitude of zero nothing moves: drop that input"
+            f"{error}; an input with amplitude zero does not move, so drop it"
         ) from None
 
 
 def _whole_periods(length, quiet, plant):
     """Whole periods after the quiet ones."""
-    check_positive("length", length, "seconds", "it is that of the whole record")
+    check_positive("length", length, "seconds", "it is the length of the whole record")
     n_periods = int(np.floor(length / plant.period + 1e-9)) - quiet
     if n_periods < 1:
         raise ValueError(
-            f"length={length:g} s leaves no period for inputs after quiet_periods={quiet}: a "
-            f"period lasts {plant.period:.4g} s; give {(quiet + 1) * plant.period:.4g} s or more"
+            f"length={length:g} s leaves no period for inputs after quiet_periods={quiet}; a "
+            f"period lasts {plant.period:.4g} s, so give {(quiet + 1) * plant.period:.4g} s or more"
         )
     return n_periods
 
@@ -556,6 +557,6 @@ def _which(exponents, plant):
     places = np.atleast_1d(np.asarray(exponents))
     if not (len(places) and places.dtype.kind in "iu" and np.all((places >= 0) & (places < n))):
         raise ValueError(
-            f"exponents={exponents!r} must be places among the {n} exponents, 0 the rightmost"
+            f"exponents={exponents!r} must be indices among the {n} exponents; 0 is the rightmost"
         )
     return places

@@ -94,8 +94,8 @@ class PeriodicMatrix:
         N = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
         if self.max_harmonics < N:
             raise ValueError(
-                f"n_harmonics={N} is more than the {len(self.values)} samples of a period tell; "
-                f"give {self.max_harmonics} at most"
+                f"n_harmonics={N} is more than the {len(self.values)} samples of a period "
+                f"determine; give {self.max_harmonics} at most"
             )
         return sampled_harmonics(self.values, N)
 

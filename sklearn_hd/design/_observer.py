@@ -162,10 +162,10 @@ def periodic_kalman(system, W, V, *, noise_input=None, sample_time=None):
 def _solved(problem):
     return solved(
         problem,
-        "no output sees this motion, which does not die out by itself, so no estimate of it "
-        "settles; measure what it moves, or take the motion out of the model",
-        "the noise W does not drive this motion, so that the filter stops to correct it; give W "
-        "a share of the states that it moves",
+        "no output sees this motion, which does not die out by itself, so its estimate never "
+        "settles; measure something that it moves, or remove the motion from the model",
+        "the noise W does not drive this motion, so the filter stops correcting it; give W "
+        "a part in the states that it moves",
     )
 
 
@@ -262,8 +262,8 @@ class Observer:
     def __init__(self, estimator, *, input_trim=None, output_trim=None):
         if not isinstance(estimator, PeriodicEstimator) or estimator.sample_time is None:
             raise ValueError(
-                f"estimator={reprlib.repr(estimator)} does not run on line; give what "
-                f"periodic_kalman(..., sample_time=...) returns"
+                f"estimator={reprlib.repr(estimator)} does not run on line; give the result of "
+                f"periodic_kalman(..., sample_time=...)"
             )
         self.estimator = estimator
         system, psi = estimator.system, samples_of(estimator.system, estimator.sample_time)
@@ -415,8 +415,8 @@ class OutputFeedback:
     def __init__(self, regulator, estimator, *, input_trim=None, output_trim=None):
         if not isinstance(regulator, PeriodicRegulator) or regulator.sample_time is None:
             raise ValueError(
-                f"regulator={reprlib.repr(regulator)} does not run on line; give what "
-                f"periodic_lqr(..., sample_time=...) returns"
+                f"regulator={reprlib.repr(regulator)} does not run on line; give the result of "
+                f"periodic_lqr(..., sample_time=...)"
             )
         self.observer = Observer(estimator, input_trim=input_trim, output_trim=output_trim)
         mine, other = regulator.system, estimator.system

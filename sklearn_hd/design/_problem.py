@@ -124,8 +124,8 @@ def samples_of(system, sample_time):
     """Ends in radians of the steps of one period that a design is made for."""
     if not isinstance(system, LTPSystem):
         raise ValueError(
-            f"system={reprlib.repr(system)} must be an LTPSystem: ltp_ of a fitted matcher, or "
-            f"what PeriodicSystem.linearize returns"
+            f"system={reprlib.repr(system)} must be an LTPSystem: ltp_ of a fitted matcher, or the "
+            f"result of PeriodicSystem.linearize"
         )
     if sample_time is None:
         return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS

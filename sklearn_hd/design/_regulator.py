@@ -155,7 +155,7 @@ class PeriodicRegulator:
         """
         if estimator.system is not self.system or estimator.sample_time != self.sample_time:
             raise ValueError(
-                "regulator and estimator must be of one system and one sample_time; design both "
+                "regulator and estimator must have the same system and sample_time; design both "
                 "with the same"
             )
         self._check_best()
@@ -307,9 +307,9 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
     X, K, multipliers = solved(
         problem,
         "no input reaches this motion, which does not die out by itself, so no gain stabilises "
-        "the system; give it an input that does, or take the motion out of the model",
+        "the system; add an input that reaches it, or remove the motion from the model",
         "Q does not see this motion, or R is too large for the gain to reach it within "
-        "floating-point numbers; weigh the states that it moves, or lower R",
+        "floating-point numbers; give weight to the states that it moves, or lower R",
     )
     held = sample_time is not None
     return PeriodicRegulator(

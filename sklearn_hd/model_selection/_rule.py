@@ -140,9 +140,9 @@ def _left(scores, perfect):
         perfect = next((p for p in PERFECT if most <= p), PERFECT[-1])
     if most > perfect:
         raise ValueError(
-            f"a score of {most:.6g} is above that of a perfect model, perfect={perfect:g}; give "
-            f"perfect= the score of one, or take a metric that has one: R², the negative of an "
-            f"error"
+            f"a score of {most:.6g} is above that of a perfect model, perfect={perfect:g}; set "
+            f"perfect= to the score of a perfect model, or use a metric that has one: R², or the "
+            f"negative of an error"
         )
     left, some = perfect - scores, perfect > 0.0
     unit = perfect if some else np.median(left) or 1.0
@@ -175,8 +175,8 @@ def fold_scores(cv_results, metric):
         n_folds += 1
     if n_folds < 2:
         raise ValueError(
-            f"the search has {n_folds} fold(s), and a standard error needs at least two; use a cv "
-            f"of more folds"
+            f"the search has {n_folds} fold(s), but a standard error needs at least two; use a cv "
+            f"with more folds"
         )
     folds = [cv_results[f"split{f}_test_{metric}"] for f in range(n_folds)]
     return np.asarray(folds, dtype=float).T
@@ -197,19 +197,19 @@ def _comparable(scores, candidates):
     told = f"{len(several)} of {len(scores)} candidates failed on some fold: {named}"
     if len(folds) == 0 and len(several) == 0:
         raise ValueError(
-            f"the {len(kept)} candidates that are stable on most folds share none on which all "
-            f"are: the others score -inf; search over smaller orders, or drop growing modes "
-            f"(SpuriousModeReducer)"
+            f"the {len(kept)} candidates that are stable on most folds have no fold in common on "
+            f"which all are stable, and the others score -inf; search over smaller orders, or drop "
+            f"growing modes (SpuriousModeReducer)"
         )
     if len(folds) == 0:
         raise ValueError(
-            f"no fold has a score of each of the {len(kept)} candidates that failed least, and "
-            f"{told}; see why with error_score='raise', or give folds of more rows to train on"
+            f"no fold has a score of all {len(kept)} candidates that failed least, and {told}; see "
+            f"why with error_score='raise', or give folds with more rows to train on"
         )
     if len(several):
         warn(
             f"{told}; the {len(kept)} that failed least are compared on folds {folds.tolist()}; "
-            f"see why with error_score='raise', or take what fails out of the search",
+            f"see why with error_score='raise', or remove failing candidates from the search",
             FitFailedWarning,
         )
     return kept, folds
@@ -253,8 +253,8 @@ def _check_alike(candidates, names):
     numbers = [key for key in searched if any(_is_number(p.get(key)) for p in candidates)]
     if names != SIZE or numbers:
         raise ValueError(
-            f"none of size={list(names)} was searched, only {searched}; name the parameters that "
-            f"make a model large with size="
+            f"size={list(names)} names no parameter that was searched; searched were {searched}; "
+            f"name with size= the parameters that make a model large"
         )
 
 
@@ -268,7 +268,6 @@ def _check_numbers(candidates, key, names):
             )
         if not _is_number(params[key]):
             raise ValueError(
-                f"{key}={params[key]!r} of candidate {params} is no size: candidates can be "
-                f"compared by numbers only; search over numbers, or leave that parameter out of "
-                f"size={list(names)}"
+                f"{key}={params[key]!r} of candidate {params} is not a size: only numbers can be "
+                f"compared; search over numbers, or leave that parameter out of size={list(names)}"
             )

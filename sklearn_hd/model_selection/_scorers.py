@@ -114,8 +114,8 @@ class _SimulationScorer(_Scorer):
             kwargs["sample_weight"] = weight
             if not self.takes_weight:
                 raise TypeError(
-                    f"sample_weight was given, but {_name(self.metric)} takes none; leave it out "
-                    f"or use a metric that does"
+                    f"sample_weight was given, but {_name(self.metric)} does not accept it; leave "
+                    f"it out or use a metric that does"
                 )
         return self.sign * float(self.metric(truth, simulated, **kwargs))
 
@@ -243,7 +243,7 @@ def _check_weight(sample_weight, n_samples):
     try:
         weight = np.asarray(sample_weight, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are no numbers") from None
+        raise ValueError("sample_weight holds values that are not numbers") from None
     fits = weight.shape == (n_samples,) and np.all((weight >= 0.0) & np.isfinite(weight))
     if not fits or not np.any(weight > 0.0):
         raise ValueError(

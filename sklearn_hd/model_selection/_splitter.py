@@ -289,9 +289,10 @@ class PeriodBlockSplit(BlockSplit):
         start, stop = check_span("trim_span", self.trim_span)
         if not _has_times(X):
             raise ValueError(
-                f"trim_span={self.trim_span} is trained on whichever block is held out, but X is "
-                f"an array, whose rows would close up over the hole between them; give it times: "
-                f"pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), y the same"
+                f"trim_span={self.trim_span} stays in the training rows of every fold, but X is an "
+                f"array without times, so its rows would close up over the gap between them; give "
+                f"it times: pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), and "
+                f"y the same"
             )
         tolerance = 0.5 * base.sample_time
         return (base.time >= start - tolerance) & (base.time < stop - tolerance)

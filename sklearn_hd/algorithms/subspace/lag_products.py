@@ -136,8 +136,8 @@ class LagProducts:
         """
         if n_lags > len(self.lags):
             raise ValueError(
-                f"products of {len(self.lags)} lags give no Hankel matrix of {n_lags} block rows; "
-                f"make them with n_lags={n_lags} or more"
+                f"products of {len(self.lags)} lags are too few for a Hankel matrix of {n_lags} "
+                f"block rows; make them with n_lags={n_lags} or more"
             )
         if n_lags == len(self.lags):
             return self
