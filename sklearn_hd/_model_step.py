@@ -1,4 +1,4 @@
-"""What the three model steps share: the model behind, simulation, score."""
+"""Base of the three model steps: the model behind them, simulation, score."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def _has_gain(step):
 
 
 class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMixin, BaseEstimator):
-    """A step that owns a model: it hands the frame on with it, and simulates it."""
+    """A step that owns a model: it passes the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):
         return hasattr(self, "model_")
@@ -171,15 +171,14 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         X : DataFrame or ndarray, shape (n_samples, n_features)
             Inputs as at fit, with the harmonic basis riding on them or plain.
         x0 : array_like or dict, optional
-            State at the start of each segment: one vector, shape (n_states,), for all,
-            one row a segment, or a dict (or a DataFrame's rows) by record, whose
-            label is a tuple where several levels stand above the time; zero
-            where not given.
+            State at the start of each segment: one vector, shape (n_states,), for all; one row per
+            segment; or a dict (or a DataFrame's rows) by record. The label of a record is a tuple
+            if several index levels precede the time. Zero by default.
 
         Returns
         -------
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Harmonics instead, trim left out, if y was a HarmonicFrame at fit.
+            Harmonics instead, without the trim, if y was a HarmonicFrame at fit.
 
         Raises
         ------
@@ -188,15 +187,15 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         UnstableModelError
             If the simulation overflows.
         ValueError
-            If X was analysed or sampled in another way than at fit, or x0 does not fit.
+            If X was analysed or sampled differently than at fit, or x0 does not fit.
 
         Warns
         -----
         ExcitationWarning
-            If inputs move apart that never did in the record of the fit; if the model is one of
-            whole periods, and they move within the period as they never did; or if the effect of
-            inputs at these phases is so little known that the standard deviation of the motion
-            predicted is more than the fit left. It names the inputs and the share.
+            If inputs move separately that never did so in the record of the fit; if, for a model
+            of whole periods, they move within the period as they never did; or if the effect of
+            inputs at these phases is so uncertain that the standard deviation of the predicted
+            motion is more than the fit left. The warning names the inputs and the share.
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
@@ -238,12 +237,13 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
 
             R² = 1 − Σ (y − ŷ)² / Σ (y − w − mean)²
 
-        w is the trim that was subtracted, or the forced periodic response that was identified
-        (``reading="sample"``): a waveform that repeats itself with every turn earns nothing.
-        Where no trim is known (``trim_span=None``) it is zero. The initial state of each segment
-        is fitted on its first ``warmup`` seconds after the first whole window; those rows, and
-        rows of incomplete periods, are left out. A model identified through a sliding window is
-        compared with y as that window shows it, for it tells no more; any other with y itself.
+        w is the subtracted trim, or the identified forced periodic response
+        (``reading="sample"``), so a waveform that repeats itself with every turn does not count.
+        If no trim is known (``trim_span=None``), w is zero. The initial state of each segment is
+        fitted on its first ``warmup`` seconds after the first whole window. Those rows, and rows
+        of incomplete periods, are not scored. A model identified through a sliding window is
+        compared with y as that window shows it, because it describes no more; any other with y
+        itself.
 
         Parameters
         ----------
@@ -252,7 +252,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         sample_weight : array_like, shape (n_samples,), optional
-            Weight of each row; rows that are left out count for nothing.
+            Weight of each row; rows that are not scored have no effect.
 
         Returns
         -------
@@ -293,8 +293,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
 
             x0 = arg min Σ (y − ŷ(x0))²   over the first ``warmup`` seconds
 
-        after the first whole window, each output in parts of its size. ``predict(X, x0=x0)``
-        then simulates what ``score`` compares.
+        after the first whole window, with each output divided by its size. ``predict(X, x0=x0)``
+        then gives the simulation that ``score`` compares.
 
         Parameters
         ----------
@@ -306,8 +306,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Returns
         -------
         x0 : DataFrame or ndarray, shape (n_segments, n_states)
-            A DataFrame by record, or by segment where gaps part a record; an array if X is
-            one. Its columns are named as the states of the model that ``predict`` simulates.
+            A DataFrame by record, or by segment if gaps divide a record; an array if X is one. Its
+            columns are named as the states of the model that ``predict`` simulates.
 
         Raises
         ------
@@ -319,8 +319,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Warns
         -----
         IdentifiabilityWarning
-            If segments are too short to be scored: their states are those of least size that
-            fit all their rows.
+            If segments are too short to be scored: their states are then the smallest that fit all
+            their rows.
         """
         check_is_fitted(self)
         check_outputs_given(y)

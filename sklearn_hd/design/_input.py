@@ -1,4 +1,4 @@
-"""The next record: inputs that tell the Floquet exponents best within a budget."""
+"""The next record: inputs that determine the Floquet exponents best within a budget."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -39,28 +39,28 @@ LACKS = 2.0  # times the doubt that the designed record leaves
 
 @dataclass(frozen=True, eq=False)
 class InputDesign:
-    """What :func:`design_input` finds.
+    """Result of :func:`design_input`.
 
     Parameters
     ----------
     inputs : DataFrame, shape (n_samples, n_inputs)
-        Ready to fly: changes of the inputs about their trim, held from sample to sample. Time in
+        Changes of the inputs about their trim, ready to fly, held from sample to sample. Time in
         seconds; the first row is at ψ = 0.
     outputs : DataFrame, shape (n_samples, n_outputs)
-        What the model makes of them, about the trim; look whether that is a small motion.
+        Response of the model to them, about the trim; check that this is a small motion.
     exponents : DataFrame, shape (n_states, 3 or 6)
         Floquet exponents of the model, 1/s, and ``std_real`` and ``std_imag``, the smallest
         standard deviations of an unbiased estimate from the new record. With a record at hand also
-        ``std_real_at_hand``, ``std_imag_at_hand`` and ``gain``: by how many times the magnitude of
-        the deviations falls.
+        ``std_real_at_hand``, ``std_imag_at_hand`` and ``gain``, the factor by which the magnitude
+        of the deviations falls.
     phases : DataFrame, shape (8 n_inputs, 1 or 2)
-        Index: input and azimuth in degrees. ``designed``: of the motion that a short pulse of that
-        input there makes, the share (root mean square) that remains unknown after the new record.
+        Index: input and azimuth in degrees. ``designed``: unknown share (root mean square), after
+        the new record, of the motion that a short pulse of that input at that azimuth causes.
         ``at_hand``: the same after the record at hand.
     energy : float
         ∫ Σ (u / amplitude)² dt, seconds.
     n_evaluations : int
-        Inputs compared.
+        Number of inputs compared.
 
     References
     ----------
@@ -85,7 +85,7 @@ class InputDesign:
 
     @property
     def lacking(self):
-        """What the record at hand lacks, in words; empty if nothing, or none was given."""
+        """What the record at hand lacks, in words; empty if it lacks nothing or was not given."""
         if "at_hand" not in self.phases:
             return ""
         hand, new = self.phases["at_hand"], self.phases["designed"]
@@ -120,14 +120,14 @@ def design_input(
     n_trials=300,
     random_state=0,
 ):
-    """Inputs within a budget whose record tells the Floquet exponents of a machine best.
+    """Inputs within a budget whose record determines the Floquet exponents best.
 
         min over u of Π_i σ_i(u),   σ_i² = (∂λ_i/∂θ) I(u)⁻¹ (∂λ_i/∂θ)ᴴ,   |u| ≤ amplitude
 
     I(u) is the Fisher matrix of all parameters θ of the model, with white noise on the outputs and
-    an unknown initial state, so σ is the Cramér-Rao bound of the record to come. It is taken
-    at the model given: design, fly, identify, and design again. The search ends in a local optimum;
-    a longer one (``n_trials``), or other seeds, may find a better one.
+    an unknown initial state, so σ is the Cramér-Rao bound of the new record. It is computed for
+    the given model: design, fly, identify, and design again. The search ends in a local optimum; a
+    longer one (``n_trials``), or other seeds, may find a better one.
 
     Parameters
     ----------
@@ -136,39 +136,41 @@ def design_input(
     amplitude : float, sequence of float, or dict
         Largest change of each input, in its units (a dict: by name).
     length : float
-        Seconds, the quiet periods included.
+        Seconds, including the quiet periods.
     kind : {"steps", "multisine"}, default="steps"
-        ``"steps"``: held levels −amplitude, 0 or amplitude, with free edges: doublets and 3-2-1-1
-        among them. ``"multisine"``: up to forty lines with free amplitudes and phases, up to two
-        cycles a period.
+        ``"steps"``: held levels −amplitude, 0 or amplitude, with free edges; doublets and 3-2-1-1
+        are examples. ``"multisine"``: up to forty lines with free amplitudes and phases, up to two
+        cycles per period.
     energy : float, optional
         Bound of ∫ Σ (u / amplitude)² dt in seconds: the time for which one input may stand at its
         amplitude. By default there is none.
     X : DataFrame or ndarray, shape (n_samples, n_inputs), optional
-        Inputs of the record at hand, as the model would predict from; of an LTPSystem changes
-        about the trim, at a whole number of samples a period.
+        Inputs of the record at hand, as for ``predict``; for an LTPSystem changes about the trim,
+        with a whole number of samples per period.
     noise_std : float, sequence of float, or dict, optional
         Standard deviation of the noise of each output (a dict: by name). By default that of a
         model fitted with ``criterion="output_error"``. A common factor changes all σ, not the
         inputs found.
     structure : HarmonicStructure, optional
-        What of the system is unknown. By default that of the matcher; of an LTPSystem all
+        Unknown part of the system. By default that of the matcher; for an LTPSystem all
         coefficients of F and G up to the harmonics that they have, P and Q known.
     exponents : sequence of int, optional
-        Which of the exponents count, from the rightmost (0) leftwards; all by default.
+        Indices of the exponents that count, from the rightmost (0) leftwards; all by default.
     samples_per_period : int, optional
         That of the model by default, 64 for an LTPSystem.
     quiet_periods : int, default=4
         Periods at rest at the beginning, which show the trim.
     n_trials : int, default=300
-        Changes tried. Edges lie on sixteenths of a period, or finer where F has many harmonics.
+        Number of changes tried. Edges lie on sixteenths of a period, or finer if F has many
+        harmonics.
     random_state : int, RandomState or None, default=0
         Seed of the search.
 
     Returns
     -------
     design : InputDesign
-        With ``inputs``, a DataFrame to fly, the deviations to expect, and what is lacking so far.
+        With ``inputs``, a DataFrame to fly, the expected deviations, and what the record at hand
+        lacks.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def design_input(
         If the model has not been fitted.
     ValueError
         If an argument is not understood, the budget excites nothing, or no input within it
-        determines the exponents: the parameters left are named.
+        determines the exponents; the message names the undetermined parameters.
 
     References
     ----------
@@ -186,7 +188,7 @@ def design_input(
 
     Examples
     --------
-    A doublet of two periods, and the steps that tell more at its energy:
+    A doublet of two periods, and steps that determine more with the same energy:
 
     >>> from sklearn_hd.systems import mathieu
     >>> system = mathieu(damping=0.3)
@@ -254,7 +256,7 @@ class _Clock:
 
 @dataclass(frozen=True, eq=False)
 class _Plant:
-    """A periodic system, what of it is unknown, and how it is measured."""
+    """A periodic system, its unknown part, and how it is measured."""
 
     structure: object
     theta: np.ndarray
@@ -271,13 +273,13 @@ class _Plant:
 
     @property
     def rows_of_search(self):
-        """The fewest samples a period that resolve F(ψ), a divisor of all."""
+        """The fewest samples per period that resolve F(ψ), a divisor of all."""
         least = max(LEAST_ROWS, 4 * self.structure.n_harmonics)
         divisors = [d for d in range(1, self.n_phases + 1) if self.n_phases % d == 0]
         return next((d for d in divisors if d >= least), self.n_phases)
 
     def at(self, n_phases):
-        """At fewer samples a period, whose noise averages those between."""
+        """The plant at fewer samples per period, whose noise averages those in between."""
         sigma = self.sigma * np.sqrt(n_phases / self.n_phases)
         return _Clock(n_phases, ExponentBound(self.form(n_phases), self.theta, sigma))
 
@@ -285,11 +287,11 @@ class _Plant:
         return Form(self.structure, self.omega, n_phases)
 
     def with_load(self, u):
-        """Inputs, and one that is 1 where loads are unknown, too."""
+        """Inputs, with an additional one that is 1 if loads are also unknown."""
         return u if self.n_loads < 0 else np.hstack([u, np.ones((len(u), 1))])
 
     def check_growth(self, clock, n_periods):
-        """Raise ValueError if the motion grows beyond all measure."""
+        """Raise ValueError if the motion grows too large."""
         form = clock.bound.form
         radius = form.radius(form.response(self.theta, sensitivities=False))
         if radius > 1.0 and not n_periods * np.log(radius) < np.log(TOO_LARGE):
@@ -326,7 +328,7 @@ class _Plant:
         )
 
     def compared(self, fine, coarse, u, at_hand):
-        """Tables of the exponents and of what is known at each phase."""
+        """Tables of the exponents and of the knowledge at each phase."""
         found = fine.bound.information([(self.with_load(u), None, 0)])
         std = fine.bound.std_of(found)
         pulses, index = self._pulses(coarse.n_phases)
@@ -355,7 +357,7 @@ class _Plant:
         return pulses, pd.MultiIndex.from_product([self.input_names, degrees], names=names)
 
     def at_hand(self, model, X):
-        """What a record of the inputs X tells of the parameters."""
+        """What a record of the inputs X shows about the parameters."""
         if isinstance(model, LTPSystem):
             segments, form = self._segments(X), self.form(self.n_phases)
         else:
@@ -363,7 +365,7 @@ class _Plant:
         return ExponentBound(form, self.theta, self.sigma).information(segments)
 
     def _segments(self, X):
-        """Records of an LTPSystem, at a whole number of samples a period."""
+        """Records of an LTPSystem, with a whole number of samples per period."""
         experiment = read_experiment(X)
         names = tuple(map(str, experiment.basis.drive_labels))
         if len(names) != len(self.input_names):
@@ -475,7 +477,7 @@ def _assembled(structure, theta, omega, count, noise_std, names, n_loads):
 
 
 def _matcher(model):
-    """The matcher that a model is, or ends in."""
+    """The matcher itself, or that at the end of a Pipeline."""
     last = model[-1] if hasattr(model, "steps") else model
     if not isinstance(last, StructuredMatcher):
         raise ValueError(
@@ -486,7 +488,7 @@ def _matcher(model):
 
 
 def _n_harmonics(name, coefficients):
-    """Harmonics of a matrix but for a hundredth of its norm."""
+    """Harmonics of a matrix, except for a hundredth of its norm."""
     squares = np.sum(coefficients**2, axis=(1, 2))
     for k in range(MOST_HARMONICS + 1):
         if np.sum(squares[2 * k + 1 :]) <= TAIL**2 * np.sum(squares):

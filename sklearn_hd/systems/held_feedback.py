@@ -17,8 +17,7 @@ class HeldFeedback:
 
         u_k = u* + v_k − K (ȳ_{k−1} − ȳ*)
 
-    ȳ_k is the mean of the measured outputs over period k, sample by sample, and v_k what
-    is added to excite the loop. Each period is a whole one from ψ = 0.
+    ȳ_k is the mean of the measured outputs over period k, sample by sample, and v_k
 
     Parameters
     ----------
