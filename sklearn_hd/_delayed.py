@@ -1,4 +1,4 @@
-"""What steps say of the delays of their models' signals."""
+"""Delays of the signals of a model, as the steps report them."""
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ __all__ = ["Delayed"]
 
 
 class Delayed:
-    """A step whose model may have delays, which its matrices know nothing of."""
+    """A step whose model may have delays, which its matrices do not include."""
 
     @property
     def delays_(self):
@@ -19,7 +19,7 @@ class Delayed:
 
     @property
     def delay_std_(self):
-        """Standard deviation of each delay, as a Series; NaN where it was given."""
+        """Standard deviation of each delay, as a Series; NaN if it was given."""
         return self._delays("std", np.nan, "delay_std")
 
     def _delays(self, what, none, name):

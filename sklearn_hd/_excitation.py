@@ -1,9 +1,9 @@
-"""What the inputs of a fit showed of their effect, and what predictions ask beyond it.
+"""The effect of inputs that a fit showed, and the one that predictions need beyond it.
 
-Models of whole periods know what inputs do in the directions within the period in which they
+Models of whole periods describe inputs only in the directions within the period in which they
 moved (:class:`~sklearn_hd.algorithms.signals.lifting.InputDirections`). Models at samples have
-B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may tell from edges at few phases:
-A and C taken for known, outputs are linear in them, and least squares have their covariance.
+B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may determine from edges at few
+phases: with A and C known, outputs are linear in them, and least squares give their covariance.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothi
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """What the record of a fit says of the effect of inputs.
+    """What the record of a fit shows about the effect of inputs.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Excitation:
         return cls(names, drive, directions, n_harmonics, information)
 
     def warn(self, experiment, simulators):
-        """Warn of inputs whose effect is asked for, but was not shown."""
+        """Warn of inputs whose effect is needed, but was not shown."""
         if any(searches()):
             return
         by_period = _by_period(experiment, simulators)
@@ -102,7 +102,7 @@ class Excitation:
                 )
 
     def _most(self, each):
-        """Names of the inputs that make the most of something."""
+        """Names of the inputs with the largest share."""
         names = self.names if len(each) == len(self.names) else self.drive
         most = [name for name, own in zip(names, each, strict=True) if 2.0 * own >= max(each)]
         return list(dict.fromkeys(most))
@@ -110,7 +110,7 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What a record tells of B(ψ) and D(ψ), A and C taken for known.
+    """What a record shows about B(ψ) and D(ψ), with A and C known.
 
     Attributes
     ----------

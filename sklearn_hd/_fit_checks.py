@@ -1,4 +1,4 @@
-"""What the data of a fit say against it: no motion, another fundamental frequency, growth."""
+"""Checks of the data of a fit: no motion, another fundamental frequency, growth."""
 
 import numpy as np
 
@@ -41,8 +41,8 @@ CALM = 1e6  # times growth that leaves most of them
 def warn_of_mismatch(experiment):
     """Warn if the data repeat themselves at another frequency than omega.
 
-    Where inputs never rest for some periods nothing can be said, nor where the
-    azimuth was measured. In a search the fit of all data says it.
+    No check is possible if inputs never rest for some periods, and none is needed if the azimuth
+    was measured. In a search the fit of all data gives the warning.
     """
     basis = experiment.basis
     if not basis.harmonic or basis.timing.azimuth is not None or searching():
@@ -67,7 +67,7 @@ def warn_of_mismatch(experiment):
 
 
 def words_of_omega(estimate, omega):
-    """Where data repeat themselves, instead of at the frequency given."""
+    """The frequency at which data repeat themselves, for messages."""
     slower = [rival for rival in estimate.rivals if rival < estimate.omega]
     if slower:
         return f"at {slower[0]:.9g} rad/s; omega={estimate.omega:.9g} rad/s is a multiple of that"
@@ -86,7 +86,7 @@ def words_of_omega(estimate, omega):
 
 
 def way_out(estimate):
-    """What to do about another frequency."""
+    """The way out of a wrong frequency, for messages."""
     slower = [rival for rival in estimate.rivals if rival < estimate.omega]
     if slower:
         return f"set omega={slower[0]:.9g}"
@@ -142,7 +142,7 @@ def _is_zero(outputs):
 
 
 def warn_of_growing_data(experiment):
-    """Warn if outputs grow so much that what decays beside them is lost in rounding."""
+    """Warn if outputs grow so much that rounding hides the decaying modes."""
     basis = experiment.basis
     if not basis.harmonic:
         return
@@ -199,7 +199,7 @@ def warn_of_growth(model, experiment):
 def warn_of_unstable(model, n_rows):
     """Warn if a model of plain data has a mode that grows over its longest segment.
 
-    Not of the candidates of a search: their scores tell, and the model that it ends with is fitted
+    Candidates of a search are not checked: their scores show it, and the final model is fitted
     outside.
     """
     folds = growth_rate(model) * model.dt
@@ -230,7 +230,7 @@ def longest_span(experiment):
 
 
 def check_motion(facts):
-    """Raise ValueError unless inputs and outputs move; warn of those that do not altogether.
+    """Raise ValueError if an input or all outputs rest; warn of those that rest in part.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def check_motion(facts):
 
 
 def motion_kept(measured, sampling, basis, taken):
-    """What samples share with those before them, in parts of what neighbours do.
+    """Motion that samples share with earlier ones, as a share of that of neighbours.
 
     Neighbouring samples share motion, whatever their noise; so do samples further apart, for as
     long as it lasts.
@@ -311,13 +311,13 @@ def motion_kept(measured, sampling, basis, taken):
 
 
 def lasting_hop(kept):
-    """The most samples apart at which every output keeps half of its motion."""
+    """Largest distance in samples at which every output keeps half of its motion."""
     less = kept < HALF_KEPT
     return int(np.min(np.where(less.any(axis=0), np.argmax(less, axis=0), len(kept))))
 
 
 def warn_of_thinning(experiment, taken):
-    """Warn of outputs whose motion is forgotten from one row read to the next."""
+    """Warn of outputs whose motion is lost from one analysed row to the next."""
     basis = experiment.basis
     if basis.hop == 1:
         return

@@ -1,4 +1,4 @@
-"""The model of samples at their azimuths, as a value that rides on a frame, and its simulation."""
+"""The model of samples at their azimuths, as a value that a frame carries; its simulation."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property

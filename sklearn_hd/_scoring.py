@@ -1,4 +1,4 @@
-"""What scores compare: measured and simulated outputs on the rows that count, their weights."""
+"""Comparison in scores: measured and simulated outputs on the rows that count, with weights."""
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
@@ -26,8 +26,8 @@ def scored_simulation(step, X, y, horizon=None, loads=False):
 def compared(step, X, y, sample_weight=None, horizon=None):
     """Measured and simulated outputs on the rows that count, and the rows' weights.
 
-    None, and a warning, where outputs grow until the spread of such scores over folds would be no
-    number. A search over orders goes on: that candidate is the worst.
+    None, and a warning, if outputs grow so much that the spread of such scores over folds would
+    not be finite. A search over orders continues with that candidate as the worst.
     """
     try:
         truth, simulated, rows = scored_simulation(step, X, y, horizon)
@@ -48,7 +48,7 @@ def compared(step, X, y, sample_weight=None, horizon=None):
 
 
 def meet_at_rest(truth, simulated, measured):
-    """Take outputs that stand still, to rounding, for met where the simulation does, too."""
+    """Treat outputs that rest, to rounding, as met if the simulation rests, too."""
     dust = DUST * np.max(np.abs(extremes(measured)), axis=0)
     for j in np.flatnonzero(np.ptp(truth, axis=0) <= dust):
         if np.max(np.abs(simulated[:, j] - truth[:, j])) <= dust[j]:

@@ -64,9 +64,9 @@ def keeps_times(given, data):
 
 
 def _warn_of_joined_rows(data):
-    """Warn where rows without times are the training rows of a fold, and were not consecutive.
+    """Warn if rows without times are the training rows of a fold, and were not consecutive.
 
-    An array does not tell; the cross-validation that has cut it knows.
+    An array does not show it, but the cross-validation that has cut it does.
     """
     for frame in searches():
         train = np.asarray(frame.f_locals.get("train"))
@@ -93,7 +93,7 @@ def check_has_signals(data, what):
 
 
 def check_upright(data, what):
-    """Raise ValueError for an array of more signals than samples: it is one lying on its side."""
+    """Raise ValueError for an array with more signals than samples, which is transposed."""
     if not isinstance(data, np.ndarray) or data.ndim != 2:
         return
     rows, columns = data.shape
@@ -195,7 +195,7 @@ class TimeBase:
     sample_time : float
         Seconds.
     counted : bool
-        True where samples were counted because no times were given.
+        True if rows count as samples because no times were given.
     jitter : (float, float)
         Seconds by which rows are off evenly spaced instants: root mean square, largest.
     uncertainty : float
@@ -323,7 +323,7 @@ def _check_sample_time(given, found, uncertainty):
 
 
 def why_short(base):
-    """What made segments short, worded for messages; empty where nothing did."""
+    """Reason for short segments, for messages; empty if there is none."""
     n_rows, n_segments = len(base.time), len(base.segments)
     n_gaps = n_segments - len(set(base.records))
     if n_gaps > 2 and n_rows < SHORT * n_gaps:
@@ -411,7 +411,7 @@ def _seconds(times, sample_time, time_origin):
 
 
 def _conversion(times):
-    """How labels that could be times become so, worded for messages."""
+    """The code that converts labels to times, for messages."""
     kind, way = pd.api.types.infer_dtype(times), None
     if kind in ("floating", "integer", "mixed-integer-float", "decimal") or (
         kind == "string" and _reads(pd.to_numeric, times)

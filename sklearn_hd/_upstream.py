@@ -1,4 +1,4 @@
-"""What a step that follows another one reads."""
+"""Input of a step that follows another one."""
 
 from sklearn.base import clone
 
@@ -11,10 +11,10 @@ __all__ = ["upstream"]
 
 
 def upstream(step, X, y):
-    """What a reducing or matching step reads: the experiment, and the model it starts from.
+    """Input of a reducing or matching step: the experiment, and the model it starts from.
 
-    The model rides on X, or is that of ``step.estimator``, a clone of which is
-    fitted here (``step.estimator_``).
+    X carries the model, or it is that of ``step.estimator``, a clone of which is fitted here
+    (``step.estimator_``).
     """
     check_outputs_given(y)
     step._check_warmup()
