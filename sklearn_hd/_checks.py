@@ -1,4 +1,4 @@
-"""The one place that words errors about parameters, period, shape and finite values."""
+"""Errors about parameters, period, shape and finite values, in one place."""
 
 import math
 import numbers
@@ -261,7 +261,7 @@ def check_span(name, span, *words):
 
 
 def check_wrap(psi, name):
-    """Raise ValueError if ψ starts anew at each turn, but not after 2π."""
+    """Raise ValueError if ψ jumps back at each turn, but not after 2π."""
     known = psi[np.isfinite(psi)]
     drops = np.diff(known)[np.diff(known) < 0.0]
     wrapped = len(drops) and np.ptp(known) > 4.0 * np.pi and -np.median(drops) > 4.0 * np.pi

@@ -498,13 +498,13 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
     @one_blas_thread
     @within_range
     def predict_ahead(self, X, y, horizon=1, x0=None):
-        """Outputs predicted some rows ahead from the outputs before them.
+        """Predict outputs some rows ahead from the outputs before them.
 
             x̂[k+1] = A x̂[k] + B u[k] + K e[k],   ŷ[k] = C x̂[k] + D u[k],   e = y − ŷ
 
-        One row ahead; further ahead the model goes on without e. Where ``predict``
-        simulates from the inputs alone, this also holds for what disturbances have done, and
-        for unstable models.
+        These equations predict one row ahead; further ahead the model continues without e.
+        ``predict`` simulates from the inputs alone. ``predict_ahead`` also accounts for past
+        disturbances, and works for unstable models.
 
         Parameters
         ----------
@@ -513,10 +513,11 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         horizon : int, default=1
-            Rows (period by period, periods) from the last output used to the one predicted.
+            Rows (periods with ``reading="period"``) from the last output used to the predicted
+            one.
         x0 : array_like or dict, optional
-            As in ``predict``; by default the state with the least innovations over
-            the segment's first rows, as many as remember it.
+            As in ``predict``; by default the state with the smallest innovations over the first
+            rows of the segment, as many as depend on it.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""What block rows, order and weighting the data allow."""
+"""Checks of block rows, order and weighting against the data."""
 
 from dataclasses import replace
 

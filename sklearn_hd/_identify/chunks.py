@@ -1,8 +1,8 @@
-"""Data that arrive in chunks: what ``MOESPRegressor.partial_fit`` keeps of them.
+"""Data that arrive in chunks, and the sums that ``MOESPRegressor.partial_fit`` keeps.
 
-Rows are read as a fit would read them all at once: plain rows as they are; through a sliding
-window those at ψ = 0 mod hop, once their windows, hops and whole periods are complete. The raw
-rows that this takes are carried over to the next chunk; the rest are statistics that merge.
+Rows are read as in a fit of all rows: plain rows as they are; through a sliding window those at ψ
+= 0 mod hop, as soon as their windows, hops and whole periods are complete. The raw rows that this
+needs are carried over to the next chunk; the rest are statistics that merge.
 With a half-life the rows are weighted by their age
 (:mod:`~sklearn_hd.algorithms.subspace.forgetting`).
 """

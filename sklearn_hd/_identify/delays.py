@@ -1,10 +1,10 @@
-"""Time delays beside a subspace fit: whole samples searched, and refined where data are plain.
+"""Time delays with a subspace fit: a search over whole samples, refined for plain data.
 
-1. The lag at which each output first answers to each input, by the criterion of a regression
+1. The lag at which each output first responds to each input, by the criterion of a regression
    (:func:`~sklearn_hd.algorithms.likelihood.delay_search.first_answers`).
-2. Delays of inputs and outputs whose sums these lags are.
+2. Delays of inputs and outputs; these lags are their sums.
 3. Plain data: the likelihood of the time-invariant model with all entries free, and the delays.
-   Any other model gets there in :class:`~sklearn_hd.StructuredMatcher`.
+   Other models are refined in :class:`~sklearn_hd.StructuredMatcher`.
 4. The model, by the subspace method of its reading, in the machine's own time.
 """
 

@@ -1,9 +1,8 @@
 """Identification from dask DataFrames: statistics of each partition, merged as a tree.
 
-The data are read where they are, once (through an analysis window once more before that, for the
-phases at which inputs change). Records may end within a partition or run through several; those
-that are read through a window lie within one. Neighbours are merged where they are, and what
-arrives here is one statistic.
+The workers read the data once (with an analysis window once more before that, for the phases at
+which inputs change). Records may end within a partition or run through several; those read through
+a window lie within one. Neighbours are merged by the workers, and only one statistic is returned.
 """
 
 import pickle

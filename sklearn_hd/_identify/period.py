@@ -1,8 +1,8 @@
-"""``reading="period"``: identification of the Poincaré map, one row a period.
+"""``reading="period"``: identification of the Poincaré map, one row per period.
 
-The outputs of a period answer to every sample of the inputs within it, whatever harmonics of
-them are kept: what is projected out of the future are the directions that inputs move in within
-the period. D is always free, for inputs act within the period that they belong to.
+The outputs of a period respond to every sample of the inputs within it, whatever harmonics of them
+are kept. The projection therefore removes the directions in which inputs move within the period. D
+is always free, because inputs act within their own period.
 """
 
 from dataclasses import replace

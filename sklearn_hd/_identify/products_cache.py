@@ -1,7 +1,7 @@
-"""What searches make over and over, kept: products of the data, and what is made of them.
+"""Cache for searches: products of the data, and the factors made from them.
 
-Products and factors lie in a folder, which processes share. What a process has made or loaded
-last it also has at hand, up to some megabytes: reading a file takes longer than a small model.
+Products and factors lie in a folder, which processes share. A process also keeps the ones it used
+last in memory, up to some megabytes, because reading a file takes longer than a small model.
 Records in memory (:mod:`~sklearn_hd._identify.statistics`) ask for them.
 """
 

@@ -1,4 +1,4 @@
-"""What samples at their azimuths may lack, and what their model may have: errors and warnings."""
+"""Errors and warnings for samples at their azimuths, and for their model."""
 
 import numpy as np
 

@@ -1,8 +1,8 @@
 """``reading="sliding"``: identification of coefficients as a window sees them, row by row.
 
-What is projected out of the future are the inputs, or, where they change at more than one phase
-of the period, the inputs times harmonics of ψ (:mod:`~sklearn_hd._identify.modulation`).
-Block rows must exceed the window, whose memory is else mistaken for dynamics.
+The projection removes the inputs from the future, or, if they change at more than one phase of the
+period, the inputs times harmonics of ψ (:mod:`~sklearn_hd._identify.modulation`). Block rows must
+exceed the window, whose memory would otherwise be mistaken for dynamics.
 """
 
 import numpy as np

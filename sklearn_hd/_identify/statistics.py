@@ -1,19 +1,9 @@
-"""What a fit needs of data: one protocol, for arrays in memory and for sums that merge.
+"""Data of a fit: one protocol, for arrays in memory and for sums that merge.
 
-``Records`` holds the arrays of all segments. ``Statistics`` are sums over rows, wherever they are:
-those of a chunk are merged with those of the rows before it, those of a partition with its
-neighbours', in any grouping; ``data`` makes ``Summed`` of them. Both, and dask's partitions, say
-
-    facts                         names, motion and words for checks and messages
-    lengths                       rows of each segment
-    n_inputs, n_outputs           channels that are projected: of inputs, of outputs
-    most_block_rows               that R can be made with
-    scales(scale)                 what channels, and drive and outputs, are divided by
-    factor(block_rows, scale)     R of the block Hankel matrices
-    input_matrices(A, C, …)       B, D and the initial states, simulated
-    initial_states(A, …, K, …)    those of the innovation form
-
-so that the identification after them is one and the same.
+``Records`` holds the arrays of all segments. ``Statistics`` are sums over rows: those of a chunk
+are merged with those of the rows before it, those of a partition with its neighbours', in any
+grouping; ``data`` makes ``Summed`` of them. Both, and dask's partitions, use this protocol, so the
+identification after them is the same.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,8 @@
 """Step 5 in a norm: a structure affine in its parameters, matched to a continuous model (Eq. 22).
 
-A MatrixStructure is affine as it stands; a HarmonicStructure is so in the harmonic
-decomposition of its periodic system. The matcher takes this route for all models but those
-identified period by period, and to start maximum likelihood from.
+A MatrixStructure is affine itself; a HarmonicStructure is affine in the harmonic decomposition of
+its periodic system. The matcher takes this route for all models except those of whole periods, and
+for the start of maximum likelihood.
 """
 
 from collections.abc import Mapping

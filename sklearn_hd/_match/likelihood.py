@@ -1,8 +1,8 @@
-"""Maximum likelihood on the raw record: what a structured model is refined to.
+"""Maximum likelihood on the raw record, which refines a structured model.
 
-What a simulation leaves (``criterion="output_error"``), or a prediction one sample ahead
-(``"prediction_error"``), of periodic and time-invariant models, of their steps, and of models of
-samples about a forced periodic response, whose Fourier coefficients are parameters too.
+It minimises the residuals of a simulation (``criterion="output_error"``) or of a prediction one
+sample ahead (``"prediction_error"``), for periodic and time-invariant models, their steps, and
+models of samples about a forced periodic response, whose Fourier coefficients are parameters too.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What each route of matching returns: a structured model with its parameters, periodic or not."""
+"""Result of each route of matching: a structured model with its parameters."""
 
 from dataclasses import dataclass, replace
 

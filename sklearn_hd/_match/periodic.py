@@ -1,8 +1,8 @@
-"""From a period-synchronous model to the linear time-periodic one behind it, in closed form.
+"""Closed form from a period-synchronous model to the linear time-periodic one behind it.
 
-1. The Poincaré map Φ identified; what every sample of the period sees of the state; from
-   both the mode shapes P(ψ) and R = log(Φ)/T.
-2. F(ψ) = (P′ + P R) P⁻¹ where the outputs determine the state; else Floquet coordinates,
+1. The identified Poincaré map Φ and the outputs that each sample of the period makes of the
+   state give the mode shapes P(ψ) and R = log(Φ)/T.
+2. F(ψ) = (P′ + P R) P⁻¹ if the outputs determine the state; otherwise Floquet coordinates,
    in which F = R and the outputs are P(ψ) x.
 3. G(ψ) and Q(ψ) by linear least squares on the raw record.
 """

@@ -1,8 +1,8 @@
-"""From a model of samples at their azimuths to the continuous one behind it, in closed form.
+"""Closed form from a model of samples at their azimuths to the continuous one behind it.
 
-1. The continuous model whose samples it is, outputs its states where they can be.
-2. The parameters of a structure whose steps over a turn are nearest to it.
-3. Its samples, about the forced response of the model identified: what ``predict`` simulates.
+1. The continuous model with these samples; its states are outputs if possible.
+2. The parameters of a structure whose steps over a turn are closest to it.
+3. Its samples, about the forced response of the identified model, for ``predict``.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""How far the deviations of a fit can be trusted: residual tests, and parts of the record."""
+"""Checks of the standard deviations of a fit: residual tests, and parts of the record."""
 
 from dataclasses import dataclass
 
@@ -59,7 +59,7 @@ class Trust:
 
 
 def trusted(fit, experiment, simulators, parameters):
-    """Deviations of a fit that hold, if need be, where what it leaves is no white noise.
+    """Standard deviations of a fit that hold even if its residuals are not white noise.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _divisions(result):
 
 
 def _warn_of_tests(tests, kind, simulated):
-    """Of what is left that is no noise, with the figure that shows it."""
+    """Warn of residuals that are not noise, with the figure that shows it."""
     if kind == "information":
         return
     failed = tests[~tests["passed"]].sort_values("share", ascending=False)
@@ -171,7 +171,7 @@ def _coloured(failed):
 
 
 def _warn_of_parts(exponents, apart, own, more):
-    """Of parts of the record that put an exponent elsewhere."""
+    """Warn of parts of the record that put an exponent elsewhere."""
     n, told = len(exponents), None
     for name, (offsets, differ) in apart.items():
         for r in np.flatnonzero(differ):
@@ -195,7 +195,7 @@ def _warn_of_parts(exponents, apart, own, more):
 
 
 def warn_of_slow(fit, trust, experiment):
-    """Of modes that last longer than the record, and of intervals of a short one."""
+    """Warn of modes that last longer than the record, and of intervals of a short record."""
     spans = [time[-1] - time[0] for time in experiment.times()]
     slowest = np.max(trust.exponents.real, initial=-np.inf)
     decays = -slowest * max(spans)

@@ -1,4 +1,4 @@
-"""What every harmonic reading shares: how coefficients are made of signals, and back."""
+"""Common part of the harmonic readings: coefficients from signals, and back."""
 
 from dataclasses import dataclass, field
 

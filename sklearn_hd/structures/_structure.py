@@ -1,9 +1,9 @@
-"""What both structures share: entries, what is said of parameters by name, how both are shown.
+"""Common part of both structures: entries, knowledge of named parameters, display.
 
 Entries are affine in named parameters: "1.5 - 0.5*k1 + 2*k2" is the cell
 (1.5, (("k1", -0.5), ("k2", 2.0))), a constant and terms, each a name and its factor; a name of
-None stands for a parameter that is called after its place. Of a parameter there may be a value
-to hold, where to start, between what bounds.
+None stands for a parameter named after its place. A parameter may have a fixed value, a start
+value and bounds.
 """
 
 import ast

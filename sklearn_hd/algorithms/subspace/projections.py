@@ -1,4 +1,4 @@
-"""What future outputs share with past data: observability, singular values, order, A and C.
+"""Common part of future outputs and past data: observability, singular values, A and C.
 
 From the triangular factor of [U_f; U_p; Y_p; Y_f] = L Q, with W_p = [U_p; Y_p], the oblique
 projection O of Y_f along U_f on W_p, and Π the projection off the rows of U_f (Van Overschee
