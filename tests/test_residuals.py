@@ -222,5 +222,5 @@ def test_display_by_azimuth_shows_loads_left_out():
     assert "not noise" in display.axes_[2].get_title("left")
     assert np.ptp(display.by_phase["y", "mean"]) > 1.0
     exact, v = innovations(2, noise=0.0)
-    with pytest.raises(ValueError, match="nothing of this record but rounding"):
+    with pytest.raises(ValueError, match="only rounding of this record"):
         ResidualDisplay.from_estimator(MOESPRegressor(3).fit(exact, v), exact, v)
