@@ -106,7 +106,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit, with the harmonic basis riding on them or plain.
+            Inputs as at fit, plain or as a frame with a harmonic basis.
 
         Returns
         -------
@@ -169,7 +169,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit, with the harmonic basis riding on them or plain.
+            Inputs as at fit, plain or as a frame with a harmonic basis.
         x0 : array_like or dict, optional
             State at the start of each segment: one vector, shape (n_states,), for all; one row per
             segment; or a dict (or a DataFrame's rows) by record. The label of a record is a tuple
@@ -248,7 +248,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit, with the harmonic basis riding on them or plain.
+            Inputs as at fit, plain or as a frame with a harmonic basis.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         sample_weight : array_like, shape (n_samples,), optional

@@ -304,7 +304,7 @@ def _first_steps(seconds, bounds):
 
 
 def _alike(seconds, bounds):
-    """Whether all steps are one and the same, but for rounding."""
+    """Whether all steps are one and the same, except for rounding."""
     ends = [step_extremes(seconds[a:b]) for a, b in itertools.pairwise(bounds) if b - a > 1]
     if not ends:
         return False

@@ -86,7 +86,7 @@ class Stream:
     changes : ndarray, shape (samples_per_period, n_drive), or None
         Largest changes of the drive, by phase.
     forgetting : Forgetting
-        Of the rows read.
+        Of the analysed rows.
     n_read : int
         Rows read.
     moved : ndarray, shape (m,)
@@ -387,7 +387,7 @@ def model_so_far(stream, settings):
 
 
 def _half_life_in_rows(basis, sample_time, settings):
-    """The half-life given, in periods or, of plain data, in seconds; in rows read."""
+    """The given half-life (periods, or seconds of plain data) in analysed rows."""
     if settings.half_life is None:
         return np.inf
     rows_per_unit = basis.rows_per_period if basis.harmonic else 1.0 / sample_time

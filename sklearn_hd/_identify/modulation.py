@@ -4,7 +4,7 @@ The response of a periodic system, seen through a sliding window, depends on the
 period. Its coefficients at the analysed rows are time-invariant
 
 - to u itself, where u changes at one phase of the period alone;
-- to u, u cos pψ, u sin pψ, …, but for what u does within a hop (Wereley, 1990);
+- to u, u cos pψ, u sin pψ, …, except for what u does within a hop (Wereley, 1990);
 - to the samples of u within each hop, times what tells the rows of a period apart:
   exactly, for whatever moves within one hop is in w, and the response to w at row k,
 

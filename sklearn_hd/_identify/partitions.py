@@ -136,7 +136,7 @@ class Partitions:
 
 
 def _basis_of(X):
-    """The basis that rides on a dask DataFrame, as its meta shows; that of plain rows without.
+    """The basis that a dask DataFrame carries, as its meta shows; that of plain rows without.
 
     Raises
     ------

@@ -224,7 +224,7 @@ def _raw_periods(experiment):
 def _own_map(A, C, noise, experiment, data, unit, settings):
     """The machine's map and what is seen of its states: of the whole record, or at rest.
 
-    Where one linear map does not explain the whole record but for noise, inputs have held a
+    Where one linear map does not explain the whole record except for noise, inputs have held a
     nonlinear machine away from its orbit: its own map is that of its free decays.
     """
     Phi = _refined(A, C, experiment, data, unit, settings.stable)
@@ -265,7 +265,7 @@ def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
 
 
 def _linear(Phi, still, decays, experiment, data):
-    """Whether one map explains the whole record but for noise, and free decays as well as any.
+    """Whether one map explains the whole record except for noise, and free decays as well as any.
 
     By the ratio of likelihoods (Wilks, 1938).
     """

@@ -203,7 +203,7 @@ class Records(_Data):
     Parameters
     ----------
     inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
-        Drive and outputs at the rows read.
+        Drive and outputs at the analysed rows.
     facts : Facts
     memory : str, joblib.Memory or None
         Where products are kept.
@@ -324,7 +324,7 @@ class Statistics:
 
     @classmethod
     def of(cls, channels, n_lags, rows, extremes, size, n_samples):
-        """Of the rows read of some segments, each shape (n_rows_s, n_channels)."""
+        """Of the analysed rows of some segments, each shape (n_rows_s, n_channels)."""
         alone, outputs = channels.waves(0), channels.outputs
         total = cls(channels, (), None, (), np.zeros_like(size), 0)
         for segment, ends in zip(rows, extremes, strict=True):

@@ -63,7 +63,7 @@ class HarmonicBasis:
     window : str
         Such as ``"boxcar"`` (causal) or ``"centred-boxcar"``.
     hop : int
-        Samples from one row read by the model steps to the next.
+        Samples from one analysed row to the next.
     inputs, outputs : tuple of (signal, (k, …))
         Harmonics kept of each signal.
     input_trim, output_trim : ndarray, shapes (samples_per_period, n_signals), or None

@@ -91,7 +91,7 @@ class Signals:
         return 2.0 * np.pi * steps / turned, float(turned / passed)
 
     def without(self, name):
-        """The signals but for one that is the azimuth."""
+        """The signals except for one that is the azimuth."""
         keep = [i for i, other in enumerate(self.names) if other != name]
         return self.data[:, keep], tuple(self.names[i] for i in keep)
 

@@ -354,7 +354,7 @@ def mode_table(exponents, families, verdicts, reasons):
 
 
 def _window_memory(z, basis):
-    """Poles that die within the window, but for those whose copies agree."""
+    """Poles that die within the window, except those whose copies agree."""
     window = is_window_pole(z, basis.window_rows, WINDOW_DECAY)
     told = np.flatnonzero(~is_window_pole(z, basis.window_rows, FAINT))
     orders = [orders for _, orders in basis.outputs]

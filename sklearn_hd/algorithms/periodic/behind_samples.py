@@ -164,7 +164,7 @@ class Turn:
                     yield rows
 
     def determined_by(self, rows):
-        """Whether some outputs, but for a feedthrough, can be the states: F(ψ) is resolved, and
+        """Whether some outputs, except for a feedthrough, can be the states: F(ψ) is resolved, and
         moves no faster than samples can show."""
         if len(rows) != len(self.shapes.R):
             return False

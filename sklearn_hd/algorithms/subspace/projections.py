@@ -77,7 +77,7 @@ def release_idle_directions(R, n_future_inputs):
     Returns
     -------
     R : ndarray, shape (p, p)
-        Upper block triangular; RᵀR as before, but for what is below rounding in U_f.
+        Upper block triangular; RᵀR as before, except for what is below rounding in U_f.
     """
     n = n_future_inputs
     if all_above(R[:n, :n], DEPENDENT):
