@@ -232,7 +232,7 @@ REFUSED = {
     "one amplitude": (
         "extrapolate",
         {"amplitudes": [1.0, 1.0]},
-        r"found but one amplitude for record 'r0' .* give records of one waveform at two",
+        r"found only one amplitude for record 'r0' .* give records of one waveform at two",
     ),
     "at rest": ("odd", {"amplitudes": [1.0, -1.0, 0.0]}, r"the input of record 'r2' at rest"),
 }
