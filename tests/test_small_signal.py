@@ -220,7 +220,7 @@ REFUSED = {
     "one sign": (
         "odd",
         {"amplitudes": [1.0, -1.0, 0.5]},
-        r"no partner for record 'r2' among .*: its input is 0.5 times that of 'r0', and none is "
+        r"no partner for record 'r2' among .*: its input is 0.5 times that of 'r0', and no record is "
         r"-0.5 times it .* leave 'r2' out, or use small_signal='extrapolate'",
     ),
     "another phase": (
@@ -234,7 +234,7 @@ REFUSED = {
         {"amplitudes": [1.0, 1.0]},
         r"found only one amplitude for record 'r0' .* give records of one waveform at two",
     ),
-    "at rest": ("odd", {"amplitudes": [1.0, -1.0, 0.0]}, r"the input of record 'r2' at rest"),
+    "at rest": ("odd", {"amplitudes": [1.0, -1.0, 0.0]}, r"the input of record 'r2' is at rest"),
 }
 
 
