@@ -220,8 +220,8 @@ REFUSED = {
     "one sign": (
         "odd",
         {"amplitudes": [1.0, -1.0, 0.5]},
-        r"no partner for record 'r2' among .*: its input is 0.5 times that of 'r0', and no record is "
-        r"-0.5 times it .* leave 'r2' out, or use small_signal='extrapolate'",
+        r"no partner for record 'r2' among .*: its input is 0.5 times that of 'r0', and no record "
+        r"is -0.5 times it .* leave 'r2' out, or use small_signal='extrapolate'",
     ),
     "another phase": (
         "odd",
