@@ -2,7 +2,7 @@
 Simulate and linearise a flapping wing
 ======================================
 
-How hard may a flapping wing be disturbed before a linear model of it goes wrong?
+How large a disturbance of a flapping wing can a linear model still describe?
 
 The wing is the paper's: a vehicle the size of a hawkmoth in vertical flight. It has two states,
 the vertical speed *w* (positive down) and the flapping speed *φ̇*. Its input *U* is the
@@ -72,7 +72,7 @@ pd.DataFrame(hd.A, hd.state_labels, hd.state_labels).round(1)
 
 # %%
 # Its eigenvalues are the Floquet exponents of the periodic system, each with copies shifted up and
-# down by the flapping frequency ω. With one harmonic kept, they agree nearly.
+# down by the flapping frequency ω. With one harmonic kept, they nearly agree.
 
 print("Floquet exponents:  ", ltp.floquet_exponents().real.round(2))
 print("on the real axis:   ", np.sort(hd.poles()[abs(hd.poles().imag) < 1].real)[::-1].round(2))
@@ -87,7 +87,7 @@ ParticipationDisplay.from_system(ltp, n_harmonics=1)
 # %%
 # How small is small?
 # -------------------
-# The nonlinear wing, less its trim, against the linear one, for doublets of four sizes.
+# Compare the nonlinear wing, without its trim, with the linear one, for doublets of four sizes.
 
 in_trim = fly(0.0)
 
@@ -117,10 +117,10 @@ ResponseDisplay.from_data(
 # %%
 # What was learned
 # ----------------
-# The error of the linear model grows in proportion to the doublet. A doublet of a percent or two,
-# as the paper flies, leaves an error far below usual noise.
+# The error of the linear model grows in proportion to the doublet. A doublet of one or two
+# percent, as in the paper, leaves an error far below usual noise.
 #
-# * Systems of your own: :class:`~sklearn_hd.systems.PeriodicSystem` takes any right-hand side that
-#   repeats; the others that are ready stand in the API reference.
+# * Your own systems: :class:`~sklearn_hd.systems.PeriodicSystem` takes any periodic right-hand
+#   side; the API reference lists the other ready-made systems.
 # * Records with the truth beside them: :func:`~sklearn_hd.datasets.make_flapping_wing`.
 # * Next: :ref:`sphx_glr_auto_examples_plot_02_harmonic_analyzer.py`.

@@ -8,9 +8,10 @@ What is slow in a signal that repeats itself with every wingbeat?
 # %%
 # The signals
 # -----------
-# A flapping wing answers a doublet of its torque. Above, in grey, the signals: *w*, the vertical
-# speed, and *φ̇*, the flapping speed, which swings with each wingbeat. Below, in colour, what the
-# analyzer makes of them: the mean of *w*, and the cosine and sine parts of *φ̇*.
+# A flapping wing responds to a doublet of its torque. The upper panels show the signals in grey:
+# the vertical speed *w* and the flapping speed *φ̇*, which oscillates with each wingbeat. The
+# lower panels show in colour what the analyzer computes from them: the mean of *w*, and the cosine
+# and sine parts of *φ̇*.
 
 # sphinx_gallery_thumbnail_number = 2
 import numpy as np
@@ -32,9 +33,9 @@ HarmonicsDisplay.from_data(y, omega, kept, units=units)
 # To find them the analyzer multiplies the signal by cos ψ and sin ψ and averages over a window of
 # one period: ψ = ωt is the phase of the wingbeat.
 #
-# How good are they?
-# ------------------
-# These signals were put together from coefficients that are known, so the analyzer can be checked.
+# How accurate are they?
+# ----------------------
+# These signals were made from known coefficients, so the analyzer can be checked.
 # ``"boxcar"`` looks back over one period, ``"hann"`` over two; ``"centred-boxcar"`` looks to both
 # sides and has no delay.
 
@@ -55,14 +56,14 @@ ResponseDisplay.from_data(
 #
 # What it adds
 # ------------
-# *w* was made without a first harmonic. The analyzer finds one all the same.
+# *w* was made without a first harmonic, but the analyzer finds one.
 
 HarmonicsDisplay.from_data(y["w"], omega, 1, span=(1.0, 1.4), units=units)
 
 # %%
-# While *w* decays, the average of w cos ψ over a period is not quite zero. What is left turns with
-# the wingbeat: the mode λ shows up again at λ ± jω. Such *copies* are no modes of the wing. Their
-# size follows from the window:
+# While *w* decays, the average of w cos ψ over a period is not quite zero. The rest turns with the
+# wingbeat: the mode λ appears again at λ ± jω. Such *copies* are not modes of the wing. Their size
+# follows from the window:
 #
 # .. math:: \frac{|w_1|}{|w|} = \frac{2\,|1 - e^{-\lambda T}|}{|\lambda - j\omega|\,T}
 
@@ -76,9 +77,9 @@ print(f"size of the copy: measured {measured.iloc[-1]:.5f}, predicted {predicted
 # %%
 # And back
 # --------
-# ``inverse_transform`` puts a signal together from its coefficients. With one harmonic kept, that
-# is the signal as the window saw it. With all the harmonics that the samples hold, it is the
-# signal itself.
+# ``inverse_transform`` reconstructs a signal from its coefficients. With one harmonic kept, the
+# result is the signal as the window saw it. With all the harmonics that the samples hold, it is
+# the signal itself.
 
 for reading, harmonics in (("sliding", 1), ("sliding", 32), ("period", 1), ("period", 32)):
     analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, reading=reading).fit(y)
@@ -89,9 +90,9 @@ for reading, harmonics in (("sliding", 1), ("sliding", 32), ("period", 1), ("per
 # %%
 # What was learned
 # ----------------
-# An analyzer turns fast signals into slow ones. It also brings in copies of every mode and a
-# memory as long as its window; both will be found in the identified model.
+# An analyzer turns fast signals into slow ones. It also adds copies of every mode and a memory as
+# long as its window; both appear in the identified model.
 #
 # * Every choice of window, hop and harmonics: :class:`~sklearn_hd.HarmonicAnalyzer`.
-# * Which to take: :doc:`/guide/1_data`.
-# * How the copies are told from the modes: :ref:`sphx_glr_auto_examples_plot_04_spurious_modes.py`.
+# * How to choose them: :doc:`/guide/1_data`.
+# * How to separate copies from modes: :ref:`sphx_glr_auto_examples_plot_04_spurious_modes.py`.

@@ -2,14 +2,14 @@
 Identify a model and choose its order
 =====================================
 
-How many states does a model need, when all there is to go by is a noisy record?
+How many states does a model need, if you have only a noisy record?
 """
 
 # %%
 # The record
 # ----------
-# A flapping wing under a repeated 3-2-1-1 input. White noise of a twentieth of each output's
-# standard deviation lies on top. The last part is kept for the end.
+# The record shows a flapping wing under a repeated 3-2-1-1 input, with white noise of a twentieth
+# of each output's standard deviation. The last part is kept for validation.
 
 # sphinx_gallery_thumbnail_number = 3
 import warnings
@@ -41,8 +41,8 @@ HarmonicsDisplay.from_data(signals, data.omega, kept, span=(0.0, 2.0), units=uni
 # %%
 # One fit, and a look at it
 # -------------------------
-# ``reading="period"`` reads the record once a wingbeat. Read like that, a periodic system is
-# exactly time-invariant and keeps its own number of states. Singular values above the gap belong to
+# ``reading="period"`` takes one step per wingbeat. A periodic system is then exactly
+# time-invariant and keeps its own number of states. Singular values above the gap belong to
 # states, the others to noise.
 
 analyzer = HarmonicAnalyzer(data.omega, output_harmonics=3, reading="period")
@@ -52,9 +52,9 @@ SingularValueDisplay.from_estimator(pipe)
 # %%
 # Cross-validation
 # ----------------
-# That was one fit, and the gap is narrow. The sharper test is data that a model has not seen:
-# blocks of whole wingbeats are left out in turn, and every candidate simulates them. Of those that
-# are as good as the best, within its standard error, the smallest is taken.
+# That was one fit, and the gap is narrow. Data that a model has not seen are a sharper test:
+# blocks of whole wingbeats are left out in turn, and every candidate simulates them. Among the
+# candidates within one standard error of the best, the smallest is taken.
 
 search = GridSearchCV(
     pipe,
@@ -71,7 +71,7 @@ OrderSelectionDisplay.from_estimator(search, misfit=True)
 # %%
 # The part kept for the end
 # -------------------------
-# The order is set, and the steps that follow make a continuous model of it.
+# The order is set, and the following steps turn the model into a continuous one.
 
 order = search.best_params_["identify__order"]
 model = Pipeline(
@@ -95,10 +95,10 @@ ResponseDisplay.from_estimator(
 # %%
 # What was learned
 # ----------------
-# The true wing has two states, and two were found without being told. The fit is the same on data
-# that the model has not seen; what is missing is the noise.
+# The true wing has two states, and the search found two. The fit is the same on data that the
+# model has not seen; the remaining misfit is the noise.
 #
 # * Cross-validation by periods, records and azimuth: :doc:`/order_selection`.
 # * The rule: :func:`~sklearn_hd.model_selection.smallest_within_one_standard_error`.
-# * Several rows a period give more states than the system has:
+# * Several rows per period give more states than the system has:
 #   :ref:`sphx_glr_auto_examples_plot_04_spurious_modes.py`.

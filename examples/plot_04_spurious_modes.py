@@ -10,7 +10,7 @@ its own?
 # The record
 # ----------
 # Signals of a model with three states: the mean of *w*, and the cosine and sine parts of *φ̇*.
-# There is no noise, so nothing here is an accident.
+# There is no noise, so nothing here is random.
 
 # sphinx_gallery_thumbnail_number = 3
 import numpy as np
@@ -35,7 +35,7 @@ HarmonicsDisplay.from_data(data.outputs, data.omega, kept, span=(0.5, 2.5), unit
 # %%
 # Ten states
 # ----------
-# The coefficients are read four times a wingbeat. Ten singular values stand above rounding.
+# The coefficients are sampled four times per wingbeat. Ten singular values exceed rounding.
 
 
 def identify(window="boxcar", hop=16):
@@ -54,31 +54,31 @@ SingularValueDisplay.from_estimator(pipe)
 # %%
 # Three are the system's own
 # --------------------------
-# A window adds two kinds of modes. *Copies* stand straight above and below a genuine mode, at λ +
-# jpω. The *memory* of the window dies within its length, so it lies far to the left, out of view
-# here. ``SpuriousModeReducer`` tells them apart by this. It knows nothing of the machine.
+# A window adds two kinds of modes. *Copies* lie directly above and below a genuine mode, at λ +
+# jpω. The *memory* of the window dies within its length, so it lies far to the left, outside this
+# figure. ``SpuriousModeReducer`` uses these positions and needs no knowledge of the machine.
 
 true = np.linalg.eigvals(data.A_exact)
 EigenvalueDisplay.from_estimator(pipe, true=true)
 
 # %%
-# Every mode has a verdict, and the reason for it:
+# Every mode has a verdict with a reason:
 
 pd.options.display.max_colwidth = 80
 modes = pipe["reduce"].modes_
 modes.assign(eigenvalue=modes["eigenvalue"].map("{:.2f}".format))
 
 # %%
-# Does it help to look at models of growing order, as is usual in modal analysis, and to keep what
-# comes back? Not here. Once there are ten states, copies come back as surely as genuine modes do.
+# In modal analysis one often looks at models of growing order and keeps the modes that come back.
+# That does not help here: from ten states on, copies come back as surely as genuine modes do.
 
 StabilizationDisplay.from_estimator(pipe, data.inputs, data.outputs, orders=range(1, 13))
 
 # %%
 # Another window, other spurious modes
 # ------------------------------------
-# What a window brings in changes with the window and with the rows read. What belongs to the
-# system stays.
+# The spurious modes change with the window and with the number of analysed rows. The modes of the
+# system stay.
 
 rows = {}
 for window, hop in [("boxcar", 16), ("boxcar", 8), ("hann", 16), ("centred-boxcar", 16)]:
@@ -93,8 +93,8 @@ pd.DataFrame(rows).T
 # %%
 # What it costs to keep them
 # --------------------------
-# The model with all ten states answers for the coefficients as the window shows them, one row at a
-# time. The three genuine ones answer for the raw signals.
+# The model with all ten states describes the coefficients as the window shows them, row by row.
+# The three genuine ones describe the raw signals.
 
 ResponseDisplay.from_estimator(
     {"all ten states": pipe[:2], "three genuine": pipe},
@@ -107,11 +107,11 @@ ResponseDisplay.from_estimator(
 # %%
 # What was learned
 # ----------------
-# The analyzer's copies and memory can be told from the modes of the machine by where they lie, and
-# what is kept is as exact as if there had been no analyzer. Under noise the choice is harder, and
-# the verdict may be *ambiguous*.
+# The positions of the analyzer's copies and memory separate them from the modes of the machine,
+# and the kept modes are as exact as if there had been no analyzer. Under noise the choice is
+# harder, and the verdict may be *ambiguous*.
 #
 # * The formula, and how often the choice is right on random systems: :doc:`/spurious_modes`.
 # * The step itself: :class:`~sklearn_hd.SpuriousModeReducer`.
-# * Read period by period there is nothing to remove:
+# * With ``reading="period"`` there is nothing to remove:
 #   :ref:`sphx_glr_auto_examples_plot_06_periodic_model.py`.

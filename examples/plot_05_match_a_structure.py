@@ -2,14 +2,14 @@
 Match a model to the structure of the physics
 =============================================
 
-What is knowledge of the physics worth, once a model has been identified from a noisy record?
+How much does knowledge of the physics improve a model identified from a noisy record?
 """
 
 # %%
 # The record
 # ----------
-# A flapping wing with three states, *w* and the two parts of *φ̇*, answers a doublet. White noise
-# of a twentieth of each output's standard deviation lies on top.
+# A flapping wing with three states, *w* and the two parts of *φ̇*, responds to a doublet. The
+# record contains white noise of a twentieth of each output's standard deviation.
 
 # sphinx_gallery_thumbnail_number = 3
 import warnings
@@ -44,16 +44,16 @@ HarmonicsDisplay.from_data(data.outputs, omega, kept, span=(0.2, 2.0), units=uni
 # %%
 # Two structures
 # --------------
-# What identification finds has states without meaning. A structure gives them one: here the
-# outputs are the states (C is the identity unless given). With nothing else known, every entry of
-# A and B is free; NaN says so.
+# The states of an identified model have no physical meaning. A structure gives them one: here the
+# outputs are the states (C is the identity by default). If nothing else is known, every entry of A
+# and B is free, written as NaN.
 
 states = ["w_0", "phi_dot_1c", "phi_dot_1s"]
 free = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan), state_names=states)
 
 # %%
-# The physics say more. The torque drives the cosine part of *φ̇* alone. And *φ̇* is one signal
-# seen in a turning frame, so that its two parts are coupled by ω. A name in two cells is one
+# The physics gives more. The torque drives only the cosine part of *φ̇*. And *φ̇* is one signal
+# seen in a turning frame, so ω couples its two parts. A name that appears in two cells is one
 # parameter.
 
 A = pd.DataFrame(
@@ -91,9 +91,9 @@ norm = identify(data, physics, "hinf")
 ConvergenceDisplay.from_estimator(norm)
 
 # %%
-# An error remains: no choice of the parameters gives just what identification found, for noise
-# does not keep to the physics. ``"output_error"`` goes back to the raw record instead, and looks
-# for the parameters of largest likelihood.
+# An error remains: no choice of the parameters reproduces the identified model exactly, because
+# the noise does not follow the physics. ``"output_error"`` returns to the raw record instead, and
+# searches for the parameters of largest likelihood.
 
 likely = identify(data, physics, "output_error")
 BodeDisplay.from_estimator(
@@ -104,7 +104,7 @@ BodeDisplay.from_estimator(
 )
 
 # %%
-# Which is nearest to the truth?
+# Which is closest to the truth?
 # ------------------------------
 # One record proves nothing. Error of A in percent, on five. Where noise leaves a mode in doubt,
 # the reducer would warn; here such a record counts like the others.
@@ -127,11 +127,11 @@ table.round(2)
 # %%
 # What was learned
 # ----------------
-# Physics and likelihood together are nearest to the truth. Physics and a norm are further off than
-# no physics: the norm makes up for the noise in entries that are fixed by bending those that are
-# free. Match in a norm where the model is exact, or where the largest error is what counts, as it
-# does for a controller; else take the likelihood.
+# Physics and likelihood together are closest to the truth. Physics with a norm is worse than no
+# physics: fixed entries cannot absorb the noise, so the norm shifts the free entries instead.
+# Match in a norm if the model is exact, or if the largest error matters, as for a controller.
+# Otherwise use the likelihood.
 #
 # * Criteria, weights, and how to trust a match: :doc:`/matching`.
-# * Everything that a cell may say: :doc:`/structures`.
+# * Everything that a cell may contain: :doc:`/structures`.
 # * How sure the parameters are: :ref:`sphx_glr_auto_examples_plot_07_noise_and_confidence.py`.

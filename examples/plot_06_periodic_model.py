@@ -2,13 +2,14 @@
 Back to the periodic system
 ===========================
 
-Can the time-periodic system itself be read off a record, and not only a model of its harmonics?
+Can a record give the time-periodic system itself, and not only a model of its harmonics?
 """
 
 # %%
 # The record
 # ----------
-# The linear time-periodic flapping wing under a repeated 3-2-1-1 input, first without noise.
+# The record shows the linear time-periodic flapping wing under a repeated 3-2-1-1 input, first
+# without noise.
 
 # sphinx_gallery_thumbnail_number = 3
 import numpy as np
@@ -40,9 +41,9 @@ HarmonicsDisplay.from_data(signals, omega, kept, span=(0.0, 2.0), units=units)
 # %%
 # Period by period
 # ----------------
-# With ``reading="period"`` the record is read once a wingbeat. From one wingbeat to the next a
+# ``reading="period"`` takes one step per wingbeat. From one wingbeat to the next a
 # periodic system is exactly time-invariant: no spurious modes, and as many states as the system
-# has. What happens within a wingbeat then gives its matrices.
+# has. The motion within a wingbeat then gives its matrices.
 
 
 def identify(data, structure, criterion):
@@ -62,16 +63,16 @@ print("Floquet exponents, identified:", clean["match"].ltp_.floquet_exponents().
 print("                         true:", wing.floquet_exponents().real)
 
 # %%
-# *F(ψ)* comes out whole, kinks and all:
+# The result contains all of *F(ψ)*, including its kinks:
 
 PeriodicMatrixDisplay.from_estimator(clean, "F", true=wing)
 
 # %%
 # With noise
 # ----------
-# White noise of a twentieth of each output's standard deviation carries fewer details. Say how
-# many harmonics *F* may have, and that the torque drives *φ̇* through one harmonic, and look for
-# the parameters of largest likelihood.
+# White noise of a twentieth of each output's standard deviation hides details. State how many
+# harmonics *F* may have, and that the torque drives *φ̇* through one harmonic, and search for the
+# parameters of largest likelihood.
 
 noisy = make_flapping_wing(**record, snr=20, random_state=0)
 structure = HarmonicStructure(F=4, G={"1c": [[0.0], ["gain"]]})
@@ -79,13 +80,14 @@ pipe = identify(noisy, structure, "output_error")
 PeriodicMatrixDisplay.from_estimator(pipe, "F", true=wing)
 
 # %%
-# Four harmonics round the kinks, and *F[w, w]* moves the outputs too little to be seen well. The
+# Four harmonics round off the kinks, and *F[w, w]* affects the outputs too little for a good
+# estimate. The
 # exponents, with their standard deviations:
 
 pipe["match"].eigenvalues_.map("{:.3f}".format)
 
 # %%
-# From here there is a harmonic decomposition for any number of harmonics:
+# This system has a harmonic decomposition for any number of harmonics:
 
 ltp = pipe["match"].ltp_
 for n in (1, 2, 3):
@@ -96,9 +98,9 @@ for n in (1, 2, 3):
 # %%
 # Is a periodic model needed?
 # ---------------------------
-# A new record, with an input that changes at random, answers that without any model. What goes in
-# at a frequency Ω comes out at Ω + nω. A time-invariant system has the panel *n = 0* alone; there
-# the wing's *φ̇* shows nothing but noise.
+# A new record, with an input that changes at random, answers that without any model. An input at a
+# frequency Ω causes outputs at Ω + nω. For a time-invariant system only the panel *n = 0* has a
+# response; there the wing's *φ̇* shows nothing but noise.
 
 rng = np.random.default_rng(1)
 t = pd.Index(np.arange(1000 * 32) * wing.period / 32, name="time")
@@ -113,9 +115,9 @@ display.axes_[0].set_xlim(0, 3 * omega)
 # %%
 # What was learned
 # ----------------
-# The periodic system comes back whole from a record without noise. From a noisy one its exponents
-# and what moves the outputs most come back, and each number has a standard deviation.
+# A record without noise gives the whole periodic system. A noisy one gives its exponents and the
+# entries that move the outputs most, and each number has a standard deviation.
 #
-# * When this way, when the sliding analyzer: :doc:`/periodic_models`.
+# * When to use this way, and when the sliding analyzer: :doc:`/periodic_models`.
 # * Frequency responses of periodic systems: :doc:`/frequency_domain`.
-# * What else comes out: :class:`~sklearn_hd.systems.LTPSystem`.
+# * Further results: :class:`~sklearn_hd.systems.LTPSystem`.

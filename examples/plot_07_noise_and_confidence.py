@@ -2,14 +2,14 @@
 Noise, confidence and the Cramér-Rao bound
 ==========================================
 
-How far may an identified model be trusted when there is but one noisy record?
+How far can you trust an identified model if there is only one noisy record?
 """
 
 # %%
 # The record
 # ----------
-# A flapping wing answers a doublet; white noise of a twentieth of each output's standard deviation
-# lies on top.
+# A flapping wing responds to a doublet. The outputs contain white noise of a twentieth of each
+# output's standard deviation.
 
 # sphinx_gallery_thumbnail_number = 3
 import warnings
@@ -45,8 +45,8 @@ HarmonicsDisplay.from_data(data.outputs, data.omega, kept, span=(0.1, 2.0), unit
 # %%
 # Parameters and their intervals
 # ------------------------------
-# ``criterion="output_error"`` looks for the parameters under which the record is most likely. How
-# flat the likelihood is about them says how sure they are.
+# ``criterion="output_error"`` finds the parameters under which the record is most likely. The
+# curvature of the likelihood there shows how certain they are.
 
 B = [[0.0], ["gain"], [0.0]]  # the torque drives the cosine part of φ̇
 structure = MatrixStructure(np.full((3, 3), np.nan), B, state_names=states, input_names=["U_0"])
@@ -71,13 +71,13 @@ table = pd.DataFrame({"estimate": match.theta_, "std": match.theta_std_, "true":
 table.join(match.confidence_interval(0.95)).map("{:.4g}".format)
 
 # %%
-# The noise was estimated along with them:
+# The noise was estimated, too:
 
 print("noise, estimated:", match.noise_std_.round(5).to_dict())
 print("noise, true:     ", (data.outputs_clean.std() / 20).round(5).to_dict())
 
 # %%
-# The same for frequency responses, 95 % confidence shaded:
+# Frequency responses also have intervals; the shading is 95 % confidence:
 
 frequencies = np.geomspace(1.0, 2000.0, 200)
 exact = data.ltp.harmonic_decomposition(1)
@@ -86,9 +86,9 @@ BodeDisplay.from_estimator(match, frequencies, true=exact, units=units)
 # %%
 # Do they hold?
 # -------------
-# Fly again, twelve times, and see. The *Cramér-Rao bound* says how small the deviation of an
-# unbiased estimate can be at best. ``theta_std_`` is that bound, taken at the estimate. An
-# estimator that reaches it has errors of one such deviation, root mean square.
+# Twelve further flights test the intervals. The *Cramér-Rao bound* is the smallest standard
+# deviation that an unbiased estimate can have. ``theta_std_`` is that bound, taken at the
+# estimate. An estimator that reaches it has errors of one such deviation, root mean square.
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", IdentifiabilityWarning)  # of single records; all are judged
@@ -99,8 +99,8 @@ print(f"errors over the bound, root mean square: {np.sqrt((z**2).to_numpy().mean
 print(f"95 % intervals that hold the truth: {100 * inside.to_numpy().mean():.0f} %")
 
 # %%
-# The fast eigenvalue as the twelve gave it (dots), and the ellipse that the first record alone
-# gave:
+# The dots are the fast eigenvalue from the twelve flights, and the ellipse is the region from the
+# first record alone:
 
 eigenvalues = np.concatenate([one.system_.poles() for one in others])
 exact = np.linalg.eigvals(data.A_exact)
@@ -111,8 +111,8 @@ display.ax_.set(xlim=(-82, -70), ylim=(156, 168))
 # %%
 # What was learned
 # ----------------
-# One record gives the model and how far it may be trusted, and twelve more agree. This holds if
-# the noise is white and the structure true: standard deviations know nothing of a wrong model.
+# One record gives the model and its uncertainty, and twelve more agree. This holds if the noise is
+# white and the structure is true: standard deviations do not include a wrong model.
 #
 # * How often intervals hold, over hundreds of records: :doc:`/periodic_models`.
 # * Noise on the inputs: ``input_noise`` of :class:`~sklearn_hd.StructuredMatcher`.

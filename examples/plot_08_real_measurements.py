@@ -2,15 +2,15 @@
 Records, gaps and trim in real measurements
 ===========================================
 
-What has to be done to flight records with lost samples, a dropout and the trim still in them
-before a model can be identified?
+How do you prepare flight records with lost samples, a dropout and the periodic trim for
+identification?
 """
 
 # %%
 # The records
 # -----------
-# Three flights of the nonlinear wing, as a logger leaves them: raw signals with the periodic trim
-# inside, a little noise, one table for all flights. The index says which flight and what time.
+# These are three flights of the nonlinear wing, as from a logger: raw signals with the periodic
+# trim and a little noise, in one table. The index gives the flight and the time.
 
 # sphinx_gallery_thumbnail_number = 3
 import textwrap
@@ -43,7 +43,7 @@ flights.loc[(flight == 1) & (time > 1.5) & (time < 1.6), ["w", "phi_dot"]] = np.
 flights.groupby("record").agg(["count", "std"])
 
 # %%
-# A file of your own is read with ``pd.read_csv("flights.csv", index_col=["record", "time"])``.
+# Read your own file with ``pd.read_csv("flights.csv", index_col=["record", "time"])``.
 # Here is the flight with the dropout:
 
 units = {"w": "m/s", "phi_dot": "rad/s", "U": "N m"}
@@ -52,9 +52,9 @@ options = {"missing": "gap", "units": units, "record": 1}
 HarmonicsDisplay.from_data(flights, data.omega, kept, **options)
 
 # %%
-# What is wrong is said
-# ---------------------
-# Nothing is filled in or thrown away unasked.
+# Errors name the problem
+# -----------------------
+# The package fills in or drops nothing unless you ask for it.
 
 u, y = flights[["U"]], flights[["w", "phi_dot"]]
 analyzer = HarmonicAnalyzer(data.omega, output_harmonics={"w": [0], "phi_dot": [1]}, hop=8)
@@ -64,9 +64,10 @@ except ValueError as error:
     print(textwrap.fill(str(error), 90))
 
 # %%
-# So say it: bridge what is shorter than 3 ms, and make a gap of the rest. A gap, like a new
-# flight, starts a new segment; nothing is averaged across it. And say where the wing was in trim:
-# the waveforms over that span are averaged, phase by phase, and taken off.
+# Here you ask for two things. First, bridge gaps shorter than 3 ms and keep the rest as gaps. A
+# gap, like a new flight, starts a new segment, and nothing is averaged across it. Second, state
+# where the wing was in trim: the waveforms over that span are averaged, phase by phase, and
+# subtracted.
 
 analyzer.set_params(missing=0.003, trim_span=data.trim_span).fit(u, y)
 print(f"trim from {data.trim_span[0]:g} to {data.trim_span[1]:.2f} s of each flight")
@@ -75,7 +76,7 @@ HarmonicsDisplay.from_estimator(analyzer, u, y, record=1, units=units)
 # %%
 # Identify from two flights
 # -------------------------
-# From here on nothing is different. The third flight is kept for validation.
+# The steps from here on are the usual ones. The third flight is kept for validation.
 
 free = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan))
 pipe = Pipeline(
@@ -91,7 +92,7 @@ print(f"R² on flight 2:        {pipe.score(u.loc[2:], y.loc[2:]):.4f}")
 ResponseDisplay.from_estimator(pipe, u, y, record=2, units=units)
 
 # %%
-# Did the holes do harm? Here the same flights are at hand without any, and so is the truth.
+# How much did the gaps cost? Here the same flights exist without gaps, and the truth is known.
 
 whole = clone(pipe).fit(data.inputs.loc[:1], data.outputs.loc[:1])
 for name, model in {"with holes": pipe, "without": whole}.items():
@@ -100,8 +101,8 @@ for name, model in {"with holes": pipe, "without": whole}.items():
 EigenvalueDisplay.from_estimator(pipe, true=np.linalg.eigvals(data.A_exact))
 
 # %%
-# ``predict`` answers in the units of the record, with the trim put back, and wherever the input is
-# known: in the dropout, too.
+# ``predict`` returns the outputs in the units of the record, with the trim added, wherever the
+# input is known, including the dropout.
 
 predicted = pipe.predict(u)
 print(f"rows of y with holes: {y.isna().any(axis=1).sum()}")
@@ -110,8 +111,8 @@ print(f"rows of the prediction without an answer: {predicted.isna().any(axis=1).
 # %%
 # What was learned
 # ----------------
-# Three words about the data do: the index (flight and time), ``missing`` and ``trim_span``.
+# Three settings are enough: the index (flight and time), ``missing`` and ``trim_span``.
 #
-# * Dates, varying rotor speed, uneven time stamps, pairs of flights that cancel what is not linear:
+# * Dates, varying rotor speed, uneven time stamps, pairs of flights that cancel nonlinear effects:
 #   :doc:`/guide/1_data`.
 # * Whole flights left out in turn (``GroupKFold``): :doc:`/order_selection`.

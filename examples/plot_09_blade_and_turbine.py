@@ -2,17 +2,17 @@
 A helicopter blade and a wind turbine
 =====================================
 
-How well damped is a machine whose blades turn: a helicopter's blade in forward flight, a 5 MW
-wind turbine?
+How well damped are machines with turning blades, such as a helicopter blade in forward flight and
+a 5 MW wind turbine?
 """
 
 # %%
 # A blade in forward flight
 # -------------------------
-# A blade that advances meets more wind than one that retreats: stiffness and damping of its
-# flapping change within each turn, the more the faster the helicopter flies (advance ratio μ).
-# Here is how a blade at μ = 0.4 answers to collective pitch that changes sign at random, four
-# times a turn; noise is a fiftieth of each signal.
+# An advancing blade meets more wind than a retreating one. Stiffness and damping of its flapping
+# therefore change within each turn, and more so at higher flight speed (advance ratio μ). Here a
+# blade at μ = 0.4 responds to collective pitch that changes sign at random, four times per turn;
+# noise is a fiftieth of each signal.
 
 # sphinx_gallery_thumbnail_number = 2
 import warnings
@@ -47,7 +47,7 @@ units = {"theta_0": "rad", "beta": "rad", "beta_dot": "rad/s"}
 HarmonicsDisplay.from_data(pitch.join(flap), 1.0, 0, span=(0, 100), units=units)
 
 # %%
-# Read turn by turn, the record gives the blade's equation of motion back, its coefficients as
+# Analysed turn by turn, the record gives the blade's equation of motion, with coefficients as
 # Fourier series of the azimuth, and from these the Floquet exponents with standard deviations.
 
 pipe = Pipeline(
@@ -73,9 +73,9 @@ found = exponents(pitch, flap)
 found.assign(true=flapping_blade(gamma=gamma, mu=0.4).floquet_exponents()).map("{:.3f}".format)
 
 # %%
-# In hover theory has a pair, −γ/16 ± j √(ν² − (γ/16)²) in rotor frequencies. With μ its frequency
-# moves to one half, where the pair parts, one exponent less damped than in hover and one more;
-# their sum stays −γ/8. Four flights, with intervals of 95 %:
+# In hover, theory gives a pair, −γ/16 ± j √(ν² − (γ/16)²) in rotor frequencies. With growing μ its
+# frequency moves to one half. There the pair splits into two exponents, one less damped than in
+# hover and one more; their sum stays −γ/8. Four flights, with intervals of 95 %:
 
 ratios = np.linspace(0.0, 0.5, 101)
 theory = [flapping_blade(gamma=gamma, mu=mu).floquet_exponents().real for mu in ratios]
@@ -92,8 +92,9 @@ ax.legend(loc="lower left")
 # %%
 # A 5 MW wind turbine
 # -------------------
-# OpenFAST has linearised the NREL 5 MW turbine at three azimuths of the rotor: 30 states, those of
-# the blades turning with them. In multi-blade coordinates the three matrices are nearly one.
+# OpenFAST has linearised the NREL 5 MW turbine at three azimuths of the rotor, with 30 states;
+# those of the blades turn with them. In multi-blade coordinates the three matrices are nearly
+# equal.
 
 turbine = load_wind_turbine(wind_speed=3)
 print(turbine.DESCR)
@@ -112,9 +113,9 @@ table = pd.DataFrame(np.transpose(hertz_and_percent(truth)), names, ["Hz", "%"])
 table.round(3)
 
 # %%
-# Back on the turning blades this is a periodic system, whose Floquet exponents are these
-# eigenvalues up to multiples of *jΩ*. Forces on the tower top and on one blade move it: one
-# waveform a turn, of random sign. Five rates are measured, with one percent of noise.
+# In the coordinates of the turning blades this is a periodic system. Its Floquet exponents are
+# these eigenvalues up to multiples of *jΩ*. Forces on the tower top and on one blade move it: one
+# waveform per turn, of random sign. Five rates are measured, with one percent of noise.
 
 tower, edges = ["TFA1_dot", "TSS1_dot"], ["BE1_b1_dot", "BE1_b2_dot", "BE1_b3_dot"]
 system = rotor_system(
@@ -132,9 +133,10 @@ motion += 0.01 * motion.std().to_numpy() * rng.standard_normal(motion.shape)
 HarmonicsDisplay.from_data(motion[[*tower, "BE1_b1_dot"]], system.omega, 0, span=(0, 120))
 
 # %%
-# Turn by turn, of each signal those harmonics in which its modes show: tower modes at 2.7 and 2.8
-# times the rotor frequency, the drivetrain at 5.4, the blades' edgewise modes at 9.4. Five modes
-# last longer than a turn: ten states, behind which the singular values fall to the noise.
+# The analysis works turn by turn and keeps, of each signal, the harmonics in which its modes show:
+# tower modes at 2.7 and 2.8 times the rotor frequency, the drivetrain at 5.4, the blades' edgewise
+# modes at 9.4. Five modes last longer than a turn. They make ten states, behind which the singular
+# values fall to the noise.
 
 kept = {name: [2, 3] for name in tower} | {name: [5, 9, 10] for name in edges}
 pipe = Pipeline(
@@ -149,9 +151,9 @@ with warnings.catch_warnings():
 SingularValueDisplay.from_estimator(pipe)
 
 # %%
-# The eigenvalues are Floquet multipliers, known up to multiples of *jΩ* when taken for
-# exponents: put next to the truth, frequencies agree to a few parts in ten thousand and damping
-# ratios to some hundredths of a percent.
+# The eigenvalues are Floquet multipliers; as exponents they are known up to multiples of *jΩ*.
+# Compared with the truth, frequencies agree to a few parts in ten thousand and damping ratios to
+# some hundredths of a percent.
 
 found = np.log(pipe["identify"].eigenvalues_.astype(complex)) / system.period
 gap = found[:, None] - truth
@@ -180,9 +182,10 @@ ax.legend(loc="upper right")
 # %%
 # What was learned
 # ----------------
-# A machine that turns needs no special theory: read once a turn it is time-invariant. Modes that
-# last longer than a turn come back with their damping; faster ones do not, for a turn forgets them.
+# A machine that turns needs no special theory: sampled once per turn it is time-invariant. Modes
+# that last longer than a turn come back with their damping. Faster ones do not, because they die
+# out within a turn.
 #
-# * Figures over many records, and what three azimuths cannot say: :doc:`/world`.
+# * Figures over many records, and the limits of three azimuths: :doc:`/world`.
 # * Read your own ``.lin`` files: :func:`~sklearn_hd.systems.read_openfast_lin`.
-# * When to read a record period by period: :doc:`/periodic_models`.
+# * When to use ``reading="period"``: :doc:`/periodic_models`.

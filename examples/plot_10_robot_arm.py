@@ -8,9 +8,10 @@ Does :class:`~sklearn_hd.MOESPRegressor` find in plain, measured data what other
 # %%
 # The data
 # --------
-# A flexible robot arm from DaISy, the identification database of KU Leuven: reaction torque in,
-# acceleration out, a periodic sine sweep of 1024 samples. Nothing here is periodic in the sense of
-# the other examples, so there is no harmonic analyzer: the regressor alone.
+# The record is of a flexible robot arm from DaISy, the identification database of KU Leuven: 1024
+# samples of the reaction torque (input) and the acceleration (output) during a periodic sine
+# sweep. Nothing here is periodic in the sense of the other examples, so the regressor works
+# without a harmonic analyzer.
 
 # sphinx_gallery_thumbnail_number = 3
 import matplotlib.pyplot as plt
@@ -32,9 +33,10 @@ axes[1].set_xlabel("sample")
 # %%
 # The order
 # ---------
-# Twenty block rows, as in the published run. ``order="auto"`` simulates models of rising order over
-# the record, and takes the one of the least Bayesian information criterion. Left is the share of
-# the acceleration that a model does not explain (root mean square); orders above run away.
+# The fit uses twenty block rows, as in the published run. ``order="auto"`` simulates models of
+# rising order over the record, and takes the one with the smallest Bayesian information criterion.
+# In the table, ``share`` is the part of the acceleration that a model does not explain (root mean
+# square); higher orders diverge.
 
 free = MOESPRegressor(block_rows=20).fit(arm.inputs, arm.outputs)
 print(f"order {free.order_}, {free.feedthrough_reason_}")
@@ -42,9 +44,9 @@ search = pd.DataFrame(free.order_search_).query("feedthrough and share < 1")
 search.set_index("order")[["share", "bic", "stable"]].round({"share": 4, "bic": 0})
 
 # %%
-# The record is long, so that the criterion sees details: four states leave 3.6 %, and many more
-# leave 3 %. Behind the fourth, the singular values fall by two decades. Four states are the
-# published choice, and a fair one.
+# The record is long, so the criterion resolves details: four states leave 3.6 %, and many more
+# leave 3 %. After the fourth, the singular values fall by two decades. Four states are the
+# published choice, and a reasonable one.
 
 model = MOESPRegressor(order=4, block_rows=20, feedthrough=True)
 model.fit(arm.inputs, arm.outputs)
@@ -67,7 +69,8 @@ print(f"largest distance {gap.max():.1e} (SLICOT's are rounded to 1e-5)")
 # %%
 # The fit
 # -------
-# Simulated from the torque alone. The published model accounts for 99.871 % of the variance.
+# The model is simulated from the torque alone. The published model accounts for 99.871 % of the
+# variance.
 
 fitted = pd.DataFrame(
     model.predict(arm.inputs, x0=model.x0_[0]), arm.outputs.index, arm.outputs.columns
@@ -81,7 +84,7 @@ print(f"variance accounted for: {share.iloc[0]:.3f} %")
 # %%
 # On data not used
 # ----------------
-# The arm's first 600 samples for the model, the rest to see how it does on what it has not seen.
+# The first 600 samples give the model, and the rest tests it on unseen data.
 
 first, rest = slice(None, 600), slice(600, None)
 half = MOESPRegressor(order=4, block_rows=20, feedthrough=True)
@@ -92,8 +95,8 @@ for name, rows in {"where fitted": first, "beyond": rest}.items():
 # %%
 # SLICOT's own example
 # --------------------
-# The program that SLICOT publishes with its results prints singular values to four decimals; these
-# are the first eight, both.
+# SLICOT publishes this program together with its results and prints singular values to four
+# decimals. These are the first eight of both:
 
 example = load_slicot_example()
 model = MOESPRegressor(block_rows=15, feedthrough=True)

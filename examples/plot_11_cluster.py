@@ -2,14 +2,14 @@
 A cluster, and a worker that dies
 =================================
 
-How is a model identified from more flights than one machine holds, on machines that may fail?
+How do you identify a model from more flights than one machine holds, on machines that may fail?
 """
 
 # %%
 # The flights
 # -----------
-# Two modes of a wing, lightly damped, in gusts: 200 flights of a minute each, ten in a Parquet
-# file, with the flight and the time as its index. Files such as these may lie anywhere that
+# A wing has two lightly damped modes and flies in gusts: 200 flights of a minute each, ten per
+# Parquet file, with the flight and the time as its index. Such files may lie anywhere that
 # ``pandas.read_parquet`` reads.
 
 import logging
@@ -54,11 +54,11 @@ def write_flights(folder):
 
 
 # %%
-# Who dies
-# --------
-# Two workers, each a process of its own, do what a scheduler tells them. This plugin watches the
-# scheduler, and kills one of them (``SIGKILL``: no goodbye) when a third of the tasks are done.
-# What that worker had computed is lost with it.
+# The failing worker
+# ------------------
+# A scheduler gives work to two workers, each a process of its own. This plugin watches the
+# scheduler, and kills one of them (``SIGKILL``, without warning) when a third of the tasks are
+# done. The results of that worker are lost.
 
 
 def killer(victim, after):
@@ -80,10 +80,10 @@ def killer(victim, after):
 # %%
 # The model
 # ---------
-# ``fit`` takes dask DataFrames as it takes pandas': nothing is read until then, and then by the
-# workers. Each partition is read where it is and leaves one small statistic behind, neighbours are
-# merged, eight at a time, and one statistic arrives here; once for A and C, and, with these
-# known, once more for B, D and the initial states.
+# ``fit`` accepts dask DataFrames like those of pandas. Nothing is read before ``fit``, and then
+# the workers read. Each partition is read where it is and gives one small statistic. Neighbours
+# are merged, eight at a time, and one statistic arrives here: first for A and C, and then, with
+# these known, for B, D and the initial states.
 
 
 def fit_on_cluster(paths):
@@ -116,8 +116,8 @@ def compare(found, expected):
 
 
 # %%
-# Workers start by importing the script that made them, and must not run it: hence the condition.
-# In a notebook, or with workers on other machines, there is no need for it.
+# Workers start by importing the script that created them, and must not run it; hence the
+# condition. In a notebook, or with workers on other machines, you do not need it.
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
@@ -139,9 +139,9 @@ if __name__ == "__main__":
 # %%
 # What happened
 # -------------
-# A line for each worker: that of the one killed ends, and the other goes on by itself, with what
-# was lost as well, until a new one has been started (which may take longer than the work that is
-# left). First come the lagged products, then the equations of B, D and the initial states. The
+# Each worker has a line. The line of the killed worker ends, and the other worker continues alone
+# and repeats the lost work, until a new one has started (which may take longer than the remaining
+# work). The lagged products come first, then the equations of B, D and the initial states. The
 # poles are those of the wing.
 
 if __name__ == "__main__":
@@ -171,9 +171,9 @@ if __name__ == "__main__":
 # %%
 # What was learned
 # ----------------
-# The data stay where they are, statistics of a quarter of their size at most were moved, and
-# fewer the longer the flights. A machine that fails costs the time to compute again what it had in
-# memory, and not a digit of the model.
+# The data stay where they are. The statistics that were moved have at most a quarter of their
+# size, and less for longer flights. A machine that fails costs the time to repeat the work in its
+# memory, but does not change a digit of the model.
 #
-# * Partitions, and what is asked of them: :doc:`/cluster`.
+# * Requirements on partitions: :doc:`/cluster`.
 # * Records that arrive one by one: :class:`~sklearn_hd.MOESPRegressor`, ``partial_fit``.

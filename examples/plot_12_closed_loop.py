@@ -2,15 +2,15 @@
 An unstable moth in gusts
 =========================
 
-How unstable is a machine that can only be measured while its stabiliser flies it?
+How unstable is a machine that you can only measure while a stabiliser flies it?
 """
 
 # %%
 # The record
 # ----------
-# A hawkmoth in hover, a nonlinear periodic system, tumbles within seconds if it is left alone.
-# Its feedback reads the means of each wingbeat and sets the stroke of the next; small steps on
-# top of that excite it, while gusts blow and the sensors are noisy.
+# A hawkmoth in hover is a nonlinear periodic system and tumbles within seconds if it is left
+# alone. Its feedback uses the means of each wingbeat to set the stroke of the next. Small
+# additional steps excite it, while gusts blow and the sensors are noisy.
 
 # sphinx_gallery_thumbnail_number = 2
 import warnings
@@ -56,15 +56,15 @@ axes[0].legend(loc="lower left")
 axes[-1].set_xlabel("wingbeats")
 
 # %%
-# The stroke moves far more than the steps that excite it (dots): most of it is feedback, which
-# answers to gusts and noise of the wingbeats before.
+# The stroke moves far more than the steps that excite it (dots). Most of its motion is feedback,
+# which reacts to gusts and noise of earlier wingbeats.
 
 # %%
-# Two ways to read it
-# -------------------
-# Subspace methods that project future inputs out take them for independent of past noise. PBSID
-# (``weighting="pbsid"``) does not: it fits a long predictor of the next wingbeat first, and
-# whatever that leaves is new, feedback or none.
+# Two methods
+# -----------
+# Subspace methods that project future inputs out assume that these are independent of past noise.
+# PBSID (``weighting="pbsid"``) does not: it first fits a long predictor of the next wingbeat, and
+# its residuals are new information, with or without feedback.
 
 
 def five_steps(weighting):
@@ -104,14 +104,14 @@ ax.set(xlabel="growth, 1/s", ylabel="frequency, rad/s")
 ax.legend()
 
 # %%
-# To the eye of MOESP the moth is stable: it has identified the moth with its pilot.
+# With MOESP the moth looks stable, because it identifies the moth together with its stabiliser.
 
 # %%
 # The model behind
 # ----------------
 # From the predictor's states at the beginning of each wingbeat, ``StructuredMatcher`` finds the
-# linear time-periodic model, whose states are the measured outputs. Its mean and first harmonics
-# beside those of the moth's equations of motion, linear about the trim:
+# linear time-periodic model, whose states are the measured outputs. Compare its mean and first
+# harmonics with those of the moth's equations of motion, linear about the trim:
 
 found, true = pipe["match"].ltp_, moth.ltp
 A, A_true = (model.harmonic_decomposition(1).A for model in (found, true))
@@ -126,9 +126,9 @@ pd.concat({key: pd.DataFrame(F, names, names).round(2) for key, F in parts.items
 # What was learned
 # ----------------
 # - With the stabiliser on, give :class:`~sklearn_hd.MOESPRegressor` ``weighting="pbsid"``; more
-#   data do not mend MOESP's bias.
-# - Feedback that acts wingbeat by wingbeat is read wingbeat by wingbeat (``reading="period"``);
-#   what acts within the wingbeat would be identified with the moth.
-# - The model found is that of the moth without its pilot, of which a better pilot can be designed.
-#   How well it does over many flights: :doc:`against the world </world>`; what PBSID asks:
+#   data do not remove MOESP's bias.
+# - For feedback that acts wingbeat by wingbeat use ``reading="period"``; feedback that
+#   acts within the wingbeat would be identified with the moth.
+# - The model describes the moth without its stabiliser, so you can design a better one with it.
+#   Results over many flights: :doc:`against the world </world>`; the conditions of PBSID:
 #   :doc:`the user guide </guide/3_subspace>`.

@@ -2,16 +2,17 @@
 A rotor in service
 ==================
 
-What does a record tell of a rotor that nobody could stop, hold in trim or test on a quiet day?
+What can you learn from the record of a rotor that could not be stopped, trimmed or tested on a
+quiet day?
 """
 
 # %%
 # The record
 # ----------
-# A blade flaps in forward flight. Its pitch is moved all the time; the air that it meets changes
-# with every turn and loads it; gusts shake it. The logger takes a hundred samples a second, knows
-# nothing of the rotor, and notes the azimuth beside the pitch and the flap angle: 16.2 samples a
-# turn, at a speed that varies by a percent. All that is left is a file.
+# A blade flaps in forward flight. Its pitch moves all the time, the air loads it with every turn,
+# and gusts disturb it. The logger takes a hundred samples per second, independent of the rotor,
+# and stores the azimuth beside the pitch and the flap angle: 16.2 samples per turn, at a speed
+# that varies by a percent. Only a file is left.
 
 # sphinx_gallery_thumbnail_number = 2
 import tempfile
@@ -44,12 +45,12 @@ record.head(3).round(4)
 # %%
 # The model
 # ---------
-# ``reading="sample"`` takes each row as a sample at its azimuth, so that neither a span in trim nor
-# a whole number of samples in a turn is needed. The model's coefficients are Fourier series of the
-# azimuth; what the air does at every turn is identified together with the dynamics. Order, lags of
-# the predictor and numbers of harmonics are left to the data, of which the last third is kept
-# for later. The fit compares the two halves of the record, and may warn of modes that it does not
-# know well: the last of the three here dies within a fraction of a turn.
+# ``reading="sample"`` uses each row as a sample at its azimuth, so it needs neither a span in trim
+# nor a whole number of samples per turn. The model's coefficients are Fourier series of the
+# azimuth. The loads of the air are identified together with the dynamics. The data choose the
+# order, the lags of the predictor and the numbers of harmonics; the last third of the record is
+# kept for validation. The fit compares the two halves of the record, and may warn of uncertain
+# modes: the last of the three here dies within a fraction of a turn.
 
 pipe = Pipeline(
     [
@@ -65,10 +66,10 @@ print(f"order {model.order_}, {model.n_harmonics_} harmonics, {model.block_rows_
 print(*(each.message for each in told), sep="\n")
 
 # %%
-# Loads apart
-# -----------
-# Most of what the sensor shows has nothing to do with the pitch. ``loads_`` are the Fourier
-# coefficients of the flapping without any input.
+# Loads
+# -----
+# Most of the sensor signal is independent of the pitch. ``loads_`` holds the Fourier coefficients
+# of the flapping without any input.
 
 psi = np.linspace(0.0, 2.0 * np.pi, 361)
 
@@ -91,9 +92,9 @@ ax.legend(loc="upper right", ncols=3)
 # %%
 # The response to the pitch
 # -------------------------
-# Until now such records were given to time-invariant identification, with cosines and sines of
-# the azimuth as further inputs. These carry the loads, but the blade answers to its pitch as if
-# all azimuths were alike.
+# A usual method for such records is time-invariant identification, with cosines and sines of the
+# azimuth as further inputs. These represent the loads, but the response of the blade to its pitch
+# is then the same at all azimuths.
 
 LAST = slice(-65, None)  # four turns
 
@@ -128,9 +129,9 @@ for name, response in responses.items():
 # %%
 # The modes
 # ---------
-# The Floquet multipliers say what is left of each mode a turn later. ``ltp_`` is the linear
+# A Floquet multiplier is the share of a mode that is left a turn later. ``ltp_`` is the linear
 # time-periodic system behind the samples, in continuous time; its exponents are the logarithms of
-# the multipliers, per second. Of a blade and its actuator there are three.
+# the multipliers, per second. A blade with its actuator has three.
 
 exponents = model.ltp_.floquet_exponents()
 pd.DataFrame({"found": np.sort_complex(exponents), "true": np.sort_complex(truth.exponents)}).round(
@@ -156,16 +157,16 @@ plane.set(xlabel="real", ylabel="imaginary", aspect="equal", title="Floquet mult
 plane.legend(loc="upper right")
 
 # %%
-# :class:`~sklearn_hd.plotting.AzimuthDisplay` shows at a glance what changes over a turn: the
-# loads, and the blade's answer to a pulse of its pitch by the azimuth at which it is given.
+# :class:`~sklearn_hd.plotting.AzimuthDisplay` shows what changes over a turn: the loads, and the
+# blade's response to a pulse of its pitch, for each azimuth of the pulse.
 
 AzimuthDisplay.from_estimator(pipe)
 
 # %%
 # A sample ahead
 # --------------
-# ``predict`` simulates: inputs in, outputs out, gusts unknown. ``predict_ahead`` also reads the
-# flapping up to the sample before, and so knows of the gust that has just arrived.
+# ``predict`` simulates: it computes outputs from inputs and knows no gusts. ``predict_ahead`` also
+# reads the flapping up to the sample before, and therefore knows the gust that has just arrived.
 
 simulated = pipe.predict(X_new)
 ahead = model.predict_ahead(pipe[:1].transform(X_new), y_new)
@@ -176,8 +177,8 @@ for name, predicted in {"simulated": simulated, "one sample ahead": ahead}.items
 # %%
 # Cross-validated
 # ---------------
-# Folds may cut the record anywhere, for no turn has to be whole. Below is R² on the folds held
-# out, by order and by harmonics of the predictor.
+# Folds may cut the record anywhere, because no turn has to be whole. The table shows R² on the
+# test folds, by order and by harmonics of the predictor.
 
 search = GridSearchCV(
     pipe,
@@ -201,8 +202,8 @@ scores.pivot_table(
 # ----------------
 # - A record in service needs no trim and no clock tied to the rotor:
 #   ``HarmonicAnalyzer(azimuth="psi", reading="sample")``, or ``omega`` where the speed is constant.
-# - Loads come out apart from the dynamics, ``loads_`` of :class:`~sklearn_hd.MOESPRegressor`.
-# - A time-invariant model carries the loads as further inputs, and misses how the blade's answer
-#   changes over the turn.
+# - Loads are separate from the dynamics: ``loads_`` of :class:`~sklearn_hd.MOESPRegressor`.
+# - A time-invariant model represents the loads as further inputs, and misses how the blade's
+#   response changes over the turn.
 # - Which reading for which record: :doc:`the user guide </guide/1_data>`; the algorithm:
 #   :doc:`theory </theory>`.

@@ -2,14 +2,14 @@
 A machine shaken by gusts
 =========================
 
-What do standard deviations mean where the machine itself is shaken?
+What do standard deviations mean if gusts move the machine itself?
 """
 
 # %%
 # The machine
 # -----------
-# An oscillator whose stiffness changes over the period (Mathieu's equation) is pushed by a force
-# that is measured, and shaken by a gust that is not. Both outputs have 2 % noise of the sensors.
+# A measured force and an unmeasured gust drive an oscillator whose stiffness changes over the
+# period (Mathieu's equation). Both outputs have 2 % noise of the sensors.
 
 # sphinx_gallery_thumbnail_number = 4
 import warnings
@@ -54,9 +54,9 @@ figure.legend(loc="outside upper center", ncols=2)
 # %%
 # Two likelihoods
 # ---------------
-# ``"output_error"`` simulates the record from its force, and takes all that is left for noise of
-# the sensors. ``"prediction_error"`` predicts each sample from those before it, with a Kalman gain
-# that is estimated beside the parameters: a gust costs one prediction.
+# ``"output_error"`` simulates the record from its force, and treats all residuals as noise of the
+# sensors. ``"prediction_error"`` predicts each sample from those before it, with a Kalman gain
+# that is estimated together with the parameters: a gust disturbs only one prediction.
 
 
 def fitted(criterion, u, y):
@@ -77,10 +77,11 @@ for criterion in CRITERIA:
     print(criterion, pipes[criterion]["match"].covariance_type_, *told, sep=" | ")
 
 # %%
-# The first fit warns: the residuals are no white noise. The deviations then come from blocks of the
-# record against each other (``covariance_type_`` is ``"robust"``). The second has nothing to say.
-# :class:`~sklearn_hd.plotting.ResidualDisplay` shows what a simulation leaves: the machine rings
-# on after each gust.
+# The first fit warns that the residuals are not white noise. The standard deviations then come
+# from comparing blocks of the record (``covariance_type_`` is ``"robust"``). The second gives no
+# warning.
+# :class:`~sklearn_hd.plotting.ResidualDisplay` shows the residuals of the simulation: the machine
+# rings on after each gust.
 
 ResidualDisplay.from_estimator(pipes["output_error"], u, y)
 
@@ -90,9 +91,9 @@ ResidualDisplay.from_estimator(pipes["output_error"], u, y)
 ResidualDisplay.from_estimator(pipes["prediction_error"], u, y)
 
 # %%
-# Intervals beside the truth
-# --------------------------
-# Six records, each with gusts of its own: the decay found, and its 95 % interval.
+# Intervals and the truth
+# -----------------------
+# Six records have different gusts. The figure shows the estimated decay with its 95 % interval.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True, layout="constrained")
 for ax, criterion, color in zip(axes, CRITERIA, ["C0", "C1"], strict=True):
@@ -105,8 +106,8 @@ for ax, criterion, color in zip(axes, CRITERIA, ["C0", "C1"], strict=True):
 axes[0].set_ylabel("real part of the exponent, 1/s")
 
 # %%
-# The errors of ``"prediction_error"`` are smaller, and its intervals shorter: it knows what the
-# gusts have done. Robust intervals are wide enough on average, and scatter.
+# The errors of ``"prediction_error"`` are smaller, and its intervals shorter, because it knows the
+# effect of the gusts. Robust intervals are wide enough on average, and scatter.
 
 # %%
 # A sample ahead
@@ -132,9 +133,9 @@ figure.legend(loc="outside upper center", ncols=3)
 # %%
 # What was learned
 # ----------------
-# - Where gusts shake the machine, a simulation leaves no white noise. The fit says so, and its
-#   deviations are robust.
-# - ``criterion="prediction_error"`` of :class:`~sklearn_hd.StructuredMatcher` estimates the Kalman
-#   gain along. Its residuals are white, and its intervals shorter.
+# - If gusts move the machine, the residuals of a simulation are not white noise. The fit warns,
+#   and its standard deviations are robust.
+# - ``criterion="prediction_error"`` of :class:`~sklearn_hd.StructuredMatcher` also estimates the
+#   Kalman gain. Its residuals are white, and its intervals shorter.
 # - Which likelihood for which record: :doc:`the user guide </guide/5_matching>`; the equations:
 #   :doc:`theory </theory>`.

@@ -2,16 +2,16 @@
 Does it fly?
 ============
 
-Two machines are identified from noisy records with their pilots on. Do controllers that are
-designed on these models fly the real, nonlinear machines?
+Two machines are identified from noisy records with their pilots on. Can controllers that are
+designed with these models fly the real, nonlinear machines?
 """
 
 # %%
 # Two machines
 # ------------
-# The flapping wing comes back to hover by itself, slowly; the hawkmoth tumbles within seconds. Each
-# state and each input has a size: departures of that size count alike in the cost, and sensors
-# have noise of 1 % of it. A controller reads the sensors and sets the inputs 32 times in a
+# The flapping wing returns to hover by itself, slowly; the hawkmoth tumbles within seconds. Each
+# state and each input has a size: departures of that size have equal weight in the cost, and
+# sensors have noise of 1 % of it. A controller reads the sensors and sets the inputs 32 times per
 # wingbeat.
 
 # sphinx_gallery_thumbnail_number = 1
@@ -92,8 +92,8 @@ def fly(machine, start, steer, n_beats, noise):
 # %%
 # The records
 # -----------
-# A pilot sets the inputs once a wingbeat, from the means of the wingbeat before. Small steps at
-# random, eight in a wingbeat, are added to them after 30 quiet wingbeats.
+# A pilot sets the inputs once per wingbeat, from the means of the wingbeat before. Small random
+# steps, eight per wingbeat, are added to them after 30 quiet wingbeats.
 
 
 def record(machine, rng, n_beats=150, n_flights=2, steps=0.3):
@@ -128,7 +128,7 @@ def record(machine, rng, n_beats=150, n_flights=2, steps=0.3):
 # %%
 # The models
 # ----------
-# Both are read wingbeat by wingbeat (``reading="period"``), with the pilot on (``"pbsid"``).
+# Both use one row per wingbeat (``reading="period"``), with the pilot on (``"pbsid"``).
 
 
 def identify(machine, u, y):
@@ -155,10 +155,10 @@ for name, model in models.items():
 # %%
 # The controllers
 # ---------------
-# On each model, the exact one and the identified one, two regulators are designed. One is
-# periodic. The other is what is done where periodic models are not at hand: the harmonic
-# decomposition with its harmonics at rest leaves a time-invariant model of the means, and its LQR
-# is a constant gain. Both read the states of the same model's periodic Kalman filter.
+# Two regulators are designed for each model, the exact one and the identified one. One is
+# periodic. The other is usual if no periodic model is available: the harmonic decomposition with
+# its harmonics at rest leaves a time-invariant model of the means, and its LQR is a constant gain.
+# Both use the states of the same model's periodic Kalman filter.
 
 
 def mean_model(ltp):
@@ -217,8 +217,8 @@ def compare(machine, model, rng, n_flights=6, n_beats=30):
 results = {name: compare(machines[name], model, rng) for name, model in models.items()}
 
 # %%
-# One flight of each, and what all six have cost on average. Without a controller inputs stay at
-# their trim.
+# The figure shows one flight of each, and the mean cost of all six. Without a controller, inputs
+# stay at their trim.
 
 looks = {
     "no controller": {"color": "0.6", "lw": 1.5},
@@ -241,8 +241,8 @@ for ax in axes[1]:
 fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
 
 # %%
-# The cost of each controller as a share of that of the periodic one from the exact model, and the
-# largest departure of the last five wingbeats in parts of the sizes:
+# The table gives the cost of each controller as a share of that of the periodic one from the exact
+# model, and the largest departure of the last five wingbeats in units of the sizes:
 
 table = pd.DataFrame(
     {
@@ -259,9 +259,9 @@ print(table.round(3).to_string())
 # %%
 # What was learned
 # ----------------
-# - Controllers from the identified models hold hover, and cost what those from the exact models
-#   cost, within the scatter of six flights: a controller forgives errors of the model.
-# - The periodic gain is worth having where the motion within the wingbeat matters: the constant
+# - Controllers from the identified models hold hover, and cost as much as those from the exact
+#   models, within the scatter of six flights: a controller tolerates errors of the model.
+# - The periodic gain pays off if the motion within the wingbeat matters: the constant
 #   one costs a tenth more on the wing and far more on the moth.
-# - How good a gain is on a model can be asked before any flight,
-#   :meth:`~sklearn_hd.design.PeriodicRegulator.with_gain` gives its loss: :doc:`/control`.
+# - :meth:`~sklearn_hd.design.PeriodicRegulator.with_gain` gives the loss of a gain on a model
+#   before any flight: :doc:`/control`.

@@ -6,7 +6,7 @@ Five steps (Hayajnh, Saetti, Prasad, 2024):
    :mod:`sklearn_hd.datasets`) or measured;
 2. :class:`HarmonicAnalyzer`: signals to time-varying Fourier coefficients;
 3. :class:`MOESPRegressor`: coefficients to a discrete state-space model;
-4. :class:`SpuriousModeReducer`: the modes that the analyzer put in are removed;
+4. :class:`SpuriousModeReducer`: removes the modes that the analyzer added;
 5. :class:`StructuredMatcher`: the model in harmonic-decomposition form.
 
 Steps 2 to 5 compose in a scikit-learn ``Pipeline``.

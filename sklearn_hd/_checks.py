@@ -1,4 +1,4 @@
-"""The one place that words errors about parameters, period, shape and finite values."""
+"""Errors about parameters, period, shape and finite values, in one place."""
 
 import math
 import numbers
@@ -17,8 +17,9 @@ FIRST = "first sample"  # the time origin of dates that fix no azimuth
 SMALLEST = 1e-200  # signals nowhere larger are zero; 1 over it is the largest allowed
 COMMON = 1e300  # above any sum of squares of a signal of common size; 1 over it is below
 NO_TIMES = (
-    " (no times in the index of X: rows are counted; give sample_time, index by seconds, or, where "
-    "a step before has dropped the index, keep it with that step's .set_output(transform='pandas'))"
+    " (the index of X holds no times, so rows are counted; give sample_time or index X by seconds; "
+    "if an earlier step dropped the index, keep it with that step's "
+    ".set_output(transform='pandas'))"
 )
 RAISE, GAP = "raise", "gap"  # what becomes of missing samples
 
@@ -79,7 +80,7 @@ def real_array(name, values, wanted):
         array = array.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(
-            f"{name}={reprlib.repr(values)} is no array of real numbers; give {wanted}"
+            f"{name}={reprlib.repr(values)} is not an array of real numbers; give {wanted}"
         ) from None
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name} holds NaN or infinity; give {wanted}")
@@ -130,7 +131,7 @@ def signal_names(data, prefix):
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ValueError(
-                f"column {repeated[0]!r} stands more than once; give every signal its own name"
+                f"column {repeated[0]!r} appears more than once; give each signal a name of its own"
             )
         return tuple(names)
     if isinstance(data, pd.Series):
@@ -233,8 +234,8 @@ def check_phase(omega, azimuth, time_origin):
         return origin
     if not isinstance(azimuth, str):
         raise ValueError(
-            f"azimuth={azimuth!r} is no name; give the name of the column of X that holds ψ in rad "
-            f"(columns of arrays are x0, x1, …)"
+            f"azimuth={azimuth!r} is not a name; give the name of the column of X that holds ψ in "
+            f"rad (the columns of an array are called x0, x1, …)"
         )
     return FIRST if origin is None else origin
 
@@ -260,14 +261,14 @@ def check_span(name, span, *words):
 
 
 def check_wrap(psi, name):
-    """Raise ValueError if ψ starts anew at each turn, but not after 2π."""
+    """Raise ValueError if ψ jumps back at each turn, but not after 2π."""
     known = psi[np.isfinite(psi)]
     drops = np.diff(known)[np.diff(known) < 0.0]
     wrapped = len(drops) and np.ptp(known) > 4.0 * np.pi and -np.median(drops) > 4.0 * np.pi
     if wrapped:
         raise ValueError(
-            f"azimuth column {name!r} starts anew after {np.ptp(known):.4g}, not 2π rad; give it "
-            f"in radians, not degrees: np.deg2rad(X[{name!r}])"
+            f"azimuth column {name!r} jumps back after {np.ptp(known):.4g}, not after 2π rad; give "
+            f"it in radians, not degrees: np.deg2rad(X[{name!r}])"
         )
 
 
@@ -278,16 +279,16 @@ def check_azimuth(psi, time, name):
     if np.any(steps <= 0.0):
         row = known[int(np.argmax(steps <= 0.0)) + 1]
         raise ValueError(
-            f"azimuth column {name!r} must grow with time: it does not at t = {at(time[row])}, "
-            f"where ψ = {psi[row]:.6g} rad; drop the rows at which the rotor stands or turns "
-            f"back (its sign is yours to choose)"
+            f"azimuth column {name!r} must increase with time, but does not at t = "
+            f"{at(time[row])}, where ψ = {psi[row]:.6g} rad; drop the rows where the rotor stands "
+            f"still or turns back (if ψ always decreases, change its sign)"
         )
     consecutive = np.diff(known) == 1
     if np.any(steps[consecutive] >= np.pi):
         largest = steps[consecutive].max()
         raise ValueError(
             f"azimuth column {name!r} grows by up to {largest:.4g} rad from row to row, which is "
-            f"half a turn or more; give it in radians, not degrees, and at least two samples a "
+            f"half a turn or more; give it in radians, not degrees, and sample at least twice per "
             f"revolution"
         )
 
@@ -307,8 +308,8 @@ def check_harmonics(name, harmonics, signals):
         missing = [signal for signal in signals if signal not in harmonics]
         if missing:
             raise ValueError(
-                f"{name} says nothing of the signal {missing[0]!r}; add its harmonics, or drop "
-                f"that column from the data"
+                f"{name} gives no harmonics for the signal {missing[0]!r}; add them, or drop that "
+                f"column from the data"
             )
         items = [(signal, harmonics[signal]) for signal in signals]
     elif isinstance(harmonics, numbers.Integral) and not isinstance(harmonics, bool):
@@ -358,14 +359,14 @@ def check_same_rows(X, y):
     counts = [pd.api.types.is_integer_dtype(each.dtype) for each in (index, y.index)]
     if counts == [True, False]:
         raise ValueError(
-            "y has times in its index, and X counts its rows: the times of X were lost, perhaps "
-            "in a step before this one; keep them with that step's "
-            ".set_output(transform='pandas'), or give X the index of y"
+            "y has times in its index, but X has none: X may have lost its times in a step before "
+            "this one; keep them with that step's .set_output(transform='pandas'), or give X the "
+            "index of y"
         )
     if not index.equals(y.index) and isinstance(X, pd.DataFrame | pd.Series):
-        hint = " (y counts its rows: y.set_axis(X.index), if they are those of X)" * counts[1]
+        hint = " (y has no times: use y.set_axis(X.index) if its rows are those of X)" * counts[1]
         if all(counts) and index.equals(pd.RangeIndex(len(X))):  # an array, cut by a split
-            hint = f" (X counts from 0, y from {y.index[0]}: give X that of y, or both as arrays)"
+            hint = f" (X counts from 0, y from {y.index[0]}: give X the index of y, or use arrays)"
         raise ValueError(
             f"X and y have different indices{hint}: inputs and outputs must be sampled at the same "
             f"times; align them first, for example with X, y = X.align(y, axis=0, join='inner')"

@@ -1,4 +1,4 @@
-"""Tables as they come: of other libraries, lists of records, with a clock among their signals."""
+"""Tables of other libraries, lists of records, and tables with a clock among their signals."""
 
 import re
 
@@ -21,10 +21,10 @@ def is_pandas(data):
 
 
 def from_elsewhere(data, what):
-    """A table of another library as pandas has it; any other thing as it is.
+    """A table of another library as a pandas object; other things stay as they are.
 
-    Frames that keep no index (polars, pyarrow) get that of their column of times, behind their
-    column ``record``, where they have them.
+    Frames without an index (polars, pyarrow) get their column of times as the index, behind their
+    column ``record`` if they have one.
     """
     if hasattr(data, "to_dataframe") and hasattr(data, "dims"):
         raise TypeError(_of_xarray(data, what))
@@ -48,7 +48,7 @@ def from_elsewhere(data, what):
 
 
 def _in_a_second(name):
-    """How many of a clock's units make a second, by its name; None of what is no clock's."""
+    """Number of a clock's units per second, by its name; None if it is not a clock's."""
     found = CLOCK.fullmatch(str(name))
     return found and IN_A_SECOND.get(found["unit"] or found["tail"] or "")
 
@@ -62,7 +62,7 @@ def _is_clock(frame, name):
 
 
 def _of_xarray(data, what):
-    """The line that makes a frame of data of xarray, worded for messages."""
+    """The line that converts xarray data to a frame, for messages."""
     dims = sorted(map(str, data.dims), key=lambda dim: _in_a_second(dim) is not None)
     if hasattr(data, "data_vars"):
         way = f"{what}.to_dataframe(dim_order={dims})"
@@ -76,13 +76,13 @@ def _of_xarray(data, what):
         if len(dims) == 2:
             way += f", or {what}.to_series() if {signals!r} are the records of one signal"
     return (
-        f"{what} is an xarray {type(data).__name__} of the dimensions {list(data.dims)}; make a "
-        f"frame of it, one column a signal, with the times as the last level of its index: {way}"
+        f"{what} is an xarray {type(data).__name__} with the dimensions {list(data.dims)}; convert "
+        f"it to a DataFrame with one column per signal and the times as the last index level: {way}"
     )
 
 
 def check_no_records(data, what):
-    """Raise TypeError for several tables in a list or a dict: they are the records of one frame."""
+    """Raise TypeError for several tables in a list or a dict, which should be one frame."""
     parts = list(data.values() if isinstance(data, dict) else data)
     named, given = isinstance(data, dict), what
     if not any(isinstance(part, pd.DataFrame if named else Table) for part in parts):
@@ -91,8 +91,8 @@ def check_no_records(data, what):
         given = f"[pd.DataFrame(record) for record in {what}]"
     keys = "" if named else f"keys=range({len(parts)}), "
     raise TypeError(
-        f"{what} is a {type(data).__name__} of {len(parts)} tables; make one frame of them, whose "
-        f'index says which record each row is of: pd.concat({given}, {keys}names=["record"])'
+        f"{what} is a {type(data).__name__} of {len(parts)} tables; join them to one DataFrame "
+        f'whose index names the record of each row: pd.concat({given}, {keys}names=["record"])'
     )
 
 
@@ -103,13 +103,13 @@ def check_no_clock(data, what):
         if few or not _is_clock(data, name):
             continue
         raise ValueError(
-            f"column {str(name)!r} of {what} is a clock, and would count as a signal "
+            f"column {str(name)!r} of {what} looks like a clock and would be used as a signal "
             f"(rename it if it is one); {_way(data, name, what, _starts(data[name]))}"
         )
 
 
 def _starts(column):
-    """How often a column begins to grow anew, row by row; 1 for a clock of one record."""
+    """Number of times a column starts to grow again; 1 for a clock of one record."""
     kind = getattr(column.dtype, "kind", "O")
     if kind not in "iufmM":
         return len(column) if kind in "bc" else 1  # of texts
@@ -119,7 +119,7 @@ def _starts(column):
 
 
 def _way(data, name, what, starts):
-    """How a clock becomes the index, worded for messages."""
+    """The code that makes a clock the index, for messages."""
     index, key, unit = data.index, repr(name), _in_a_second(name)
     seconds = key if unit == 1 else f"{what}.pop({key}) / {unit:g}"
     counts = pd.api.types.is_integer_dtype(index.get_level_values(-1).dtype)

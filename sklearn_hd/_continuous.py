@@ -1,4 +1,4 @@
-"""From an identified discrete model to a continuous one that answers for the raw record."""
+"""Conversion of an identified discrete model to a continuous one that fits the raw record."""
 
 import numpy as np
 from scipy import linalg
@@ -10,8 +10,8 @@ from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 def to_continuous(model, experiment):
     """The whole of a discrete model in continuous time, under a zero-order hold.
 
-    A model of coefficients seen through a window gets B and D fitted to the
-    raw record; any other keeps its own.
+    A model of coefficients seen through a window gets new B and D, fitted to the raw record; any
+    other model keeps its own.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What steps say of the delays of their models' signals."""
+"""Delays of the signals of a model, as the steps report them."""
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ __all__ = ["Delayed"]
 
 
 class Delayed:
-    """A step whose model may have delays, which its matrices know nothing of."""
+    """A step whose model may have delays, which its matrices do not include."""
 
     @property
     def delays_(self):
@@ -19,7 +19,7 @@ class Delayed:
 
     @property
     def delay_std_(self):
-        """Standard deviation of each delay, as a Series; NaN where it was given."""
+        """Standard deviation of each delay, as a Series; NaN if it was given."""
         return self._delays("std", np.nan, "delay_std")
 
     def _delays(self, what, none, name):
@@ -37,8 +37,8 @@ class Delayed:
             return np.zeros(1)
         if self.predicts_harmonics_ and delays.outputs.any():
             raise ValueError(
-                "outputs given as a HarmonicFrame are predicted as such, and coefficients cannot "
-                "be moved in time; fit with y in time, or with output_delay=0"
+                "y was given as a HarmonicFrame of coefficients, and coefficients cannot be "
+                "shifted in time; give y in time at fit, or use output_delay=0"
             )
         return delays.outputs / experiment.base.sample_time
 
@@ -52,8 +52,8 @@ class Delayed:
         samples = self._samples_late(experiment)
         if np.ptp(samples) > 0.0:
             raise ValueError(
-                f"outputs that come late by {self.model_.delays.outputs.tolist()} s tell a row at "
-                f"different times, and predictions ahead of it would use what is measured after "
-                f"it; give one output_delay for all, or simulate (predict, horizon=None)"
+                f"the outputs have different delays ({self.model_.delays.outputs.tolist()} s), so "
+                f"a prediction ahead would use values measured later; give one output_delay for "
+                f"all outputs, or simulate (predict, horizon=None)"
             )
         return samples

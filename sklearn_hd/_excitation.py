@@ -1,9 +1,9 @@
-"""What the inputs of a fit showed of their effect, and what predictions ask beyond it.
+"""The effect of inputs that a fit showed, and the one that predictions need beyond it.
 
-Models of whole periods know what inputs do in the directions within the period in which they
+Models of whole periods describe inputs only in the directions within the period in which they
 moved (:class:`~sklearn_hd.algorithms.signals.lifting.InputDirections`). Models at samples have
-B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may tell from edges at few phases:
-A and C taken for known, outputs are linear in them, and least squares have their covariance.
+B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may determine from edges at few
+phases: with A and C known, outputs are linear in them, and least squares give their covariance.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothi
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """What the record of a fit says of the effect of inputs.
+    """What the record of a fit shows about the effect of inputs.
 
     Attributes
     ----------
@@ -69,23 +69,23 @@ class Excitation:
         return cls(names, drive, directions, n_harmonics, information)
 
     def warn(self, experiment, simulators):
-        """Warn of inputs whose effect is asked for, but was not shown."""
+        """Warn of inputs whose effect is needed, but was not shown."""
         if any(searches()):
             return
         by_period = _by_period(experiment, simulators)
         share, each = self.directions.outside(_lifted(experiment, by_period))
         if share > MOST_OUTSIDE:
             where = (
-                "within the period, at phases or in directions in which the record of the fit "
-                "never did: a model of whole periods knows what inputs do in those alone; put "
-                "StructuredMatcher(structure=HarmonicStructure()) behind it, or record inputs that "
-                "change at these phases"
+                "at phases or in directions within the period in which the inputs never moved in "
+                "the record of the fit, and a model of whole periods is valid only for those seen "
+                "there; put StructuredMatcher(structure=HarmonicStructure()) behind it, or record "
+                "inputs that change at these phases"
                 if by_period
-                else "apart from each other, as they never did in the record of the fit: it tells "
-                "their effects together alone; record each of them moving by itself"
+                else "in which inputs move separately, as they never did in the record of the fit: "
+                "that record determines only their joint effect; record each input moving by itself"
             )
             warn(
-                f"{share:.2g} of the energy of the inputs {self._most(each)} is of motion {where}",
+                f"{share:.2g} of the energy of the inputs {self._most(each)} is motion {where}",
                 ExcitationWarning,
             )
         elif self.information is not None:
@@ -94,15 +94,15 @@ class Excitation:
                 warn(
                     f"the inputs {self._most(each)} move at phases of the period, or in "
                     f"directions, in which the record of the fit shows little of their effect: the "
-                    f"standard deviation of the motion predicted is "
-                    f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of it, where the fit "
-                    f"left {self.information.left:.2g}; record inputs that change at these phases, "
-                    f"too, each by itself, or allow G fewer harmonics",
+                    f"standard deviation of the predicted motion is "
+                    f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of that motion, while "
+                    f"the fit left {self.information.left:.2g}; record inputs that change at these "
+                    f"phases, too, each by itself, or allow G fewer harmonics",
                     ExcitationWarning,
                 )
 
     def _most(self, each):
-        """Names of the inputs that make the most of something."""
+        """Names of the inputs with the largest share."""
         names = self.names if len(each) == len(self.names) else self.drive
         most = [name for name, own in zip(names, each, strict=True) if 2.0 * own >= max(each)]
         return list(dict.fromkeys(most))
@@ -110,7 +110,7 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What a record tells of B(ψ) and D(ψ), A and C taken for known.
+    """What a record shows about B(ψ) and D(ψ), with A and C known.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a file has of a fitted step: its model, how sure it is, and what surrounds it."""
+"""Contents of a file for a fitted step: its model, its uncertainty, and its surroundings."""
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted

@@ -1,4 +1,4 @@
-"""What the data of a fit say against it: no motion, another fundamental frequency, growth."""
+"""Checks of the data of a fit: no motion, another fundamental frequency, growth."""
 
 import numpy as np
 
@@ -41,8 +41,8 @@ CALM = 1e6  # times growth that leaves most of them
 def warn_of_mismatch(experiment):
     """Warn if the data repeat themselves at another frequency than omega.
 
-    Where inputs never rest for some periods nothing can be said, nor where the
-    azimuth was measured. In a search the fit of all data says it.
+    No check is possible if inputs never rest for some periods, and none is needed if the azimuth
+    was measured. In a search the fit of all data gives the warning.
     """
     basis = experiment.basis
     if not basis.harmonic or basis.timing.azimuth is not None or searching():
@@ -58,27 +58,25 @@ def warn_of_mismatch(experiment):
         return
     worse = np.sqrt(estimate.residual_given / estimate.residual)
     warn(
-        f"the data repeat themselves {words_of_omega(estimate, basis.omega)}: there, {worse:.3g} "
-        f"times as much (rms) of them is left unexplained from period to period at omega="
-        f"{basis.omega:.9g}, and over the longest segment ({experiment.span()}) its phase goes "
-        f"astray by {estimate.turns:.2g} periods; {way_out(estimate)}",
+        f"the data repeat themselves {words_of_omega(estimate, basis.omega)}; at "
+        f"omega={basis.omega:.9g}, {worse:.3g} times as much of them (rms) stays unexplained from "
+        f"period to period, and the phase error grows to {estimate.turns:.2g} periods over the "
+        f"longest segment ({experiment.span()}); {way_out(estimate)}",
         FrequencyMismatchWarning,
     )
 
 
 def words_of_omega(estimate, omega):
-    """Where data repeat themselves, instead of at the frequency given."""
+    """The frequency at which data repeat themselves, for messages."""
     slower = [rival for rival in estimate.rivals if rival < estimate.omega]
     if slower:
-        return (
-            f"at {slower[0]:.9g} rad/s, not at omega={estimate.omega:.9g} rad/s, a multiple of it"
-        )
+        return f"at {slower[0]:.9g} rad/s; omega={estimate.omega:.9g} rad/s is a multiple of that"
     if estimate.drift:
         start, end = (estimate.omega + share * estimate.drift for share in (-0.5, 0.5))
         return (
             f"at a speed that drifts by {estimate.drift / estimate.omega:.2%}, from {start:.7g} to "
-            f"{end:.7g} rad/s (a change of {estimate.drift:.3g} ± {estimate.drift_std:.2g}), not "
-            f"at omega={omega:.7g} rad/s throughout"
+            f"{end:.7g} rad/s (a change of {estimate.drift:.3g} ± {estimate.drift_std:.2g}); it is "
+            f"not constant at omega={omega:.7g} rad/s"
         )
     off = omega / estimate.omega - 1.0
     return (
@@ -88,7 +86,7 @@ def words_of_omega(estimate, omega):
 
 
 def way_out(estimate):
-    """What to do about another frequency."""
+    """The way out of a wrong frequency, for messages."""
     slower = [rival for rival in estimate.rivals if rival < estimate.omega]
     if slower:
         return f"set omega={slower[0]:.9g}"
@@ -119,8 +117,8 @@ def warn_of_offset(experiment):
         f"{names[i]!r} at {max((r[i] for r, _, _ in rests), key=abs):.3g}" for i in which
     )
     warn(
-        f"records begin with outputs that rest at zero and inputs that do not ({found}), while a "
-        f"linear model rests where its inputs are zero: subtract what they rest at, and scale "
+        f"records begin with outputs at rest at zero and inputs at rest elsewhere ({found}), but a "
+        f"linear model rests only where its inputs are zero: subtract the rest values, and scale "
         f"inputs without shifting them (StandardScaler(with_mean=False), MaxAbsScaler), or give "
         f"HarmonicAnalyzer a trim_span of rows at rest",
         IdentifiabilityWarning,
@@ -144,7 +142,7 @@ def _is_zero(outputs):
 
 
 def warn_of_growing_data(experiment):
-    """Warn if outputs grow so much that what decays beside them is lost in rounding."""
+    """Warn if outputs grow so much that rounding hides the decaying modes."""
     basis = experiment.basis
     if not basis.harmonic:
         return
@@ -154,9 +152,9 @@ def warn_of_growing_data(experiment):
         if rate * (len(y) // spp) < np.log(LOST):
             continue
         warn(
-            f"outputs grow {np.exp(rate):.3g} times a period up to the last of the "
-            f"{experiment.span()}: the periodic orbit is unstable, and rounding hides what decays "
-            f"beside it; use records of at most {np.log(CALM) / rate * period:.3g} s "
+            f"the outputs grow by a factor of {np.exp(rate):.3g} per period up to the last of the "
+            f"{experiment.span()}: the periodic orbit is unstable, and rounding hides the modes "
+            f"that decay; use records of at most {np.log(CALM) / rate * period:.3g} s "
             f"({int(np.log(CALM) / rate)} periods), or fly with a controller that holds the orbit",
             InstabilityWarning,
         )
@@ -190,8 +188,8 @@ def warn_of_growth(model, experiment):
     if folds > 1.0:
         warn(
             f"the periodic orbit is unstable: a Floquet exponent of the model has the real part "
-            f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), by which it grows "
-            f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment of the "
+            f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), so the model grows by a "
+            f"factor of {np.exp(min(folds, 700.0)):.3g} over the longest segment of the "
             f"{experiment.span()}; simulate short spans from known states, or lower the order if "
             f"the orbit is known to be stable",
             InstabilityWarning,
@@ -201,7 +199,7 @@ def warn_of_growth(model, experiment):
 def warn_of_unstable(model, n_rows):
     """Warn if a model of plain data has a mode that grows over its longest segment.
 
-    Not of the candidates of a search: their scores tell, and the model that it ends with is fitted
+    Candidates of a search are not checked: their scores show it, and the final model is fitted
     outside.
     """
     folds = growth_rate(model) * model.dt
@@ -210,9 +208,10 @@ def warn_of_unstable(model, n_rows):
     if searching():
         return
     warn(
-        f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, by which it "
-        f"grows {np.exp(min(folds * n_rows, 700.0)):.3g} times over the {n_rows} rows of the "
-        f"longest segment; if the system is known to be stable, use stable=True or another order",
+        f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, so the model "
+        f"grows by a factor of {np.exp(min(folds * n_rows, 700.0)):.3g} over the {n_rows} rows of "
+        f"the longest segment; if the system is known to be stable, use stable=True or another "
+        f"order",
         InstabilityWarning,
     )
 
@@ -231,7 +230,7 @@ def longest_span(experiment):
 
 
 def check_motion(facts):
-    """Raise ValueError unless inputs and outputs move; warn of those that do not altogether.
+    """Raise ValueError if an input or all outputs rest; warn of those that rest in part.
 
     Parameters
     ----------
@@ -240,29 +239,30 @@ def check_motion(facts):
     """
     if facts.still:
         raise ValueError(
-            f"input {facts.still[0]!r} is constant in the {facts.span()} (less than {SMALLEST:g} "
-            f"being zero): nothing excites the system; choose a span in which it moves, or "
-            f"drop that input"
+            f"input {facts.still[0]!r} is constant in the {facts.span()} (changes below "
+            f"{SMALLEST:g} count as zero), so nothing excites the system; choose a span in which "
+            f"it moves, or drop that input"
         )
     moves, off = facts.outputs_move, facts.outputs_off
     if not moves.any():
         raise ValueError(
-            f"all outputs are {'constant' if off.any() else 'zero'} in the {facts.span()} "
-            f"(trim subtracted, less than {SMALLEST:g} being zero): there is no response to "
-            f"identify; check the columns of y, their units and trim_span"
+            f"all outputs are {'constant' if off.any() else 'zero'} in the {facts.span()} (after "
+            f"the trim is subtracted; changes below {SMALLEST:g} count as zero): there is no "
+            f"response to identify; check the columns of y, their units and trim_span"
         )
     resting = [n for n, m, o in zip(facts.output_names, moves, off, strict=True) if o and not m]
     if resting and facts.basis.reading != "sample":  # which takes it for a load
         warn(
-            f"the outputs {resting} are constant, but not zero, in the {facts.span()}: no "
-            f"input explains them; subtract what they rest at (trim_span), or drop them",
+            f"the outputs {resting} are constant, but not zero, in the {facts.span()}: no input "
+            f"explains them; subtract their rest values (trim_span), or drop them",
             IdentifiabilityWarning,
         )
     if facts.together:
         warn(
-            f"the inputs {list(facts.together)} never move apart in the {facts.span()} (copies, or "
-            f"sums of each other): the record tells their effects together alone, and they are "
-            f"shared out to be smallest; drop all but one, or record each moving by itself",
+            f"the inputs {list(facts.together)} never move separately in the {facts.span()} (they "
+            f"are copies or sums of each other): the record determines only their joint effect, "
+            f"and the smallest coefficients are taken; drop all but one, or record each moving by "
+            f"itself",
             IdentifiabilityWarning,
         )
     idle = [name for name, moves in zip(facts.drive_names, facts.moving, strict=True) if not moves]
@@ -270,14 +270,14 @@ def check_motion(facts):
         effect = "their effect is not identified, and their columns of B are zero"
         if facts.basis.reading == "period":
             effect = (
-                "their columns of B are zero; StructuredMatcher fits what inputs do within the "
-                "period"
+                "their columns of B are zero; StructuredMatcher fits the effect of inputs within "
+                "the period"
             )
         warn(f"the inputs {idle} are at rest in the {facts.span()}: {effect}", ExcitationWarning)
 
 
 def motion_kept(measured, sampling, basis, taken):
-    """What samples share with those before them, in parts of what neighbours do.
+    """Motion that samples share with earlier ones, as a share of that of neighbours.
 
     Neighbouring samples share motion, whatever their noise; so do samples further apart, for as
     long as it lasts.
@@ -311,13 +311,13 @@ def motion_kept(measured, sampling, basis, taken):
 
 
 def lasting_hop(kept):
-    """The most samples apart at which every output keeps half of its motion."""
+    """Largest distance in samples at which every output keeps half of its motion."""
     less = kept < HALF_KEPT
     return int(np.min(np.where(less.any(axis=0), np.argmax(less, axis=0), len(kept))))
 
 
 def warn_of_thinning(experiment, taken):
-    """Warn of outputs whose motion is forgotten from one row read to the next."""
+    """Warn of outputs whose motion is lost from one analysed row to the next."""
     basis = experiment.basis
     if basis.hop == 1:
         return
@@ -326,9 +326,9 @@ def warn_of_thinning(experiment, taken):
     if lost.any():
         names = [name for name, each in zip(experiment.output_names, lost, strict=True) if each]
         warn(
-            f"hop={basis.hop}: from one row read to the next, the outputs {names} keep but "
-            f"{max(0.0, np.min(kept[-1])):.2g} of the motion that neighbouring samples share, and "
-            f"what is faster is lost; give HarmonicAnalyzer hop={lasting_hop(kept)}, which keeps "
-            f"half, or less",
+            f"hop={basis.hop}: from one analysed row to the next, the outputs {names} keep only "
+            f"{max(0.0, np.min(kept[-1])):.2g} of the motion that neighbouring samples share, so "
+            f"faster motion is lost; give HarmonicAnalyzer hop={lasting_hop(kept)}, which keeps "
+            f"half of it, or a smaller hop",
             IdentifiabilityWarning,
         )

@@ -1,4 +1,4 @@
-"""What travels between the steps: the frame, its harmonic basis, the model identified so far."""
+"""The frame passed between the steps, with its harmonic basis and the model so far."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ __all__ = ["FrameTransformer", "HarmonicFrame", "LTIModel", "Lifted"]
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """A Poincaré map between all samples of a period: what happens within it.
+    """A Poincaré map between all samples of a period, including the motion within it.
 
         z[k+1] = A z[k] + B w[k],   y[k] = C z[k] + D w[k],   w[k] = (u[k] directions, 1)
 
@@ -27,11 +27,11 @@ class Lifted:
     A : ndarray, shape (n, n)
         That of the model, its multipliers refined on all samples.
     B : ndarray, shape (n, r + 1)
-        Its last column is of what a trim is off by, which repeats itself.
+        Its last column is for a constant error of the trim.
     C : ndarray, shape (samples_per_period * n_outputs, n)
     D : ndarray, shape (samples_per_period * n_outputs, r + 1)
     directions : ndarray, shape (samples_per_period * n_inputs, r)
-        Those that the inputs at fit moved in. Others have no effect.
+        Directions in which the inputs moved at fit. Others have no effect.
     """
 
     A: np.ndarray
@@ -58,18 +58,18 @@ class LTIModel:
         Whether the outputs are coefficients as seen through the analysis
         window (an identified model) rather than the harmonics themselves.
     kalman_gain : ndarray, shape (n, l), or None
-        K of the innovation form, where it was identified.
+        K of the innovation form, if it was identified.
     innovations_covariance : ndarray, shape (l, l), or None
     closed_loop : bool
-        Whether it was identified as if inputs answered to outputs.
+        Whether it was identified as if inputs reacted to outputs.
     at_rest : bool
         Whether A is that of free decays alone (period by period).
     opinion : Opinion or None
-        What another way has found of its exponents.
+        Its exponents as estimated in another way.
     lifted : Lifted or None
-        What happens within a period, where the model is one of whole periods.
+        Motion within a period, if the model is one of whole periods.
     delays : Delays or None
-        Of its signals, which the matrices know nothing of.
+        Delays of its signals, which the matrices do not include.
     """
 
     A: np.ndarray
@@ -119,8 +119,8 @@ class LTIModel:
         if not input_names:
             if self.kalman_gain is None:
                 raise AttributeError(
-                    "a model of outputs alone, without a Kalman gain, has no inputs to make a "
-                    "control.StateSpace of; fit with disturbance_model=True, or use model_.A and "
+                    "a model without inputs and without a Kalman gain cannot be written as a "
+                    "control.StateSpace; fit with disturbance_model=True, or use model_.A and "
                     "model_.C"
                 )
             B, D = self.kalman_gain, np.eye(len(self.C))
@@ -150,13 +150,13 @@ class HarmonicFrame(pd.DataFrame):
     Parameters
     ----------
     data, index, columns, dtype, copy : optional
-        As for ``pandas.DataFrame``. Such a frame carries nothing yet: frames with a
-        basis come from :class:`HarmonicAnalyzer`, with a model from the model steps.
+        As for ``pandas.DataFrame``. Such a frame carries nothing yet. :class:`HarmonicAnalyzer`
+        makes frames with a basis, and the model steps make frames with a model.
 
     Attributes
     ----------
     basis : HarmonicBasis or None
-        How the coefficients were made.
+        The basis of the decomposition.
     model : LTIModel or None
         The model identified so far.
 
@@ -186,12 +186,12 @@ class HarmonicFrame(pd.DataFrame):
 
     @property
     def is_laden(self):
-        """Whether a basis or a model rides on it."""
+        """Whether it carries a basis or a model."""
         return self.is_analysed or self.model is not None
 
     @classmethod
     def attach(cls, data, basis, model):
-        """A frame of some data, with a basis and a model riding on it.
+        """A frame of some data that carries a basis and a model.
 
         Parameters
         ----------
@@ -214,10 +214,10 @@ class HarmonicFrame(pd.DataFrame):
 
 
 def _tell_dask():
-    """Have dask, where it is loaded, tell frames apart by what rides on them, too.
+    """Let dask, if it is loaded, distinguish frames also by their basis and model.
 
-    It takes collections whose parts are alike for one and the same, and would go on with the
-    frame without a basis that ``map_partitions(meta=...)`` was given by mistake before.
+    Dask treats collections with equal parts as the same, and would continue with the frame without
+    a basis that ``map_partitions(meta=...)`` was given by mistake before.
     """
     dask = sys.modules.get("dask.base")
     if dask is not None:
@@ -225,13 +225,13 @@ def _tell_dask():
 
 
 def _dask_token(frame):
-    """What makes a frame the one that it is."""
+    """Identity of a frame for dask."""
     normalize = sys.modules["dask.base"].normalize_token
     return "HarmonicFrame", normalize(pd.DataFrame(frame)), normalize((frame.basis, frame.model))
 
 
 class FrameTransformer(TransformerMixin):
-    """A transformer whose output carries more than its columns, and so is always a frame."""
+    """A transformer whose output carries more than its columns, so it is always a frame."""
 
     def fit_transform(self, X, y=None, **params):
         """Fit, then transform the same rows.
@@ -263,7 +263,7 @@ class FrameTransformer(TransformerMixin):
         Parameters
         ----------
         transform : {"default", "pandas", None}
-            All the same here. Other containers would drop the basis and the model.
+            All give the same. Other containers would drop the basis and the model.
 
         Returns
         -------
@@ -273,11 +273,11 @@ class FrameTransformer(TransformerMixin):
         Raises
         ------
         ValueError
-            If another container is asked for.
+            If another container is given.
         """
         if transform not in (None, "default", "pandas"):
             raise ValueError(
-                f"transform={transform!r} would drop the harmonic basis and the model that ride on "
-                f"the frame; use 'pandas' or 'default'"
+                f"transform={transform!r} would drop the harmonic basis and the model that the "
+                f"frame carries; use 'pandas' or 'default'"
             )
         return super().set_output(transform=transform)

@@ -1,4 +1,4 @@
-"""Guards of public calls: one BLAS thread, numbers within range, and sums that keep to it.
+"""Guards of public calls: one BLAS thread, and numbers within range.
 
 The matrices of identification are small: more BLAS threads than one cost more than they bring
 (twenty times the run time was measured for noisy flapping-wing records on two busy cores).
@@ -49,7 +49,7 @@ _CANDIDATES = ContextVar("candidates", default=False)
 
 
 def within_range(call):
-    """Turn a breakdown of the arithmetic in a method or function into an error with a way out.
+    """Turn a failed computation in a method or function into an error with a way out.
 
     NumPy would warn, and go on with infinities; SLICOT's routines fail on them.
     """
@@ -62,10 +62,10 @@ def within_range(call):
         except ArithmeticError as error:
             name = type(args[0]).__name__ if "." in call.__qualname__ else call.__name__
             raise ValueError(
-                f"{name}: the arithmetic broke down "
-                f"({' '.join(str(error).split())}); the signals, or the gains between them, are "
-                f"probably too large or too small for floating-point numbers: give inputs and "
-                f"outputs in other units (between 1e-75 and 1e75 nothing can overflow)"
+                f"{name}: the computation failed ({' '.join(str(error).split())}); the signals, or "
+                f"the gains between them, are probably too large or too small for floating-point "
+                f"numbers: give inputs and outputs in other units (between 1e-75 and 1e75 nothing "
+                f"can overflow)"
             ) from error
         except Exception as error:
             _words_first(error)
@@ -75,7 +75,7 @@ def within_range(call):
 
 
 def _words_first(error):
-    """Have scikit-learn's searches print what an error says before its traceback.
+    """Let scikit-learn's searches print the message of an error before its traceback.
 
     A search prints the tracebacks of all fits that failed, some twenty lines for each candidate
     and the words last. Of an error with a cause Python prints the cause first.
@@ -96,7 +96,7 @@ def searches():
 
 @contextmanager
 def candidates():
-    """Models fitted within are candidates, of which another fit has said what there is to say."""
+    """Mark models fitted within as candidates, which give no warnings of their own."""
     token = _CANDIDATES.set(True)
     try:
         yield

@@ -1,4 +1,4 @@
-"""What the three model steps share: the model behind, simulation, score."""
+"""Base of the three model steps: the model behind them, simulation, score."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def _has_gain(step):
 
 
 class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMixin, BaseEstimator):
-    """A step that owns a model: it hands the frame on with it, and simulates it."""
+    """A step that owns a model: it passes the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):
         return hasattr(self, "model_")
@@ -106,7 +106,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit, with the harmonic basis riding on them or plain.
+            Inputs as at fit, plain or as a frame with a harmonic basis.
 
         Returns
         -------
@@ -169,17 +169,16 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit, with the harmonic basis riding on them or plain.
+            Inputs as at fit, plain or as a frame with a harmonic basis.
         x0 : array_like or dict, optional
-            State at the start of each segment: one vector, shape (n_states,), for all,
-            one row a segment, or a dict (or a DataFrame's rows) by record, whose
-            label is a tuple where several levels stand above the time; zero
-            where not given.
+            State at the start of each segment: one vector, shape (n_states,), for all; one row per
+            segment; or a dict (or a DataFrame's rows) by record. The label of a record is a tuple
+            if several index levels precede the time. Zero by default.
 
         Returns
         -------
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Harmonics instead, trim left out, if y was a HarmonicFrame at fit.
+            Harmonics instead, without the trim, if y was a HarmonicFrame at fit.
 
         Raises
         ------
@@ -188,15 +187,15 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         UnstableModelError
             If the simulation overflows.
         ValueError
-            If X was analysed or sampled in another way than at fit, or x0 does not fit.
+            If X was analysed or sampled differently than at fit, or x0 does not fit.
 
         Warns
         -----
         ExcitationWarning
-            If inputs move apart that never did in the record of the fit; if the model is one of
-            whole periods, and they move within the period as they never did; or if the effect of
-            inputs at these phases is so little known that the standard deviation of the motion
-            predicted is more than the fit left. It names the inputs and the share.
+            If inputs move separately that never did so in the record of the fit; if, for a model
+            of whole periods, they move within the period as they never did; or if the effect of
+            inputs at these phases is so uncertain that the standard deviation of the predicted
+            motion is more than the fit left. The warning names the inputs and the share.
         """
         check_is_fitted(self)
         experiment = self._experiment(X)
@@ -238,21 +237,22 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
 
             R² = 1 − Σ (y − ŷ)² / Σ (y − w − mean)²
 
-        w is the trim that was subtracted, or the forced periodic response that was identified
-        (``reading="sample"``): a waveform that repeats itself with every turn earns nothing.
-        Where no trim is known (``trim_span=None``) it is zero. The initial state of each segment
-        is fitted on its first ``warmup`` seconds after the first whole window; those rows, and
-        rows of incomplete periods, are left out. A model identified through a sliding window is
-        compared with y as that window shows it, for it tells no more; any other with y itself.
+        w is the subtracted trim, or the identified forced periodic response
+        (``reading="sample"``), so a waveform that repeats itself with every turn does not count.
+        If no trim is known (``trim_span=None``), w is zero. The initial state of each segment is
+        fitted on its first ``warmup`` seconds after the first whole window. Those rows, and rows
+        of incomplete periods, are not scored. A model identified through a sliding window is
+        compared with y as that window shows it, because it describes no more; any other with y
+        itself.
 
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs as at fit, with the harmonic basis riding on them or plain.
+            Inputs as at fit, plain or as a frame with a harmonic basis.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         sample_weight : array_like, shape (n_samples,), optional
-            Weight of each row; rows that are left out count for nothing.
+            Weight of each row; rows that are not scored have no effect.
 
         Returns
         -------
@@ -280,7 +280,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         truth, simulated, weight = found
         if len(truth) < 2:
             raise ValueError(
-                "one row is left to score, which has no R²; give longer records or a smaller warmup"
+                "only one row is left to score, which has no R²; give longer records or a smaller "
+                "warmup"
             )
         unit = power_of_two(truth)  # R² is the same, and its squares do not overflow
         return float(r2_score(truth / unit, simulated / unit, sample_weight=weight))
@@ -292,8 +293,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
 
             x0 = arg min Σ (y − ŷ(x0))²   over the first ``warmup`` seconds
 
-        after the first whole window, each output in parts of its size. ``predict(X, x0=x0)``
-        then simulates what ``score`` compares.
+        after the first whole window, with each output divided by its size. ``predict(X, x0=x0)``
+        then gives the simulation that ``score`` compares.
 
         Parameters
         ----------
@@ -305,8 +306,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Returns
         -------
         x0 : DataFrame or ndarray, shape (n_segments, n_states)
-            A DataFrame by record, or by segment where gaps part a record; an array if X is
-            one. Its columns are named as the states of the model that ``predict`` simulates.
+            A DataFrame by record, or by segment if gaps divide a record; an array if X is one. Its
+            columns are named as the states of the model that ``predict`` simulates.
 
         Raises
         ------
@@ -318,8 +319,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         Warns
         -----
         IdentifiabilityWarning
-            If segments are too short to be scored: their states are those of least size that
-            fit all their rows.
+            If segments are too short to be scored: their states are then the smallest that fit all
+            their rows.
         """
         check_is_fitted(self)
         check_outputs_given(y)
@@ -396,10 +397,10 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
             return simulator.outputs(fit_initial_state(simulator, outputs, rows))
         if not _has_gain(self):
             raise ValueError(
-                f"horizon={horizon!r} asks for predictions from measured outputs, for which "
-                f"{type(self).__name__} has no Kalman gain; use MOESPRegressor("
-                f"disturbance_model=True) or StructuredMatcher(criterion='prediction_error') as "
-                f"the last step, or horizon=None"
+                f"horizon={horizon!r} asks for predictions from measured outputs, but this "
+                f"{type(self).__name__} has no Kalman gain; use "
+                f"MOESPRegressor(disturbance_model=True) or "
+                f"StructuredMatcher(criterion='prediction_error') as the last step, or horizon=None"
             )
         recompose = not self.predicts_harmonics_
         return predicted_ahead(simulator, outputs, horizon, rows=rows, recompose=recompose)
@@ -450,8 +451,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         told = dt > 0.0 and len(base.time) > 1
         if told and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * base.uncertainty:
             raise ValueError(
-                f"the model was identified at a sample time of {dt:.6g} s, X has {found:.6g} s; "
-                f"resample X, or bring the model to continuous time with SpuriousModeReducer"
+                f"the model was identified at a sample time of {dt:.6g} s, but X has {found:.6g} "
+                f"s; resample X, or bring the model to continuous time with SpuriousModeReducer"
             )
 
     def _check_basis(self, basis):
@@ -460,7 +461,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         if difference is not None:
             name, here, there = difference
             raise ValueError(
-                f"X was analysed with {name}={here!r}, the data at fit with {there!r}; use the "
+                f"X was analysed with {name}={here!r}, but the data at fit with {there!r}; use the "
                 f"same HarmonicAnalyzer"
             )
 
@@ -497,13 +498,13 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
     @one_blas_thread
     @within_range
     def predict_ahead(self, X, y, horizon=1, x0=None):
-        """Outputs predicted some rows ahead from the outputs before them.
+        """Predict outputs some rows ahead from the outputs before them.
 
             x̂[k+1] = A x̂[k] + B u[k] + K e[k],   ŷ[k] = C x̂[k] + D u[k],   e = y − ŷ
 
-        One row ahead; further ahead the model goes on without e. Where ``predict``
-        simulates from the inputs alone, this also holds for what disturbances have done, and
-        for unstable models.
+        These equations predict one row ahead; further ahead the model continues without e.
+        ``predict`` simulates from the inputs alone. ``predict_ahead`` also accounts for past
+        disturbances, and works for unstable models.
 
         Parameters
         ----------
@@ -512,10 +513,11 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         horizon : int, default=1
-            Rows (period by period, periods) from the last output used to the one predicted.
+            Rows (periods with ``reading="period"``) from the last output used to the predicted
+            one.
         x0 : array_like or dict, optional
-            As in ``predict``; by default the state with the least innovations over
-            the segment's first rows, as many as remember it.
+            As in ``predict``; by default the state with the smallest innovations over the first
+            rows of the segment, as many as depend on it.
 
         Returns
         -------

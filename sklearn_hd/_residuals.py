@@ -1,4 +1,4 @@
-"""Is the remainder of a fitted model noise? Its residuals, and what they are tested for."""
+"""Residuals of a fitted model, and the tests whether they are noise."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ PRECISION = 1e-9  # of an output's size: less is rounding
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Residuals of one segment, and what they could go with.
+    """Residuals of one segment, and the signals with which they may correlate.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What a model leaves of a record, rounding left out.
+    """Residuals of a record under a model, without rounding.
 
     Attributes
     ----------
@@ -132,8 +132,8 @@ def remainder(experiment, simulators):
     if n_rows * len(names) <= ROWS_PER_PARAMETER * n_parameters:
         raise ValueError(
             f"{n_rows} rows of {len(names)} output(s) with a model of {n_parameters} coefficients "
-            f"and initial states leave no residuals to test: {ROWS_PER_PARAMETER} values for each "
-            f"are the least; give a longer record, or a model with fewer states or harmonics"
+            f"and initial states leave no residuals to test: at least {ROWS_PER_PARAMETER} values "
+            f"for each are needed; give a longer record, or a model with fewer states or harmonics"
         )
     size = np.sqrt(np.mean(np.vstack([s.predicted + s.residuals for s in segments]) ** 2, axis=0))
     rest = np.sqrt(np.mean(np.vstack([s.residuals for s in segments]) ** 2, axis=0))
@@ -161,8 +161,8 @@ def _segment(at, outputs, psi, first):
     start = rows.started()
     if not np.max(np.abs(start), initial=0.0) < OVERFLOW:
         raise UnstableModelError(
-            "the simulation overflows and leaves no residuals to test: the model is unstable; fit "
-            "MOESPRegressor(disturbance_model=True), whose predictions are tested, or give a "
+            "the simulation overflows, so there are no residuals to test: the model is unstable; "
+            "fit MOESPRegressor(disturbance_model=True), whose predictions are tested, or give a "
             "shorter record"
         )
     x0 = rows.initial_state(inputs, outputs, np.diag(np.mean(outputs**2, axis=0)))
@@ -180,8 +180,8 @@ def _segment(at, outputs, psi, first):
 def scored(left, lags, level):
     """Score tests of a remainder as a DataFrame, one row a test.
 
-    Residuals of simulations may be coloured, by noise that shakes the machine. Tests of all but
-    their autocorrelation are then those of what an autoregression leaves of them.
+    Residuals of simulations may be coloured by noise that moves the machine. All tests except that
+    of their autocorrelation then use the residuals of an autoregression.
     """
     asked = _questions(left, lags)
     found = {name: Score(0.0, 0, 1.0) for name in asked}
@@ -235,8 +235,8 @@ class _Counts:
             most_lags = left.n_rows // (ROWS_PER_DEGREE * n_outputs * max(n_outputs, m))
             if lags > most_lags:
                 raise ValueError(
-                    f"lags={lags} asks more than {left.n_rows} rows tell: {ROWS_PER_DEGREE} for "
-                    f"each degree of freedom allow {most_lags} at most; give fewer, or None"
+                    f"lags={lags} is more than {left.n_rows} rows allow: with {ROWS_PER_DEGREE} "
+                    f"rows for each degree of freedom, at most {most_lags}; give fewer, or None"
                 )
             own, inputs = lags, lags
         return cls(own, inputs, max(1, min(LAGS_BY_PHASE, most // pairs)), loads)
@@ -307,25 +307,25 @@ def _prepared(left, own, W, Phi):
 
 
 class ResidualTests:
-    """What a model step tells of the records it does not explain."""
+    """Residual tests of a model step."""
 
     @one_blas_thread
     @within_range
     def residual_tests(self, X, y, *, lags=None, level=LEVEL):
-        """Whether what the model leaves of a record is noise: one row a test.
+        """Test whether the residuals of a record are noise, with one row per test.
 
-        Residuals are the errors of one-step predictions where the model has a Kalman gain, else
-        those of simulations. They are noise if nothing known beforehand goes with them, beyond
-        what a small change of the parameters would take away (score tests, so that fitted
-        parameters count, and the colour of the inputs):
+        Residuals are the errors of one-step predictions if the model has a Kalman gain, otherwise
+        those of simulations. They are noise if they correlate with nothing known beforehand,
+        beyond what a small change of the parameters would remove (score tests, which account for
+        fitted parameters and the colour of the inputs):
 
-        - *autocorrelation*: residuals of the rows before. Of simulations it asks more than that
-          the model of the inputs' effect is right: that noise is white on the outputs.
-        - *inputs*: those of the same row and of the rows before.
-        - *nonlinearity*: squares (times the first harmonic of the turn, too) and cubes of
-          predictions and inputs about their periodic means. A wrong order may fail it as well.
+        - *autocorrelation*: residuals of earlier rows. For simulations this test requires more
+          than a correct effect of the inputs: the noise must be white and on the outputs.
+        - *inputs*: those of the same row and of earlier rows.
+        - *nonlinearity*: squares (also times the first harmonic of the turn) and cubes of
+          predictions and inputs about their periodic means. A wrong order may fail it, too.
         - *mean*, or *loads* of a machine that turns: a constant, or harmonics of the turn (not
-          where a trim was subtracted).
+          if a trim was subtracted).
         - *autocorrelation by phase*, *inputs by phase*: the first two, times the first two
           harmonics of the turn.
 
@@ -334,21 +334,21 @@ class ResidualTests:
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features), or None
-            Inputs as at fit; None if there were none. The first 20 000 rows are read.
+            Inputs as at fit; None if there were none. Only the first 20 000 rows are used.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Measured outputs on the rows of X.
         lags : int, optional
-            Rows before that are looked at; by default 20, or fewer where there are several
-            outputs or few rows.
+            Number of earlier rows in the tests; by default 20, or fewer with several outputs or
+            few rows.
         level : float, default=0.001
-            Share of right models that fail one of the tests, shared out among them.
+            Share of correct models that fail one of the tests; it is divided among the tests.
 
         Returns
         -------
         tests : DataFrame, shape (n_tests, 5)
-            By test: ``statistic``; ``degrees`` of freedom of its χ² distribution (0 where nothing
-            is left to ask, for the model has parameters for it); ``p_value``; ``share`` of the
-            residuals' variance that is no noise; ``passed``.
+            By test: ``statistic``; ``degrees`` of freedom of its χ² distribution (0 if nothing is
+            left to test, because the model has parameters for it); ``p_value``; ``share`` of the
+            residuals' variance that is not noise; ``passed``.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The model of samples at their azimuths, as a value that rides on a frame, and its simulation."""
+"""The model of samples at their azimuths, as a value that a frame carries; its simulation."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -181,7 +181,7 @@ class SampleModel:
         if not self.time_invariant:
             raise AttributeError(
                 f"the model has coefficients of up to {self.innovations.n_harmonics} harmonic(s) "
-                f"of the turn, and no time-invariant system_; use ltp_ of MOESPRegressor or "
+                f"of the turn, so it has no time-invariant system_; use ltp_ of MOESPRegressor or "
                 f"StructuredMatcher, its harmonic_decomposition(n_harmonics), or "
                 f"HarmonicAnalyzer(output_harmonics=0)"
             )
@@ -253,8 +253,8 @@ class SampleSimulator:
         if not np.max(np.abs(Y), initial=0.0) < OVERFLOW:
             radius = np.max(np.abs(self.model.innovations.multipliers()))
             raise UnstableModelError(
-                f"the simulation overflows: the largest Floquet multiplier is {radius:.4g} (1 is "
-                f"the bound of stability); use predict_ahead, fit with stable=True or another "
-                f"order, or simulate a shorter span"
+                f"the simulation overflows: the largest Floquet multiplier is {radius:.4g} (a "
+                f"stable model has less than 1); use predict_ahead, fit with stable=True or "
+                f"another order, or simulate a shorter span"
             )
         return Y

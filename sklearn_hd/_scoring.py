@@ -1,4 +1,4 @@
-"""What scores compare: measured and simulated outputs on the rows that count, their weights."""
+"""Comparison in scores: measured and simulated outputs on the rows that count, with weights."""
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
@@ -26,8 +26,8 @@ def scored_simulation(step, X, y, horizon=None, loads=False):
 def compared(step, X, y, sample_weight=None, horizon=None):
     """Measured and simulated outputs on the rows that count, and the rows' weights.
 
-    None, and a warning, where outputs grow until the spread of such scores over folds would be no
-    number. A search over orders goes on: that candidate is the worst.
+    None, and a warning, if outputs grow so much that the spread of such scores over folds would
+    not be finite. A search over orders continues with that candidate as the worst.
     """
     try:
         truth, simulated, rows = scored_simulation(step, X, y, horizon)
@@ -39,16 +39,16 @@ def compared(step, X, y, sample_weight=None, horizon=None):
     if grown < MOST_SCORED:
         return truth, simulated, weight
     warn(
-        f"a {type(step).__name__} scores -inf: its model is unstable, or not of these outputs, and "
-        f"its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the growing modes "
-        f"(SpuriousModeReducer), lower the order, or score a shorter span",
+        f"a {type(step).__name__} scores -inf: its model is unstable, or was fitted to other "
+        f"outputs, and its simulation grows beyond {MOST_SCORED:.0e} times the outputs; drop the "
+        f"growing modes (SpuriousModeReducer), lower the order, or score a shorter span",
         InstabilityWarning,
     )
     return None
 
 
 def meet_at_rest(truth, simulated, measured):
-    """Take outputs that stand still, to rounding, for met where the simulation does, too."""
+    """Treat outputs that rest, to rounding, as met if the simulation rests, too."""
     dust = DUST * np.max(np.abs(extremes(measured)), axis=0)
     for j in np.flatnonzero(np.ptp(truth, axis=0) <= dust):
         if np.max(np.abs(simulated[:, j] - truth[:, j])) <= dust[j]:
@@ -68,7 +68,7 @@ def weights_of(rows, sample_weight, n_samples):
     try:
         weight = np.asarray(sample_weight, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are no numbers") from None
+        raise ValueError("sample_weight holds values that are not numbers") from None
     if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
         raise ValueError(
             f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
@@ -77,6 +77,6 @@ def weights_of(rows, sample_weight, n_samples):
     if not weight[rows].any():
         raise ValueError(
             f"sample_weight is zero on all {len(rows)} rows that are scored (warm-up and "
-            f"incomplete periods are not); give some of them a weight"
+            f"incomplete periods are not scored); give some of them a weight"
         )
     return weight[rows]

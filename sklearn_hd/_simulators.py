@@ -74,9 +74,9 @@ class SegmentSimulator:
         """The model at (some) samples, whose outputs are what is measured."""
         if self.rows is not None:
             raise ValueError(
-                f"this model is one of whole windows or periods (reading="
-                f"{self.basis.reading!r}), whose residuals noise correlates, too; test those of "
-                f"the model brought to samples: SpuriousModeReducer or StructuredMatcher behind it"
+                f"this model describes whole windows or periods (reading={self.basis.reading!r}), "
+                f"and their noise correlates the residuals, too; test a model of samples instead: "
+                f"put SpuriousModeReducer or StructuredMatcher behind it"
             )
         R = self.basis.recomposition(self.basis.azimuth(self.time[some]))
         kept = highest_harmonic(self.basis.outputs) if self.basis.harmonic else 0
@@ -103,9 +103,9 @@ class SegmentSimulator:
             return Y
         radius = np.max(np.abs(np.linalg.eigvals(self.A)))
         raise UnstableModelError(
-            f"the simulation overflows: the model has a pole of size {radius:.4g} (1 is the "
-            f"bound of stability) at its sample time; drop it (SpuriousModeReducer), lower "
-            f"the order, or simulate a shorter span"
+            f"the simulation overflows: the model has a pole of size {radius:.4g} (a stable model "
+            f"has less than 1) at its sample time; drop it (SpuriousModeReducer), lower the order, "
+            f"or simulate a shorter span"
         )
 
     def _n_steps(self, n_samples):

@@ -24,13 +24,14 @@ def as_container(data, what):
     if not is_pandas(data):
         if hasattr(data, "__dask_graph__"):
             raise TypeError(
-                f"{what} is a dask {type(data).__name__}, which MOESPRegressor.fit alone reads; "
-                f"give one record, or one span, at a time in memory: {what}.partitions[0].compute()"
+                f"{what} is a dask {type(data).__name__}, which only MOESPRegressor.fit accepts; "
+                f"load one record, or one span, at a time into memory: "
+                f"{what}.partitions[0].compute()"
             )
         if hasattr(data, "__dataframe__"):
             raise TypeError(
                 f"{what} is a {type(data).__module__.split('.')[0]} {type(data).__name__}, which "
-                f"carries no index of times; give a frame of pandas with its times as the index"
+                f"has no index of times; give a pandas DataFrame with its times as the index"
             )
         data = _as_array(data, what)
         if data.ndim == 1 and what == "X":
@@ -63,9 +64,9 @@ def keeps_times(given, data):
 
 
 def _warn_of_joined_rows(data):
-    """Warn where rows without times are the training rows of a fold, and were not consecutive.
+    """Warn if rows without times are the training rows of a fold, and were not consecutive.
 
-    An array does not tell; the cross-validation that has cut it knows.
+    An array does not show it, but the cross-validation that has cut it does.
     """
     for frame in searches():
         train = np.asarray(frame.f_locals.get("train"))
@@ -73,11 +74,10 @@ def _warn_of_joined_rows(data):
             seams = np.count_nonzero(np.diff(train) != 1)
             if seams:
                 warn(
-                    f"the training rows of a fold are joined at {seams} place(s) where others "
-                    f"were left out, for an array carries no times: that is a jump, or no record "
-                    f"at all; split with sklearn_hd.model_selection.BlockSplit, or give "
-                    f"pd.DataFrame(X), whose index steps before this one must keep "
-                    f"(set_output(transform='pandas'))",
+                    f"the training rows of a fold are joined at {seams} place(s) where others were "
+                    f"left out, because an array has no times: this puts a jump into the record; "
+                    f"split with sklearn_hd.model_selection.BlockSplit, or give pd.DataFrame(X), "
+                    f"whose index steps before this one must keep (set_output(transform='pandas'))",
                     TimeBaseWarning,
                 )
 
@@ -93,14 +93,14 @@ def check_has_signals(data, what):
 
 
 def check_upright(data, what):
-    """Raise ValueError for an array of more signals than samples: it is one lying on its side."""
+    """Raise ValueError for an array with more signals than samples, which is transposed."""
     if not isinstance(data, np.ndarray) or data.ndim != 2:
         return
     rows, columns = data.shape
     if 1 < rows < columns:
         raise ValueError(
             f"{what} has {rows} rows and {columns} columns, more signals than samples: it is "
-            f"probably transposed; give one row a sample, {what}.T"
+            f"probably transposed; give one row per sample, {what}.T"
         )
 
 
@@ -115,11 +115,11 @@ def _as_array(data, what):
     if isinstance(data, dict | list | tuple):
         check_no_records(data, what)
     if data is None or isinstance(data, str | bytes | dict):
-        way = f"; make a frame of it: pd.DataFrame({what})" if isinstance(data, dict) else ""
+        way = f"; make it a DataFrame: pd.DataFrame({what})" if isinstance(data, dict) else ""
         if data is None and what == "X":
-            way = "; MOESPRegressor's models of outputs alone take a frame without columns: y[[]]"
+            way = "; for a model of outputs alone, give it a frame without columns: y[[]]"
         raise TypeError(
-            f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is no "
+            f"{what} is {'None' if data is None else 'a ' + type(data).__name__}, which is not a "
             f"table of signals; give a DataFrame, or an array of shape (n_samples, n_signals){way}"
         )
     if isinstance(data, np.ma.MaskedArray):
@@ -128,7 +128,8 @@ def _as_array(data, what):
         return np.asarray(data)
     except ValueError:
         raise ValueError(
-            f"{what} has rows of different lengths; give (n_samples, n_signals), every row as long"
+            f"{what} has rows of different lengths; give (n_samples, n_signals), with rows of "
+            f"equal length"
         ) from None
 
 
@@ -151,7 +152,7 @@ def to_float(data, what):
     except (TypeError, ValueError, OverflowError) as error:
         kind = TypeError if isinstance(error, TypeError) else ValueError
         raise kind(
-            f"{what} holds values that are no numbers{_culprit(data)}: {error}; convert them first"
+            f"{what} holds values that are not numbers{_culprit(data)}: {error}; convert them first"
         ) from None
     return values.reshape(len(values), -1)
 
@@ -194,7 +195,7 @@ class TimeBase:
     sample_time : float
         Seconds.
     counted : bool
-        True where samples were counted because no times were given.
+        True if rows count as samples because no times were given.
     jitter : (float, float)
         Seconds by which rows are off evenly spaced instants: root mean square, largest.
     uncertainty : float
@@ -303,7 +304,7 @@ def _first_steps(seconds, bounds):
 
 
 def _alike(seconds, bounds):
-    """Whether all steps are one and the same, but for rounding."""
+    """Whether all steps are one and the same, except for rounding."""
     ends = [step_extremes(seconds[a:b]) for a, b in itertools.pairwise(bounds) if b - a > 1]
     if not ends:
         return False
@@ -322,16 +323,16 @@ def _check_sample_time(given, found, uncertainty):
 
 
 def why_short(base):
-    """What made segments short, worded for messages; empty where nothing did."""
+    """Reason for short segments, for messages; empty if there is none."""
     n_rows, n_segments = len(base.time), len(base.segments)
     n_gaps = n_segments - len(set(base.records))
     if n_gaps > 2 and n_rows < SHORT * n_gaps:
         step = np.median(np.diff(base.time)) / base.sample_time
         return (
             f" (the {n_rows} rows fall into {n_segments} segments: they are {step:.3g} samples of "
-            f"{base.sample_time:.6g} s apart in the median; were they drawn at random, as by a "
-            f"shuffled split, or thinned out? split with BlockSplit, PeriodBlockSplit "
-            f"or GroupKFold, and keep the sample time of the data at fit)"
+            f"{base.sample_time:.6g} s apart in the median; they may have been drawn at random, as "
+            f"by a shuffled split, or thinned out: split with BlockSplit, PeriodBlockSplit or "
+            f"GroupKFold, and keep the sample time of the data at fit)"
         )
     return ""
 
@@ -350,11 +351,12 @@ def _record_bounds(index):
     starts = np.flatnonzero(np.any(np.diff(codes, axis=1) != 0, axis=0)) + 1
     if 2 * (len(starts) + 1) > len(index) and len(np.unique(codes, axis=1).T) <= len(starts):
         raise ValueError(
-            f"the records of the index take turns (rows 0 and {int(starts[0])} are of "
-            f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}): sorted by time, they "
-            f"need data.sort_index(), which sorts by record first; drawn at random "
-            f"(HalvingGridSearchCV over n_samples, a shuffled split), they have no dynamics: halve "
-            f"over another resource, and split with BlockSplit, PeriodBlockSplit or GroupKFold"
+            f"the records of the index are mixed (rows 0 and {int(starts[0])} are of "
+            f"{_label(index, 0)!r} and {_label(index, int(starts[0]))!r}). If they are sorted by "
+            f"time, use data.sort_index(), which sorts by record first. If they were drawn at "
+            f"random (HalvingGridSearchCV over n_samples, a shuffled split), they have no "
+            f"dynamics: halve over another resource, and split with BlockSplit, PeriodBlockSplit "
+            f"or GroupKFold"
         )
     return [0, *starts.tolist(), len(index)]
 
@@ -368,7 +370,7 @@ def _check_last_level(index):
     if not counted or len(index.droplevel(-1).unique()) * SHORT > len(index):
         raise ValueError(
             f"the last level of the index, {index.names[-1]!r}, has dtype "
-            f"{index.levels[-1].dtype}, and a level above it looks like the times; the order is "
+            f"{index.levels[-1].dtype}, but a level above it looks like the times; the order is "
             f"(record, time): data.swaplevel().sort_index()"
         )
 
@@ -401,15 +403,15 @@ def _seconds(times, sample_time, time_origin):
         return times.to_numpy() * (1.0 if sample_time is None else sample_time), True
     if not pd.api.types.is_float_dtype(times.dtype):
         raise ValueError(
-            f"the index has dtype {times.dtype}, which is no time{_conversion(times)}; use seconds "
-            f"(float), Timedelta, dates, integers that count samples, or a (record, time) "
+            f"the index has dtype {times.dtype}, which is not a time{_conversion(times)}; use "
+            f"seconds (float), Timedelta, dates, integers that count samples, or a (record, time) "
             f"MultiIndex"
         )
     return times.to_numpy(dtype=float), False
 
 
 def _conversion(times):
-    """How labels that could be times become so, worded for messages."""
+    """The code that converts labels to times, for messages."""
     kind, way = pd.api.types.infer_dtype(times), None
     if kind in ("floating", "integer", "mixed-integer-float", "decimal") or (
         kind == "string" and _reads(pd.to_numeric, times)
@@ -438,8 +440,9 @@ def _since(times, origin):
     """Seconds from an instant to each date."""
     if origin is None:
         raise ValueError(
-            "the index holds dates, which fix no azimuth; give HarmonicAnalyzer the instant of "
-            "ψ = 0 as time_origin, such as time_origin=data.index[0] (PeriodBlockSplit the same)"
+            "the index holds dates, which do not define the azimuth; give HarmonicAnalyzer the "
+            "instant of ψ = 0 as time_origin, such as time_origin=data.index[0] (PeriodBlockSplit "
+            "the same)"
         )
     origin = times.min() if origin == FIRST else pd.Timestamp(origin)
     if (origin.tzinfo is None) != (times.tz is None):
@@ -447,7 +450,7 @@ def _since(times, origin):
         if times.tz is not None:
             aware, naive = naive, aware
         raise ValueError(
-            f"the {aware} has a time zone and the {naive} has none (time_origin={origin}, index of "
+            f"the {aware} has a time zone but the {naive} has none (time_origin={origin}, index of "
             f"dtype {times.dtype}); give both one, with tz_localize, or neither"
         )
     return (times - origin).total_seconds().to_numpy()
@@ -491,9 +494,9 @@ def _runs(seconds, start, stop, sample_time, uncertainty):
         row = start + int(np.argmax(odd)) + 1
         raise ValueError(
             f"the step to t = {at(seconds[row])} (row {row}) is {step[row - start - 1]:.4g} "
-            f"samples of {sample_time:.6g} s: too uneven for jitter (0.6 to 1.4 samples) and not "
-            f"a whole number, as a gap would be; resample the data, drop the stray rows, or give "
-            f"parts with clocks of their own a label each in a (record, time) MultiIndex"
+            f"samples of {sample_time:.6g} s: too uneven for jitter (0.6 to 1.4 samples), and not "
+            f"a whole number, as a gap would be; resample the data, drop the stray rows, or label "
+            f"parts with clocks of their own as separate records in a (record, time) MultiIndex"
         )
     edges = [start, *(np.flatnonzero(np.rint(step) > 1.0) + start + 1).tolist(), stop]
     return [slice(a, b) for a, b in itertools.pairwise(edges)]

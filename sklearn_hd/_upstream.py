@@ -1,4 +1,4 @@
-"""What a step that follows another one reads."""
+"""Input of a step that follows another one."""
 
 from sklearn.base import clone
 
@@ -11,10 +11,10 @@ __all__ = ["upstream"]
 
 
 def upstream(step, X, y):
-    """What a reducing or matching step reads: the experiment, and the model it starts from.
+    """Input of a reducing or matching step: the experiment, and the model it starts from.
 
-    The model rides on X, or is that of ``step.estimator``, a clone of which is
-    fitted here (``step.estimator_``).
+    X carries the model, or it is that of ``step.estimator``, a clone of which is fitted here
+    (``step.estimator_``).
     """
     check_outputs_given(y)
     step._check_warmup()
@@ -22,23 +22,23 @@ def upstream(step, X, y):
         frame = as_frame(X)
         if frame.model is None:
             raise ValueError(
-                f"{type(step).__name__} found no model riding on X; put it behind MOESPRegressor "
-                f"in a Pipeline (with no step between them that makes a frame anew), or give it "
-                f"one: {type(step).__name__}(estimator=...)"
+                f"{type(step).__name__} found no model on X; put it behind MOESPRegressor in a "
+                f"Pipeline (without a step between them that rebuilds the frame), or give it one: "
+                f"{type(step).__name__}(estimator=...)"
             )
         return _at_machine(frame, y), frame.model
     if not (hasattr(step.estimator, "get_params") and hasattr(step.estimator, "transform")) or (
         isinstance(step.estimator, type)
     ):
         raise ValueError(
-            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"estimator={step.estimator!r} does not make a model; give a MOESPRegressor or "
             f"SpuriousModeReducer, or a Pipeline that ends in one"
         )
     step.estimator_ = clone(step.estimator).fit(X, y)
     frame = step._upstream_frame(X)
     if frame.model is None:
         raise ValueError(
-            f"estimator={step.estimator!r} makes no model; give a MOESPRegressor or "
+            f"estimator={step.estimator!r} does not make a model; give a MOESPRegressor or "
             f"SpuriousModeReducer, or a Pipeline that ends in one"
         )
     return _at_machine(frame, y), frame.model

@@ -1,24 +1,24 @@
-"""Warnings and errors of sklearn_hd's own."""
+"""Warnings and errors of sklearn_hd."""
 
 
 class UnstableModelError(ValueError):
-    """A norm or a match was asked of a model whose response is not bounded."""
+    """A norm or a match was requested for a model whose response is not bounded."""
 
 
 class TrimError(RuntimeError):
-    """No periodic solution was found from the guess given."""
+    """No periodic solution was found from the given guess."""
 
 
 class ExcitationWarning(UserWarning):
-    """Inputs excite fewer directions than block rows or predictions ask for."""
+    """Inputs excite fewer directions than the block rows or predictions need."""
 
 
 class IdentifiabilityWarning(UserWarning):
-    """Some parameters or modes are not determined by these data."""
+    """The data do not determine some parameters or modes."""
 
 
 class TimeBaseWarning(UserWarning):
-    """The time base was assumed (samples counted) rather than read from an index."""
+    """The time base was assumed (rows count as samples), not read from an index."""
 
 
 class JitterWarning(UserWarning):
@@ -26,16 +26,16 @@ class JitterWarning(UserWarning):
 
 
 class ResamplingWarning(UserWarning):
-    """A period held no whole number of samples, and signals were resampled to one."""
+    """A period did not hold a whole number of samples, and signals were resampled."""
 
 
 class FrequencyMismatchWarning(UserWarning):
-    """The data repeat themselves at another frequency than the one given."""
+    """The data repeat themselves at a frequency that differs from the given one."""
 
 
 class CacheWarning(UserWarning):
-    """A file in the folder given as ``memory``, or the folder, could not be used."""
+    """The folder given as ``memory``, or a file in it, could not be used."""
 
 
 class InstabilityWarning(UserWarning):
-    """A model, or the periodic orbit that the data are taken about, is unstable."""
+    """A model is unstable, or the periodic orbit about which the data are taken."""

@@ -1,4 +1,4 @@
-"""The frequency of a machine, from its records."""
+"""The frequency of a machine, estimated from its records."""
 
 from sklearn_hd._checks import check_missing
 from sklearn_hd._readings import PlainReading
@@ -15,8 +15,8 @@ __all__ = ["OmegaEstimate", "estimate_omega"]
 def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None, missing="raise"):
     """Frequency at which records repeat themselves, with its standard deviation.
 
-    Periods that are written one below the other make a matrix of low rank at the true
-    frequency, whatever trim, slow transients and amplitudes there are; inputs may move.
+    Write the periods one below the other: the matrix has low rank at the true frequency, whatever
+    the trim, slow transients and amplitudes are. Inputs may move.
 
     Parameters
     ----------
@@ -25,14 +25,14 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
         Outputs, as measured or with the trim subtracted.
     guess : float, optional
-        Where to search, rad/s. By default the comb of lines that stands out most in the
-        spectrum of the outputs.
+        Centre of the search, rad/s. By default it is the strongest comb of lines in the spectrum
+        of the outputs.
     span : float, default=0.035
-        How far from the guess to search, to either side, in parts of it.
+        Width of the search to either side of the guess, as a share of it.
     sample_time : float, optional
-        Seconds from row to row of arrays and of frames that count their rows.
+        Seconds from row to row, for arrays and for frames without times.
     missing : {"raise", "gap"} or float, default="raise"
-        What becomes of NaN, as in :class:`HarmonicAnalyzer`.
+        Treatment of NaN, as in :class:`HarmonicAnalyzer`.
 
     Returns
     -------
@@ -50,7 +50,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     FrequencyMismatchWarning
         If the speed drifts.
     IdentifiabilityWarning
-        If a fraction of the frequency explains the records better, or a multiple as well.
+        If a fraction of the frequency explains the records better, or a multiple explains them as
+        well.
 
     References
     ----------
@@ -84,17 +85,17 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
         warn(
             f"the speed drifts by {found.drift / found.omega:.2%} over the records "
             f"({found.drift:.3g} ± {found.drift_std:.2g} rad/s from start to end, about "
-            f"{found.omega:.7g}): no one omega fits them; measure the azimuth and give azimuth= "
-            f"to HarmonicAnalyzer, or use records of constant speed",
+            f"{found.omega:.7g}), so no constant omega fits them; measure the azimuth and give "
+            f"azimuth= to HarmonicAnalyzer, or use records of constant speed",
             FrequencyMismatchWarning,
         )
     if found.rivals:
         others = ", ".join(f"{rival:.7g}" for rival in found.rivals)
-        better = "better" if slower else "as well"
+        better = "better than" if slower else "as well as"
         warn(
-            f"{others} rad/s explain the records {better}, beside {found.omega:.7g} rad/s: a "
-            f"multiple of the machine's frequency looks like it where every second (third) period "
-            f"is alike; give as guess the one that the machine turns at",
+            f"{others} rad/s explain the records {better} {found.omega:.7g} rad/s: a multiple of "
+            f"the machine's frequency looks like it if every second (third) period is alike; give "
+            f"the frequency at which the machine turns as guess",
             IdentifiabilityWarning,
         )
     return found

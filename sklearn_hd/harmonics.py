@@ -43,92 +43,88 @@ WINDOWS = (*WINDOW_PERIODS, *(f"centred-{window}" for window in WINDOW_PERIODS))
 class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     """Decompose signals into time-varying Fourier coefficients of a fundamental.
 
-    With ψ = ωt and a window h of unit sum, harmonic k of a signal s is
-    estimated as (Eq. 7 read backwards)
+    With ψ = ωt and a window h of unit sum, harmonic k of a signal s is estimated as (the inverse
+    of Eq. 7)
 
         s_0(n) = Σ_i h_i s(n−i),   s_kc(n) = 2 Σ_i h_i s(n−i) cos kψ(n−i),
 
-    and s_ks with sin. The transformer keeps its rows and its index; how the
-    outputs are to be decomposed travels with the frame, as its ``basis``.
+    and s_ks with sin. The transformer keeps the rows and the index. The ``basis`` of the returned
+    frame tells the model steps how to decompose the outputs.
 
     Parameters
     ----------
     omega : float or None, default=None
         Fundamental frequency in rad/s, constant. Give this or ``azimuth``.
     input_harmonics : int, dict or None, default=None
-        Harmonics kept of the inputs: N for 0 … N, or such as ``{"U": [0, 1]}``; None is 0. With
-        ``reading="sample"`` the most harmonics that B(ψ) and D(ψ) may have; None is no bound of
-        their own.
+        Harmonics kept of the inputs: N for 0 … N, or a dict such as ``{"U": [0, 1]}``; None is 0.
+        With ``reading="sample"`` it is the highest harmonic that B(ψ) and D(ψ) may have; None sets
+        no separate limit.
     output_harmonics : int, dict or None, default=None
-        The same for the outputs; None is 1. With ``reading="sample"`` the most harmonics that
-        the coefficients of the predictor may have (0: a time-invariant model); None is 3.
+        The same for the outputs; None is 1. With ``reading="sample"`` it is the highest harmonic
+        that the coefficients of the predictor may have (0: a time-invariant model); None is 3.
     load_harmonics : int or None, default=None
         With ``reading="sample"``, the highest harmonic of the forced periodic response (trim,
         loads at n per turn), which is identified together with the dynamics; None is as many as
-        the samples tell apart, 12 at most.
+        the samples can separate, at most 12.
     window : str, default="boxcar"
-        ``"boxcar"`` (one period), ``"triangle"`` or ``"hann"`` (two periods)
-        end at the row that they are for, as a causal analyzer must;
-        ``"centred-boxcar"``, ``"centred-triangle"`` and ``"centred-hann"``
-        are centred on it.
+        ``"boxcar"`` (one period), ``"triangle"`` and ``"hann"`` (two periods) end at the row that
+        they describe, so they are causal; ``"centred-boxcar"``, ``"centred-triangle"`` and
+        ``"centred-hann"`` are centred on that row.
     reading : {"auto", "period", "sample", "sliding"}, default="auto"
-        How model steps read the record. ``"period"`` decomposes whole periods, one after
-        another (the blockwise Fourier transform), whatever the window: sampled once a period,
-        a periodic system is time-invariant. ``"sample"`` takes each row as a sample with its
-        azimuth, for records in service: inputs that always move, loads at every turn,
-        turbulence, any number of samples in a turn; nothing is decomposed. ``"sliding"`` is the
-        paper's: coefficients through the window, every ``hop`` samples. ``"auto"`` takes
-        ``"period"`` where the inputs rest in most turns, but for noise, and ``"sample"`` where
-        they do not, or turns are fewer than 12; ``"sliding"`` where there is no y, or a hop, a
-        window, harmonics of inputs or harmonics by signal are asked for. ``basis_.reading``
-        says which.
+        How model steps analyse the record (the *reading*). ``"period"`` decomposes whole periods,
+        one after another (the blockwise Fourier transform), whatever the window: sampled once per
+        period, a periodic system is time-invariant. ``"sample"`` uses each row as a sample with
+        its azimuth and decomposes nothing. It is for records in service: inputs that always move,
+        loads at every turn, turbulence, any number of samples per turn. ``"sliding"`` is the
+        method of the paper: coefficients through the window, every ``hop`` samples. ``"auto"``
+        takes ``"period"`` if the inputs rest in most turns (except for noise), and ``"sample"`` if
+        they do not, or if there are fewer than 12 turns. It takes ``"sliding"`` if there is no y,
+        or if a hop, a window, harmonics of inputs or harmonics by signal are given.
+        ``basis_.reading`` holds the choice.
     hop : int or None, default=None
-        Samples from one row read by the model steps to the next. With ``reading="sliding"`` a
-        divisor of the samples in a period; None reads at least eight rows a period, and
-        three more than twice the highest harmonic. With ``reading="sample"`` any number; None
-        keeps 24 rows a turn, and more where the outputs forget half of their motion from row to
-        row (``basis_.hop`` says it). Inputs are averaged in between.
+        Samples from one analysed row to the next. With ``reading="sliding"`` it divides the number
+        of samples per period; None reads at least eight rows per period, and at least three more
+        than twice the highest harmonic. With ``reading="sample"`` any number is allowed; None
+        keeps 24 rows per turn, and more if the outputs lose half of their motion from row to row
+        (see ``basis_.hop``). Inputs are averaged in between.
     trim_span : "auto", (float, float) or None, default="auto"
-        Where the machine is in periodic trim: index times, in seconds within each record (dates:
-        since ``time_origin``). The waveforms averaged there are subtracted before decomposition,
-        and added again by ``predict``. ``"auto"`` takes the turns in which inputs rest and
-        outputs repeat themselves, but for noise, and subtracts nothing where the outputs are
-        zero there, but for noise, or where nothing rests. None subtracts nothing. With
-        ``reading="sample"`` ``"auto"`` is None: the forced response is identified together with
-        the dynamics.
+        Span in which the machine is in periodic trim: index times, in seconds within each record
+        (for dates: since ``time_origin``). The mean waveforms there are subtracted before
+        decomposition, and ``predict`` adds them again. ``"auto"`` takes the turns in which inputs
+        rest and outputs repeat themselves, except for noise. It subtracts nothing if the outputs
+        are zero there, except for noise, or if nothing rests. None subtracts nothing. With
+        ``reading="sample"``, ``"auto"`` means None: the forced response is identified together
+        with the dynamics.
     sample_time : float or None, default=None
-        Seconds. None reads it from the index, or is 1.0 where samples are counted.
+        Seconds. None reads it from the index; without times it is 1.0.
     azimuth : str or None, default=None
-        Column of X that holds the azimuth ψ in rad, growing, or starting anew
-        at each turn, of a rotor whose speed varies; no input of the model.
-        All is then done on a uniform grid in azimuth (see Notes).
+        Column of X that holds the azimuth ψ in rad of a rotor whose speed varies. It increases, or
+        starts again at each turn, and is not an input of the model. The analysis then uses a
+        uniform grid in azimuth (see Notes).
     time_origin : date or None, default=None
-        The instant of ψ = 0 (``pd.Timestamp``, ``datetime`` or text), for an
-        index of dates, with a time zone if the index has one. With ``azimuth``
-        it is but the zero of ``trim_span``; None is then the first sample.
+        The instant of ψ = 0 (``pd.Timestamp``, ``datetime`` or text), for an index of dates; it
+        needs a time zone if the index has one. With ``azimuth`` it only sets the zero of
+        ``trim_span``; None is then the first sample.
     missing : "raise", "gap" or float, default="raise"
-        What becomes of NaN in the inputs, the outputs or the azimuth:
-        ``"raise"`` refuses them; ``"gap"`` makes a gap of each, at which a new
-        segment starts; a number is the longest run, in seconds, that is
-        bridged (inputs linearly, all else by cubic splines), longer ones, and
-        those at the ends of a segment, become gaps. Rows in gaps, and pieces
-        between them shorter than the window, are neither fitted nor scored,
-        bridged outputs are fitted but not scored. ``predict`` answers wherever
-        the inputs are known, and with NaN where they are not.
+        Treatment of NaN in the inputs, the outputs or the azimuth. ``"raise"`` refuses them.
+        ``"gap"`` makes each a gap, after which a new segment starts. A number is the longest run,
+        in seconds, that is bridged (inputs linearly, the rest by cubic splines); longer runs, and
+        runs at the ends of a segment, become gaps. Rows in gaps, and pieces between gaps that are
+        shorter than the window, are neither fitted nor scored. Bridged outputs are fitted but not
+        scored. ``predict`` returns values wherever the inputs are known, and NaN elsewhere.
 
     small_signal : {"odd", "extrapolate"} or None, default=None
-        What model steps are fitted to where the records of a (record, time)
-        index hold one input waveform at several amplitudes, on the same times
-        and phases. ``"odd"``: pairs +u, −u become the record (u₊ − u₋)/2,
-        (y₊ − y₋)/2. ``"extrapolate"``: records at q amplitudes a become their
-        linear term y_1, scaled to the largest a, of y(a) = Σ_{p=1…q} a^p y_p.
-        Either way a response that is not linear in u biases the model less;
-        ``predict`` and ``score`` read every record as it is.
+        Combination of records before the fit, if the records of a (record, time) index hold one
+        input waveform at several amplitudes, at the same times and phases. ``"odd"``: pairs +u, −u
+        become the record (u₊ − u₋)/2, (y₊ − y₋)/2. ``"extrapolate"``: records at q amplitudes a
+        become their linear term y_1, scaled to the largest a, of y(a) = Σ_{p=1…q} a^p y_p. Both
+        reduce the bias of a response that is not linear in u. ``predict`` and ``score`` use every
+        record as it is.
 
     Attributes
     ----------
     basis_ : HarmonicBasis
-        All that is needed to repeat the decomposition.
+        Everything that is needed to repeat the decomposition.
     feature_names_in_ : ndarray of str
         Names of the inputs.
     n_features_in_ : int
@@ -143,42 +139,39 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     Warns
     -----
     TimeBaseWarning
-        If samples are counted, because no times are given.
+        If no times are given, so that rows count as samples.
     JitterWarning
         If rows are not evenly spaced in time.
     ResamplingWarning
-        If a period holds no whole number of samples.
+        If a period does not hold a whole number of samples.
 
     Notes
     -----
-    *Uneven rows.* Steps of the index between 0.6 and 1.4 samples (instants off
-    an even grid by up to a fifth of a sample) are jitter: signals are resampled
-    onto the multiples of the sample time, with a ``JitterWarning`` that says how
-    much, and results are brought back to the rows given. A longer step that is
-    a whole number of samples, within twice the jitter, starts a new segment.
+    *Uneven rows.* Steps of the index between 0.6 and 1.4 samples (instants off an even grid by up
+    to a fifth of a sample) are jitter. Signals are then resampled onto the multiples of the sample
+    time, and results are brought back to the rows given; a ``JitterWarning`` states the size. A
+    longer step that is a whole number of samples, within twice the jitter, starts a new segment.
 
-    *A period that is no whole number of samples* (64.02, where ω was rounded or
-    the clock is not tied to the machine; 50.3) is resampled onto one: the nearest
-    within 0.1 of a sample, else the next above, and a multiple of ``hop``. A
-    ``ResamplingWarning`` bounds the error of interpolation by leaving out every
-    second sample. Up to 0.001 samples a period, and 0.25 over a segment, count
-    as a whole number: the rows are then used as they are, each with its own ψ.
+    *A period without a whole number of samples* (64.02, if ω was rounded or the clock is not tied
+    to the machine; 50.3) is resampled onto one: the nearest within 0.1 of a sample, otherwise the
+    next higher one, and a multiple of ``hop``. A ``ResamplingWarning`` bounds the interpolation
+    error by leaving out every second sample. Deviations up to 0.001 samples per period and 0.25
+    over a segment count as a whole number: the rows are then used as they are, each with its own
+    ψ.
 
-    *Azimuth.* The grid holds a whole number of samples a turn: the mean over the
-    rows at fit, rounded up, and to a multiple of ``hop``. Its time is ψ/ω with ω
-    the mean speed at fit (``basis_.omega``), so every later step runs as at
-    constant speed. What is found is then time-invariant *per turn*: with
-    x′ = dx/dψ, ω x′ = A x + B u. That is the model of a system whose dynamics
-    keep pace with the rotor (blade aerodynamics: damping in proportion to
-    speed). Dynamics fixed in time (structural modes, a rigid-body
-    mode) have eigenvalues per turn that vary as ω/ω(t), and are identified at
-    their mean: for ±5 % of speed, to within ±5 % at any instant.
+    *Azimuth.* The grid holds a whole number of samples per turn: the mean over the rows at fit,
+    rounded up to a whole number and to a multiple of ``hop``. Its time is ψ/ω with ω the mean
+    speed at fit (``basis_.omega``), so every later step works as at constant speed. The model is
+    then time-invariant *per turn*: with x′ = dx/dψ, ω x′ = A x + B u. This describes a system
+    whose dynamics scale with the rotor speed (blade aerodynamics: damping in proportion to speed).
+    Dynamics fixed in time (structural modes, a rigid-body mode) have eigenvalues per turn that
+    vary as ω/ω(t), and are identified at their mean: for ±5 % of speed, to within ±5 % at any
+    instant.
 
-    *Accuracy.* Smooth signals pass through splines of degree five: errors below
-    1e-5, 1e-7, 1e-8 of the amplitude with 16, 32, 64 samples in a period of the
-    highest frequency. Inputs of which only the mean is kept are held from row
-    to row, as models take them, and their held means are taken on the grid.
-    Rows that are even already pass unchanged.
+    *Accuracy.* Splines of degree five resample smooth signals with errors below 1e-5, 1e-7, 1e-8
+    of the amplitude for 16, 32, 64 samples in a period of the highest frequency. Inputs of which
+    only the mean is kept are held from row to row, as models assume, and their held means are
+    taken on the grid. Rows that are already even stay unchanged.
 
     References
     ----------
@@ -253,8 +246,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X : DataFrame, Series or ndarray, shape (n_samples, n_inputs)
             Inputs u.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs), optional
-            Outputs; without them the model steps cannot use the basis, unless
-            they are given harmonics of y themselves (a HarmonicFrame).
+            Outputs. Without them the model steps can use the basis only if they receive harmonics
+            of y themselves (a HarmonicFrame).
 
         Returns
         -------
@@ -280,7 +273,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         return self
 
     def _checked_timing(self):
-        """When rows were sampled, as the parameters say; ValueError if one is not understood."""
+        """Times of the rows, as the parameters give them; ValueError if one is not understood."""
         check_choice("window", self.window, WINDOWS)
         check_choice("reading", self.reading, (AUTO, *READINGS))
         if self.small_signal is not None:
@@ -323,9 +316,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         shortest = min(len(piece.grid) for piece in sampling.pieces)
         if shortest < len(basis.weights):
             raise ValueError(
-                f"the shortest segment has {shortest} rows, less than the {len(basis.weights)} "
-                f"of the analysis window{why_short(signals.base)}; drop it, use a window of fewer "
-                f"periods, or reading='sample', which has none"
+                f"the shortest segment has {shortest} rows, less than the {len(basis.weights)} of "
+                f"the analysis window{why_short(signals.base)}; drop it, use a window of fewer "
+                f"periods, or reading='sample', which has no window"
             )
         if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)
@@ -347,11 +340,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
     @within_range
     def inverse_transform(self, X):
-        """Signals put together again from their coefficients (Eq. 7), trim added.
+        """Reconstruct signals from their coefficients (Eq. 7), with the trim added.
 
-        Exact for periodic signals that hold only the harmonics kept, lossless
-        for ``reading="period"`` with all harmonics kept; otherwise the signal as
-        seen through the window.
+        This is exact for periodic signals that hold only the harmonics kept, and lossless for
+        ``reading="period"`` with all harmonics kept; otherwise it is the signal as seen through
+        the window.
 
         Parameters
         ----------
@@ -374,14 +367,14 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         basis = self.basis_
         if not basis.coefficient_labels:
             raise ValueError(
-                f"reading={basis.reading!r} decomposes nothing, so there are no coefficients to "
-                f"put together; the signals are in the frame as they were given"
+                f"reading={basis.reading!r} makes no coefficients, so there is nothing to "
+                f"reconstruct; the frame holds the signals as they were given"
             )
         missing = [name for name in basis.drive_labels if name not in getattr(X, "columns", ())]
         if missing:
             raise ValueError(
-                f"X lacks the coefficient column {missing[0]!r}; give a frame as transform "
-                f"returns it"
+                f"X lacks the coefficient column {missing[0]!r}; give a frame as transform returns "
+                f"it"
             )
         azimuth = [] if basis.timing.azimuth is None else [basis.timing.azimuth]
         if not set(azimuth) <= set(X.columns):
@@ -413,7 +406,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Parameters
         ----------
         input_features : ignored
-            Present for the habits of scikit-learn.
+            Present for compatibility with scikit-learn.
 
         Returns
         -------
@@ -431,7 +424,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
 
 def _without_loss(basis, inputs, outputs):
-    """A basis of samples so little thinned that outputs keep half of what neighbours share."""
+    """A basis of samples with a hop at which outputs keep half of what neighbours share."""
     if basis.hop == 1:
         return basis
     sampling, _, values = sample(inputs, basis, outputs)
@@ -452,9 +445,8 @@ def _without_loss(basis, inputs, outputs):
 def _check_raw(X):
     if isinstance(X, HarmonicFrame) and X.is_laden:
         raise ValueError(
-            "X comes from HarmonicAnalyzer or a model step already; the order of steps is "
-            "HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher, each "
-            "once"
+            "X comes from a HarmonicAnalyzer or a model step already; use each step once, in the "
+            "order HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher"
         )
     check_upright(X, "X")
 
@@ -462,8 +454,7 @@ def _check_raw(X):
 def _warn_if_counted(base):
     if base.counted:
         warn(
-            f"no times given: samples are counted, {base.sample_time:g} s apart and one "
-            f"contiguous record from psi = 0, in the order given; use a DataFrame indexed by "
-            f"seconds",
+            f"no times given: rows count as samples, {base.sample_time:g} s apart, of one "
+            f"contiguous record that starts at psi = 0; use a DataFrame indexed by seconds",
             TimeBaseWarning,
         )

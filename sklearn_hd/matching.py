@@ -1,4 +1,4 @@
-"""Step 5: the identified model brought to the structure of the physics (Eqs. 20-22)."""
+"""Step 5: bring the identified model to the structure of the physics (Eqs. 20-22)."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -39,62 +39,61 @@ class StructuredMatcher(ModelStep):
         θ* = arg min_θ ‖W_o (G_c(s) − G_s(s; θ)) W_i‖_∞                   (Eq. 22)
         θ* = arg max_θ  likelihood of the measured y(t)        ("output_error", "prediction_error")
 
-    With a :class:`MatrixStructure` the model is time-invariant. With a
-    :class:`HarmonicStructure` it is the linear time-periodic system behind the
-    harmonics: ``ltp_``, which ``predict`` then simulates, and ``system_``, its harmonic
-    decomposition. A model identified period by period (``HarmonicAnalyzer(reading="period")``)
-    is brought to periodic form in closed form first, whatever the structure.
+    With a :class:`MatrixStructure` the model is time-invariant. With a :class:`HarmonicStructure`
+    it is the linear time-periodic system behind the harmonics: ``ltp_``, which ``predict`` then
+    simulates, and ``system_``, its harmonic decomposition. A model of whole periods
+    (``HarmonicAnalyzer(reading="period")``) is first brought to periodic form in closed form,
+    whatever the structure.
 
-    A model of samples (``reading="sample"``) is brought to continuous time in closed form:
-    ``structure=None`` keeps all of it, outputs its states where they determine the state; a
-    :class:`HarmonicStructure` takes the parameters whose predictions one sample ahead are nearest
-    to the model's, in parts of its innovations. A :class:`MatrixStructure` needs a model without
-    harmonics (``output_harmonics=0``). ``predict`` adds the forced periodic response identified,
-    from which states are counted.
+    A model of samples (``reading="sample"``) is brought to continuous time in closed form.
+    ``structure=None`` keeps all of it, with outputs as states if they determine the state. A
+    :class:`HarmonicStructure` takes the parameters whose one-step predictions are closest to the
+    model's, in units of its innovations. A :class:`MatrixStructure` needs a model without
+    harmonics (``output_harmonics=0``). States are counted from the identified forced periodic
+    response, which ``predict`` adds.
 
-    Two criteria are likelihoods of the raw record. ``"output_error"`` simulates it: all that is
-    left counts as noise of the sensors. ``"prediction_error"`` predicts it one sample ahead, so
-    that gusts and other process noise may move the states (innovations form):
+    Two criteria are likelihoods of the raw record. ``"output_error"`` simulates the record and
+    treats all residuals as noise of the sensors. ``"prediction_error"`` predicts it one sample
+    ahead, so that gusts and other process noise may move the states (innovations form):
 
         x[k+1] = Φ(ψ_k; θ) x[k] + Γ(ψ_k; θ) u[k] + K(ψ_k) e[k],   K(ψ) = K_0 + Σ_h K_hc cos hψ + …
         y[k] = C(ψ_k; θ) x[k] + D(ψ_k; θ) u[k] + e[k],            e white, of covariance S
 
         (θ, K)* = arg min ½ N log det S(θ, K),   S(θ, K) = Σ_k e[k] e[k]ᵀ / N
 
-    S is concentrated out: it is at its own optimum for each θ and K. The number of harmonics of K
-    is chosen by Akaike's criterion, that there is a K by Schwarz's. Unstable machines measured in
-    closed loop want ``"prediction_error"``, for a simulation of them diverges. ``predict_ahead``
-    then predicts. Samples may be missing, and models of samples (``reading="sample"``) take both
-    likelihoods too; their forced periodic response is estimated along.
+    S is concentrated out: it is at its own optimum for each θ and K. Akaike's criterion chooses
+    the number of harmonics of K, and Schwarz's whether there is a K. Use ``"prediction_error"``
+    for unstable machines measured in closed loop, because their simulation diverges;
+    ``predict_ahead`` then predicts. Samples may be missing. Models of samples
+    (``reading="sample"``) accept both likelihoods, which also estimate their forced periodic
+    response.
 
     Parameters
     ----------
     estimator : estimator or None, default=None
-        Whose model to match, fitted here; None takes the model that rides on X.
+        Estimator whose model to match; it is fitted here. None takes the model that X carries.
     structure : MatrixStructure, HarmonicStructure or None, default=None
-        The structure. None leaves every entry free: the model as it is, or the periodic
-        system if the model was identified period by period, or of samples and has harmonics. With
-        a likelihood on plain data every entry of the discrete model is free, and the model stays
-        discrete.
+        The structure. None leaves every entry free: the model stays as it is, or becomes the
+        periodic system if it is of whole periods, or of samples with harmonics. With a likelihood
+        on plain data all entries are free, and the model stays discrete.
     criterion : {"hinf", "least_squares", "output_error", "prediction_error"}, default="hinf"
-        In what the model identified is matched: ``"hinf"``, the largest error over
-        frequency; ``"least_squares"``, the mean square over a grid of frequencies, usually
-        the better estimate of parameters where no exact match exists. Where a closed form is
-        exact there is nothing left to minimise. ``"output_error"`` and ``"prediction_error"``
-        go on from the latter to the parameters of largest likelihood for the raw record, where
-        noise is on the outputs alone, or on the states too: no bias by windows, and standard
-        deviations beside the parameters. They choose the numbers of harmonics that a
-        HarmonicStructure leaves open (Akaike's criterion).
+        Measure of the match. ``"hinf"`` is the largest error over frequency. ``"least_squares"``
+        is the mean square over a grid of frequencies, usually the better estimate of parameters if
+        no exact match exists. Where a closed form is exact, nothing is left to minimise.
+        ``"output_error"`` and ``"prediction_error"`` continue from ``"least_squares"`` to the
+        parameters of largest likelihood for the raw record, with noise on the outputs alone, or
+        also on the states. They have no bias from windows, give standard deviations, and choose
+        the numbers of harmonics that a HarmonicStructure leaves open (Akaike's criterion).
     input_noise : float, dict or None, default=None
-        Standard deviation of white noise on the measured inputs (a dict: by input, in
-        their units), which the system does not feel. ``"output_error"`` then is a total
-        least squares, without the bias that noisy inputs give. None: they are exact.
+        Standard deviation of white noise on the measured inputs, which the system does not feel (a
+        dict: by input, in their units). ``"output_error"`` is then a total least squares, without
+        the bias from noisy inputs. None: the inputs are exact.
     output_weights, input_weights : float, sequence or dict, default=None
-        Positive numbers by channel of the model (a dict: by name; what is not named weighs 1),
-        the diagonals of W_o and W_i. They stand beside scales that make all channels of G_c
-        count alike, whatever their units.
+        Positive numbers for the channels of the model (a dict: by name; others have weight 1), the
+        diagonals of W_o and W_i. They multiply scales that give all channels of G_c equal weight,
+        whatever their units.
     n_starts : int, default=6
-        Number of random starts where no exact match is found before, and of likelihoods of
+        Number of random starts if no exact match is found before, and for likelihoods of
         time-invariant models with all entries free, which may have several maxima.
     random_state : int, default=0
         Seed of the starts.
@@ -107,48 +106,48 @@ class StructuredMatcher(ModelStep):
     Attributes
     ----------
     system_ : control.StateSpace
-        The matched model, in continuous time, its states named by the structure.
+        The matched model, in continuous time; the structure names its states.
     ltp_ : LTPSystem
         The linear time-periodic system, for periodic structures. ``system_``, its decomposition,
-        has copies of its modes: design on ``ltp_.minimal_model()``, which has none.
+        has copies of its modes. For design use ``ltp_.minimal_model()``, which has none.
     theta_ : Series, shape (n_parameters,)
         The parameters by name.
     theta_std_ : Series, shape (n_parameters,)
-        Their standard deviations; NaN without maximum likelihood. Where the residuals pass as
-        white noise, they are the Cramér-Rao bound at the estimate.
+        Their standard deviations; NaN without maximum likelihood. If the residuals pass the tests
+        for white noise, they are the Cramér-Rao bound at the estimate.
     covariance_ : DataFrame, shape (n_parameters, n_parameters)
     covariance_type_ : {"information", "robust"}
-        Where the deviations come from: the information of white noise, or, where the residuals
-        are not white, the scores of some forty blocks of the record (the sandwich).
+        Origin of the standard deviations: the information of white noise, or, if the residuals are
+        not white, the scores of some forty blocks of the record (the sandwich).
     residual_tests_ : DataFrame or None
-        Tests of the record fitted, as :meth:`residual_tests` gives them; None with
-        ``input_noise``, where rows are few, or where the simulation overflows.
+        Tests of the fitted record, as :meth:`residual_tests` gives them; None with
+        ``input_noise``, with too few rows, or if the simulation overflows.
     eigenvalues_ : DataFrame
         Eigenvalues, or Floquet exponents, with the standard deviations of their real and
         imaginary parts, 1/s.
     noise_std_ : Series, shape (n_outputs,)
         Standard deviation of the noise of each output, in the units of y.
     theta_least_squares_ : Series, shape (n_parameters,)
-        The match in the mean square over frequency, usually the better
-        estimate of parameters where no exact match exists.
+        The match in the mean square over frequency, usually the better estimate of parameters if
+        no exact match exists.
     kalman_gain_ : ndarray, shape (n_states, n_outputs)
         K of the innovations form, for ``criterion="prediction_error"``; Fourier coefficients,
-        shape (2 H + 1, n_states, n_outputs), where it varies.
+        shape (2 H + 1, n_states, n_outputs), if it varies.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
         For ``criterion="prediction_error"``; in the units of the outputs.
     hinf_error_ : float
-        ‖W_o (G_c − G_s(θ)) W_i‖_∞, channel scales included in the weights; NaN where
-        nothing was matched in a norm.
+        ‖W_o (G_c − G_s(θ)) W_i‖_∞, with the channel scales in the weights; NaN if nothing was
+        matched in a norm.
     hinf_error_relative_ : float
         The same divided by ‖W_o G_c W_i‖_∞.
     peak_frequency_ : float
-        rad/s, where the error is largest.
+        Frequency of the largest error, rad/s.
     peaks_ : DataFrame, columns frequency (rad/s), error and weight
-        The peaks of the error that hold the H∞ norm where it is, relative to
-        ‖W_o G_c W_i‖_∞, and the weights of their gradients in the convex combination that
-        vanishes at the optimum. Empty where the match is exact or in another norm.
+        The peaks of the error that prevent a smaller H∞ norm, relative to ‖W_o G_c W_i‖_∞, and the
+        weights of their gradients in the convex combination that vanishes at the optimum. Empty if
+        the match is exact or in another norm.
     optimality_ : float
-        Upper bound of how much, relative to itself, the criterion could still fall at first
+        Upper bound of the relative decrease of the criterion that is still possible at first
         order, within a step that moves the response by as much as the error. 0: stationary.
     history_ : DataFrame, columns stage and error
         The search, step by step: ``"least squares"`` (relative length of the error over
@@ -156,11 +155,11 @@ class StructuredMatcher(ModelStep):
     sensitivity_ : Series
         Singular values of the sensitivity of the response to the parameters.
     rank_ : int
-        How many combinations of parameters the outputs determine.
+        Number of parameter combinations that the outputs determine.
     n_iter_ : int
     delays_, delay_std_ : Series
-        Delays of the signals, seconds; those that MOESPRegressor left to the data are parameters
-        of the likelihoods.
+        Delays of the signals, seconds; those that MOESPRegressor left open are parameters of the
+        likelihoods.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 
@@ -170,26 +169,26 @@ class StructuredMatcher(ModelStep):
         At ``fit``, if there is no model, or the structure or criterion does not fit it.
     UnstableModelError
         If the model is unstable: it has no H∞ norm, and ``"output_error"`` cannot simulate it over
-        a record. If the periodic model of a HarmonicStructure, matched in a norm, explains less of
-        its own record than nothing.
+        a record. Also if the periodic model of a HarmonicStructure, matched in a norm, leaves more
+        of its own record than there was.
 
     Warns
     -----
     IdentifiabilityWarning
-        If these outputs do not determine some parameters (they are named); if model and
-        structure differ in order and match poorly; if the outputs do not determine the
-        state of a periodic system, which is then in Floquet coordinates; if a structure behind
-        samples leaves more than a hundredth of the response's variance. After a likelihood: if the
-        residuals are no white noise, so that deviations are robust; if parts of the record (small
-        and large motions, one side and the other) put an exponent at different places, so that
-        its deviation is widened; if a record with process noise lasts fewer than 50 time constants
-        of the slowest mode; if ``"output_error"`` follows ``weighting="pbsid"``.
+        If these outputs do not determine some parameters (the warning names them); if model and
+        structure differ in order and match poorly; if the outputs do not determine the state of a
+        periodic system, which is then in Floquet coordinates; if a structure behind samples leaves
+        more than a hundredth of the response's variance. After a likelihood: if the residuals are
+        not white noise, so that deviations are robust; if parts of the record (small and large
+        motions, one side and the other) put an exponent at different places, so that its deviation
+        is widened; if a record with process noise lasts fewer than 50 time constants of the
+        slowest mode; if ``"output_error"`` follows ``weighting="pbsid"``.
     InstabilityWarning
-        If the closed form for models identified period by period, or a structure behind samples,
-        makes a stable one unstable.
+        If the closed form for models of whole periods, or a structure behind samples, makes a
+        stable model unstable.
     ConvergenceWarning
-        If the search stopped before its tolerance was met: 1e-8 of the sum of squares, 2e-5
-        between the H∞ norm and the smooth bound that is minimised.
+        If the search stopped before it met its tolerance: 1e-8 of the sum of squares, 2e-5 between
+        the H∞ norm and the smooth bound that is minimised.
 
     References
     ----------
@@ -211,8 +210,8 @@ class StructuredMatcher(ModelStep):
     >>> matcher.fit(u, y).theta_.round(4).to_dict()
     {'a': 0.2231, 'b': 1.1157}
 
-    The same lag, shaken by noise of its own, of deviation 0.09 in this record. A simulation
-    misses all that the noise has done; a prediction one sample ahead misses the last of it alone:
+    The same lag, moved by process noise of standard deviation 0.09 in this record. A simulation
+    misses all effects of the noise; a prediction one sample ahead misses only its last value:
 
     >>> shaken, e = y.copy(), 0.1 * np.random.default_rng(1).standard_normal((300, 1))
     >>> for k in range(299):
@@ -252,14 +251,14 @@ class StructuredMatcher(ModelStep):
     @one_blas_thread
     @within_range
     def fit(self, X, y):
-        """Match the structure to the model that rides on X.
+        """Match the structure to the model that X carries.
 
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            With a model riding on it, unless ``estimator`` is given.
+            Must carry a model, unless ``estimator`` is given.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Used where the model has to be brought to continuous time here.
+            Used if the model has to be brought to continuous time here.
 
         Returns
         -------
@@ -276,7 +275,7 @@ class StructuredMatcher(ModelStep):
         return self._remember(match.model, experiment.basis, X, y, experiment)
 
     def _of_samples(self, model, experiment):
-        """The match of a model of samples at their azimuths."""
+        """Match a model of samples at their azimuths."""
         periodic = isinstance(self.structure, HarmonicStructure) or not model.time_invariant
         noise = checked_together(self, experiment.basis, periodic, periodic)
         if not self._likely:
@@ -288,7 +287,7 @@ class StructuredMatcher(ModelStep):
         return match_likelihood(match, self.structure, experiment, settings)
 
     def _of_rows(self, model, experiment):
-        """The match of a time-invariant model of rows, harmonics or whole periods."""
+        """Match a time-invariant model of rows, harmonics or whole periods."""
         if model.closed_loop and self.criterion == "output_error":
             warn_closed_loop()
         lifted = experiment.basis.reading == "period" and model.dt > 0.0
@@ -334,7 +333,7 @@ class StructuredMatcher(ModelStep):
             )
         if self.input_noise is not None:
             noise = self.input_noise
-            hint = "None is none, and a dict gives each input its own, {'u': 0.1}"
+            hint = "None means no noise; a dict gives each input its own, {'u': 0.1}"
             for value in noise.values() if isinstance(noise, Mapping) else [noise]:
                 check_positive("input_noise", value, "units of the input", hint)
 
@@ -362,7 +361,8 @@ class StructuredMatcher(ModelStep):
 
     @property
     def _split(self):
-        """Whole samples of the delays of inputs and outputs, where its samples hold the rest."""
+        """Delays of inputs and outputs in whole samples, if the model of samples holds the
+        rest."""
         return None if self.match_.sampled is None else self.match_.sampled.split
 
     def _samples_late(self, experiment):
@@ -388,14 +388,14 @@ class StructuredMatcher(ModelStep):
         check_is_fitted(self)
         if self.match_.periodic is None:
             raise AttributeError(
-                "ltp_ is there for a HarmonicStructure only; this match was made with "
+                f"ltp_ exists only for a HarmonicStructure; this match was made with "
                 f"structure={self.structure!r}"
             )
         return self.match_.periodic.to_system()
 
     @property
     def kalman_gain_(self):
-        """K of the innovations form; its Fourier coefficients where it varies."""
+        """K of the innovations form; its Fourier coefficients if it varies."""
         return self._noise("kalman_gain")
 
     @property
@@ -407,7 +407,7 @@ class StructuredMatcher(ModelStep):
         check_is_fitted(self)
         if self.criterion != "prediction_error":
             raise AttributeError(
-                f"{name}_ is there for criterion='prediction_error' only; this match was made with "
+                f"{name}_ exists only for criterion='prediction_error'; this match was made with "
                 f"criterion={self.criterion!r}"
             )
         return getattr(self.match_.sampled, name)
@@ -439,12 +439,12 @@ class StructuredMatcher(ModelStep):
 
     @property
     def covariance_type_(self):
-        """``"information"``: as white noise has it; ``"robust"``: from blocks of the record."""
+        """``"information"``: for white noise; ``"robust"``: from blocks of the record."""
         return self._likelihood("covariance_type_").kind
 
     @property
     def residual_tests_(self):
-        """Residual tests of the record fitted, by :meth:`residual_tests` (level 1e-4)."""
+        """Residual tests of the fitted record, by :meth:`residual_tests` (level 1e-4)."""
         tests = self._likelihood("residual_tests_").tests
         return None if tests is None else pd.DataFrame(tests).set_index("test")
 
@@ -466,15 +466,15 @@ class StructuredMatcher(ModelStep):
         )
 
     def confidence_interval(self, level=0.95):
-        """Bounds θ ± z σ between which each parameter lies with some probability.
+        """Bounds θ ± z σ that contain each parameter with a given probability.
 
-        σ is ``theta_std_``: of white noise, or robust (``covariance_type_``). The normal
-        distribution is that of long records.
+        σ is ``theta_std_``, for white noise or robust (``covariance_type_``). The normal
+        distribution holds for long records.
 
         Parameters
         ----------
         level : float, default=0.95
-            That probability, between 0 and 1.
+            The probability, between 0 and 1.
 
         Returns
         -------
@@ -486,7 +486,7 @@ class StructuredMatcher(ModelStep):
         NotFittedError
             Before ``fit``.
         ValueError
-            If ``level`` is no probability.
+            If ``level`` is not a probability.
         AttributeError
             Without ``criterion="output_error"`` or ``"prediction_error"``.
         """
@@ -525,14 +525,14 @@ class StructuredMatcher(ModelStep):
         check_is_fitted(self)
         if self.match_.uncertainty is None:
             raise AttributeError(
-                f"{what} is there after maximum likelihood only; fit with criterion="
-                f"'output_error' or 'prediction_error'"
+                f"{what} exists only after maximum likelihood; fit with criterion='output_error' "
+                f"or 'prediction_error'"
             )
         return self.match_.uncertainty
 
     @property
     def hinf_error_(self):
-        """‖W_o (G_c − G_s(θ)) W_i‖_∞; NaN where nothing was matched in a norm."""
+        """‖W_o (G_c − G_s(θ)) W_i‖_∞; NaN if nothing was matched in a norm."""
         return self._in_norm("hinf_error")
 
     @property
@@ -542,12 +542,12 @@ class StructuredMatcher(ModelStep):
 
     @property
     def peak_frequency_(self):
-        """Where the error is largest, rad/s."""
+        """Frequency of the largest error, rad/s."""
         return self._in_norm("peak_frequency")
 
     @property
     def optimality_(self):
-        """By how much, relative to itself, the criterion could still fall at first order."""
+        """Relative decrease of the criterion that is still possible at first order."""
         return self._in_norm("predicted_decrease")
 
     def _in_norm(self, name):
@@ -557,7 +557,7 @@ class StructuredMatcher(ModelStep):
 
     @property
     def peaks_(self):
-        """Peaks of the error that hold the H∞ norm where it is, as a DataFrame."""
+        """Peaks of the error that prevent a smaller H∞ norm, as a DataFrame."""
         check_is_fitted(self)
         proof = None if self.match_.found is None else self.match_.found.certificate
         parts = ([], [], []) if proof is None else (proof.frequencies, proof.errors, proof.weights)
@@ -586,14 +586,14 @@ class StructuredMatcher(ModelStep):
         check_is_fitted(self)
         if self.match_.found is None:
             raise AttributeError(
-                f"{what} is there after a match in a norm only; fit with a structure and "
+                f"{what} exists only after a match in a norm; fit with a structure and "
                 f"criterion='hinf' or 'least_squares'"
             )
         return self.match_.found.singular_values
 
 
 def _warn_of_moves(model, match, likely):
-    """Of exponents that the match has moved away from what a second opinion confirms."""
+    """Warn of exponents that the match moved away from what a second opinion confirms."""
     opinion = model.opinion
     if opinion is None or searching():
         return

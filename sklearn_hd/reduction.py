@@ -1,4 +1,4 @@
-"""Step 4: drop the modes that the harmonic analyzer put in."""
+"""Step 4: remove the modes that the harmonic analyzer added."""
 
 from sklearn.utils.validation import check_is_fitted
 
@@ -17,44 +17,43 @@ METHODS = ("truncate", "residualize", "both")
 class SpuriousModeReducer(ModelStep):
     """Keep the genuine modes of an identified model, in continuous time.
 
-    Seen through a window, a mode λ appears beside its copies λ + jpω and the
-    window's own memory. The reducer
+    Through a window, a mode λ appears together with its copies λ + jpω and the window's own
+    memory. The reducer
 
-    1. splits off the poles that die within the window, by an ordered Schur form;
+    1. removes the poles that die within the window, by an ordered Schur form;
     2. groups the others into families of one Floquet multiplier e^{λT};
     3. keeps the smallest conjugate-closed set of modes that explains the raw
-       signals as well as all of them do, and no more of them than there are
-       output coefficients unless more halve what is left unexplained (or the
-       best set of ``n_states``), and calls the rest of their families copies;
-    4. where some families make as many states as there are outputs and the
-       inputs come to rest, refines their exponents on the raw free decay,
-       takes the mode shapes P(ψ) from it, F(ψ) = (P′ + P R) P⁻¹ from them,
-       and from that the harmonic decomposition, which no choice within a
-       family can bias; it replaces the modes of 3. if it explains the raw
-       signals as well;
+       signals as well as all modes do (or the best set of ``n_states``), with no
+       more modes than output coefficients unless more halve what is left
+       unexplained. It calls the other members of their families copies;
+    4. refines the exponents on the raw free decay, if some families have as
+       many states as there are outputs and the inputs come to rest. The decay
+       gives the mode shapes P(ψ), these give F(ψ) = (P′ + P R) P⁻¹, and F gives
+       the harmonic decomposition. The choice within a family cannot bias it.
+       It replaces the modes of 3. if it explains the raw signals as well;
     5. fits B, D and the initial states to the raw record through the exact
-       response of what is kept, so that the window leaves no trace. Where
-       another set of modes does as well, the verdict is ambiguous.
+       response of the kept modes, so no effect of the window remains. If another
+       set of modes explains the record as well, the verdict is ambiguous.
 
     Models of whole periods (``HarmonicAnalyzer(reading="period")``) and of samples
-    (``reading="sample"``) saw no window: they pass unchanged, every mode genuine.
+    (``reading="sample"``) use no window: they pass unchanged, and every mode is genuine.
 
-    Modes that are dropped are truncated, or residualized (Eqs. 16-19):
+    The other modes are truncated or residualized (Eqs. 16-19):
 
         Â = A_s,   D̂ = D − C_f A_f⁻¹ B_f     in modal coordinates.
 
     Parameters
     ----------
     estimator : estimator or None, default=None
-        Whose model to reduce, fitted here; None takes the model that rides on X.
+        Estimator whose model to reduce; it is fitted here. None takes the model that X carries.
     n_states : int or None, default=None
-        States to keep, always of the modes identified (3.); None decides by
-        the data as above.
+        Number of states to keep, always of the identified modes (step 3); None lets the data
+        decide as above.
     method : {"truncate", "residualize", "both"}, default="truncate"
-        What becomes of the other modes: dropped, replaced by their static
-        gain (a feedthrough), or, with ``"both"``, dropped where slower than ω
-        and residualized where faster, as in the paper. The window's memory,
-        which has no place in continuous time, is always dropped.
+        Treatment of the other modes: ``"truncate"`` drops them, ``"residualize"`` replaces them by
+        their static gain (a feedthrough), and ``"both"``, as in the paper, drops those slower than
+        ω and residualizes the faster ones. The window's memory does not exist in continuous time
+        and is always dropped.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data.
@@ -62,20 +61,17 @@ class SpuriousModeReducer(ModelStep):
     Attributes
     ----------
     system_ : control.StateSpace
-        Continuous-time model; models of whole periods and of samples pass unchanged. Of
-        samples whose model has harmonics there is none: ``ltp_`` of
-        :class:`MOESPRegressor` or :class:`StructuredMatcher` is the model in continuous time.
+        Continuous-time model; models of whole periods and of samples pass unchanged. A model of
+        samples with harmonics has none: use ``ltp_`` of :class:`MOESPRegressor` or
+        :class:`StructuredMatcher`, the model in continuous time.
     modes_ : DataFrame
-        One row a mode identified: ``eigenvalue`` (rad/s, continuous),
-        ``family``, ``verdict`` (genuine, copy, window, weak or ambiguous) and
-        ``reason``.
+        One row per identified mode: ``eigenvalue`` (rad/s, continuous), ``family``, ``verdict``
+        (genuine, copy, window, weak, ambiguous or second-order) and ``reason``.
     n_states_ : int
     r2_ : float
-        R² of the fit to the raw record, initial states fitted too; NaN where
-        nothing had to be refitted.
+        R² of the fit to the raw record, with fitted initial states; NaN if nothing was refitted.
     left_out_ : float
-        Share of the variance that the modes kept leave unexplained which all
-        modes together would explain.
+        Share of the variance left by the kept modes that all modes together would explain.
     delays_, delay_std_ : Series
         Delays of the signals, seconds, as identified.
     n_features_in_ : int
@@ -91,7 +87,7 @@ class SpuriousModeReducer(ModelStep):
     IdentifiabilityWarning
         If another set of modes explains the data as well.
     InstabilityWarning
-        If a mode kept grows: the periodic orbit is unstable.
+        If a kept mode grows, so that the periodic orbit is unstable.
 
     References
     ----------
@@ -120,12 +116,12 @@ class SpuriousModeReducer(ModelStep):
     @one_blas_thread
     @within_range
     def fit(self, X, y):
-        """Tell genuine from spurious modes, and fit the inputs' effect to the raw record.
+        """Separate genuine from spurious modes, and fit the effect of inputs to the raw record.
 
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features)
-            With a model riding on it, unless ``estimator`` is given.
+            Must carry a model, unless ``estimator`` is given.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Outputs in time.
 
@@ -145,6 +141,6 @@ class SpuriousModeReducer(ModelStep):
 
     @property
     def modes_(self):
-        """Every mode identified, with its family, verdict and reason, as a DataFrame."""
+        """Every identified mode, with its family, verdict and reason, as a DataFrame."""
         check_is_fitted(self)
         return mode_table(*self._modes)

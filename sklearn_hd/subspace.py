@@ -31,101 +31,99 @@ class MOESPRegressor(ModelStep):
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k]               (Eq. 10)
 
-    On a frame from :class:`HarmonicAnalyzer` the outputs are decomposed with
-    the basis that rides on it, and k counts the rows read (every ``hop``-th
-    sample); the model is driven by the raw inputs, or by the coefficients of
-    whole periods where harmonics other than 0 are kept. On plain data it is
-    ordinary subspace identification, sample by sample.
+    On a frame from :class:`HarmonicAnalyzer` the outputs are decomposed with the basis that the
+    frame carries, and k counts the analysed rows (every ``hop``-th sample). The raw inputs drive
+    the model, or the coefficients of whole periods if harmonics other than 0 are kept. On plain
+    data it is ordinary subspace identification, sample by sample.
 
     Behind ``HarmonicAnalyzer(reading="sample")`` the model is a periodic innovations model,
 
         x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k] + a(ψ_k) + K(ψ_k) e[k]
         y[k] = C(ψ_k) x[k] + D(ψ_k) u[k] + c(ψ_k) + e[k]
 
-    from the predictor of each row by the rows before it, by ridge regression; a and c drive the
-    forced periodic response.
+    It is found from a predictor of each row by the rows before it (ridge regression); a and c
+    drive the forced periodic response.
 
     Parameters
     ----------
     order : int or "auto", default="auto"
-        Number of states. ``"auto"`` takes a gap of decades between singular values, as exact
-        data leave it. Where plain data in memory have none, models of rising order are
-        simulated over the record, and the Bayesian information criterion of what they leave
-        decides (``order_search_``); one that grows e-fold over the longest segment must halve
-        the outputs' variance that the best other one leaves, beyond what its order does. Of those
-        that leave alike, to a hundredth of that variance, the smallest is taken. Else
-        (frames of an analyzer, chunks, dask, outputs alone) the widest gap that reaches down to
-        the noise floor; 0, a static gain, on plain data too short for any dynamics. Of samples at
-        their azimuths, orders and numbers of harmonics are simulated in the same way.
+        Number of states. ``"auto"`` takes a gap of decades between singular values, if there is
+        one, as exact data have it. For plain data in memory without such a gap, it simulates
+        models of rising order over the record and takes the smallest Bayesian information
+        criterion of the residuals (``order_search_``). A model that grows e-fold over the longest
+        segment must halve the variance left by the best other one, beyond the gain of its order.
+        Among models whose residuals agree to a hundredth of that variance, the smallest is taken.
+        Other data (frames of an analyzer, chunks, dask, outputs alone) use the widest gap that
+        reaches down to the noise floor. Plain data too short for any dynamics give 0, a static
+        gain. For samples at their azimuths, orders and numbers of harmonics are simulated in the
+        same way.
     block_rows : int or None, default=None
-        Block rows i of the past, and of the future. None takes twice the rows
-        in the analysis window, plus two; 15 on plain data (fewer where the
-        record is short); with ``weighting="pbsid"`` up to 60, as far back as the data say
-        (Akaike's criterion). With ``reading="sample"`` the rows that the predictor reaches back,
-        chosen likewise.
+        Block rows i of the past, and of the future. None takes twice the rows in the analysis
+        window, plus two; 15 on plain data (fewer if the record is short); up to 60 with
+        ``weighting="pbsid"``, chosen by Akaike's criterion. With ``reading="sample"`` it is the
+        number of past rows that the predictor uses, chosen in the same way.
     weighting : {"moesp", "n4sid", "cva", "pbsid"}, default="moesp"
-        What of the future outputs is decomposed. ``"moesp"`` and ``"cva"`` (canonical
-        correlations: each output counts by its information, whatever its unit) project the
-        future inputs out; ``"n4sid"`` is the oblique projection. All three are biased where
-        inputs answer to noisy outputs: for data measured in closed loop use ``"pbsid"``
-        (predictor-based; on plain data, or ``reading="period"`` where the feedback is of earlier
-        periods; with ``feedthrough=True``, of earlier rows). ``reading="sample"`` always is
-        predictor-based; ``"n4sid"`` and ``"cva"`` are refused there.
+        Projection of the future outputs that is decomposed. ``"moesp"`` and ``"cva"`` (canonical
+        correlations: each output counts by its information, whatever its unit) project the future
+        inputs out; ``"n4sid"`` is the oblique projection. All three are biased if inputs react to
+        noisy outputs: for data measured in closed loop use ``"pbsid"`` (predictor-based). It needs
+        plain data, or ``reading="period"`` with feedback from earlier periods; with
+        ``feedthrough=True``, feedback from earlier rows. ``reading="sample"`` is always
+        predictor-based and refuses ``"n4sid"`` and ``"cva"``.
     feedthrough : bool or "auto", default="auto"
-        Whether D is free, else zero. ``"auto"`` simulates both on plain data in memory and takes
-        D free where that lowers the criterion, and what is left by a hundredth; in chunks and
-        with dask, D is free if the inputs explain what the rows before leave of the outputs of
-        their own row. ``feedthrough_reason_`` has the figures. With ``weighting="pbsid"``,
-        ``"auto"`` is zero, for a feedback within the row looks the same; a warning says so.
-        Through a sliding window it is zero; period by period D always is free, for inputs act
-        within their period. Of samples at their azimuths D is free where the predictor's Bayesian
-        criterion falls by it.
+        Whether D is free; otherwise it is zero. For plain data in memory ``"auto"`` simulates
+        both, and D is free if that lowers the criterion, and the residuals by a hundredth. For
+        chunks and dask, D is free if the inputs explain a part of the outputs of their own row
+        that earlier rows do not explain. ``feedthrough_reason_`` has the figures. With
+        ``weighting="pbsid"``, ``"auto"`` is zero, because a feedback within the row looks the
+        same; a warning says so. Through a sliding window D is zero. With ``reading="period"`` D is
+        always free, because inputs act within their period. For samples at their azimuths D is
+        free if that lowers the predictor's Bayesian information criterion.
     disturbance_model : bool, default=False
-        Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead``
-        (on plain data or ``reading="period"``); with ``weighting="pbsid"`` and
-        ``reading="sample"`` it always is.
+        Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead`` (on
+        plain data or ``reading="period"``). With ``weighting="pbsid"`` and ``reading="sample"`` it
+        is always identified.
 
             x[k+1] = A x[k] + B u[k] + K e[k],   y[k] = C x[k] + D u[k] + e[k]
     stable : bool, default=False
-        Whether A is brought to the nearest stable matrix, each state weighed by how much
-        outputs see of it: unstable eigenvalues are mirrored at the unit circle, λ → 1/λ̄, the
+        Whether A is replaced by the nearest stable matrix, where each state counts by how much the
+        outputs see of it: unstable eigenvalues are mirrored at the unit circle, λ → 1/λ̄, and the
         others stay. B, D and K are fitted to that A. With ``reading="sample"`` only stable models
-        are compared; a ValueError says where none is.
+        are compared; a ValueError reports if there is none.
     scale : bool, default=True
         Divide each signal by its root mean square before the projection, so that units do not
-        decide what counts as large. With one output nothing changes; with several it weighs
-        the outputs anew, and moves eigenvalues as far as noise and nonlinearity leave them open.
-        With ``reading="sample"`` signals always are, by their motion about the periodic mean.
+        decide what counts as large. With one output nothing changes. With several, the outputs get
+        other weights, and eigenvalues move within the limits of noise and nonlinearity. With
+        ``reading="sample"`` signals are always scaled, by their motion about the periodic mean.
     input_delay, output_delay : float, dict or "auto", default=0.0
-        Seconds, whole samples or not, by which the machine feels an input after it was commanded,
-        and by which an output is measured after the machine had it; a dict gives some signals
-        theirs, the others have none. ``"auto"`` (of all, or in a dict) searches whole samples, at
-        most 50 or half a period, and refines them by the likelihood of plain data. Other models
-        are refined in ``StructuredMatcher(criterion="output_error")``. Sums of an
-        input's and an output's delay are all that is seen: with both ``"auto"`` the first output
-        has none. Models are in the machine's own time; ``predict`` puts delays in.
+        Delays in seconds, whole samples or not: from the command of an input to its effect on the
+        machine, and from the motion of an output to its measurement. A dict gives delays to some
+        signals; the others have none. ``"auto"`` (for all, or in a dict) searches whole samples,
+        at most 50 or half a period, and for plain data refines them by the likelihood. Other
+        models are refined in ``StructuredMatcher(criterion="output_error")``. The data show only
+        sums of an input's and an output's delay: with both ``"auto"`` the first output has none.
+        Models use the machine's own time; ``predict`` adds the delays.
     warmup : float or None, default=None
         Seconds at the start of each segment on which ``score`` fits the
         initial state; None is five periods, or 50 samples on plain data, and
         never more than a quarter of the segment.
     memory : str, joblib.Memory or None, default=None
-        Folder in which lag products of the data are kept: one for all orders and for all
-        block rows up to 32, 64 or 128, so that a search over both goes through each of its
-        folds once (twice without noise: exactly, too). Up to 64 MB of what a process asked for
-        last stay in its memory, and as much of the data, by which it knows them again. Reading
-        its files can run code: give folders alone that nobody else writes. Not for
-        ``reading="sample"``.
+        Folder in which lag products of the data are kept. One file serves all orders and all block
+        rows up to 32, 64 or 128, so a search over both reads each of its folds once (twice for
+        data without noise). A process also keeps up to 64 MB of the products it used last, and as
+        much of the data, by which it recognises them. Reading these files can run code: give only
+        folders to which nobody else writes. Not for ``reading="sample"``.
     half_life : float or None, default=None
-        With ``partial_fit`` alone: the age at which a row weighs half as much as the newest one, so
-        that the model follows a machine that changes. It is in periods behind a
-        :class:`HarmonicAnalyzer`, in seconds (samples, where these are counted) on plain data.
-        Rows count, gaps between them do not. None forgets nothing.
+        For ``partial_fit`` only: the age at which a row weighs half as much as the newest one, so
+        that the model follows a machine that changes. The unit is periods behind a
+        :class:`HarmonicAnalyzer`, and seconds on plain data (samples, without times). Rows count;
+        gaps between them do not. None forgets nothing.
 
     Attributes
     ----------
     system_ : control.StateSpace
-        Discrete-time model with named inputs and outputs; with ``reading="sample"`` where no
-        coefficient varies, without the forced response.
+        Discrete-time model with named inputs and outputs. With ``reading="sample"`` it exists if
+        no coefficient varies, and does not include the forced response.
     ltp_ : LTPSystem
         With ``reading="sample"``: the continuous linear time-periodic system behind the samples.
     loads_ : DataFrame, shape (2 L + 1, n_outputs)
@@ -135,63 +133,63 @@ class MOESPRegressor(ModelStep):
     order_ : int
     block_rows_ : int
     singular_values_ : ndarray, shape (block_rows * n_outputs,)
-        Of the projected future outputs; canonical correlations with ``weighting="cva"``.
+        Singular values of the projected future outputs; canonical correlations with
+        ``weighting="cva"``.
     noise_floor_ : float
         Largest singular value that rounding or white noise would give.
     eigenvalues_ : complex ndarray, shape (order,)
-        Of A; the Floquet multipliers, over one turn, where A varies with the azimuth.
+        Eigenvalues of A; Floquet multipliers over one turn if A varies with the azimuth.
     x0_ : ndarray, shape (n_segments, order)
-        Initial state of each segment of the data fitted; NaN where a half-life has forgotten it.
+        Initial state of each segment of the fitted data; NaN if a half-life has forgotten it.
     n_effective_rows_ : float
-        After ``partial_fit``: rows read so far. With a half-life (Σw)² / Σw² of their weights w: as
-        many rows alike tell as much.
+        After ``partial_fit``: rows read so far. With a half-life it is (Σw)² / Σw² of their
+        weights w: the number of equally weighted rows with the same information.
     feedthrough_ : bool
         Whether D is free.
     feedthrough_reason_ : str
-        Why, with the figures that decided.
+        Reason for that choice, with the figures that decided.
     order_search_ : dict of ndarray, shape (n_simulated,)
-        Of each model simulated: ``order``, ``feedthrough``, ``stable`` (no mode grows e-fold),
-        ``share`` of the outputs that is left (root mean square), ``variance`` left (geometric
-        mean over outputs), ``bic``, ``n_harmonics``. Empty where none was simulated.
+        Of each simulated model: ``order``, ``feedthrough``, ``stable`` (no mode grows e-fold),
+        ``share`` of the outputs that is left (root mean square), ``variance`` left (geometric mean
+        over outputs), ``bic``, ``n_harmonics``. Empty if none was simulated.
     kalman_gain_ : ndarray, shape (order, n_outputs)
-        Where identified; Fourier coefficients, shape (2 H + 1, order, n_outputs), where it varies.
+        K, if identified; Fourier coefficients, shape (2 H + 1, order, n_outputs), if it varies.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
-        Where the Kalman gain is identified; in the units of the outputs.
+        Exists if the Kalman gain is identified; in the units of the outputs.
     delays_, delay_std_ : Series
-        Delay of each input and output in seconds, and its standard deviation; NaN where it was
-        given, or found in whole samples.
+        Delay of each input and output in seconds, and its standard deviation; NaN if it was given,
+        or found in whole samples.
     n_features_in_ : int
     feature_names_in_ : ndarray of str
 
     Raises
     ------
     ValueError
-        At ``fit``, if the record is too short for the block rows, an input or
-        all outputs are constant, the block rows do not exceed the window, or the order
-        exceeds the rank that block rows allow; if a delay is negative, not finite, of no signal
-        or longer than the record.
+        At ``fit``, if the record is too short for the block rows; if an input or all outputs are
+        constant; if the block rows do not exceed the window; if the order exceeds the rank that
+        the block rows allow; if a delay is negative, not finite, longer than the record or names
+        no signal.
 
     Warns
     -----
     CacheWarning
-        If files in the folder ``memory`` are not what was stored; they are made anew.
+        If files in the folder ``memory`` are not what was stored; they are computed anew.
     ExcitationWarning
-        If the inputs excite fewer directions than the block rows ask for, or a
-        coefficient of an input never moves (its column of B is zero).
+        If the inputs excite fewer directions than the block rows need, or a coefficient of an
+        input never moves (its column of B is zero).
     IdentifiabilityWarning
-        If inputs never move apart (copies, say: they are named), an output rests at a value
-        other than zero, records begin with inputs that do and
-        outputs that rest at zero, with ``weighting="pbsid"`` there is a feedthrough, or a
-        feedback within the row, and D is zero, or with ``reading="sample"`` the record is short,
-        nothing is explained, or what predictions leave is not noise.
+        If inputs never move separately (the warning names them); if an output rests at a value
+        other than zero; if records begin with outputs at rest at zero and inputs at rest
+        elsewhere; if, with ``weighting="pbsid"``, there is a feedthrough or a feedback within the
+        row, and D is zero; if, with ``reading="sample"``, the record is short, nothing is
+        explained, or the residuals of predictions are not noise.
     FrequencyMismatchWarning
-        If the data repeat themselves at another frequency than ``omega``; it
-        says at which.
+        If the data repeat themselves at another frequency than ``omega``; the warning names it.
     InstabilityWarning
-        If the model of plain data grows e-fold over the longest segment (but for candidates of a
-        search), the outputs grow beyond what rounding lets see beside them, or a Floquet exponent
-        is positive (``reading="period"``; through a sliding window :class:`SpuriousModeReducer`
-        warns of it).
+        If the model of plain data grows e-fold over the longest segment (no warning for candidates
+        of a search); if the outputs grow so much that rounding hides the other modes; if a Floquet
+        exponent is positive (``reading="period"``; through a sliding window
+        :class:`SpuriousModeReducer` gives the warning).
 
     References
     ----------
@@ -253,11 +251,11 @@ class MOESPRegressor(ModelStep):
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features), or None
-            Inputs, with a harmonic basis riding on them or plain; also as a dask DataFrame,
-            partitioned by record or, plain, by time. None, or a DataFrame without columns, to
+            Inputs, plain or as a frame that carries a harmonic basis; also a dask DataFrame,
+            partitioned by record or, if plain, by time. None, or a DataFrame without columns, to
             identify from outputs alone.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Outputs in time; of dask's where X is, in the same partitions.
+            Outputs in time; a dask collection in the same partitions if X is one.
 
         Returns
         -------
@@ -269,8 +267,8 @@ class MOESPRegressor(ModelStep):
         settings = self._settings()
         if settings.half_life not in (None, np.inf):
             raise ValueError(
-                f"half_life={settings.half_life} is that of partial_fit, and fit reads all rows "
-                f"alike; call partial_fit, or leave half_life=None"
+                f"half_life={settings.half_life} is only for partial_fit, and fit weights all rows "
+                f"equally; call partial_fit, or leave half_life=None"
             )
         for chunks in ("_stream", "n_effective_rows_"):  # of a partial_fit before
             self.__dict__.pop(chunks, None)
@@ -296,49 +294,49 @@ class MOESPRegressor(ModelStep):
     def partial_fit(self, X, y):
         """Identify the model from all chunks so far and this one.
 
-        Chunks are consecutive rows of a record, in order, or whole records. What they leave
-        behind are sums; memory does not grow with the rows of a record (it does by some
-        thousand rows with each record). The model is that of ``fit`` on all rows with the same
-        ``order`` and ``block_rows``, but that a sliding window's block rows stay where they
-        began; ``fit`` forgets all chunks.
+        Chunks are consecutive rows of a record, in order, or whole records. Only sums are kept, so
+        memory does not grow with the rows of a record (it grows by some thousand rows with each
+        record). The model is that of ``fit`` on all rows with the same ``order`` and
+        ``block_rows``, except that the block rows of a sliding window stay as they began. ``fit``
+        forgets all chunks.
 
-        Where a mode outlasts some thousand rows, and a record is longer, B and D come from the
-        triangular factor alone, and are less certain than those of ``fit``.
+        If a mode lasts longer than some thousand rows, and a record is longer, only the triangular
+        factor gives B and D, which are then less certain than those of ``fit``.
 
-        With a ``half_life`` h, what is a periods (or seconds) old has the weight 2^(−a/h), and the
-        model is that of ``fit`` by weighted least squares, whatever the chunks. It follows a
-        machine that changes about h / ln 2 later: the mean age of what it remembers.
-        The trim that the analyzer has learned is not forgotten.
+        With a ``half_life`` h, a row that is a periods (or seconds) old has the weight 2^(−a/h),
+        and the model is that of ``fit`` by weighted least squares, however the rows are cut into
+        chunks. It follows a machine that changes with a lag of about h / ln 2: the mean age of the
+        rows it remembers. The trim that the analyzer has learned is not forgotten.
 
         Parameters
         ----------
         X : DataFrame or ndarray, shape (n_samples, n_features), or None
-            Inputs (None where there are none), with a harmonic basis riding on them (from
-            ``HarmonicAnalyzer.transform``; not period by period) or plain. Rows whose index
-            counts from 0 go on where the last chunk ended; others follow it by one sample
-            time, or a gap lies between.
+            Inputs (None if there are none), plain or as a frame that carries a harmonic basis
+            (from ``HarmonicAnalyzer.transform``; not with ``reading="period"``). Rows whose index
+            counts from 0 continue where the last chunk ended. Other rows follow it by one sample
+            time, or after a gap.
         y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
             Outputs in time.
 
         Returns
         -------
         self : MOESPRegressor
-            With the model of everything so far, once there are rows enough.
+            With the model of all rows so far, as soon as there are enough.
 
         Raises
         ------
         ValueError
-            If a chunk has other columns, another sample time or basis than the first, or
-            begins before the end of the last. What was read before is kept.
+            If a chunk has other columns, another sample time or another basis than the first, or
+            begins before the end of the last. Earlier chunks are kept.
 
         Warns
         -----
         ExcitationWarning
             If an input, or all outputs, have not moved so far: there is no model yet. With a
-            half-life, also if an input has rested for ten of them: the model stays as it is.
+            half-life, also if an input has rested for ten half-lives: the model stays as it is.
         IdentifiabilityWarning
-            If all chunks so far have no model of this order. They are kept, this one too, and so
-            is the model before.
+            If all chunks so far give no model of this order. The chunks and the previous model are
+            kept.
 
         References
         ----------
@@ -358,7 +356,7 @@ class MOESPRegressor(ModelStep):
         >>> round(float(model.eigenvalues_[0].real), 6)
         0.8
 
-        The pole moves from 0.8 to 0.6. With a half-life of 40 samples, 300 later it is known:
+        The pole moves from 0.8 to 0.6. With a half-life of 40 samples, 300 samples later:
 
         >>> for k in range(299):
         ...     y[k + 1] = 0.6 * y[k] + u[k]
@@ -384,14 +382,15 @@ class MOESPRegressor(ModelStep):
         return self
 
     def _refuse_delays(self, what):
-        """Raise ValueError if sums over rows would have to be of delayed signals."""
+        """Raise ValueError if sums over rows would need delayed signals."""
         for name in ("input_delay", "output_delay"):
             value = getattr(self, name)
             parts = list(value.values()) if isinstance(value, Mapping) else [value]
             if any(part != 0 for part in parts):
                 raise ValueError(
-                    f"{name}={value!r} needs records in memory, and {what} are read as they come; "
-                    f"use fit with pandas or arrays, or shift the signals by whole samples before"
+                    f"{name}={value!r} needs records in memory, but {what} are processed in "
+                    f"pieces; use fit with pandas or arrays, or shift the signals by whole samples "
+                    f"before"
                 )
 
     def _settings(self):
@@ -437,8 +436,9 @@ class MOESPRegressor(ModelStep):
         check_is_fitted(self)
         if not isinstance(self.model_, SampleModel):
             raise AttributeError(
-                f"{what} is that of a model of samples; fit behind HarmonicAnalyzer("
-                f"reading='sample'), or use StructuredMatcher(structure=HarmonicStructure())"
+                f"{what} exists only for a model of samples; fit behind "
+                f"HarmonicAnalyzer(reading='sample'), or use "
+                f"StructuredMatcher(structure=HarmonicStructure())"
             )
         return self.model_.innovations
 

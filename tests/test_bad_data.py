@@ -49,25 +49,25 @@ def chain(*steps):
 # ---- containers -------------------------------------------------------------------------------
 
 CONTAINERS = {
-    "text": ("abc", TypeError, r"X is a str, which is no table of signals"),
-    "dict": ({"u": [1, 2]}, TypeError, r"X is a dict, .*; make a frame of it: pd.DataFrame\(X\)"),
+    "text": ("abc", TypeError, r"X is a str, which is not a table of signals"),
+    "dict": ({"u": [1, 2]}, TypeError, r"X is a dict, .*; make it a DataFrame: pd.DataFrame\(X\)"),
     "ragged": ([[1, 2], [3]], ValueError, r"X has rows of different lengths; give \(n_samples"),
     "number": (5.0, ValueError, r"X has 0 dimensions; give \(n_samples, n_signals\)"),
-    "text cells": ([["a"]] * 9, ValueError, r"X holds values that are no numbers.*: .*; convert"),
+    "text cells": ([["a"]] * 9, ValueError, r"X holds values that are not numbers.*: .*; convert"),
     "dates": (
         np.full((9, 1), np.datetime64("2026-05-01")),
         TypeError,
-        r"X holds values that are no numbers.*: they are times; convert them first",
+        r"X holds values that are not numbers.*: they are times; convert them first",
     ),
     "a column of dates": (
         pd.DataFrame({"u": [1.0] * 9, "when": pd.Timestamp("2026-05-01")}),
         TypeError,
-        r"X holds values that are no numbers \(column 'when'\): they are times",
+        r"X holds values that are not numbers \(column 'when'\): they are times",
     ),
     "a column of text": (
         pd.DataFrame({"u": [1.0] * 9, "phase": "climb"}),
         ValueError,
-        r"X holds values that are no numbers \(column 'phase'\)",
+        r"X holds values that are not numbers \(column 'phase'\)",
     ),
 }
 
@@ -75,11 +75,13 @@ CONTAINERS = {
 @pytest.mark.filterwarnings("ignore:the model is unstable")
 def test_only_a_model_of_outputs_alone_does_without_inputs():
     with pytest.raises(
-        TypeError, match=r"X is None, which is no table of signals; give a DataFrame"
+        TypeError, match=r"X is None, which is not a table of signals; give a DataFrame"
     ):
         analyzer().fit(None, np.ones(9))
     model = MOESPRegressor(order=1).fit(None, np.cumsum(np.arange(40.0) % 3))
-    with pytest.raises(TypeError, match=r"models of outputs alone take a frame without columns"):
+    with pytest.raises(
+        TypeError, match=r"a model of outputs alone, give it a frame without columns"
+    ):
         model.predict(None)
 
 
@@ -93,7 +95,7 @@ def test_containers_that_are_no_table(case, step):
 
 def test_targets_that_are_no_table(u):
     for y, error, message in (
-        ("abc", TypeError, "y is a str, which is no table of signals"),
+        ("abc", TypeError, "y is a str, which is not a table of signals"),
         ({"w": 1}, TypeError, r"y is a dict, .* pd.DataFrame\(y\)"),
         ([[1], [2, 3]], ValueError, "y has rows of different lengths"),
     ):
@@ -128,9 +130,9 @@ def test_masked_and_nullable_values_are_missing(u, y):
 
 
 def test_fit_percent_of_text():
-    with pytest.raises(ValueError, match="y_pred holds values that are no numbers"):
+    with pytest.raises(ValueError, match="y_pred holds values that are not numbers"):
         fit_percent([1.0, 2.0], ["a", "b"])
-    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+    with pytest.raises(ValueError, match="sample_weight holds values that are not numbers"):
         fit_percent([1.0, 2.0], [1.0, 2.0], sample_weight=["a", "b"])
 
 
@@ -139,7 +141,7 @@ def test_fit_percent_of_text():
 
 def test_times_lost_on_the_way(u, y):
     """A step that returns arrays: before the analyzer, and between it and the model."""
-    lost = r"y has times in its index, and X counts its rows: .*set_output\(transform='pandas'\)"
+    lost = r"y has times in its index, but X has none: .*set_output\(transform='pandas'\)"
     for steps in (
         (StandardScaler(), analyzer(), MOESPRegressor(order=1)),
         (analyzer(), StandardScaler(), MOESPRegressor(order=1)),
@@ -153,7 +155,7 @@ def test_times_lost_on_the_way(u, y):
         pytest.warns(TimeBaseWarning),
         pytest.raises(
             ValueError,
-            match=r"1 samples a period \(no times in the index of X: .*set_output\(transform",
+            match=r"1 samples a period \(the index of X holds no times, .*set_output\(transform",
         ),
     ):
         chain(StandardScaler(), analyzer(), MOESPRegressor(order=1)).fit(u, y.to_numpy())
@@ -165,18 +167,16 @@ def test_times_lost_on_the_way(u, y):
 
 def test_outputs_that_count_their_rows(u, y):
     with pytest.raises(
-        ValueError, match=r"different indices \(y counts its rows: y.set_axis\(X.index"
+        ValueError, match=r"different indices \(y has no times: use y.set_axis\(X.index"
     ):
         MOESPRegressor(order=1).fit(u, y.reset_index(drop=True))
     fold = y.reset_index(drop=True).iloc[40:]  # of which a split of arrays leaves no trace in X
-    with pytest.raises(ValueError, match=r"from 0, y from 40: give X that of y, or both as arr"):
+    with pytest.raises(ValueError, match=r"from 0, y from 40: give X the index of y, or use arr"):
         MOESPRegressor(order=1).fit(u.to_numpy()[40:], fold)
 
 
 def test_rows_of_arrays_are_taken_in_the_order_given(u):
-    with pytest.warns(
-        TimeBaseWarning, match=r"one contiguous record from psi = 0, in the order giv"
-    ):
+    with pytest.warns(TimeBaseWarning, match=r"one contiguous record that starts at psi = 0"):
         analyzer(sample_time=1 / SPP).fit(u.to_numpy())
 
 
@@ -193,7 +193,9 @@ def test_a_shuffled_split_is_named(u, y):
 def test_wrapped_degrees(u, revolve):
     psi = np.rad2deg(OMEGA * u.index.to_numpy())
     X = u.assign(psi=revolve(psi))
-    with pytest.raises(ValueError, match=r"'psi' starts anew after 360, not 2π rad; .*np.deg2rad"):
+    with pytest.raises(
+        ValueError, match=r"'psi' jumps back after 360, not after 2π rad; .*np.deg2rad"
+    ):
         HarmonicAnalyzer(azimuth="psi").fit(X)
     whole = X.assign(psi=np.deg2rad(X["psi"]))
     assert HarmonicAnalyzer(azimuth="psi").fit(whole).basis_.omega == pytest.approx(OMEGA)
@@ -314,7 +316,7 @@ def test_a_first_chunk_of_one_row_tells_no_sample_time(u, y):
 
 
 def test_chunks_of_more_block_rows_than_memory(u, y):
-    with pytest.raises(ValueError, match=r"block_rows=1000000 with 2 signals asks for sums of 1.3"):
+    with pytest.raises(ValueError, match=r"block_rows=1000000 with 2 signals needs sums of 1.3"):
         MOESPRegressor(order=1, block_rows=10**6).partial_fit(u, y)
 
 
@@ -334,12 +336,14 @@ def test_one_row_has_no_r2(u, y):
 def test_numbers_beyond_floats(u, y):
     """Python's whole numbers have no end; floats have."""
     huge = 10**400
-    with pytest.raises(ValueError, match=r"X holds values that are no numbers.*too large to conv"):
+    with pytest.raises(ValueError, match=r"X holds values that are not numbers.*too large to conv"):
         MOESPRegressor(order=1).fit(u.astype(object).where(u > -1, huge), y)
     model = MOESPRegressor(order=1).fit(u, y)
-    with pytest.raises(ValueError, match=r"holds no numbers, or states of different lengths"):
+    with pytest.raises(
+        ValueError, match=r"holds values that are not numbers, or states of different lengths"
+    ):
         model.predict(u, x0=[huge])
-    with pytest.raises(ValueError, match=r"sample_weight holds values that are no numbers"):
+    with pytest.raises(ValueError, match=r"sample_weight holds values that are not numbers"):
         model.score(u, y, sample_weight=[huge] * len(u))
     with pytest.raises(ValueError, match=r"initial must hold 1 finite numbers, one for each of"):
         MatrixStructure([["a"]], [[1.0]], initial=[huge])

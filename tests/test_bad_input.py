@@ -86,7 +86,7 @@ ANALYZER = {
     ),
     "output left out": (
         {"output_harmonics": {"w": [0]}},
-        r"output_harmonics says nothing of the signal 'v'; add its harmonics, or drop",
+        r"output_harmonics gives no harmonics for the signal 'v'; add them, or drop",
     ),
     "negative harmonic": ({"input_harmonics": -1}, r"input_harmonics=-1 is negative; use 0"),
     "half a harmonic": ({"input_harmonics": 0.5}, r"input_harmonics=0.5 is not understood; give"),
@@ -118,11 +118,11 @@ ANALYZER = {
     ),
     "azimuth alone": (
         {"omega": None, "azimuth": "u"},
-        r"X holds the azimuth 'u' alone; give the inputs beside it",
+        r"X holds only the azimuth 'u'; give the inputs beside it",
     ),
     "azimuth no name": (
         {"omega": None, "azimuth": 3},
-        r"azimuth=3 is no name; give the name of the column of X that holds ψ in rad",
+        r"azimuth=3 is not a name; give the name of the column of X that holds ψ in rad",
     ),
     "missing": ({"missing": "drop"}, r"missing must be a positive number in seconds, got 'drop'"),
     "missing nothing": (
@@ -168,12 +168,12 @@ DATA = {
     ),
     "dates": (
         lambda u: u.set_axis(pd.Timestamp("2026-01-01") + pd.to_timedelta(u.index, unit="s")),
-        r"the index holds dates, which fix no azimuth; give HarmonicAnalyzer the instant of "
-        r"ψ = 0 as time_origin",
+        r"the index holds dates, which do not define the azimuth; give HarmonicAnalyzer the "
+        r"instant of ψ = 0 as time_origin",
     ),
     "text index": (
         lambda u: u.set_axis([f"row{i}" for i in range(len(u))]),
-        r"the index has dtype .*, which is no time; use seconds \(float\)",
+        r"the index has dtype .*, which is not a time; use seconds \(float\)",
     ),
     "nan in the index": (
         lambda u: u.set_axis([np.nan, *u.index[1:]]),
@@ -182,11 +182,11 @@ DATA = {
     "complex": (lambda u: u * 1j, r"X is complex; give real and imaginary parts as columns"),
     "text": (
         lambda u: u.astype(object).replace(0.0, "rest"),
-        r"X holds values that are no numbers",
+        r"X holds values that are not numbers",
     ),
     "column twice": (
         lambda u: pd.concat([u, u], axis=1),
-        r"column 'u' stands more than once; give every signal its own name",
+        r"column 'u' appears more than once; give each signal a name of its own",
     ),
     "no rows": (lambda u: u.iloc[:0], r"X has no rows: 0 sample\(s\)"),
     "three dimensions": (lambda u: np.zeros((4, 3, 2)), r"X has 3 dimensions; give"),
@@ -203,9 +203,9 @@ def test_analyzer_data(u, case):
 SPUN = {
     "stands still": (
         lambda psi: np.where(np.arange(len(psi)) == 40, psi[39], psi),
-        r"azimuth column 'psi' must grow with time: it does not at t = 2.5 s, where ψ = 15.3",
+        r"azimuth column 'psi' must increase with time, but does not at t = 2.5 s, where ψ = 15.3",
     ),
-    "turns back": (lambda psi: -psi, r"must grow with time: .* \(its sign is yours to choose\)"),
+    "turns back": (lambda psi: -psi, r"must increase with time, .* \(if ψ always decreases"),
     "degrees": (np.rad2deg, r"'psi' grows by up to 22.5 rad .*; give it in radians, not degrees"),
     "wrapped degrees": (lambda psi: np.rad2deg(psi) % 360, r"azimuth column 'psi' "),
     "nan": (
@@ -239,10 +239,10 @@ def test_azimuth_sampled_too_slowly(u):
 def test_clocks_and_zones(u):
     stamps = pd.Timestamp("2026-01-01") + pd.to_timedelta(u.index, unit="s")
     analyzer = HarmonicAnalyzer(OMEGA, time_origin="2026-01-01 00:00+01:00")
-    with pytest.raises(ValueError, match=r"the time_origin has a time zone and the index has none"):
+    with pytest.raises(ValueError, match=r"the time_origin has a time zone but the index has none"):
         analyzer.fit(u.set_axis(stamps))
     analyzer = HarmonicAnalyzer(OMEGA, time_origin="2026-01-01")
-    with pytest.raises(ValueError, match=r"the index has a time zone and the time_origin has none"):
+    with pytest.raises(ValueError, match=r"the index has a time zone but the time_origin has none"):
         analyzer.fit(u.set_axis(stamps.tz_localize("UTC")))
     wild = u.set_axis(u.index + 0.03 * (np.arange(len(u)) % 2))
     with pytest.raises(ValueError, match=r"samples of .* s: too uneven for jitter \(0.6 to 1.4"):
@@ -326,14 +326,16 @@ def test_inputs_must_move(u, y):
 
 def test_poor_excitation_is_said_with_both_ranks(u, y):
     sine = pd.DataFrame({"u": np.sin(0.3 * np.arange(len(u)))}, index=u.index)
-    with pytest.warns(ExcitationWarning, match=r"excite 2 directions, but block_rows=6 .* for 12"):
+    with pytest.warns(
+        ExcitationWarning, match=r"excite 2 directions, but block_rows=6 .* needs 12"
+    ):
         MOESPRegressor(order=1, block_rows=6).fit(sine, y[["w"]])
 
 
 def test_a_model_is_needed_before_the_later_steps(u, y):
     frame = analyze(u, y).transform(u)
     for step in (SpuriousModeReducer(), StructuredMatcher()):
-        with pytest.raises(ValueError, match=rf"{type(step).__name__} found no model riding on X"):
+        with pytest.raises(ValueError, match=rf"{type(step).__name__} found no model on X"):
             step.fit(frame, y)
 
 
@@ -352,11 +354,11 @@ STRUCTURES = {
     "no structure": ({"structure": 3}, r"structure=3 is not understood; give a MatrixStructure"),
     "inputs": (
         {"structure": MatrixStructure([[np.nan]], [[1, 2]])},
-        r"the structure has 2 inputs, the identified model 1: \['u_0'\]",
+        r"the structure has 2 inputs, but the identified model has 1: \['u_0'\]",
     ),
     "outputs": (
         {"structure": MatrixStructure([[np.nan]], [[1]])},
-        r"the structure has 1 outputs, the identified model 3: \['w_0', 'v_1c', 'v_1s'\]",
+        r"the structure has 1 outputs, but the identified model has 3: \['w_0', 'v_1c', 'v_1s'\]",
     ),
     "names": (
         {
@@ -364,7 +366,7 @@ STRUCTURES = {
                 np.full((3, 3), np.nan), np.full((3, 1), np.nan), output_names=["a", "b", "c"]
             )
         },
-        r"names its outputs \['a', 'b', 'c'\], the identified model \['w_0', 'v_1c', 'v_1s'\]",
+        r"its outputs \['a', 'b', 'c'\], but the identified model has \['w_0', 'v_1c', 'v_1s'\]",
     ),
     "seed": ({"random_state": "x"}, r"random_state must be a whole number of at least 0, got 'x'"),
     "iterations": ({"max_iter": 0}, r"max_iter must be a whole number of at least 1, got 0"),
@@ -404,7 +406,9 @@ def test_another_analyzer_than_at_fit(u, y):
     pipe = identify(u, y, order=6)
     with pytest.raises(ValueError, match=r"Feature names unseen at fit time:\n- u_1c"):
         pipe["identify"].predict(analyze(u, y, input_harmonics=1).transform(u))
-    with pytest.raises(ValueError, match=r"X was analysed with hop=8, the data at fit with 4; use"):
+    with pytest.raises(
+        ValueError, match=r"X was analysed with hop=8, but the data at fit with 4; use"
+    ):
         pipe["identify"].predict(analyze(u, y, hop=8).transform(u))
     plain = pd.DataFrame(0.0, index=u.index, columns=["u", "u_0"])
     with pytest.raises(ValueError, match=r"carries no harmonic basis"):
@@ -413,7 +417,9 @@ def test_another_analyzer_than_at_fit(u, y):
 
 def test_sample_time_of_plain_data_must_not_change(u, y):
     model = MOESPRegressor(order=1).fit(u, y[["w"]])
-    with pytest.raises(ValueError, match=r"identified at a sample time of 0.0625 s, X has 0.125 s"):
+    with pytest.raises(
+        ValueError, match=r"identified at a sample time of 0.0625 s, but X has 0.125 s"
+    ):
         model.predict(u.iloc[::2])
 
 
@@ -433,7 +439,7 @@ def test_outputs_must_answer(u, y):
 def test_too_few_rows_a_period_fold_the_copies_onto_the_modes(u, y):
     analyzer = HarmonicAnalyzer(OMEGA, output_harmonics={"w": [0], "v": [1]}, hop=8)
     pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor())])
-    with pytest.raises(ValueError, match=r"hop=8 reads 2 rows a period, too few for harmonic 1"):
+    with pytest.raises(ValueError, match=r"hop=8 reads 2 rows per period, too few for harmonic 1"):
         pipe.fit(u, y)
 
 
@@ -443,7 +449,9 @@ def test_an_overflowing_simulation_is_refused_and_scores_minus_infinity():
     y = np.zeros(60)
     for k in range(59):
         y[k + 1] = 1.5 * y[k] + u[k, 0]
-    with pytest.warns(InstabilityWarning, match=r"size 1.5, by which it grows 3.68e\+10 times"):
+    with pytest.warns(
+        InstabilityWarning, match=r"size 1.5, so the model grows by a factor of 3.68e\+10"
+    ):
         model = MOESPRegressor(order=1, block_rows=3).fit(u, y)
     assert model.eigenvalues_[0].real == pytest.approx(1.5, abs=1e-6)
     with pytest.raises(UnstableModelError, match=r"overflows: the model has a pole of size 1.5"):
@@ -457,7 +465,7 @@ def test_an_overflowing_simulation_is_refused_and_scores_minus_infinity():
         )
         for score in (MOESPRegressor.score, *scorers):
             with pytest.warns(
-                InstabilityWarning, match="scores -inf: its model is unstable, or not"
+                InstabilityWarning, match="scores -inf: its model is unstable, or was"
             ):
                 assert score(model, X, noise) == -np.inf
         with pytest.warns(InstabilityWarning, match=r"beyond 1e\+60 times the outputs; drop"):
@@ -472,7 +480,7 @@ def test_frames_of_other_libraries_are_refused():
     class Frame:
         __dataframe__ = None
 
-    with pytest.raises(TypeError, match="carries no index of times; give a frame of pandas"):
+    with pytest.raises(TypeError, match="has no index of times; give a pandas DataFrame"):
         HarmonicAnalyzer(OMEGA).fit(Frame())
 
 
@@ -493,12 +501,12 @@ def test_unions_of_the_analyzer_are_refused(u, y):
     union = FeatureUnion([("h", HarmonicAnalyzer(OMEGA, output_harmonics=0))])
     for step in (columns, union):
         pipe = Pipeline([("h", step.set_output(transform="pandas")), ("i", MOESPRegressor())])
-        with pytest.raises(ValueError, match=r"stands beside its own coefficients .* dropped it"):
+        with pytest.raises(ValueError, match=r"appears beside its own coefficients .* dropped it"):
             pipe.fit(u, y)
 
 
 def test_a_lost_basis_is_recognised_with_harmonic_0_alone(u, y):
-    with pytest.raises(ValueError, match=r"column 'u' stands beside its own coefficients"):
+    with pytest.raises(ValueError, match=r"column 'u' appears beside its own coefficients"):
         MOESPRegressor().fit(pd.DataFrame(analyze(u, y).transform(u)), y)
 
 
@@ -506,14 +514,14 @@ def test_steps_in_the_wrong_order(u, y):
     analyzer = HarmonicAnalyzer(OMEGA, output_harmonics=0, hop=4)
     for chain in ([analyzer, analyzer], [MOESPRegressor(order=1), analyzer]):
         pipe = Pipeline([(f"step{k}", step) for k, step in enumerate(chain)])
-        with pytest.raises(ValueError, match=r"X comes from HarmonicAnalyzer or a model"):
+        with pytest.raises(ValueError, match=r"X comes from a HarmonicAnalyzer or a model"):
             pipe.fit(u, y[["w"]])
 
 
 def test_estimators_that_make_no_model(u, y):
     for estimator in (HarmonicAnalyzer(OMEGA), "x", MOESPRegressor):
         for step in (SpuriousModeReducer, StructuredMatcher):
-            with pytest.raises(ValueError, match=r"estimator=.* makes no model; give a"):
+            with pytest.raises(ValueError, match=r"estimator=.* does not make a model; give a"):
                 step(estimator).fit(u, y)
 
 
@@ -524,14 +532,16 @@ def test_weights_targets_and_initial_states(u, y):
     for weight in (np.ones(5), 2.0, -np.ones(len(u)), np.full(len(u), np.nan)):
         with pytest.raises(ValueError, match=r"sample_weight has shape .* each of the 960 rows"):
             model.score(u, y[["w"]], sample_weight=weight)
-    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+    with pytest.raises(ValueError, match="sample_weight holds values that are not numbers"):
         model.score(u, y[["w"]], sample_weight=["a"] * len(u))
     with pytest.raises(ValueError, match=r"sample_weight is zero on all \d+ rows that are scored"):
         model.score(u, y[["w"]], sample_weight=np.arange(len(u)) < 5)
-    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+    with pytest.raises(ValueError, match="sample_weight holds values that are not numbers"):
         fit_percent_scorer()(model, u, y[["w"]], sample_weight=["a"] * len(u))
     for x0 in ("abc", [[1.0], [1.0, 2.0]]):
-        with pytest.raises(ValueError, match=r"holds no numbers, or states of different lengths"):
+        with pytest.raises(
+            ValueError, match=r"holds values that are not numbers, or states of different lengths"
+        ):
             model.predict(u, x0=x0)
     with pytest.raises(ValueError, match="x0 contains NaN or infinity"):
         model.predict(u, x0=[np.nan])

@@ -222,7 +222,9 @@ def test_periods_of_an_array_score_as_those_of_its_frame():
 def test_the_trim_of_an_array_needs_times_as_the_error_gives_them():
     X = np.zeros((96, 1))
     split = PeriodBlockSplit(3, omega=2 * np.pi, sample_time=1 / 8, trim_span=(0, 3))
-    with pytest.raises(ValueError, match=r"trim_span=\(0, 3\) is trained on .* X is an") as raised:
+    with pytest.raises(
+        ValueError, match=r"trim_span=\(0, 3\) stays in the training .* X is an"
+    ) as raised:
         list(split.split(X))
     line = str(raised.value).partition("give it times: ")[2].partition(", y the same")[0]
     frame = eval(line, {"pd": pd, "np": np, "X": X})

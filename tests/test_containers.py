@@ -58,7 +58,7 @@ def test_records_one_by_one_name_the_line_that_joins_them(step, X):
 
 
 def test_a_dict_of_signals_is_no_dict_of_records():
-    with pytest.raises(TypeError, match=r"make a frame of it: pd.DataFrame\(X\)"):
+    with pytest.raises(TypeError, match=r"make it a DataFrame: pd.DataFrame\(X\)"):
         MOESPRegressor().fit({"u": U["u"], "v": U["u"]}, Y)
 
 
@@ -78,7 +78,7 @@ def test_xarray_names_the_line_that_makes_a_frame():
         (cube.sel(record="a").transpose("signal", "time"), BOTH.loc["a"]),
         (data["u"].sel(record="a"), BOTH.loc["a"][["u"]]),
     ):
-        with pytest.raises(TypeError, match=r"X is an xarray Data(set|Array) of .*time") as error:
+        with pytest.raises(TypeError, match=r"X is an xarray Data(set|Array) with .*time") as error:
             HarmonicAnalyzer(OMEGA).fit(X)
         found = pd.DataFrame(line_of(error, X=X)).drop(columns="record", errors="ignore")
         found.columns = ["u"] if found.shape[1] == 1 else found.columns
@@ -151,12 +151,12 @@ def test_a_forgotten_clock_is_recognised(step, name):
     X, target = u.reset_index(), y.reset_index(drop=True)
     unit = 1000.0 if "ms" in name else 1.0
     u, y = u.set_axis(u.index / unit), y.set_axis(y.index / unit)
-    with pytest.raises(ValueError, match=r"of X is a clock, .*: X = X.set_index") as e:
+    with pytest.raises(ValueError, match=r"of X looks like a clock .*: X = X.set_index") as e:
         step.fit(X, target)
     done = run(e, X=X, y=target)
     pd.testing.assert_frame_equal(done["X"], u)
     step.fit(done["X"], done["y"])
-    with pytest.raises(ValueError, match=r"of y is a clock, .*: y = y.set_index") as e:
+    with pytest.raises(ValueError, match=r"of y looks like a clock .*: y = y.set_index") as e:
         step.fit(u, Y.rename_axis(name).reset_index())
     pd.testing.assert_frame_equal(run(e, y=Y.rename_axis(name).reset_index())["y"], y)
 
@@ -175,7 +175,7 @@ def test_clocks_of_records_dates_and_beside_an_index():
         (U.reset_index().assign(time=dates), None),
         (U.reset_index().assign(time=dates.astype(str)), None),
     ):
-        with pytest.raises(ValueError, match="column 'time' of X is a clock") as error:
+        with pytest.raises(ValueError, match="column 'time' of X looks like a clock") as error:
             fit(X, Y)
         found = run(error, X=X, y=pd.DataFrame({"w": np.zeros(len(X))}))["X"]
         if expected is None:

@@ -262,7 +262,7 @@ def test_one_of_both_in_memory(rng):
 def test_other_collections(rng):
     X, y = response(rng, 100)
     array = cut(X, [50]).to_dask_array(lengths=True)
-    assert "X is a dask Array, which carries no index" in fit_error(array, cut(y, [50]), TypeError)
+    assert "X is a dask Array, which has no index" in fit_error(array, cut(y, [50]), TypeError)
 
 
 def test_other_partitions(rng):
@@ -312,7 +312,7 @@ def test_a_step_between_partitions_that_is_no_gap(rng):
     late = np.where(np.arange(200) < 100, 0.0, 0.4 * STEP)
     X.index = y.index = X.index + late
     words = fit_error(cut(X, [100]), cut(y, [100]))
-    assert "1.4 samples of 0.1 s after the end of the one before it" in words
+    assert "1.4 samples of 0.1 s after the end of the partition before" in words
 
 
 def test_jitter_is_not_resampled(rng):
@@ -325,7 +325,7 @@ def test_jitter_is_not_resampled(rng):
 def test_neighbours_of_one_row(rng):
     X, y = response(rng, 200)
     words = fit_error(cut(X, list(range(1, 200))), cut(y, list(range(1, 200))))
-    assert "after one of a single row, which tells no sample time" in words
+    assert "after one of a single row, which gives no sample time" in words
 
 
 def test_no_rows(rng):
@@ -367,7 +367,7 @@ def test_overflow_in_a_partition(rng):
 def test_what_reads_no_partitions(rng):
     X, y = response(rng, 400)
     found = MOESPRegressor().fit(cut(X, [100]), cut(y, [100]))
-    words = r"X is a dask DataFrame, which MOESPRegressor.fit alone reads; give one record"
+    words = r"X is a dask DataFrame, which only MOESPRegressor.fit accepts; load one record"
     for use in (found.predict, found.transform, lambda X: found.score(X, y)):
         with pytest.raises(TypeError, match=words):
             use(cut(X, [100]))

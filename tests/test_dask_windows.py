@@ -121,7 +121,7 @@ def test_records_may_not_be_split(steady):
     outputs = [steady.outputs.iloc[:2500], steady.outputs.iloc[2500:]]
     y = dd.from_map(lambda k: outputs[k], range(2), meta=steady.outputs.iloc[:0])
     words = fit_error(X, y)
-    assert "where record 1 goes on: rows read through a window depend on those before" in words
+    assert "inside record 1, but rows read through a window depend on the rows before" in words
 
 
 def test_a_basis_that_the_graph_does_not_know(steady):
@@ -129,7 +129,7 @@ def test_a_basis_that_the_graph_does_not_know(steady):
     X = by_record(steady.inputs, [[0, 1, 2, 3]])
     X = X.map_partitions(analyzer.transform, meta=pd.DataFrame(frame.iloc[:0]))
     words = fit_error(X, by_record(steady.outputs, [[0, 1, 2, 3]]))
-    assert "partition 0: its frame carries a harmonic basis, X none when" in words
+    assert "partition 0: its frame carries a harmonic basis, but X had none when" in words
     assert "meta=analyzer.transform(u).iloc[:0]" in words
 
 
@@ -156,7 +156,7 @@ def test_other_analyses(steady):
     assert "it was analysed with hop=8, others with 4; fit one" in fit_error(X, y)
     synchronous, frame = analyzed(steady, reading="period", hop=None)
     X = through_window(steady, synchronous, frame)
-    assert "X was analysed with reading='period', which looks at all records" in fit_error(X, y)
+    assert "X was analysed with reading='period', which needs all records" in fit_error(X, y)
 
 
 def test_outputs_are_given_in_time(steady):
@@ -169,5 +169,5 @@ def test_outputs_are_given_in_time(steady):
 def test_a_pipeline_takes_partitions_at_its_end_alone(steady):
     analyzer, _ = analyzed(steady)
     X, y = by_record(steady.inputs), by_record(steady.outputs)
-    with pytest.raises(TypeError, match=r"X is a dask DataFrame, which MOESPRegressor\.fit alone"):
+    with pytest.raises(TypeError, match=r"X is a dask DataFrame, which only MOESPRegressor\.fit"):
         make_pipeline(analyzer, MOESPRegressor()).fit(X, y)

@@ -232,7 +232,7 @@ def test_bunch_can_be_pickled():
         ({"n_periods": 0}, "n_periods must be a whole number of at least 1, got 0"),
         ({"n_periods": 140}, "from period 132 to 152 does not fit in 140 periods"),
         ({"start": -1}, "doublet from period -1 to 19 does not fit"),
-        ({"width": 0.0}, r"width=0.0 is less than a sample"),
+        ({"width": 0.0}, r"width=0.0 is shorter than a sample"),
         (
             {"samples_per_period": 2},
             "samples_per_period must be a whole number of at least 3, got 2",

@@ -62,7 +62,7 @@ def test_the_clock_of_the_index_does_not_matter(moves, expected, index, params):
 @pytest.mark.parametrize(("moves", "expected"), [(False, "period"), (True, "sample")])
 def test_arrays_are_read_as_frames_are(moves, expected):
     X, y = record(moves)
-    with pytest.warns(TimeBaseWarning, match="samples are counted"):
+    with pytest.warns(TimeBaseWarning, match="rows count as samples"):
         assert reading(X.to_numpy(), y.to_numpy().ravel(), sample_time=1 / SPP) == expected
 
 
@@ -170,9 +170,9 @@ def test_frequencies_beyond_reason_are_named(omega):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda u: 0.0 * u, r"input 'u' is constant .*: nothing excites the system"),
-        (lambda u: 0.0 * u + 3.0, r"input 'u' is constant .*: nothing excites the system"),
-        (lambda u: u * np.nan, r"no 1 consecutive row\(s\) without missing samples"),
+        (lambda u: 0.0 * u, r"input 'u' is constant .* so nothing excites the system"),
+        (lambda u: 0.0 * u + 3.0, r"input 'u' is constant .* so nothing excites the system"),
+        (lambda u: u * np.nan, r"needs 1 consecutive row\(s\) without missing samples"),
         (
             lambda u: 0.0 * u + np.cos(OMEGA * u.index.to_numpy())[:, None],
             r"repeats itself with ev",
@@ -181,7 +181,7 @@ def test_frequencies_beyond_reason_are_named(omega):
     ],
     ids=["zero", "constant", "missing", "wave", "beside"],
 )
-@pytest.mark.filterwarnings("ignore:records begin with outputs that rest at zero")
+@pytest.mark.filterwarnings("ignore:records begin with outputs at rest at zero")
 def test_inputs_that_never_move_are_named_by_the_fit(spoil, message):
     X, y = record()
     X = spoil(X)

@@ -108,13 +108,13 @@ def test_a_structure_tells_the_delays_of_both():
 @pytest.mark.parametrize(
     ("delays", "words"),
     [
-        ({"input_delay": -0.1}, "no delay of 'u0'"),
-        ({"input_delay": np.nan}, "no delay of 'u0'"),
-        ({"input_delay": "soon"}, "no delay of 'u0'"),
-        ({"input_delay": {"v": 0.1}}, "names 'v', which is no input"),
-        ({"output_delay": {"u0": 0.1}}, "names 'u0', which is no output"),
-        ({"output_delay": True}, "no delay of 'y0'"),
-        ({"input_delay": 1e3}, "outlasts the rows from"),
+        ({"input_delay": -0.1}, "not a delay of 'u0'"),
+        ({"input_delay": np.nan}, "not a delay of 'u0'"),
+        ({"input_delay": "soon"}, "not a delay of 'u0'"),
+        ({"input_delay": {"v": 0.1}}, "names 'v', which is not an input"),
+        ({"output_delay": {"u0": 0.1}}, "names 'u0', which is not an output"),
+        ({"output_delay": True}, "not a delay of 'y0'"),
+        ({"input_delay": 1e3}, "is longer than the rows from"),
         ({"input_delay": 9.5}, "too few|block_rows"),
     ],
 )
@@ -157,7 +157,7 @@ def test_predictions_ahead_need_outputs_of_one_time():
     u, y = plain_record((0.15, 0.4), (0.0, 0.1))
     options = {"block_rows": 8, "disturbance_model": True, "input_delay": {"u0": 0.15, "u1": 0.4}}
     model = MOESPRegressor(3, output_delay={"y1": 0.1}, **options).fit(u, y)
-    with pytest.raises(ValueError, match="tell a row at different times"):
+    with pytest.raises(ValueError, match="the outputs have different delays"):
         model.predict_ahead(u, y)
     u, y = plain_record((0.05, 0.3), (0.1, 0.1))
     options["input_delay"] = {"u0": 0.05, "u1": 0.3}
@@ -177,7 +177,7 @@ def test_a_delay_that_is_hardly_told_from_none_is_said():
     u, y = plain_record((0.0, 0.0), (0.0, 0.0), 200, 1)
     noisy = y + 0.3 * y.std().to_numpy() * np.random.default_rng(2).standard_normal(y.shape)
     asked = {"input_delay": {"u0": "auto"}, "feedthrough": False}
-    with pytest.warns(IdentifiabilityWarning, match="hardly tells from none: u0"):
+    with pytest.warns(IdentifiabilityWarning, match="hardly separates these delays from zero: u0"):
         MOESPRegressor(3, block_rows=8, **asked).fit(u, pd.DataFrame(noisy, y.index))
 
 

@@ -144,7 +144,7 @@ def test_inputs_that_never_moved_apart_are_named():
                          X=X, **SETTINGS)  # fmt: skip
     assert np.all(found.phases["at_hand"] > 1.0)
     assert np.all(found.phases["designed"] < 0.2)
-    unknown = "at all azimuths (nothing is known of the motion that it makes there)"
+    unknown = "at all azimuths (its motion there is unknown)"
     assert found.lacking == f"a {unknown}; b {unknown}"
 
 
@@ -171,7 +171,9 @@ def test_without_a_record_at_hand_nothing_is_compared():
 # ---- models identified -----------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore:the match leaves")  # of a structure without all harmonics
+@pytest.mark.filterwarnings(
+    "ignore:the match does not reproduce"
+)  # of a structure without all harmonics
 @pytest.mark.parametrize("reading", ["period", "sample"])
 def test_of_a_pipeline_the_deviations_at_hand_are_those_of_its_fit(reading):
     t = PERIOD / SPP * np.arange(60 * SPP)
@@ -202,7 +204,7 @@ def test_of_a_pipeline_the_deviations_at_hand_are_those_of_its_fit(reading):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"amplitude": 0.0}, r"amplitude=\[0.0\] must be positive.*nothing moves: drop that"),
+        ({"amplitude": 0.0}, r"amplitude=\[0.0\] must be positive.*does not move, so drop it"),
         ({"amplitude": {"v": 1.0}}, r"amplitude={'v': 1.0} must name each of \['u'\]"),
         ({"amplitude": [1.0, 2.0]}, "amplitude has 2 values; give one"),
         ({"length": 2.0}, r"length=2 s leaves no period for inputs after quiet_periods=4"),
@@ -210,13 +212,19 @@ def test_of_a_pipeline_the_deviations_at_hand_are_those_of_its_fit(reading):
         ({"energy": 0.0}, "energy must be a positive number"),
         ({"energy": 1e-9}, r"excite nothing above the noise: they hold 1e-09 s.* known to ± "),
         ({"kind": "chirp"}, "kind='chirp'|kind must be"),
-        ({"noise_std": None}, "an LTPSystem tells no noise; give noise_std"),
+        ({"noise_std": None}, "noise of an LTPSystem is unknown; give noise_std"),
         ({"noise_std": {"y": 1.0}}, "noise_std={'y': 1.0} must name each of"),
-        ({"exponents": [2]}, r"exponents=\[2\] must be places among the 2 exponents"),
-        ({"structure": "F=1"}, "structure='F=1' is no HarmonicStructure"),
+        ({"exponents": [2]}, r"exponents=\[2\] must be indices among the 2 exponents"),
+        ({"structure": "F=1"}, "structure='F=1' is not a HarmonicStructure"),
         ({"n_trials": -1}, "n_trials"),
-        ({"X": doublet(["a", "b"])}, r"X has the columns \['a', 'b'\], the system the inputs"),
-        ({"X": doublet().iloc[::2]}, "X has 8 samples a period, and must have samples_per_period"),
+        (
+            {"X": doublet(["a", "b"])},
+            r"X has the columns \['a', 'b'\], but the system has the inputs",
+        ),
+        (
+            {"X": doublet().iloc[::2]},
+            "X has 8 samples per period, but must have samples_per_period",
+        ),
         ({"structure": HarmonicStructure(F=9, G=9)}, "no input tried within this budget"),
     ],
 )

@@ -151,7 +151,7 @@ def test_what_was_shown_survives_pickle_and_clone_and_is_silent_in_searches():
     assert predicted(fitted(clone(again), data), 10)[1] != []
     u = doublet(40, 3, -0.7, 10)
     late = frames(u, oscillator(u, stiffness=0.2)[:, :1])
-    with pytest.warns(ExcitationWarning, match="standard deviation of the motion predicted"):
+    with pytest.warns(ExcitationWarning, match="standard deviation of the predicted motion"):
         pipe.score(*late)
     X, y = (pd.concat([a, b], keys=["first", "second"]) for a, b in zip(data, late, strict=True))
     first = np.arange(len(X)) < len(data[0])
@@ -199,7 +199,7 @@ def test_twin_inputs_are_named_and_share_their_effect(reading, n_steps, factor):
         warnings.simplefilter("always")
         pipe.fit(X, y)
     words = [str(w.message) for w in told if w.category is IdentifiabilityWarning]
-    assert any("['u0', 'u1'] never move apart" in text and "drop" in text for text in words)
+    assert any("['u0', 'u1'] never move separately" in text and "drop" in text for text in words)
     assert pipe.score(X, y) > alone - 0.01
     apart = X.assign(u1=0.0)
     with pytest.warns(ExcitationWarning, match=r"of the energy of the inputs \['u0', 'u1'\]"):

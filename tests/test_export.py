@@ -157,7 +157,9 @@ def test_models_of_samples_have_their_loads(tmp_path):
 
 
 def test_functions_with_kinks_say_what_their_series_leaves(tmp_path):
-    with pytest.warns(ConvergenceWarning, match=r"F\(psi\) has kinks or jumps: its Fourier series"):
+    with pytest.warns(
+        ConvergenceWarning, match=r"F\(psi\) has kinks or jumps, so its Fourier series"
+    ):
         meissner().export(tmp_path / "m.mat")
 
 
@@ -180,8 +182,8 @@ def test_eigenvalues_that_are_no_finite_exponents_are_null(tmp_path):
         ("system", "m", "ends in ''"),
         (control.StateSpace([[0.5]], [[1.0]], [[1.0]], [[np.inf]]), "m.json", "D holds NaN"),
         (control.StateSpace([[0.5]], [[1.0]], [[1.0]], [[np.nan]]), "m.mat", "D holds NaN"),
-        (control.StateSpace([[0.5]], [[1.0]], [[1.0]], 0.0, True), "m.mat", "no sample time"),
-        (1.0, "m.json", "model=1.0 is no model; give an LTPSystem or a control.StateSpace"),
+        (control.StateSpace([[0.5]], [[1.0]], [[1.0]], 0.0, True), "m.mat", "not a sample time"),
+        (1.0, "m.json", "model=1.0 is not a model; give LTPSystem or control.StateSpace"),
     ],
 )
 def test_export_refuses(system, tmp_path, model, name, message):
@@ -203,13 +205,13 @@ def test_export_refuses_before_fit_and_where_there_is_no_folder(system, tmp_path
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": 2}, "has schema 2, this version of sklearn_hd reads 1"),
-        ({"format": "x"}, "no file of a model: its format is not 'sklearn_hd model'"),
+        ({"schema": 2}, "has schema 2, but this version of sklearn_hd reads 1"),
+        ({"format": "x"}, "not a model file: its format is not 'sklearn_hd model'"),
         ({"kind": "x"}, "kind 'x'; 'ltp' and 'lti' are known"),
-        ({"F": None}, "F in .* is no array of real numbers"),
+        ({"F": None}, "F in .* is not an array of real numbers"),
         ({"F": [[[1.0]]]}, r"F in .* has shape \(1, 1, 1\); it must have rows of 2 by 2"),
-        ({"G": float("nan")}, "holds NaN, which is no number of JSON"),
-        ({"state_names": "q"}, "state_names in .* is no list of names"),
+        ({"G": float("nan")}, "holds NaN, which is not a JSON number"),
+        ({"state_names": "q"}, "state_names in .* is not a list of names"),
         ({"omega": "x"}, "omega must be a positive number"),
     ],
 )
@@ -231,10 +233,10 @@ def test_loading_refuses_what_is_no_model(system, tmp_path):
         load_model(path)
     for text in (path.read_text()[:-5], "\x00"):
         path.write_text(text)
-        with pytest.raises(ValueError, match="is no JSON"):
+        with pytest.raises(ValueError, match="is not JSON"):
             load_model(path)
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match="is no JSON"):
+    with pytest.raises(ValueError, match="is not JSON"):
         load_model(path)
     with pytest.raises(ValueError, match=r"is for MATLAB; export to \.json"):
         load_model(tmp_path / "m.mat")

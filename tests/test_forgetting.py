@@ -193,7 +193,7 @@ def test_an_input_at_rest_for_long_leaves_the_model_as_it_is(rng):
 
 def test_fit_refuses_a_half_life(rng):
     X, y = simulated(rng, 300)
-    with pytest.raises(ValueError, match=r"half_life=3.0 is that of partial_fit, and fit reads"):
+    with pytest.raises(ValueError, match=r"half_life=3.0 is only for partial_fit, and fit weights"):
         MOESPRegressor(**SETTINGS, half_life=3.0).fit(X, y)
     assert not hasattr(MOESPRegressor(**SETTINGS).partial_fit(X, y).fit(X, y), "n_effective_rows_")
 
@@ -204,7 +204,7 @@ def test_fit_refuses_a_half_life(rng):
         (0.0, "half_life must be a positive number"),
         ("long", "half_life must be a positive number"),
         (-np.inf, "half_life must be a positive number"),
-        (1.0, "half_life=1.0 seconds remembers 28.9 rows at a time, too few for block_rows=6"),
+        (1.0, "half_life=1.0 seconds keeps a memory of only 28.9 rows, too few for block_rows=6"),
     ],
 )
 def test_half_lives_that_remember_nothing_are_refused(rng, half_life, words):
@@ -216,7 +216,7 @@ def test_half_lives_that_remember_nothing_are_refused(rng, half_life, words):
 def test_the_half_life_stays_that_of_the_first_chunk(rng):
     X, y = simulated(rng, 600)
     model = in_chunks(X.iloc[:300], y.iloc[:300], 300, 20.0)
-    with pytest.raises(ValueError, match=r"half_life=30.0 is other than that of the chunks before"):
+    with pytest.raises(ValueError, match=r"half_life=30.0 differs from that of the earlier chunks"):
         model.set_params(half_life=30.0).partial_fit(X.iloc[300:], y.iloc[300:])
 
 

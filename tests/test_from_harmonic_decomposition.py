@@ -73,7 +73,7 @@ def test_signals_may_be_named_where_labels_do_not_tell(rng):
     system = drawn(rng, 2, 1, 1, 1)
     model = system.harmonic_decomposition(1)
     bare = control.StateSpace(model.A, model.B, model.C, model.D)
-    with pytest.raises(ValueError, match=r"'x\[0\]' is no harmonic of a signal"):
+    with pytest.raises(ValueError, match=r"'x\[0\]' is not a harmonic of a signal"):
         LTPSystem.from_harmonic_decomposition(bare, 3.0)
     names = {"state_names": ["a", "b"], "input_names": ["u"], "output_names": ["y"]}
     back = LTPSystem.from_harmonic_decomposition(bare, 3.0, **names)
@@ -124,7 +124,7 @@ def test_a_free_model_is_refused(rng):
     free = control.StateSpace(
         A, A[:, :1], A[:1], [[0.0]], states=names, inputs=["u_0"], outputs=["y_0"]
     )
-    with pytest.raises(ValueError, match="no harmonic decomposition of a periodic system"):
+    with pytest.raises(ValueError, match="not a harmonic decomposition of a periodic system"):
         LTPSystem.from_harmonic_decomposition(free, 3.0)
 
 
@@ -147,10 +147,10 @@ def test_harmonics_left_out_are_named():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"model": 1.0}, "no state-space model; give a control.StateSpace"),
+        ({"model": 1.0}, "not a state-space model; give a control.StateSpace"),
         ({"omega": -1.0}, "omega must be a positive number"),
         ({"tolerance": 2.0}, "tolerance must be a number between 0 and 1"),
-        ({"state_names": ["a", "b"]}, "it must have 2 N \\+ 1 coefficients of each"),
+        ({"state_names": ["a", "b"]}, "it must have 2 N \\+ 1 of each signal"),
         ({"model": control.ss([[0.5]], [[1.0]], [[1.0]], 0.0, 0.1)}, "a sample time of 0.1 s"),
     ],
 )

@@ -137,9 +137,9 @@ def test_to_a_system_that_is_not_periodic_any_frequency_is_right():
 
 def test_nothing_to_tell_it_from():
     still, rng = np.zeros((2000, 1)), np.random.default_rng(0)
-    with pytest.raises(ValueError, match="too few to see them repeat themselves"):
+    with pytest.raises(ValueError, match="too few to find a repetition"):
         estimate_omega([still[:100]], [rng.standard_normal((100, 1))], 1 / 32, 2 * np.pi)
-    with pytest.raises(ValueError, match="too few to see them repeat themselves"):
+    with pytest.raises(ValueError, match="too few to find a repetition"):
         estimate_omega([still], [still], 1 / 32, 2 * np.pi)
     short = [rng.standard_normal((60, 1))] * 40
     assert omega_mismatch([still[:60]] * 40, short, 1 / 32, 2 * np.pi) is None

@@ -197,7 +197,7 @@ def test_a_matrix_structure_is_refined_too(reading):
         )
     else:
         pipe = pipeline(reading, LAG, harmonics=0, **options)
-    said = (SHORT, "no white noise", "differ in order", "does not determine")
+    said = (SHORT, "not white noise", "differ in order", "does not determine")
     fit(pipe, X, y, said=said)
     match = pipe["match"]
     if reading == "sliding":  # a sliding mean is no sample: only that it is a model of them
@@ -245,7 +245,7 @@ def test_score_is_that_of_simulations(fitted, recorded):
 
 def test_only_predictors_predict(recorded):
     X, y = recorded
-    pipe = fit(pipeline(criterion="output_error"), X, y, said=("no white noise", "time constants"))
+    pipe = fit(pipeline(criterion="output_error"), X, y, said=("not white noise", "time constants"))
     with pytest.raises(AttributeError, match="predict_ahead"):
         pipe["match"].predict_ahead(pipe[:-1].transform(X), y)
     assert pipe["match"].covariance_type_ == "robust"
@@ -254,7 +254,7 @@ def test_only_predictors_predict(recorded):
 def test_what_is_said_before_a_fit_and_after_one_in_a_norm(recorded):
     with pytest.raises(NotFittedError):
         StructuredMatcher(criterion="prediction_error").covariance_type_  # noqa: B018
-    pipe = fit(pipeline(criterion="hinf"), *recorded, said=("a rest that is no noise",))
+    pipe = fit(pipeline(criterion="hinf"), *recorded, said=("residuals that are not noise",))
     for name in ("covariance_type_", "residual_tests_", "eigenvalues_"):
         with pytest.raises(AttributeError, match=name):
             getattr(pipe["match"], name)
@@ -354,7 +354,7 @@ def test_gusts_name_prediction_error(reading, recorded):
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_short_records_are_told(recorded):
-    with pytest.warns(IdentifiabilityWarning, match=r"lasts \d+ time constants"):
+    with pytest.warns(IdentifiabilityWarning, match=r"lasts only \d+ time constants"):
         pipeline().fit(*gusty(0, periods=40))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -369,7 +369,7 @@ def test_a_machine_that_is_not_linear_is_said_to_be_so():
             warnings.simplefilter("always")
             match = pipeline(criterion=criterion).fit(X, y)["match"]
         words = " ".join(str(each.message) for each in said)
-        assert "what the fit leaves is no white noise" in words
+        assert "the residuals of the fit are not white noise" in words
         assert match.covariance_type_ == "robust"
         assert not match.residual_tests_["passed"].all()
 
@@ -386,7 +386,7 @@ def test_parts_of_a_record_that_disagree_are_told():
     ) as w:
         match = pipeline().fit(X, y)["match"]
     words = " ".join(str(each.message) for each in w)
-    stated = float(words.split("its deviation is widened to ")[1].split(";")[0])
+    stated = float(words.split("its standard deviation is widened to ")[1].split(";")[0])
     assert stated == pytest.approx(exponent({"match": match})[2], rel=0.05)
     assert stated > 0.02  # its two machines lie 0.09 apart
     assert match.covariance_type_ == "information"
@@ -399,8 +399,8 @@ def test_parts_of_a_record_that_disagree_are_told():
     ("options", "words"),
     [
         ({"input_noise": 0.1}, "'prediction_error' predicts; fit with criterion='output_error'"),
-        ({"output_weights": 2.0}, "criterion='prediction_error' weighs each output"),
-        ({"input_weights": {"u": 1.0}}, "criterion='prediction_error' weighs each output"),
+        ({"output_weights": 2.0}, "criterion='prediction_error' weights each output"),
+        ({"input_weights": {"u": 1.0}}, "criterion='prediction_error' weights each output"),
     ],
 )
 @pytest.mark.parametrize("reading", ["period", "sample"])

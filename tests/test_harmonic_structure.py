@@ -98,7 +98,7 @@ def test_entries_are_affine_in_the_parameters():
 
 def test_parameters_that_no_entry_tells_apart_are_refused():
     structure = HarmonicStructure(F={"0": [["a + b"]], "1c": [["2*b + 2*a"]]}, G=0)
-    message = r"determine only combinations of \['a', 'b'\]; give each an entry of its own, or fix"
+    message = r"determine only combinations of \['a', 'b'\]; give each its own entry, or fix"
     with pytest.raises(ValueError, match=message):
         structure.parameter_names(["x"], ["u"])
     assert structure.fix({"b": 1.0}).parameter_names(["x"], ["u"]) == ("a", "G[x,u]_0")
@@ -158,25 +158,25 @@ def test_entries_are_fixed_by_their_place():
 
 
 FIXED = {
-    "list": ({"fixed": [1]}, r"fixed=\[1\] is no mapping by name"),
+    "list": ({"fixed": [1]}, r"fixed=\[1\] is not a mapping by name"),
     "text": ({"fixed": {"a": "b"}}, r"fixed value of 'a' must be a finite number; got 'b'"),
     "unknown": (
         {"fixed": {"x": 1}},
-        r"fixed names 'x', no parameter here; give one of \['a', 'd', 'q'",
+        r"fixed names 'x', which is not a parameter; give one of \['a', 'd', 'q'",
     ),
     "left to the data": (
         {"F": None, "fixed": {"F[x,x]_0": 1}},
-        r"fixed names 'F\[x,x\]_0', which F=None leaves out; give F harmonic 0, as a number",
+        r"fixed names 'F\[x,x\]_0', but F=None does not include it; give F harmonic 0, as a number",
     ),
     "higher harmonic": (
         {"F": 1, "fixed": {"F[x,x]_2c": 1}},
-        r"fixed names 'F\[x,x\]_2c', which F=1 leaves out; give F harmonic 2",
+        r"fixed names 'F\[x,x\]_2c', but F=1 does not include it; give F harmonic 2",
     ),
     "not in the dict": (
         {"fixed": {"F[x,x]_1s": 1}},
-        r"'F\[x,x\]_1s', which F=\{0, 1c\} leaves out",
+        r"'F\[x,x\]_1s', but F=\{0, 1c\} does not include it",
     ),
-    "zero": ({"fixed": {"Q[x,u]_0": 1}}, r"'Q\[x,u\]_0', which Q=None leaves out"),
+    "zero": ({"fixed": {"Q[x,u]_0": 1}}, r"'Q\[x,u\]_0', but Q=None does not include it"),
 }
 
 
@@ -190,7 +190,9 @@ def test_names_that_cannot_be_fixed_are_refused(case):
 def test_names_of_other_signals_cannot_be_fixed():
     for name in ("F[x,w]_0", "F[x,v]_0"):  # no such state; a number
         structure = HarmonicStructure(**{**OSCILLATOR, "G": 0}, fixed={name: 1.0})
-        with pytest.raises(ValueError, match=r"fixed names \['F\[x,.\]_0'\], no parameters here"):
+        with pytest.raises(
+            ValueError, match=r"fixed names \['F\[x,.\]_0'\], which are not parameters here"
+        ):
             structure.parameter_names(STATES, INPUTS)
 
 
@@ -200,7 +202,7 @@ def test_wrong_uses_of_fix_and_free_are_refused():
         ValueError, match=r"'a' is fixed at 2 already and cannot be 3 too; free\(\['a"
     ):
         structure.fix({"a": 3.0})
-    with pytest.raises(ValueError, match=r"fix names 'x', no parameter here"):
+    with pytest.raises(ValueError, match=r"fix names 'x', which is not a parameter"):
         structure.fix({"x": 3.0})
     with pytest.raises(ValueError, match=r"\['q'\] are not fixed, so cannot be freed; .* \['a'\]"):
         structure.free(["q"])
@@ -287,7 +289,7 @@ def test_labels_of_dataframes_are_the_names_of_the_signals():
     plain = pd.DataFrame(F.to_numpy())
     assert HarmonicStructure(F={"0": plain}, G=0).parameter_names(STATES, INPUTS)[0] == "F[x,x]_0"
     for wrong in (F[["v", "x"]], F.rename(index={"v": "w"})):
-        with pytest.raises(ValueError, match=r"F_0 is labelled \[.*\] where the signals are \['x'"):
+        with pytest.raises(ValueError, match=r"F_0 is labelled \[.*\], but the signals are \['x'"):
             HarmonicStructure(F={"0": wrong}, G=0).parameter_names(STATES, INPUTS)
 
 
@@ -299,15 +301,15 @@ WRONG = {
     "text": ({"P": "free"}, r"P='free' is not understood"),
     "too many": ({"F": 10**9}, r"harmonic 1000000000 of F is beyond 10000, more than any record"),
     "label beyond": ({"G": {"123456789c": [[1]]}}, r"harmonic 123456789 of G is beyond 10000"),
-    "label": ({"F": {"c1": [[1]]}}, r"'c1' is no label of F; labels are '0', '1c', '1s'"),
-    "label 0c": ({"F": {"0c": [[1]]}}, r"'0c' is no label of F"),
-    "label number": ({"F": {0: [[1]]}}, r"0 is no label of F"),
+    "label": ({"F": {"c1": [[1]]}}, r"'c1' is not a label of F; labels are '0', '1c', '1s'"),
+    "label 0c": ({"F": {"0c": [[1]]}}, r"'0c' is not a label of F"),
+    "label number": ({"F": {0: [[1]]}}, r"0 is not a label of F"),
     "not square": ({"F": {"0": [[1, 2]]}}, r"F have shape \(1, 2\); with 1 states F must have 1"),
     "no matrix": ({"F": {"0": [1, 2]}}, r"F_0 must be a matrix, rows of equal"),
     "ragged": ({"F": {"0": [[1, 2], [3]]}}, r"F_0 must be a matrix, rows of equal"),
     "shapes": ({"F": {"0": [[1]], "1c": [[1, 2], [3, 4]]}}, r"coefficients of F differ in shape"),
-    "states a number": ({"states": 5}, r"states=5 is no sequence of names; give a list such as"),
-    "states a text": ({"states": "w"}, r"states='w' is no sequence of names"),
+    "states a number": ({"states": 5}, r"states=5 is not a sequence of names; give a list such as"),
+    "states a text": ({"states": "w"}, r"states='w' is not a sequence of names"),
     "columns of F": ({"F": {"0": [[1, 2]]}}, r"\(1, 2\); with 1 states F must have 1 columns"),
     "rows of G": ({"F": {"0": [[1]]}, "G": {"0": [[1], [2]]}}, r"with 1 states G must have 1 rows"),
     "columns of P": (
@@ -317,7 +319,7 @@ WRONG = {
     "states twice": ({"states": ["a", "a"]}, r"states=\['a', 'a'\] must be different outputs"),
     "states and F": (
         {"states": ["a", "b"], "F": {"0": [[1]]}},
-        r"F is of 1 states, but states=.* names 2",
+        r"F has 1 states, but states=.* names 2",
     ),
 }
 
@@ -332,7 +334,7 @@ def test_what_is_not_understood_is_refused(case):
 @pytest.mark.parametrize("entry", ["1a", "k+", "a*b", 1j, np.inf])
 def test_entries_that_are_none_are_refused(entry):
     with pytest.raises(
-        ValueError, match=r"F\[0,0\]_1c = .* (is no entry|is not understood|multiplies by)"
+        ValueError, match=r"F\[0,0\]_1c = .* (is not an entry|is not understood|multiplies by)"
     ):
         HarmonicStructure(F={"1c": [[entry]]}, G=0)
 
@@ -398,10 +400,10 @@ USES = {
         HarmonicStructure(states=["y", "q"]),
         r"must be 2 of the outputs .* \['q'\] are not",
     ),
-    "too few states": (HarmonicStructure(states=["y"]), r"structure has 1 states, .* model 2"),
+    "too few states": (HarmonicStructure(states=["y"]), r"structure has 1 states, .* model has 2"),
     "too many states": (
         HarmonicStructure(F={"0": np.full((3, 3), np.nan)}),
-        r"structure has 3 states, the identified model 2; .* MOESPRegressor\(order=3\)",
+        r"structure has 3 states, but the identified model has 2; .* MOESPRegressor\(order=3\)",
     ),
     "inputs": (HarmonicStructure(G={"0": [[0, 1], [1, 0]]}), r"G have shape \(2, 2\), but 2 x 1"),
     "text": ("ltp", r"structure='ltp' is not understood; give a MatrixStructure, a Harmonic"),
@@ -458,11 +460,11 @@ def test_only_maximum_likelihood_has_deviations(data):
     match = synchronous(2.0).fit(*data)["match"]
     assert np.isnan(match.theta_std_).all()
     for name in ("covariance_", "noise_std_", "eigenvalues_"):
-        with pytest.raises(AttributeError, match=f"{name} is there after maximum likelihood only"):
+        with pytest.raises(AttributeError, match=f"{name} exists only after maximum likelihood"):
             getattr(match, name)
-    with pytest.raises(AttributeError, match="confidence_interval is there after maximum"):
+    with pytest.raises(AttributeError, match="confidence_interval exists only after maximum"):
         match.confidence_interval()
-    with pytest.raises(AttributeError, match="frequency_response is there after maximum"):
+    with pytest.raises(AttributeError, match="frequency_response exists only after maximum"):
         match.frequency_response([1.0])
     for level in (0.0, 1.0, 95):
         with pytest.raises(

@@ -375,11 +375,11 @@ def test_tables_carry_names():
     assert table.columns.names == ["output", "input", "harmonic"]
     np.testing.assert_array_equal(table["x2", "u1", -1], H.response[:, 0, 1, 0])
     assert "input_names=('u1', 'u2')" in repr(H)
-    with pytest.raises(ValueError, match="what='std' is not here"):
+    with pytest.raises(ValueError, match="what='std' is not known"):
         H.to_frame("std")
     with pytest.raises(ValueError, match=r"harmonic 2 is not among −1 … 1"):
         H.harmonic(2)
-    with pytest.raises(ValueError, match="call misfit of the estimate"):
+    with pytest.raises(ValueError, match="call misfit on the estimate"):
         H.misfit(H)
 
 

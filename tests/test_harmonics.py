@@ -124,7 +124,7 @@ def test_timedelta_index_is_time():
 def test_counted_samples_are_said_to_be_so():
     u = record(np.cos)
     analyzer = HarmonicAnalyzer(OMEGA, input_harmonics=1, sample_time=1 / SPP)
-    with pytest.warns(TimeBaseWarning, match="samples are counted, 0.0625 s apart"):
+    with pytest.warns(TimeBaseWarning, match="rows count as samples, 0.0625 s apart"):
         frame = analyzer.fit_transform(u.to_numpy())
     named = HarmonicAnalyzer(OMEGA, input_harmonics=1).fit_transform(u)
     np.testing.assert_allclose(frame.to_numpy(), named.to_numpy(), atol=1e-12)

@@ -157,7 +157,7 @@ def test_outputs_of_its_own_need_a_gain():
         growing, doubled, period=2 * np.pi, state_names=["x"], input_names=["control", "wind"]
     )
     trim = system.trim(2)
-    with pytest.raises(ValueError, match="gain=None takes the outputs for the states"):
+    with pytest.raises(ValueError, match="gain=None assumes that the outputs are the states"):
         HeldFeedback(system, trim, inputs=["control"])
     same = scalar_loop(gain=[[0.2]])
     half = HeldFeedback(system, trim, [[0.1]], inputs=["control"])
@@ -181,7 +181,7 @@ def test_a_regulator_too_slow_for_what_grows_is_refused(loop):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"trim": None}, "trim=None must be a PeriodicSystem and what its trim"),
+        ({"trim": None}, "trim=None must be a PeriodicSystem and the result of its trim"),
         ({"inputs": ["thrust"]}, r"inputs=\['thrust'\] must be among those of the system"),
         ({"inputs": []}, r"inputs=\[\] must be among those"),
         ({"gain": [[1.0, 2.0]]}, r"gain has shape \(1, 2\); it must be \(2, 4\)"),
@@ -329,9 +329,9 @@ def test_bad_arguments_are_named(given, message):
 
 
 def test_a_moth_that_turns_over_is_an_error():
-    with pytest.raises(RuntimeError, match=r"the moth turns over in wingbeat \d+: excite it less"):
+    with pytest.raises(RuntimeError, match=r"the moth turns over in wingbeat \d+; excite it less"):
         make_hawkmoth(n_periods=40, samples_per_period=16, excitation=3.0, random_state=0)
-    with pytest.raises(ValueError, match="quiet=20 is more than n_periods=10"):
+    with pytest.raises(ValueError, match="quiet=20 exceeds n_periods=10"):
         make_hawkmoth(n_periods=10, quiet=20)
 
 

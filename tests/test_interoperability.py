@@ -81,7 +81,7 @@ def test_inputs_that_were_shifted_from_rest_are_told(short, analyzed, shift):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         pipe.fit(u, y)
-    told = [str(w.message) for w in told if "begin with outputs that rest" in str(w.message)]
+    told = [str(w.message) for w in told if "begin with outputs at rest" in str(w.message)]
     assert len(told) == (shift != 0.0)
     assert all("('U' at " in text for text in told)
 

@@ -167,10 +167,19 @@ def test_initial_values_beside_fixed_ones():
 
 
 KNOWN = {
-    "unknown fixed": ({"fixed": {"x": 1}}, r"fixed names \['x'\], no parameters here; allowed are"),
-    "unknown bounds": ({"bounds": {"x": (0, 1)}}, r"bounds names \['x'\], no parameters here"),
-    "fixed a list": ({"fixed": [1.0]}, r"fixed=\[1.0\] is no mapping by name; give one such as"),
-    "bounds a pair": ({"bounds": (0, 1)}, r"bounds=\(0, 1\) is no mapping by name; .* \{'k': \(0"),
+    "unknown fixed": (
+        {"fixed": {"x": 1}},
+        r"fixed names \['x'\], which are not parameters here; allowed are",
+    ),
+    "unknown bounds": (
+        {"bounds": {"x": (0, 1)}},
+        r"bounds names \['x'\], which are not parameters here",
+    ),
+    "fixed a list": ({"fixed": [1.0]}, r"fixed=\[1.0\] is not a mapping by name; give one such as"),
+    "bounds a pair": (
+        {"bounds": (0, 1)},
+        r"bounds=\(0, 1\) is not a mapping by name; .* \{'k': \(0",
+    ),
     "fixed a text": ({"fixed": {"d": "1"}}, r"fixed value of 'd' must be a finite number; got '1'"),
     "fixed too large": ({"fixed": {"d": 10**400}}, r"fixed value of 'd' must be a finite number"),
     "bounds too large": ({"bounds": {"d": (0, 10**400)}}, r"give \(low, high\) with low < high"),
@@ -183,7 +192,7 @@ KNOWN = {
         {"bounds": {"d": (2, 1)}},
         r"bounds of 'd' are \(2, 1\); give .* low < high",
     ),
-    "one point": ({"bounds": {"d": (1, 1)}}, r"one value alone is given by fixed"),
+    "one point": ({"bounds": {"d": (1, 1)}}, r"use fixed for a single value"),
     "bounds NaN": ({"bounds": {"d": (np.nan, 1)}}, r"bounds of 'd' are \(nan, 1\)"),
     "three bounds": ({"bounds": {"d": (0, 1, 2)}}, r"bounds of 'd' are \(0, 1, 2\)"),
     "bounds a number": ({"bounds": {"d": 3}}, r"bounds of 'd' are 3; give \(low, high\)"),
@@ -218,10 +227,10 @@ def test_wrong_uses_of_fix_and_free_are_refused():
         structure.fix({"d": 1.0})
     assert structure.fix({"d": 0.5}) == structure
     with pytest.raises(
-        ValueError, match=r"fix names \['x'\], no parameters here; allowed are \['d'"
+        ValueError, match=r"fix names \['x'\], which are not parameters here; allowed are \['d'"
     ):
         structure.fix({"x": 1.0})
-    with pytest.raises(ValueError, match=r"fixed=\[1.0\] is no mapping by name; give one such"):
+    with pytest.raises(ValueError, match=r"fixed=\[1.0\] is not a mapping by name; give one such"):
         structure.fix([1.0])
     with pytest.raises(ValueError, match=r"the fixed value 10 of 'w' is outside its bounds"):
         structure.fix({"w": 10.0})
@@ -364,14 +373,14 @@ def test_no_free_entry_is_allowed_here():
         ({"A": [[1, 2]], "B": [[1]]}, r"A has shape \(1, 2\)"),
         (
             {"A": np.eye(2), "B": np.ones((3, 1))},
-            r"B has shape \(3, 1\) where .* call for \(2, 1\)",
+            r"B has shape \(3, 1\) .* need \(2, 1\)",
         ),
         ({"A": np.eye(2), "B": np.ones((2, 1)), "C": np.ones((1, 3))}, r"C has shape .*\(1, 2\)"),
         ({"A": np.eye(2), "B": np.ones((2, 1)), "D": [[0.0]]}, r"D has shape .*\(2, 1\)"),
         ({"A": np.ones(3), "B": [[1]]}, "A must be a matrix"),
         ({"A": [[1, 2], [3]], "B": [[1], [1]]}, "A must be a matrix"),
-        ({"A": [[np.inf]], "B": [[1]]}, r"A\[0,0\] = inf is no entry"),
-        ({"A": [[1j]], "B": [[1]]}, r"is no entry; give a finite number"),
+        ({"A": [[np.inf]], "B": [[1]]}, r"A\[0,0\] = inf is not an entry"),
+        ({"A": [[1j]], "B": [[1]]}, r"is not an entry; give a finite number"),
         ({"A": [["a"]], "B": [[1]], "initial": {"b": 1.0}}, r"missing \['a'\], unknown \['b'\]"),
         ({"A": [["a"]], "B": [[1]], "initial": [1.0, 2.0]}, "initial must hold 1 finite numbers"),
         ({"A": [["a"]], "B": [[1]], "initial": [NAN]}, "initial must hold 1 finite numbers"),
@@ -379,8 +388,8 @@ def test_no_free_entry_is_allowed_here():
         ({"A": [["a"]], "B": [[1]], "initial": [[1], [1, 2]]}, "initial must hold 1 finite"),
         ({"A": [["a"]], "B": np.zeros((1, 0))}, r"without inputs, or without outputs, there is no"),
         ({"A": [["a"]], "B": [[1]], "C": np.zeros((0, 1))}, r"C \(0, 1\): without inputs, or"),
-        ({"A": [["a"]], "B": [[1]], "state_names": 3}, "state_names=3 is no sequence of names"),
-        ({"A": [["a"]], "B": [[1]], "input_names": "u"}, "input_names='u' is no sequence of"),
+        ({"A": [["a"]], "B": [[1]], "state_names": 3}, "state_names=3 is not a sequence of names"),
+        ({"A": [["a"]], "B": [[1]], "input_names": "u"}, "input_names='u' is not a sequence of"),
         ({"A": [["a"]], "B": [[1]], "state_names": ["x", "y"]}, "must be 1 different names"),
     ],
 )

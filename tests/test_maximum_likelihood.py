@@ -176,7 +176,7 @@ def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():
     steps = heave_pipeline(data.omega, n_states=3).steps
     structure = HarmonicStructure(F=1, G={"1c": [[0.0], ["gain"]]})
     matcher = StructuredMatcher(structure=structure, criterion="output_error")
-    with pytest.warns(IdentifiabilityWarning, match="no white noise"):  # F has more harmonics
+    with pytest.warns(IdentifiabilityWarning, match="not white noise"):  # F has more harmonics
         match = Pipeline([*steps, ("match", matcher)]).fit(data.inputs, data.outputs)["match"]
     assert match.ltp_.state_names == ("w", "phi_dot")
     assert np.isfinite(match.noise_std_).all()
@@ -207,7 +207,7 @@ def test_noise_on_the_inputs_is_allowed_for_or_told():
             criterion="output_error",
             input_noise={"U": sigma} if allowed else None,
         )
-        with nullcontext() if allowed else pytest.warns(IdentifiabilityWarning, match="no white"):
+        with nullcontext() if allowed else pytest.warns(IdentifiabilityWarning, match="not white"):
             pipe.fit(data.inputs, data.outputs)
         std[allowed] = pipe["match"].theta_std_
         assert pipe["match"].covariance_type_ == ("information" if allowed else "robust")
@@ -232,7 +232,7 @@ def test_wrong_noise_on_the_inputs(noise, message):
 
 
 def test_noise_on_the_inputs_is_for_maximum_likelihood():
-    with pytest.raises(ValueError, match=r"input_noise=0.1 is allowed for by maximum likelihood"):
+    with pytest.raises(ValueError, match=r"input_noise=0.1 needs maximum likelihood"):
         matched_lag(*lag_record(0), criterion="hinf", input_noise=0.1)
 
 

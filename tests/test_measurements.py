@@ -364,7 +364,7 @@ def test_pieces_shorter_than_the_window_are_left_out(steady):
     predicted = pipeline(omega=OMEGA, missing="gap").fit(holed, y).predict(holed)
     missing = np.flatnonzero(predicted.isna().any(axis=1))
     assert missing.tolist() == list(range(1000, 1031))
-    with pytest.raises(ValueError, match=r"no 64 consecutive row\(s\) without missing samples"):
+    with pytest.raises(ValueError, match=r"needs 64 consecutive row\(s\) without missing samples"):
         pipeline(omega=OMEGA, missing="gap").fit(spoiled(X, slice(None, None, 50)), y)
 
 

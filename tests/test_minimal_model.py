@@ -211,7 +211,7 @@ def test_eigenvalues_that_do_not_converge_are_said(monkeypatch):
     machine = LTPSystem(F, [[0.0], [1.0]], omega=2.0)
     monkeypatch.setattr("sklearn_hd.systems.minimal.MOST_HARMONICS", 4)
     with (
-        pytest.warns(ConvergenceWarning, match="off the Floquet exponent: F has kinks"),
+        pytest.warns(ConvergenceWarning, match="from the Floquet exponent, because F has kinks"),
         pytest.warns(IdentifiabilityWarning, match="misses 1"),
     ):
         machine.minimal_model()

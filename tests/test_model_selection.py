@@ -161,7 +161,7 @@ def test_fit_percent_of_sizes_whose_squares_are_no_numbers():
     np.testing.assert_allclose(fit_percent([[1e-320], [0.0]], [[0.0], [1e-320]]), -100.0)
     np.testing.assert_allclose(fit_percent([[1.0], [0.0]], [[0.0], [1e200]]), -(2**0.5) * 1e202)
     assert fit_percent([[1e-150], [0.0]], [[0.0], [1e200]]) == -np.inf
-    with pytest.raises(ValueError, match="sample_weight holds values that are no numbers"):
+    with pytest.raises(ValueError, match="sample_weight holds values that are not numbers"):
         fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[10**400, 1])
     with pytest.raises(ValueError, match="must hold 2 numbers of at least 0"):
         fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[np.inf, 1])
@@ -218,7 +218,9 @@ def test_scorers_word_what_is_wrong(lti):
         simulation_scorer("r2")
     with pytest.raises(TypeError, match="PCA does not end in a model step of sklearn_hd"):
         simulation_scorer(r2_score)(PCA(), lti.inputs, lti.outputs)
-    with pytest.raises(TypeError, match="sample_weight was given, but max_error takes none"):
+    with pytest.raises(
+        TypeError, match="sample_weight was given, but max_error does not accept it"
+    ):
         simulation_scorer(max_error)(*args, sample_weight=np.ones(len(lti.inputs)))
     for output in ("phi_dot", 3, -1, True, 0.5):
         with pytest.raises(ValueError, match=r"is not among the outputs \['w_0', 'phi_dot_1c'"):

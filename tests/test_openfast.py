@@ -298,11 +298,11 @@ ROW = "  1  1.000E-01   F   2   ED 1st"
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("Azimuth:", "Angle:", "the header does not say 'Azimuth'"),
-        ("0.7 rad/s", "NaN rad/s", "'Rotor Speed' holds 'NaN', which is no finite number"),
-        ("0.7 rad/s", "******** rad/s", r"'Rotor Speed' holds '\*+', which is no finite"),
-        ("0.7 rad/s", "1e999 rad/s", "'Rotor Speed' holds '1e999', which is no finite"),
-        ("0.7 rad/s", "0_7 rad/s", "'Rotor Speed' holds '0_7', which is no finite"),
+        ("Azimuth:", "Angle:", "the header does not give 'Azimuth'"),
+        ("0.7 rad/s", "NaN rad/s", "'Rotor Speed' holds 'NaN', which is not a finite number"),
+        ("0.7 rad/s", "******** rad/s", r"'Rotor Speed' holds '\*+', which is not a finite"),
+        ("0.7 rad/s", "1e999 rad/s", "'Rotor Speed' holds '1e999', which is not a finite"),
+        ("0.7 rad/s", "0_7 rad/s", "'Rotor Speed' holds '0_7', which is not a finite"),
         ("0.7 rad/s", "0.7 Hz", "the unit 'hz'; it must be rad/s or deg/s or rpm"),
         ("0.7 rad/s", "0.7", "the unit ''; it must be rad/s"),
         ("8.0 m/s", "8.0 knots", "'Wind Speed' has the unit 'knots'; it must be m/s"),
@@ -311,17 +311,17 @@ ROW = "  1  1.000E-01   F   2   ED 1st"
             "0.7 rad/s\n  Number of inputs:  4",
             "says '4', but 'Order of inputs' lists 3",
         ),
-        ("Wind Speed", "\0Wind Speed", "this is no text"),
+        ("Wind Speed", "\0Wind Speed", "this is not text"),
         ("A: 8 x 8", "E: 8 x 8", "there is no matrix A"),
         ("D: 3 x 3", "E: 3 x 3", "there is no matrix D"),
         ("A: 8 x 8", "A: 9 x 8", "A is '9 x 8', but the file lists 8 states, 3 inputs"),
         ("A: 8 x 8", "A: 8 x 99999999999", "A is '8 x 99999999999', but the file lists 8"),
         ("A: 8 x 8", "A: eight x 8", "A is 'eight x 8', but the file lists 8"),
-        ("B: 8 x 3", "A: 8 x 8", "A stands there twice"),
+        ("B: 8 x 3", "A: 8 x 8", "A appears twice"),
         ("B: 8 x 3", "B: 8 x 3\n", "row 1 of B has 0 entries instead of 3"),
-        ("B: 8 x 3", "B: 8 x 3\nNaN 0.0 0.0", "row 1 of B holds 'NaN', which is no finite"),
-        ("B: 8 x 3", "B: 8 x 3\n1.0 0,5 0.0", "row 1 of B holds '0,5', which is no finite"),
-        ("Order of inputs", "Order of outputs", "'Order of outputs' stands there twice"),
+        ("B: 8 x 3", "B: 8 x 3\nNaN 0.0 0.0", "row 1 of B holds 'NaN', which is not a finite"),
+        ("B: 8 x 3", "B: 8 x 3\n1.0 0,5 0.0", "row 1 of B holds '0,5', which is not a finite"),
+        ("Order of inputs", "Order of outputs", "'Order of outputs' appears twice"),
         ("   -------", "", "'Order of continuous states' has no heading with a rule below it"),
         (ROW, ROW.replace("1.000E-01", "high"), "row 1 of a table holds 'high', which is no"),
         (ROW, ROW.replace("  1 ", "  2 "), "lists no signal"),
@@ -357,14 +357,14 @@ def test_no_file_and_a_folder(tmp_path, name):
 
 @pytest.mark.parametrize("path", [None, 3, b"a.lin", "a\0.lin"])
 def test_no_path(path):
-    with pytest.raises(ValueError, match=r"is no path; give that of a \.lin file"):
+    with pytest.raises(ValueError, match=r"is not a path; give that of a \.lin file"):
         read_openfast_lin(path)
 
 
 def test_a_binary_file_is_refused(tmp_path):
     path = tmp_path / "a.outb"
     path.write_bytes(np.random.default_rng(0).bytes(100_000))
-    with pytest.raises(ValueError, match=r"a\.outb: this is no text; give a \.lin file"):
+    with pytest.raises(ValueError, match=r"a\.outb: this is not text; give a \.lin file"):
         read_openfast_lin(path)
 
 
@@ -459,7 +459,7 @@ def test_states_that_turn_without_three_blades(tmp_path):
     two = [row for row in STATES + RATES if "blade 3" not in row[0]]
     states = [*two, *(("ED filler, -", "F"), ("ED other, -", "F"))]
     path, _ = lin_file(tmp_path / "a.lin", 0.0, states=states)
-    with pytest.raises(ValueError, match=r"BF1_b1.*do not stand for three blades"):
+    with pytest.raises(ValueError, match=r"BF1_b1.*are not states of three blades"):
         multiblade_model([read_openfast_lin(path)])
 
 
@@ -486,7 +486,7 @@ def test_signals_that_turn_with_the_shaft(tmp_path):
         ({"outputs": [3]}, "must name each signal in text"),
         ({"coordinates": "fixed"}, "coordinates='fixed' is not known"),
         ({"n_harmonics": -1}, "n_harmonics must be a whole number of at least 0"),
-        ({"n_harmonics": 2}, "do not tell the 5 coefficients of harmonics"),
+        ({"n_harmonics": 2}, "do not determine the 5 coefficients of harmonics"),
     ],
 )
 def test_settings_are_checked(files, settings, message):
@@ -496,7 +496,7 @@ def test_settings_are_checked(files, settings, message):
 
 @pytest.mark.parametrize("given", [[], ["a.lin"], None])
 def test_linearizations_are_wanted(given):
-    with pytest.raises(ValueError, match="must be a list of what read_openfast_lin returns"):
+    with pytest.raises(ValueError, match="must be a list of results of read_openfast_lin"):
         multiblade_model(given)
 
 

@@ -146,28 +146,38 @@ def test_unstable_candidates_are_passed_over():
     table = results(unstable, order=[1, 2, 3, 4, 5])
     assert smallest_within_one_standard_error(table) == chosen
     table = results(np.full((2, 3), -np.inf), order=[1, 2])
-    with pytest.raises(ValueError, match="the 2 candidates that are stable on most folds share no"):
+    with pytest.raises(
+        ValueError, match="the 2 candidates that are stable on most folds have no fold in common"
+    ):
         smallest_within_one_standard_error(table)
 
 
 @pytest.mark.parametrize(
     ("table", "kwargs", "message"),
     [
-        (results(SCORES, window=list("abcd")), {"size": "order"}, r"none of size=\['order'\] was"),
-        (results(SCORES, n_states=[1, 2, 3, 4]), {}, r"none of size=\['order', 'block_rows'\] was"),
-        (results(SCORES[:2], order=[2, "auto"]), {}, "order='auto' of candidate .* is no size"),
-        (results(SCORES[:2], block_rows=[4, None]), {}, "block_rows=None of candidate .* is no s"),
+        (
+            results(SCORES, window=list("abcd")),
+            {"size": "order"},
+            r"size=\['order'\] names no parameter",
+        ),
+        (results(SCORES, n_states=[1, 2, 3, 4]), {}, r"size=\['order', 'block_rows'\] names no"),
+        (results(SCORES[:2], order=[2, "auto"]), {}, "order='auto' of candidate .* is not a size"),
+        (
+            results(SCORES[:2], block_rows=[4, None]),
+            {},
+            "block_rows=None of candidate .* is not a s",
+        ),
         (
             results(SCORES[:2], a__order=[1, 2], b__order=[1, 2]),
             {},
             r"size='order' could be any of \['a__order', 'b__order'\]; give the whole name",
         ),
-        (results([[0.9], [0.8]], order=[1, 2]), {}, r"the search has 1 fold\(s\), and a standard"),
+        (results([[0.9], [0.8]], order=[1, 2]), {}, r"the search has 1 fold\(s\), but a standard"),
         (results(SCORES, order=[1, 2, 3, 4]), {"test_share": -1}, "test_share must be a positive"),
         (
             results(SCORES, order=[1, 2, 3, 4]),
             {"perfect": 0.5},
-            "a score of 0.9 is above .* give",
+            "a score of 0.9 is above .* set",
         ),
         (
             results(np.multiply(SCORES, 999), order=[1, 2, 3, 4]),

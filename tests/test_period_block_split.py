@@ -85,7 +85,9 @@ def test_dates_count_from_their_origin():
     for found, (train, test) in zip(split.split(dated), expected, strict=True):
         np.testing.assert_array_equal(found[0], train)
         np.testing.assert_array_equal(found[1], test)
-    with pytest.raises(ValueError, match=r"index holds dates, which fix no azimuth; .*PeriodBlock"):
+    with pytest.raises(
+        ValueError, match=r"index holds dates, which do not define the azimuth; .*PeriodBlock"
+    ):
         list(PeriodBlockSplit(3, omega=OMEGA).split(dated))
 
 

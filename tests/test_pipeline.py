@@ -227,7 +227,7 @@ def test_a_poor_match_between_different_orders_is_said(ltp):
         [["a", 0], [0, "b"]], np.full((2, 1), np.nan), np.vstack([np.eye(2), [[0, np.nan]]])
     )
     pipe = whole_pipeline(ltp.omega).set_params(match__structure=two_states)
-    with pytest.warns(IdentifiabilityWarning, match="the model has 3 states, the structure 2"):
+    with pytest.warns(IdentifiabilityWarning, match="the model has 3 states, the structure has 2"):
         pipe.fit(ltp.inputs, ltp.outputs)
 
 

@@ -91,7 +91,7 @@ def test_d_in_chunks_is_decided_without_simulations(direct):
 
 
 def test_a_feedthrough_that_a_predictor_leaves_out_is_warned_of():
-    with pytest.warns(IdentifiabilityWarning, match="which look alike, and D is zero"):
+    with pytest.warns(IdentifiabilityWarning, match="which look alike, so D is zero"):
         assert not MOESPRegressor(3, weighting="pbsid").fit(*noisy(0, True)).feedthrough_
     assert not MOESPRegressor(3, weighting="pbsid").fit(*noisy(0, False)).feedthrough_
 
@@ -129,7 +129,7 @@ def test_reasons_are_given(rng):
         "lower with D free": MOESPRegressor(3).fit(u, y),
     }
     with pytest.warns(ExcitationWarning, match="a static gain is fitted"):
-        reasons["D is all there is"] = MOESPRegressor().fit(u[:3], y[:3])
+        reasons["the model is D alone"] = MOESPRegressor().fit(u[:3], y[:3])
     for reason, model in reasons.items():
         assert model.feedthrough_reason_.endswith(reason)
 

@@ -125,12 +125,12 @@ def test_an_array_of_axes_must_have_one_for_each_panel(name):
 @pytest.mark.parametrize("name", cases.DISPLAYS)
 def test_ax_must_be_axes(name):
     make, _ = cases.DISPLAYS[name]
-    with pytest.raises(TypeError, match="is no matplotlib Axes; give one"):
+    with pytest.raises(TypeError, match="is not a matplotlib Axes; give one"):
         make("left")
 
 
 def test_axes_outside_a_grid_cannot_be_divided():
-    with pytest.raises(ValueError, match="stands in no grid of subplots and cannot be divided"):
+    with pytest.raises(ValueError, match="is not in a grid of subplots, so it cannot be divided"):
         cases.participation(plt.figure().add_axes((0.1, 0.1, 0.8, 0.8)))
 
 
@@ -240,7 +240,7 @@ def test_an_estimator_must_be_fitted(display):
     with pytest.raises(Exception, match="not fitted yet") as raised:
         from_estimator(display, Pipeline(steps))
     assert type(raised.value).__name__ == "NotFittedError"
-    with pytest.raises(TypeError, match="is a class; give an instance"):
+    with pytest.raises(TypeError, match="is a class; give a fitted instance"):
         from_estimator(display, MOESPRegressor)
 
 

@@ -283,7 +283,7 @@ def test_bad_harmonic_transfer_input():
     other = coupled().harmonic_transfer_function([1.0], 1)
     with pytest.raises(TypeError, match="'x' is of type str"):
         HarmonicTransferFunctionDisplay({"x": "y"})
-    with pytest.raises(ValueError, match="responses are between different signals"):
+    with pytest.raises(ValueError, match="responses must have the same signals"):
         HarmonicTransferFunctionDisplay({"one": one, "other": other})
     with pytest.raises(TypeError, match="draws LTPSystems; 'model' is of type StateSpace"):
         HarmonicTransferFunctionDisplay.from_systems(mathieu().harmonic_decomposition(1))
@@ -334,7 +334,7 @@ def test_rounding_is_not_magnified():
 
 
 def test_matrices_of_other_coordinates_are_not_compared():
-    with pytest.raises(ValueError, match="entries of different coordinates cannot be compared"):
+    with pytest.raises(ValueError, match="entries in different coordinates cannot be compared"):
         PeriodicMatrixDisplay.from_systems(mathieu(), "F", true=mathieu(state_names=["a", "b"]))
     with pytest.raises(TypeError, match="draws LTPSystems; 'model' is of type int"):
         PeriodicMatrixDisplay.from_systems(3)

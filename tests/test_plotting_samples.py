@@ -107,7 +107,7 @@ def test_azimuths_turns_and_signals_may_be_chosen():
 
 
 def test_a_model_of_another_reading_has_no_loads():
-    needs = "needs a model of samples at their azimuths, and this one was fitted with reading="
+    needs = "needs a model of samples at their azimuths, but this one was fitted with reading="
     with pytest.raises(ValueError, match=f"AzimuthDisplay {needs}'period'; fit behind"):
         AzimuthDisplay.from_estimator(cases.periodic())
     with pytest.raises(ValueError, match=f"PeriodicMatrixDisplay {needs}"):
@@ -137,7 +137,7 @@ def test_an_output_is_drawn_in_its_parts():
 
 def test_loads_go_with_one_model():
     pipe = cases.sampled()
-    with pytest.raises(ValueError, match="loads are those of one model, and 2 are drawn"):
+    with pytest.raises(ValueError, match="loads belong to one model, but 2 are drawn"):
         ResponseDisplay.from_estimator({"a": pipe, "b": pipe}, *cases.service_record(), loads=True)
 
 

@@ -70,7 +70,7 @@ def test_lines_break_at_gaps_and_keep_to_one_record():
     assert display.axes_[0].get_title("left") == "record b"
     with pytest.raises(ValueError, match=r"record='c' is not among the records \['a', 'b'\]"):
         HarmonicsDisplay.from_data(both, 2 * np.pi, record="c")
-    with pytest.raises(ValueError, match=r"record='a' was asked for, but the data have no"):
+    with pytest.raises(ValueError, match=r"record='a' was given, but the data have no"):
         HarmonicsDisplay.from_data(signals, 2 * np.pi, record="a")
 
 
@@ -80,13 +80,13 @@ def test_harmonics_in_a_span():
     t = display.coefficient_lines_["blade_1_1c"].get_xdata()
     assert t[0] == pytest.approx(2.0)
     assert t[-1] == pytest.approx(3.0)
-    with pytest.raises(ValueError, match=r"span=\(90, 91\) holds none of the rows"):
+    with pytest.raises(ValueError, match=r"span=\(90, 91\) contains no row"):
         display.plot(span=(90.0, 91.0))
 
 
 def test_samples_that_are_counted_are_called_so():
     signals = pd.DataFrame({"u": np.cos(np.arange(80) * np.pi / 8)})
-    with pytest.warns(TimeBaseWarning, match="samples are counted"):
+    with pytest.warns(TimeBaseWarning, match="rows count as samples"):
         display = HarmonicsDisplay.from_data(signals, np.pi / 8)
     assert display.axes_[-1].get_xlabel() == "sample (–)"
 
@@ -142,7 +142,7 @@ def test_fit_within_and_outside_the_validation_span():
         display.validation_fit_.loc["half"], fit_percent(y[inside], 0.5 * y[inside])
     )
     assert [span.get_x() for span in display.spans_] == [4.0, 4.0]
-    with pytest.raises(ValueError, match=r"validation_span=\(20, 30\) holds none of the rows"):
+    with pytest.raises(ValueError, match=r"validation_span=\(20, 30\) contains no drawn row"):
         ResponseDisplay.from_data(y, model, validation_span=(20, 30))
 
 

@@ -137,7 +137,7 @@ def test_gains_are_those_of_predictions_alone(rng):
     with pytest.warns(IdentifiabilityWarning, match="use criterion='prediction_error'"):
         match = fitted(3, u, y, "output_error")["match"]
     assert match.covariance_type_ == "robust"
-    with pytest.raises(AttributeError, match="kalman_gain_ is there for criterion='prediction_err"):
+    with pytest.raises(AttributeError, match="kalman_gain_ exists only for criterion='pred"):
         _ = match.kalman_gain_
 
 

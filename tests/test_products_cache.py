@@ -182,7 +182,7 @@ def test_files_that_are_not_what_was_stored_are_made_anew(tmp_path, data, forget
         file.write_bytes(spoil(file.read_bytes()))
     forgetful()
     with pytest.warns(
-        CacheWarning, match=r"is not what was kept there \(.*\): made anew"
+        CacheWarning, match=r"is not what was kept there \(.*\); it is computed anew"
     ) as warned:
         again = model.fit(*data).model_
     told = " ".join(str(w.message) for w in warned)
@@ -200,7 +200,7 @@ def test_a_file_where_a_folder_should_be_is_told_and_done_without(tmp_path, data
     place = tmp_path.joinpath(*("joblib", "sklearn_hd", "_identify", "products_cache")[:depth])
     place.parent.mkdir(parents=True, exist_ok=True)
     place.write_text("no folder")
-    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
+    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so nothing is kept; clear it"):
         model = MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data)
     same_model(model, MOESPRegressor(3, block_rows=6).fit(*data))
     assert place.read_text() == "no folder"
@@ -216,7 +216,7 @@ def test_notes_of_joblibs_that_cannot_be_read_are_told(
     file.write_bytes(notes)
     forgetful()
     joblib.memory._FUNCTION_HASHES.clear()
-    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so that nothing is kept; clear it"):
+    with pytest.warns(CacheWarning, match=r"cannot be used \(.*so nothing is kept; clear it"):
         same_model(MOESPRegressor(3, block_rows=6, memory=str(tmp_path)).fit(*data), model)
 
 

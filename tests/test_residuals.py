@@ -177,7 +177,7 @@ def test_refusals():
     model.fit(u, y)
     with pytest.raises(ValueError, match="lags must be a whole number of at least 1, got 0"):
         model.residual_tests(u, y, lags=0)
-    with pytest.raises(ValueError, match="lags=1000000 asks more than"):
+    with pytest.raises(ValueError, match="lags=1000000 is more than"):
         model.residual_tests(u, y, lags=10**6)
     with pytest.raises(ValueError, match="level must be a number between 0 and 1, got 2"):
         model.residual_tests(u, y, level=2)
@@ -186,7 +186,7 @@ def test_refusals():
     u, y = innovations(4, n=1500)
     grown = MOESPRegressor(3).fit(u, y)
     grown.model_ = replace(grown.model_, A=2.0 * grown.model_.A)
-    with pytest.raises(UnstableModelError, match="leaves no residuals to test"):
+    with pytest.raises(UnstableModelError, match="no residuals to test"):
         grown.residual_tests(u, y)
     data = wing()
     pipe = sliding()[:2]
@@ -222,5 +222,5 @@ def test_display_by_azimuth_shows_loads_left_out():
     assert "not noise" in display.axes_[2].get_title("left")
     assert np.ptp(display.by_phase["y", "mean"]) > 1.0
     exact, v = innovations(2, noise=0.0)
-    with pytest.raises(ValueError, match="nothing of this record but rounding"):
+    with pytest.raises(ValueError, match="only rounding of this record"):
         ResidualDisplay.from_estimator(MOESPRegressor(3).fit(exact, v), exact, v)

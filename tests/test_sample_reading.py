@@ -260,14 +260,14 @@ def test_an_omega_that_is_off_is_told(off, found):
         pipeline(OMEGA * (1.0 + off)).fit(u, y)
     words = [str(w.message) for w in told if w.category is FrequencyMismatchWarning]
     assert len(words) == 1
-    asked = float(words[0].split("ask for about omega=")[1].split()[0])
+    asked = float(words[0].split("indicate about omega=")[1].split()[0])
     assert asked < OMEGA * (1.0 + off)
     assert asked / OMEGA == pytest.approx(1.0, abs=found)
 
 
 def test_a_short_record_says_that_its_model_is_noise():
     u, y, *_ = machine(60)
-    with pytest.warns(IdentifiabilityWarning, match=r"rows tell \d+ coefficients"):
+    with pytest.warns(IdentifiabilityWarning, match=r"rows determine \d+ coefficients"):
         pipeline(block_rows=4).fit(u, y)
 
 
@@ -282,7 +282,7 @@ def test_a_short_record_says_that_its_model_is_noise():
         ({"small_signal": "odd"}, 1000, "reading='sample' does not ask for"),
         ({"block_rows": 30}, 80, "too few for a predictor of 30 lags"),
         ({"order": 9, "block_rows": 4}, 1000, "order=9 exceeds the 4 that block_rows=4"),
-        ({}, 5, "are 0.5 of a turn"),
+        ({}, 5, "only 0.5 of a turn"),
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_way_out(settings, rows, words):
@@ -297,7 +297,7 @@ def test_inputs_that_cannot_be_told_from_loads_are_refused():
         pipeline().fit(u.assign(u=np.cos(OMEGA * u.index)), y)
     with pytest.raises(ValueError, match="constant in the rows"):
         pipeline().fit(u.assign(u=1.0), y)
-    with pytest.raises(ValueError, match="must grow with time"):
+    with pytest.raises(ValueError, match="must increase with time"):
         pipeline(None, azimuth="psi").fit(u.assign(psi=2.0), y)
 
 

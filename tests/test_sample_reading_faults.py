@@ -92,7 +92,7 @@ def test_less_than_a_turn_is_refused():
     u, y = record()
     with pytest.raises(ValueError, match=r"of a turn .* hop below 4166"):
         fitted(u, y, samples=1e5)
-    with pytest.raises(ValueError, match=r"are 0\.2 of a turn"):
+    with pytest.raises(ValueError, match=r"only 0\.2 of a turn"):
         fitted(u, y, samples=1e4, hop=1)
 
 
@@ -110,7 +110,7 @@ def test_few_rows_by_thinning_name_the_hop():
 def test_motion_that_thinning_loses_is_named(noise):
     """A response of 20 samples, read at every eighth, left 0.2 unexplained without a word."""
     u, y = record(samples=200.0, rows=6000, noise=noise)
-    with pytest.warns(IdentifiabilityWarning, match=r"hop=8: .* \['y'\] keep but") as told:
+    with pytest.warns(IdentifiabilityWarning, match=r"hop=8: .* \['y'\] keep only") as told:
         fitted(u, y, samples=200.0, hop=8)
     hop = int(re.search(r"HarmonicAnalyzer hop=(\d+)", str(told[0].message))[1])
     assert 2 <= hop <= 4
@@ -137,7 +137,7 @@ def test_modes_are_not_sorted_while_models_are_compared(monkeypatch):
 
     monkeypatch.setattr(PeriodicInnovations, "multiplier_logarithms", sorting)
     u, y = record(samples=3000.0, rows=6000)
-    with pytest.warns(IdentifiabilityWarning, match="what the model leaves is not noise"):
+    with pytest.warns(IdentifiabilityWarning, match="the model's residuals are not noise"):
         pipe = fitted(u, y, samples=3000.0, hop=1)
     assert pipe.score(u, y) > 0.99
 
@@ -164,7 +164,7 @@ def test_an_order_too_high_is_a_question_of_rows():
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         MOESPRegressor(order=12).fit(analyzer.fit(u, y).transform(u), y)
-    assert any("rows enough for order 12" in str(each.message) for each in told)
+    assert any("rows are enough for order 12" in str(each.message) for each in told)
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")

@@ -158,7 +158,7 @@ def test_the_reducer_has_nothing_to_remove_and_says_so(fitted, measured):
     u, y = measured
     reducer = fitted["reduce"]
     assert set(reducer.modes_["verdict"]) == {"genuine"}
-    assert set(reducer.modes_["reason"]) == {"at the sensors' clock, without a window"}
+    assert set(reducer.modes_["reason"]) == {"identified from samples, without a window"}
     assert reducer.n_states_ == 2
     wanted = np.sort_complex(fitted["identify"].model_.exponents())
     found = np.sort_complex(reducer.modes_["eigenvalue"].to_numpy(complex))
@@ -265,10 +265,12 @@ def test_one_output_leads_to_floquet_coordinates():
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_structure_that_cannot_respond_so_is_told(measured):
     rigid = HarmonicStructure(F={"0": [[0, 1], [-1.0, -0.2]]}, G={"0": [[0], ["b"]]})
-    with pytest.warns(IdentifiabilityWarning, match="variance of the response.*structure=None"):
+    with pytest.warns(
+        IdentifiabilityWarning, match="variance of the identified model's.*structure=None"
+    ):
         pipeline(2.0, structure=rigid).fit(*measured)
     growing = HarmonicStructure(F={"0": [[0, 1], [-1.0, 0.4]]}, G={"0": [[0], ["b"]]})
-    with pytest.warns(InstabilityWarning, match="model identified is stable"):
+    with pytest.warns(InstabilityWarning, match="identified model is stable"):
         pipeline(2.0, structure=growing).fit(*measured)
 
 
@@ -279,7 +281,7 @@ def test_time_invariant_models_are_matched_in_continuous_time():
     assert apart(pipe.predict(u), pipe[:2].predict(u)) < 1e-3
     assert pipe["match"].system_.isctime()
     same_exponents(pipe["match"].system_.poles(), system, rtol=0.01)
-    with pytest.raises(AttributeError, match="HarmonicStructure only"):
+    with pytest.raises(AttributeError, match="only for a HarmonicStructure"):
         pipe["match"].ltp_  # noqa: B018
     pipe = pipeline(2.0, harmonics=0, structure=OSCILLATOR).fit(u, y)
     truth = {"k": 2.0, "d": 0.2, "b": 1.0}
@@ -294,13 +296,13 @@ def test_time_invariant_models_are_matched_in_continuous_time():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"output_weights": 2.0}, "closed form, where nothing is weighed"),
-        ({"input_noise": 0.1}, "maximum likelihood only"),
+        ({"output_weights": 2.0}, "closed form, which uses no weights"),
+        ({"input_noise": 0.1}, "needs maximum likelihood"),
         ({"structure": OSCILLATOR}, r"MatrixStructure is time-invariant.*output_harmonics=0"),
         ({"structure": HarmonicStructure(states=["y", "q"])}, "not among them"),
         (
             {"structure": HarmonicStructure(F={"0": np.full((3, 3), np.nan)})},
-            r"3 states, the identified model 2.*order=3",
+            r"3 states, but the identified model has 2.*order=3",
         ),
     ],
 )
@@ -310,7 +312,7 @@ def test_what_makes_no_sense_is_refused(measured, settings, words):
 
 
 def test_entries_of_states_that_nothing_measures_are_refused():
-    with pytest.raises(ValueError, match="do not determine the 2 states that the structure"):
+    with pytest.raises(ValueError, match="do not determine the 2 states for which the structure"):
         pipeline(2.0, order=2, structure=SWINGING).fit(*record(deflection_only()))
 
 

@@ -220,8 +220,8 @@ REFUSED = {
     "one sign": (
         "odd",
         {"amplitudes": [1.0, -1.0, 0.5]},
-        r"no partner for record 'r2' among .*: its input is 0.5 times that of 'r0', and none is "
-        r"-0.5 times it .* leave 'r2' out, or use small_signal='extrapolate'",
+        r"no partner for record 'r2' among .*: its input is 0.5 times that of 'r0', and no record "
+        r"is -0.5 times it .* leave 'r2' out, or use small_signal='extrapolate'",
     ),
     "another phase": (
         "odd",
@@ -232,9 +232,9 @@ REFUSED = {
     "one amplitude": (
         "extrapolate",
         {"amplitudes": [1.0, 1.0]},
-        r"found but one amplitude for record 'r0' .* give records of one waveform at two",
+        r"found only one amplitude for record 'r0' .* give records of one waveform at two",
     ),
-    "at rest": ("odd", {"amplitudes": [1.0, -1.0, 0.0]}, r"the input of record 'r2' at rest"),
+    "at rest": ("odd", {"amplitudes": [1.0, -1.0, 0.0]}, r"the input of record 'r2' is at rest"),
 }
 
 

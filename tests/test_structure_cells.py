@@ -89,10 +89,10 @@ REFUSED = {
     "k1/k1": rf"divides by 'k1'; {AFFINE}",
     "0*k": r"does not depend on 'k'; leave it out",
     "k1 + k2 - k1": r"does not depend on 'k1'; leave it out",
-    "k/0": r"is no entry: its numbers must be finite",
-    "1e999*k": r"is no entry: its numbers must be finite",
-    "1/0": r"is no entry: its numbers must be finite",
-    "inf": r"A\[0,0\] = inf is no entry; give a finite number",
+    "k/0": r"is not an entry: its numbers must be finite",
+    "1e999*k": r"is not an entry: its numbers must be finite",
+    "1/0": r"is not an entry: its numbers must be finite",
+    "inf": r"A\[0,0\] = inf is not an entry; give a finite number",
     "2*nan": r"is not understood",
     "k + inf": r"is not understood",
     "2k": r"A\[0,0\] = '2k' is not understood; write numbers and parameters with \+ - \* /",
@@ -130,7 +130,7 @@ def test_texts_that_are_no_entries_are_refused(text):
 def test_values_that_are_no_entries_are_refused(value):
     matrix = np.empty((1, 1), dtype=object)
     matrix[0, 0] = value
-    with pytest.raises(ValueError, match=r"A\[0,0\] = .* is no entry; give a finite number"):
+    with pytest.raises(ValueError, match=r"A\[0,0\] = .* is not an entry; give a finite number"):
         MatrixStructure(matrix, [[1.0]])
 
 

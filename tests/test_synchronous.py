@@ -71,8 +71,8 @@ def test_an_input_that_changes_at_every_sample():
 @pytest.mark.parametrize("n_periods", [60, 120])
 def test_too_few_periods_for_such_an_input_are_said(n_periods):
     message = (
-        rf"move in {min(64, n_periods)} directions within the period, of which {n_periods} periods "
-        rf"tell \d+ apart .* \d+ consecutive periods would do; use a longer record"
+        rf"move in {min(64, n_periods)} directions within the period, and {n_periods} periods "
+        rf"can separate \d+ .* \d+ consecutive periods would be enough; use a longer record"
     )
     with pytest.raises(ValueError, match=message):
         fit_wing(random_changes(n_periods))
@@ -265,7 +265,7 @@ def test_an_input_without_a_mean_over_any_period():
         values[32 * k : 32 * k + 16], values[32 * k + 16 : 32 * k + 32] = 1.0, -1.0
     u, y = record(system, u=values)
     pipe = synchronous(2.0)
-    with pytest.warns(ExcitationWarning, match="fits what inputs do within the period"):
+    with pytest.warns(ExcitationWarning, match="fits the effect of inputs within the period"):
         pipe.fit(u, y)
     comes_back(pipe, system)
 
@@ -338,7 +338,7 @@ def test_a_matrix_structure_goes_through_the_closed_form():
     match = fit_wing(data, structure=structure)["match"]
     exact = data.A_exact.to_numpy()
     assert np.linalg.norm(match.system_.A - exact) <= 1e-6 * np.linalg.norm(exact)
-    with pytest.raises(AttributeError, match="ltp_ is there for a HarmonicStructure only"):
+    with pytest.raises(AttributeError, match="ltp_ exists only for a HarmonicStructure"):
         _ = match.ltp_
 
 

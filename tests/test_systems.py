@@ -223,7 +223,7 @@ def test_trim_states_are_read_only(orbit):
 @pytest.mark.parametrize("method", ["harmonic_balance", "shooting"])
 def test_trim_failure_says_what_to_do(wing, method):
     weightless = flapping_wing(k_L=1e-12)
-    with pytest.raises(TrimError, match="give a guess nearer"):
+    with pytest.raises(TrimError, match="give a guess closer"):
         weightless.trim(10, method=method, guess=(np.ones((3, 2)), np.zeros(1)))
 
 
@@ -237,7 +237,7 @@ def test_trim_failure_says_what_to_do(wing, method):
         ({"inputs": {"V": 0.0}}, r"inputs names \['V'\]; the inputs are \['U'\]"),
         ({"inputs": {"U": 0.0}}, r"1 targets cannot determine the free inputs \[\]"),
         ({"guess": (np.zeros((3, 1)), np.zeros(1))}, r"coefficients \(2 K \+ 1, 2\)"),
-        ({"n_points": 50}, "n_points=50 cannot tell"),
+        ({"n_points": 50}, "n_points=50 cannot separate"),
     ],
 )
 def test_trim_refuses(wing, arguments, message):

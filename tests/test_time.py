@@ -96,8 +96,8 @@ NO_TIMES = {
         r"pd.to_datetime\(data.index\)",
     ),
     "periods": (pd.period_range("2026", periods=20, freq="s"), r"data.index.to_timestamp\(\)"),
-    "text": (pd.Index(list("abcdefghijklmnopqrst")), r"which is no time; use seconds"),
-    "truth": (pd.Index([True, False] * 10), r"dtype bool, which is no time; use seconds"),
+    "text": (pd.Index(list("abcdefghijklmnopqrst")), r"which is not a time; use seconds"),
+    "truth": (pd.Index([True, False] * 10), r"dtype bool, which is not a time; use seconds"),
 }
 
 
@@ -128,10 +128,10 @@ def test_an_index_that_is_no_time(case):
 def test_records_that_take_turns_or_have_no_label():
     data = pd.concat({"a": frame(TIMES), "b": frame(TIMES)}, names=["record", "time"])
     with pytest.raises(
-        ValueError, match=r"records .* take turns \(rows 0 and 1 are of 'a' and 'b'\)"
+        ValueError, match=r"records .* are mixed \(rows 0 and 1 are of 'a' and 'b'\)"
     ):
         read_time(data.sort_index(level="time"))
-    with pytest.raises(ValueError, match=r"take turns .* drawn at random \(HalvingGridSearchCV"):
+    with pytest.raises(ValueError, match=r"are mixed .* drawn at random \(HalvingGridSearchCV"):
         read_time(data.sample(frac=1.0, random_state=0))
     codes = [[0] * 20 + [-1] * 20, [*range(20), *range(20)]]
     missing = pd.MultiIndex([["a"], TIMES], codes, names=["record", "time"])
@@ -143,7 +143,7 @@ def test_short_segments_say_what_made_them_so(rng):
     rows = np.sort(rng.choice(600, 400, replace=False))
     base = read_time(frame(rows / 16))
     assert "fall into" in why_short(base)
-    assert "drawn at random, as by a shuffled split, or thinned out?" in why_short(base)
+    assert "drawn at random, as by a shuffled split, or thinned out:" in why_short(base)
     assert why_short(read_time(frame(np.r_[0:300, 340:600, 620:900] / 16))) == ""
     X = frame(TIMES).reset_index(drop=True)
     long = pd.concat([X] * 10, ignore_index=True)
@@ -279,7 +279,9 @@ def test_resampling_does_not_depend_on_the_origin_of_time():
     X = pd.DataFrame({"u": np.cos(omega * t)}, index=t)
     found = []
     for data in (X, moved(X, UNIX, 2 * np.pi / omega)):
-        with pytest.warns(ResamplingWarning, match="Interpolation errs by .* 2e-07 of 'u'"):
+        with pytest.warns(
+            ResamplingWarning, match="The interpolation error is at most .* 2e-07 of 'u'"
+        ):
             found.append(HarmonicAnalyzer(omega, input_harmonics=1).fit_transform(data).to_numpy())
     np.testing.assert_allclose(*found, atol=3e-4)  # the first time is rounded: 1e-4 rad
 

@@ -74,7 +74,7 @@ def test_coefficients_of_a_periodic_signal_are_those_of_a_whole_number(samples, 
 def test_the_model_is_that_of_a_whole_number_of_samples(wing, samples):
     whole = pipeline(wing.omega).fit(wing.inputs, wing.outputs)
     X, y = record(wing, samples)
-    with pytest.warns(ResamplingWarning, match=r"Interpolation errs by at most .* of 'w'"):
+    with pytest.warns(ResamplingWarning, match=r"The interpolation error is at most .* of 'w'"):
         pipe = pipeline(wing.omega).fit(X, y)
     system, exact = pipe["reduce"].system_, wing.A_exact.to_numpy()
     assert same_poles(system.poles(), whole["reduce"].system_.poles(), 1e-4)

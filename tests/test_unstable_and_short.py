@@ -104,7 +104,7 @@ def test_an_unstable_orbit_through_the_sliding_analyzer():
 def test_growth_that_hides_the_rest_is_the_reason_named(pipe):
     X, y = record(orbit(0.5), 60)
     first = messages(pipe, X, y)[0]
-    assert "outputs grow 1.67 times a period up to the last of the rows" in first
+    assert "the outputs grow by a factor of 1.67 per period up to the last of the rows" in first
     assert "use records of at most 26.8 s (26 periods), or fly with a controller" in first
     X, y = X.loc[:26], y.loc[:26]
     assert not any("outputs grow" in message for message in messages(pipe, X, y))
@@ -181,7 +181,7 @@ def matched(data, **kwargs):
     return pipe.fit(data.inputs, data.outputs)
 
 
-@pytest.mark.filterwarnings("ignore:.*in a rest that is no noise")
+@pytest.mark.filterwarnings("ignore:.*in residuals that are not noise")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
 def test_an_order_too_high_for_the_free_decays_is_in_doubt(noisy):
     """The third mode is noise's: the match keeps the multipliers identified, and does not grow."""
@@ -269,7 +269,9 @@ def harmonic_match(seed, **match):
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
 def test_a_match_that_explodes_on_its_own_record_is_no_model(criterion):
     pipe, u, y = harmonic_match(7, criterion=criterion)
-    with pytest.raises(UnstableModelError, match=r"times what there is .* own training record"):
+    with pytest.raises(
+        UnstableModelError, match=r"times the variance of an output.* own training record"
+    ):
         pipe.fit(u, y)
     with pytest.raises(NotFittedError):
         pipe[-1].predict(u)

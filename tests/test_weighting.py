@@ -195,9 +195,11 @@ def test_a_few_sines_excite_fewer_directions_than_block_rows(rng):
     y = propagate(SLOW_A, u @ SLOW_B.T, np.array([5.0, 0.0])) @ SLOW_C.T
     y = y + 0.3 * rng.standard_normal((2000, 1))
     for weighting in WEIGHTINGS:
-        message, worst = "asks for", 0.45 if weighting == "n4sid" else 0.34
+        message, worst = r"input\(s\) needs", 0.45 if weighting == "n4sid" else 0.34
         if weighting == "pbsid":
-            message = "the inputs excite 6 directions, so that a predictor may reach back 3 rows"
+            message = (
+                "the inputs excite only 6 directions, so a predictor can use at most 3 past rows"
+            )
             worst = 0.55
         model = MOESPRegressor(2, weighting=weighting, disturbance_model=True)
         with pytest.warns(ExcitationWarning, match=message):
@@ -205,7 +207,7 @@ def test_a_few_sines_excite_fewer_directions_than_block_rows(rng):
         assert model.singular_values_[0] < 1e3
         assert np.std(y - model.predict_ahead(u, y)) < worst < np.std(y)
     with (
-        pytest.warns(ExcitationWarning, match="reach back 3 rows"),
+        pytest.warns(ExcitationWarning, match="at most 3 past rows"),
         pytest.raises(ValueError, match="order=4 exceeds the rank bound 2 of block_rows=3"),
     ):
         MOESPRegressor(4, weighting="pbsid").fit(u, y)
@@ -216,7 +218,7 @@ def test_periodic_inputs_bound_how_far_back_a_predictor_reaches(rng):
     u = np.tile(rng.choice([-1.0, 1.0], 20), 150)[:, None]
     y = propagate(SLOW_A, u @ SLOW_B.T, np.zeros(2)) @ SLOW_C.T
     y = y + 0.3 * rng.standard_normal((3000, 1))
-    with pytest.warns(ExcitationWarning, match="a predictor may reach back"):
+    with pytest.warns(ExcitationWarning, match="a predictor can use at most"):
         model = MOESPRegressor(2, weighting="pbsid").fit(u, y)
     wanted = np.array([SLOW_C @ np.linalg.matrix_power(SLOW_A, j) @ SLOW_B for j in range(8)])
     assert off(impulse_response(model), wanted) < 0.05
@@ -345,7 +347,7 @@ def test_scores_ahead_want_a_gain(rng):
     X, Y = frames(*disturbed(rng, 2, 1, 1).simulate(rng, 400)[:2])
     model = MOESPRegressor(2).fit(X, Y)
     scorer = simulation_scorer(r2_score, horizon=3)
-    with pytest.raises(ValueError, match="for which MOESPRegressor has no Kalman gain"):
+    with pytest.raises(ValueError, match="but this MOESPRegressor has no Kalman gain"):
         scorer(model, X, Y)
     with pytest.raises(ValueError, match="horizon must be a whole number of at least 1"):
         simulation_scorer(r2_score, horizon=0)
@@ -396,7 +398,7 @@ def test_outputs_alone_in_chunks(rng):
 
 def test_outputs_alone_without_a_gain_make_no_transfer_function(rng):
     model = MOESPRegressor(1, block_rows=4).fit(None, np.cumsum(rng.standard_normal(200)))
-    with pytest.raises(AttributeError, match="without a Kalman gain, has no inputs"):
+    with pytest.raises(AttributeError, match="without a Kalman gain cannot be written"):
         _ = model.system_
 
 

@@ -293,7 +293,7 @@ def test_three_azimuths_do_not_make_a_series_of_blade_matrices():
     poles = multiblade_model(files).poles()
     assert np.exp(poles.real * system.period).max() < 1.02
     for settings in ({"n_harmonics": 1}, {"coordinates": "rotating", "n_harmonics": 2}):
-        with pytest.raises(ValueError, match="azimuths do not tell the"):
+        with pytest.raises(ValueError, match="azimuths do not determine the"):
             rotor_system(files, **settings)
 
 

@@ -103,7 +103,7 @@ def fitted(pipe, u, y):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         pipe.fit(u, y)
-    words = ("no white noise", "parts of the record disagree", "time constants")
+    words = ("not white noise", "parts of the record disagree", "time constants")
     return pipe, [word for word in words if any(word in str(each.message) for each in told)]
 
 

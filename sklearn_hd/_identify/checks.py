@@ -1,4 +1,4 @@
-"""What block rows, order and weighting the data allow."""
+"""Checks of block rows, order and weighting against the data."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def checked(settings):
     if settings.block_rows is not None:
         check_count("block_rows", settings.block_rows, 2, "None chooses them")
     if settings.half_life is not None and settings.half_life != np.inf:
-        hint = "partial_fit then forgets; None or infinity forgets nothing"
+        hint = "partial_fit then forgets old rows; None or infinity forgets nothing"
         check_positive("half_life", settings.half_life, "periods, or seconds", hint)
     free = settings.feedthrough
     if not (isinstance(free, bool | np.bool_) or (isinstance(free, str) and free == "auto")):
@@ -103,9 +103,9 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
         )
         rows = f"{sum(data.lengths)} {unit}(s) (n_samples = {data.facts.n_samples})"
         raise ValueError(
-            f"the {data.facts.span()} give {rows} to identify from, too few for "
-            f"block_rows={i}: at least {need + 2 * i - 1} consecutive {unit}s are needed with "
-            f"{n_inputs} {moving}{data.facts.why_short}; {way_out}"
+            f"the {data.facts.span()} give {rows}, which are too few for block_rows={i}: at least "
+            f"{need + 2 * i - 1} consecutive {unit}s are needed with {n_inputs} "
+            f"{moving}{data.facts.why_short}; {way_out}"
         )
     return i
 
@@ -115,9 +115,9 @@ def warn_excitation(excited, block_rows, n_moving, span):
     need = 2 * block_rows * n_moving
     if excited < need:
         warn(
-            f"the inputs in the {span} excite {excited} directions, but "
-            f"block_rows={block_rows} with {n_moving} input(s) asks for {need}; "
-            f"use a richer input or fewer block rows, and trust the order with care",
+            f"the inputs in the {span} excite {excited} directions, but block_rows={block_rows} "
+            f"with {n_moving} input(s) needs {need}; use a richer input or fewer block rows, and "
+            f"check the order with care",
             ExcitationWarning,
         )
 
@@ -154,9 +154,8 @@ def rows_of_predictor(data, first, size, settings):
         if excited < 2 * most * n_inputs:
             most = max(2, excited // (2 * n_inputs))
             warn(
-                f"the inputs excite {excited} directions, so that a predictor may reach back "
-                f"{most} rows and no further: what it has not forgotten by then is lost; use "
-                f"a richer input",
+                f"the inputs excite only {excited} directions, so a predictor can use at most "
+                f"{most} past rows: dynamics that last longer are lost; use a richer input",
                 ExcitationWarning,
             )
             R = data.factor(most, size)

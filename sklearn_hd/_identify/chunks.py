@@ -1,8 +1,8 @@
-"""Data that arrive in chunks: what ``MOESPRegressor.partial_fit`` keeps of them.
+"""Data that arrive in chunks, and the sums that ``MOESPRegressor.partial_fit`` keeps.
 
-Rows are read as a fit would read them all at once: plain rows as they are; through a sliding
-window those at ψ = 0 mod hop, once their windows, hops and whole periods are complete. The raw
-rows that this takes are carried over to the next chunk; the rest are statistics that merge.
+Rows are read as in a fit of all rows: plain rows as they are; through a sliding window those at ψ
+= 0 mod hop, as soon as their windows, hops and whole periods are complete. The raw rows that this
+needs are carried over to the next chunk; the rest are statistics that merge.
 With a half-life the rows are weighted by their age
 (:mod:`~sklearn_hd.algorithms.subspace.forgetting`).
 """
@@ -86,7 +86,7 @@ class Stream:
     changes : ndarray, shape (samples_per_period, n_drive), or None
         Largest changes of the drive, by phase.
     forgetting : Forgetting
-        Of the rows read.
+        Of the analysed rows.
     n_read : int
         Rows read.
     moved : ndarray, shape (m,)
@@ -175,8 +175,8 @@ class Stream:
         if experiment.basis.harmonic != self.basis.harmonic:
             has, had = ("a ", "no ") if experiment.basis.harmonic else ("no ", "a ")
             raise ValueError(
-                f"this chunk carries {has}harmonic basis, the first one {had.strip()} one; pass "
-                f"all chunks through the same HarmonicAnalyzer, or none"
+                f"this chunk carries {has}harmonic basis, the first one carried {had.strip()} one; "
+                f"pass all chunks through the same HarmonicAnalyzer, or none"
             )
         difference = first_difference(experiment.basis, self.basis)
         if difference is not None:
@@ -229,8 +229,8 @@ class Stream:
             raise ValueError(
                 f"this chunk begins at t = {at(time[0] + self.record.ahead)}, before the end of "
                 f"the last one (t = {at(self.record.time[-1] + self.record.ahead)}) in the same "
-                f"record; give chunks in order, or rows of other records a label of their own in "
-                f"a (record, time) MultiIndex"
+                f"record; give chunks in time order, or label the rows of another record in a "
+                f"(record, time) MultiIndex"
             )
         return step < 1.5
 
@@ -360,13 +360,13 @@ def with_chunk(stream, experiment, X, settings):
         stream = Stream.begin(experiment, asked, forgetting, _first_date(X))
     elif forgetting != stream.forgetting:
         raise ValueError(
-            f"half_life={settings.half_life} is other than that of the chunks before, whose rows "
+            f"half_life={settings.half_life} differs from that of the earlier chunks, whose rows "
             f"are weighted already; begin anew with a clone of the estimator"
         )
     elif asked > stream.block_rows:
         raise ValueError(
-            f"block_rows={asked} asks for more than the {stream.block_rows} that the first "
-            f"chunk was read with; begin anew with a clone of the estimator"
+            f"block_rows={asked} is more than the {stream.block_rows} with which the first chunk "
+            f"was read; begin anew with a clone of the estimator"
         )
     return stream.with_chunk(experiment)
 
@@ -387,7 +387,7 @@ def model_so_far(stream, settings):
 
 
 def _half_life_in_rows(basis, sample_time, settings):
-    """The half-life given, in periods or, of plain data, in seconds; in rows read."""
+    """The given half-life (periods, or seconds of plain data) in analysed rows."""
     if settings.half_life is None:
         return np.inf
     rows_per_unit = basis.rows_per_period if basis.harmonic else 1.0 / sample_time
@@ -405,8 +405,8 @@ def _check_half_life(experiment, settings, forgetting):
     if most < need:
         unit = "periods" if basis.harmonic else "seconds"
         raise ValueError(
-            f"half_life={settings.half_life} {unit} remembers {most:.3g} rows at a time, too few "
-            f"for block_rows={i} with {p} signals, which ask for {need}; use "
+            f"half_life={settings.half_life} {unit} keeps a memory of only {most:.3g} rows, too "
+            f"few for block_rows={i} with {p} signals, which need {need}; use "
             f"half_life={1.01 * need / most * settings.half_life:.3g} or more, or fewer block rows"
         )
 
@@ -425,8 +425,8 @@ def _suffices(data, settings):
     if facts.still or not facts.outputs_move.any():
         what = f"the inputs {list(facts.still)} are" if facts.still else "all outputs are"
         warn(
-            f"{what} at rest in the {facts.span()}: there is no model until a chunk comes in "
-            f"which they move",
+            f"{what} at rest in the {facts.span()}: there is no model until they move in a later "
+            f"chunk",
             ExcitationWarning,
         )
         return False
@@ -445,9 +445,9 @@ def read_chunk(X, y, stream=None):
     basis = experiment.basis
     if basis.reading in ("period", "sample"):
         raise ValueError(
-            f"partial_fit reads plain rows or a sliding window, not reading={basis.reading!r}, "
-            f"where a model depends on the record as a whole; use fit, or an analyzer with "
-            f"reading='sliding'"
+            f"partial_fit accepts plain rows or a sliding window. A model of "
+            f"reading={basis.reading!r} depends on the record as a whole; use fit, or an analyzer "
+            f"with reading='sliding'"
         )
     if basis.small_signal is not None:
         raise ValueError(
@@ -456,14 +456,14 @@ def read_chunk(X, y, stream=None):
         )
     if basis.timing.missing != RAISE:
         raise ValueError(
-            f"partial_fit takes no missing samples (missing={basis.timing.missing!r}): what is "
-            f"bridged at the end of a chunk depends on the next; fill them before, or use fit"
+            f"partial_fit takes no missing samples (missing={basis.timing.missing!r}): filling a "
+            f"gap at the end of a chunk needs the next chunk; fill them before, or use fit"
         )
     if not all(piece.is_grid for piece in experiment.sampling.pieces):
         raise ValueError(
-            "the rows of this chunk would have to be resampled (an azimuth, jitter, or no whole "
-            "number of samples in a period), which depends on rows of the next; resample the "
-            "record before it is cut into chunks, or use fit"
+            "the rows of this chunk need resampling (because of an azimuth, jitter, or a period "
+            "without a whole number of samples), which depends on rows of the next chunk; resample "
+            "the record before you cut it into chunks, or use fit"
         )
     return experiment
 
@@ -474,12 +474,12 @@ def _check_first(experiment, block_rows, n_channels):
     single = all(s.stop - s.start == 1 for s in base.segments)
     if not experiment.basis.harmonic and single and not base.counted:
         raise ValueError(
-            f"no record of the first chunk has two rows (n_samples = {len(base.time)}), from which "
-            f"the sample time could be told; begin with a longer chunk"
+            f"no record of the first chunk has two rows (n_samples = {len(base.time)}), so the "
+            f"sample time is unknown; begin with a longer chunk"
         )
     size = 8.0 * (2.0 * block_rows * n_channels) ** 2
     if size > MOST_BYTES:
         raise ValueError(
-            f"block_rows={block_rows} with {n_channels} signals asks for sums of {size:.2g} bytes; "
+            f"block_rows={block_rows} with {n_channels} signals needs sums of {size:.2g} bytes; "
             f"use fewer block rows"
         )

@@ -1,10 +1,10 @@
-"""Time delays beside a subspace fit: whole samples searched, and refined where data are plain.
+"""Time delays with a subspace fit: a search over whole samples, refined for plain data.
 
-1. The lag at which each output first answers to each input, by the criterion of a regression
+1. The lag at which each output first responds to each input, by the criterion of a regression
    (:func:`~sklearn_hd.algorithms.likelihood.delay_search.first_answers`).
-2. Delays of inputs and outputs whose sums these lags are.
+2. Delays of inputs and outputs; these lags are their sums.
 3. Plain data: the likelihood of the time-invariant model with all entries free, and the delays.
-   Any other model gets there in :class:`~sklearn_hd.StructuredMatcher`.
+   Other models are refined in :class:`~sklearn_hd.StructuredMatcher`.
 4. The model, by the subspace method of its reading, in the machine's own time.
 """
 
@@ -74,7 +74,7 @@ def _searched(experiment, delays):
     """Whole samples of the delays that are left to the data."""
     basis, dt, m = experiment.basis, experiment.base.sample_time, delays.n_inputs
     if not m:
-        raise ValueError("a delay 'auto' is told by inputs, and there are none; give seconds")
+        raise ValueError("a delay 'auto' is found from inputs, and there are none; give seconds")
     most, count = most_samples(experiment), HARMONICS if basis.harmonic else 0
     segments = list(zip(experiment.inputs, experiment.outputs, experiment.phases, strict=True))
     lags = first_answers(segments, most, OWN_PAST, count)
@@ -83,8 +83,8 @@ def _searched(experiment, delays):
     silent = np.concatenate([~told.any(axis=0), ~told.any(axis=1)]) & delays.free
     if silent.any() and basis.harmonic:  # of plain data the likelihood tells
         warn(
-            f"no answer of outputs to inputs within {most} samples ({most * dt:.3g} s) tells the "
-            f"delays of {names[silent].tolist()}: they are taken for zero; refine them with "
+            f"no output answers the inputs within {most} samples ({most * dt:.3g} s), so the "
+            f"delays of {names[silent].tolist()} are taken as zero; refine them with "
             f"StructuredMatcher(criterion='output_error'), use inputs that move more, or give them",
             IdentifiabilityWarning,
         )

@@ -1,10 +1,10 @@
-"""Inputs as a sliding window sees them: what is projected out of the future.
+"""Inputs as a sliding window sees them, for the projection of the future outputs.
 
-A periodic system seen through a sliding window answers to an input in another way at each
-phase of the period. Its coefficients at the rows read are time-invariant
+The response of a periodic system, seen through a sliding window, depends on the phase of the
+period. Its coefficients at the analysed rows are time-invariant
 
 - to u itself, where u changes at one phase of the period alone;
-- to u, u cos pψ, u sin pψ, …, but for what u does within a hop (Wereley, 1990);
+- to u, u cos pψ, u sin pψ, …, except for what u does within a hop (Wereley, 1990);
 - to the samples of u within each hop, times what tells the rows of a period apart:
   exactly, for whatever moves within one hop is in w, and the response to w at row k,
 

@@ -1,9 +1,8 @@
 """Identification from dask DataFrames: statistics of each partition, merged as a tree.
 
-The data are read where they are, once (through an analysis window once more before that, for the
-phases at which inputs change). Records may end within a partition or run through several; those
-that are read through a window lie within one. Neighbours are merged where they are, and what
-arrives here is one statistic.
+The workers read the data once (with an analysis window once more before that, for the phases at
+which inputs change). Records may end within a partition or run through several; those read through
+a window lie within one. Neighbours are merged by the workers, and only one statistic is returned.
 """
 
 import pickle
@@ -137,7 +136,7 @@ class Partitions:
 
 
 def _basis_of(X):
-    """The basis that rides on a dask DataFrame, as its meta shows; that of plain rows without.
+    """The basis that a dask DataFrame carries, as its meta shows; that of plain rows without.
 
     Raises
     ------
@@ -151,8 +150,8 @@ def _basis_of(X):
         if whole:
             what = f"reading={basis.reading!r}"
         raise ValueError(
-            f"X was analysed with {what}, which looks at all records at once; give frames in "
-            f"memory, X.compute() and y.compute(), or analyse with reading='sliding' and "
+            f"X was analysed with {what}, which needs all records at once; load the data into "
+            f"memory with X.compute() and y.compute(), or analyse with reading='sliding' and "
             f"small_signal=None"
         )
     return basis
@@ -181,14 +180,14 @@ def _matched(X, y):
     for what, data in (("X", X), ("y", y)):
         if not is_partitioned(data):
             raise TypeError(
-                f"{what} is a {type(data).__name__} in memory, and the other of X and y a dask "
+                f"{what} is a {type(data).__name__} in memory, but the other of X and y is a dask "
                 f"collection; take both from one dask DataFrame (X = data[[...]], y = "
                 f"data[[...]]), or compute both"
             )
         if not hasattr(data, "divisions"):
             raise TypeError(
-                f"{what} is a dask {type(data).__name__}, which carries no index of times; give a "
-                f"dask DataFrame"
+                f"{what} is a dask {type(data).__name__}, which has no index of times; give a dask "
+                f"DataFrame"
             )
     if X.npartitions != y.npartitions:
         raise ValueError(
@@ -317,7 +316,7 @@ def _follows(here, later, steps, windowed):
     step = _median_step(steps)
     if step is None:
         raise ValueError(
-            f"{place}, after one of a single row, which tells no sample time; give fewer, larger "
+            f"{place}, after one of a single row, which gives no sample time; use fewer, larger "
             f"partitions: X.repartition(npartitions=...)"
         )
     samples, tolerance = apart / step, STEP_TOLERANCE + rounding / step
@@ -325,14 +324,14 @@ def _follows(here, later, steps, windowed):
         return True
     if windowed and samples < 1.5:
         raise ValueError(
-            f"{place}, where record {here.record!r} goes on: rows read through a window depend on "
-            f"those before; give whole records to each partition"
+            f"{place}, inside record {here.record!r}, but rows read through a window depend on the "
+            f"rows before; keep each record in one partition"
         )
     if round(samples) < 2 or abs(samples - round(samples)) > tolerance * samples:
         raise ValueError(
-            f"{place}, {samples:.5g} samples of {step:.6g} s after the end of the one before it: "
-            f"neither the next sample nor a gap of a whole number of them; resample the data "
-            f"before they are partitioned"
+            f"{place}, {samples:.5g} samples of {step:.6g} s after the end of the partition "
+            f"before: this is neither the next sample nor a gap of a whole number of samples; "
+            f"resample the data before you partition them"
         )
     return False
 
@@ -392,10 +391,11 @@ def _read(partition, X, y, basis):
     try:
         found = as_frame(X).basis
         if (found is not None) != basis.harmonic:
-            has = "no harmonic basis, which X had" if found is None else "a harmonic basis, X none"
+            given, had = ("no", "one") if found is None else ("a", "none")
             raise ValueError(
-                f"its frame carries {has} when the graph was built; give the analyzer's frame as "
-                f"meta: X.map_partitions(analyzer.transform, meta=analyzer.transform(u).iloc[:0])"
+                f"its frame carries {given} harmonic basis, but X had {had} when the graph was "
+                f"built; give the analyzer's frame as meta: "
+                f"X.map_partitions(analyzer.transform, meta=analyzer.transform(u).iloc[:0])"
             )
         return _windowed(X, y, found, basis) if basis.harmonic else _plain(X, y)
     except (TypeError, ValueError) as error:
@@ -408,8 +408,8 @@ def _plain(X, y):
     if base.jitter[1] > 0.0:
         raise ValueError(
             f"the rows are off an even grid of {base.sample_time:.4g} s by up to "
-            f"{base.jitter[1]:.2g} s; partitions are not resampled: resample the "
-            f"records, or give frames in memory, X.compute() and y.compute()"
+            f"{base.jitter[1]:.2g} s, and partitions are not resampled: resample the records, or "
+            f"load them into memory with X.compute() and y.compute()"
         )
     return read_experiment(X, y)
 

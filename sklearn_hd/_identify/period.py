@@ -1,8 +1,8 @@
-"""``reading="period"``: identification of the Poincaré map, one row a period.
+"""``reading="period"``: identification of the Poincaré map, one row per period.
 
-The outputs of a period answer to every sample of the inputs within it, whatever harmonics of
-them are kept: what is projected out of the future are the directions that inputs move in within
-the period. D is always free, for inputs act within the period that they belong to.
+The outputs of a period respond to every sample of the inputs within it, whatever harmonics of them
+are kept. The projection therefore removes the directions in which inputs move within the period. D
+is always free, because inputs act within their own period.
 """
 
 from dataclasses import replace
@@ -181,10 +181,10 @@ def _excitation(experiment, settings):
     if n_all > most:
         need = rows * n_all + 1 + states + 2 * rows - 1
         words = (
-            f"the inputs in the {experiment.span()} move in {n_all} directions within the "
-            f"period, of which {sum(lengths)} periods tell {most} apart at block_rows={rows}: "
-            f"{left_out:.2g} of their energy is taken for noise; {need} consecutive periods "
-            f"would do"
+            f"the inputs in the {experiment.span()} move in {n_all} directions within the period, "
+            f"and {sum(lengths)} periods can separate {most} of them at block_rows={rows}: "
+            f"{left_out:.2g} of their energy counts as noise; {need} consecutive periods would be "
+            f"enough"
         )
         if left_out > MOST_LEFT_OUT:
             raise ValueError(
@@ -224,7 +224,7 @@ def _raw_periods(experiment):
 def _own_map(A, C, noise, experiment, data, unit, settings):
     """The machine's map and what is seen of its states: of the whole record, or at rest.
 
-    Where one linear map does not explain the whole record but for noise, inputs have held a
+    Where one linear map does not explain the whole record except for noise, inputs have held a
     nonlinear machine away from its orbit: its own map is that of its free decays.
     """
     Phi = _refined(A, C, experiment, data, unit, settings.stable)
@@ -265,7 +265,7 @@ def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
 
 
 def _linear(Phi, still, decays, experiment, data):
-    """Whether one map explains the whole record but for noise, and free decays as well as any.
+    """Whether one map explains the whole record except for noise, and free decays as well as any.
 
     By the ratio of likelihoods (Wilks, 1938).
     """

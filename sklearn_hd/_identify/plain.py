@@ -120,8 +120,8 @@ class Choice:
             self._settle(share > 0.0 and not self.settings.predictor, words)
             if share > NOTABLE and self.settings.predictor:
                 warn(
-                    f"{words}; a feedthrough, or a feedback within the row, which look alike, and "
-                    f"D is zero; if no feedback acts within a row, use feedthrough=True",
+                    f"{words}; this can be a feedthrough or a feedback within the row, which look "
+                    f"alike, so D is zero; if no feedback acts within a row, use feedthrough=True",
                     IdentifiabilityWarning,
                 )
         return self.settings
@@ -133,7 +133,7 @@ class Choice:
         words = (
             "inputs explain outputs of their own row" if share > 0.0 else "no input acts at once"
         )
-        return share, f"{words}: {share:.2%} of what the rows before leave of the outputs"
+        return share, f"{words}: {share:.2%} of what earlier rows leave of the outputs"
 
     def _settle(self, free, reason):
         self.settings, self.reason = replace(self.settings, feedthrough=free), reason
@@ -153,9 +153,9 @@ class Choice:
             return order
         warn(
             f"no model explains the outputs: simulations of all orders up to "
-            f"{len(comparison.tried)} leave more than there is; the order is that of the singular "
-            f"values; do outputs follow inputs, with positive delays, and inputs hold still "
-            f"between rows?",
+            f"{len(comparison.tried)} leave more than the outputs' own variance, so the singular "
+            f"values choose the order; check that outputs follow inputs, with positive delays, and "
+            f"that inputs are held between rows",
             IdentifiabilityWarning,
         )
         return by_gap(found, bound)
@@ -176,7 +176,7 @@ class Choice:
             f"{'D free' if gain > 0.0 else 'D = 0'}"
         )
         if gain > 0.0 and alike:
-            self.reason += ", but what is left is alike to a hundredth: D is zero"
+            self.reason += ", but what is left agrees to a hundredth: D is zero"
         return bool(gain > 0.0 and not alike)
 
     def _compared(self, found):
@@ -212,7 +212,7 @@ def static_gain(facts, experiment, settings, block_rows):
     if experiment is None:
         raise ValueError(
             f"the {facts.span()} are too few to identify dynamics from {len(facts.drive_names)} "
-            f"input(s); fit all rows at once, in memory, for a static gain"
+            f"input(s); for a static gain, fit all rows at once in memory"
         )
     inputs, outputs = experiment.drive, experiment.outputs
     n_outputs = outputs[0].shape[1]
@@ -239,5 +239,5 @@ def static_gain(facts, experiment, settings, block_rows):
         feedthrough=True,
         **noise,
     )
-    reason = "the record is too short for dynamics: D is all there is"
+    reason = "the record is too short for dynamics, so the model is D alone"
     return SubspaceFit(model, x0, block_rows, 0, feedthrough_reason=reason)

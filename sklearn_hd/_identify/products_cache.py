@@ -1,7 +1,7 @@
-"""What searches make over and over, kept: products of the data, and what is made of them.
+"""Cache for searches: products of the data, and the factors made from them.
 
-Products and factors lie in a folder, which processes share. What a process has made or loaded
-last it also has at hand, up to some megabytes: reading a file takes longer than a small model.
+Products and factors lie in a folder, which processes share. A process also keeps the ones it used
+last in memory, up to some megabytes, because reading a file takes longer than a small model.
 Records in memory (:mod:`~sklearn_hd._identify.statistics`) ask for them.
 """
 
@@ -185,12 +185,12 @@ def _from_folder(memory, key, make):
             if wrong is None:
                 return found
             file = os.path.join(shelf.store_backend.location, shelf.func_id, shelf.args_id)
-            warn(f"{file} is not what was kept there ({wrong}): made anew", CacheWarning)
+            warn(f"{file} is not what was kept there ({wrong}); it is computed anew", CacheWarning)
             shelf.clear()
     except (OSError, ValueError) as error:  # the latter of joblib's own notes there
         warn(
-            f"the folder memory={memory.location!r} cannot be used ({error}), so that nothing is "
-            f"kept; clear it, give another, or None",
+            f"the folder memory={memory.location!r} cannot be used ({error}), so nothing is kept; "
+            f"clear it, give another, or None",
             CacheWarning,
         )
         return make()
@@ -206,7 +206,7 @@ def _read(shelf, key):
             return value, None
     except Exception as error:  # reading a pickle can raise anything
         return None, f"{type(error).__name__}: {error}"
-    return None, "it is of other data or settings"
+    return None, "it belongs to other data or settings"
 
 
 def _made(key, make):

@@ -1,4 +1,4 @@
-"""What samples at their azimuths may lack, and what their model may have: errors and warnings."""
+"""Errors and warnings for samples at their azimuths, and for their model."""
 
 import numpy as np
 
@@ -42,8 +42,8 @@ def check_turns(experiment):
     turns = sum(len(y) for y in experiment.outputs) / basis.samples_per_period
     if turns < 1.0 and (basis.most_loads or basis.n_harmonics != 0):
         raise ValueError(
-            f"the {experiment.span()} are {turns:.3g} of a turn (omega={basis.omega:.4g} rad/s), "
-            f"in which nothing repeats itself; check omega, use a longer record, or give "
+            f"the {experiment.span()} cover only {turns:.3g} of a turn (omega={basis.omega:.4g} "
+            f"rad/s), so nothing repeats itself; check omega, use a longer record, or give "
             f"output_harmonics=0 and load_harmonics=0 in HarmonicAnalyzer{or_hop(basis)}"
         )
 
@@ -65,7 +65,7 @@ def check_outputs_move(still, facts):
     if names:
         warn(
             f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
-            f"input moves them, their model is their loads alone",
+            f"input moves them, so their model is only their loads",
             IdentifiabilityWarning,
         )
 
@@ -76,10 +76,10 @@ def check_told_from_loads(left, experiment):
     for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
         if rest <= NOTHING * size:
             raise ValueError(
-                f"input {name!r} repeats itself with every turn in the {experiment.span()} (all "
-                f"but {rest / size:.2g} of its size), so that its effect cannot be told from "
+                f"input {name!r} repeats itself with every turn in the {experiment.span()} (except "
+                f"for {rest / size:.2g} of its size), so its effect cannot be separated from "
                 f"periodic loads; use a record in which it changes from turn to turn, drop it, "
-                f"subtract what it rests at, or give load_harmonics below those of the input"
+                f"subtract its rest value, or give load_harmonics below those of the input"
             )
 
 
@@ -87,20 +87,20 @@ def warn_of_little(layout, n_rows, best, basis):
     """Of a record too short for its predictor, and of a model that explains nothing."""
     if n_rows < ROWS_PER_COLUMN * layout.n_columns:
         warn(
-            f"{n_rows} rows tell {layout.n_columns} coefficients of the predictor of each output "
-            f"({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of {layout.n_loads}): "
-            f"with fewer than {ROWS_PER_COLUMN} rows for each the model is largely noise; use a "
-            f"longer record, or fewer of block_rows, output_harmonics, load_harmonics"
-            f"{or_hop(basis)}",
+            f"{n_rows} rows determine {layout.n_columns} coefficients of the predictor of each "
+            f"output ({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of "
+            f"{layout.n_loads}): with fewer than {ROWS_PER_COLUMN} rows for each the model is "
+            f"largely noise; use a longer record, or reduce block_rows, output_harmonics or "
+            f"load_harmonics{or_hop(basis)}",
             IdentifiabilityWarning,
         )
     if best.bic >= 0.0:  # which loads alone have
         warn(
             f"no model explains the outputs better than their loads alone (by Schwarz's "
             f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
-            f"variance about the forced periodic response; do outputs follow inputs, is omega (or "
-            f"the azimuth) that of the machine, and are {n_rows} rows enough for order "
-            f"{best.order} with {best.n_harmonics} harmonic(s)?",
+            f"variance about the forced periodic response; check that outputs follow inputs, that "
+            f"omega (or the azimuth) is that of the machine, and that {n_rows} rows are enough for "
+            f"order {best.order} with {best.n_harmonics} harmonic(s)",
             IdentifiabilityWarning,
         )
 
@@ -119,11 +119,11 @@ def warn_of_drift(data, predictor, experiment, most_rows):
     if abs(t) > DRIFTS and t**2 > NOTABLE * n_rows:
         turns = data.longest * data.step / (2.0 * np.pi)
         warn(
-            f"omega={basis.omega:.9g} does not fit: predictions one sample ahead ask for about "
+            f"omega={basis.omega:.9g} does not fit: predictions one sample ahead indicate about "
             f"omega={basis.omega * (1.0 + drift):.9g} ({abs(t):.2g} standard errors away, which "
-            f"explains {t**2 / n_rows:.0%} of what they leave), and over the {turns:.4g} turns of "
-            f"the longest segment the azimuth drifts by {abs(drift) * turns:.2g} turns or more; "
-            f"correct omega until nothing is said, or give azimuth=",
+            f"explains {t**2 / n_rows:.0%} of what they leave). Over the {turns:.4g} turns of the "
+            f"longest segment the azimuth drifts by {abs(drift) * turns:.2g} turns or more; "
+            f"correct omega until this warning stops, or give azimuth=",
             FrequencyMismatchWarning,
         )
     else:
@@ -158,10 +158,10 @@ def warn_of_rest(segments, innovations, predictor):
     saved = n_outputs * (layout.n_columns - 2 * layout.n_loads - 1) - spent
     if more > 0.0 and n_rows * more > saved * np.log(n_rows):
         warn(
-            f"what the model leaves is not noise: its one-step predictions leave "
-            f"{np.exp(more / n_outputs):.3g} times the variance that the predictor it was made "
-            f"from leaves ({layout.n_lags} lags); states are missing, or badly told: raise order= "
-            f"or use another, fewer harmonics or block_rows, and see residual_tests",
+            f"the model's residuals are not noise: its one-step predictions leave "
+            f"{np.exp(more / n_outputs):.3g} times the variance that its own starting predictor "
+            f"({layout.n_lags} lags) leaves; states are missing or inaccurate: raise order=, "
+            f"change the number of harmonics or block_rows, and see residual_tests",
             IdentifiabilityWarning,
         )
 
@@ -174,9 +174,9 @@ def warn_of_growth(model, best, data):
     turns = data.longest * data.step / (2.0 * np.pi)
     folds = turns * np.log(max(radius, 1e-300))
     warn(
-        f"the model has a Floquet multiplier of size {radius:.4g}, by which it grows "
-        f"{np.exp(min(folds, 700.0)):.3g} times over the longest segment ({turns:.4g} turns): "
-        f"predict overflows or leaves the record where feedback held the machine; use "
-        f"predict_ahead there, stable=True where the machine is stable, or another order",
+        f"the model has a Floquet multiplier of size {radius:.4g}, so it grows by a factor of "
+        f"{np.exp(min(folds, 700.0)):.3g} over the longest segment ({turns:.4g} turns): predict "
+        f"overflows, or leaves the record where feedback held the machine; use predict_ahead "
+        f"there, stable=True where the machine is stable, or another order",
         InstabilityWarning,
     )

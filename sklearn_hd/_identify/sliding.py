@@ -1,8 +1,8 @@
 """``reading="sliding"``: identification of coefficients as a window sees them, row by row.
 
-What is projected out of the future are the inputs, or, where they change at more than one phase
-of the period, the inputs times harmonics of ψ (:mod:`~sklearn_hd._identify.modulation`).
-Block rows must exceed the window, whose memory is else mistaken for dynamics.
+The projection removes the inputs from the future, or, if they change at more than one phase of the
+period, the inputs times harmonics of ψ (:mod:`~sklearn_hd._identify.modulation`). Block rows must
+exceed the window, whose memory would otherwise be mistaken for dynamics.
 """
 
 import numpy as np
@@ -70,7 +70,7 @@ def identify(data, settings, experiment=None):
     if settings.chooses and experiment is not None:
         decomposition = _exact_map(decomposition, data, experiment, settings)
     fitted = fit_matrices(data, decomposition, size, scales, settings, settings.direct)
-    reason = "a window averages what inputs do at once: D is zero unless feedthrough=True"
+    reason = "a window averages direct input effects: D is zero unless feedthrough=True"
     return subspace_fit(
         decomposition,
         fitted,
@@ -95,17 +95,17 @@ def asked_block_rows(basis, settings):
         if settings.predictor:
             asked = f"weighting={settings.weighting!r}"
         raise ValueError(
-            f"{asked} identifies the noise from row to row, which a sliding window averages "
-            f"until no predictor is left; use HarmonicAnalyzer(reading='period'), or plain data"
+            f"{asked} identifies the noise from row to row, but a sliding window averages rows and "
+            f"leaves no predictor; use HarmonicAnalyzer(reading='period'), or plain data"
         )
     if settings.block_rows is None:
         return 2 * basis.window_rows + 2
     i = int(settings.block_rows)
     if i <= basis.window_rows + 1:
         raise ValueError(
-            f"block_rows={i} must exceed the {basis.window_rows} rows in the analysis window "
-            f"plus one, or the window's own memory is mistaken for dynamics; use block_rows="
-            f"{basis.window_rows + 2} or more, or a larger hop"
+            f"block_rows={i} must exceed the {basis.window_rows} rows in the analysis window plus "
+            f"one, or the window's own memory is mistaken for dynamics; use "
+            f"block_rows={basis.window_rows + 2} or more, or a larger hop"
         )
     return i
 
@@ -115,9 +115,9 @@ def _check_rows_per_period(basis):
     if basis.rows_per_period <= 2 * highest:
         most = basis.samples_per_period // (2 * highest + 1)
         raise ValueError(
-            f"hop={basis.hop} reads {basis.rows_per_period} rows a period, too few for "
-            f"harmonic {highest}: copies of the modes fold onto the modes; use a hop of at "
-            f"most {most}, or reading='period'"
+            f"hop={basis.hop} reads {basis.rows_per_period} rows per period, too few for harmonic "
+            f"{highest}: copies of the modes alias onto the modes; use a hop of at most {most}, or "
+            f"reading='period'"
         )
 
 

@@ -4,7 +4,7 @@
 2. The future outputs, projected and weighted, and their singular values: ``decompose``.
 3. The order: ``decompose``, by the gap or as the reading chooses.
 4. A and C by the shift property (Eq. 13), B, D and x0 by regression: ``fit_matrices``.
-5. The noise: K and the covariance of the innovations, where asked for: ``fit_matrices``.
+5. The noise: K and the covariance of the innovations, if requested: ``fit_matrices``.
 """
 
 from dataclasses import dataclass, field

@@ -1,19 +1,9 @@
-"""What a fit needs of data: one protocol, for arrays in memory and for sums that merge.
+"""Data of a fit: one protocol, for arrays in memory and for sums that merge.
 
-``Records`` holds the arrays of all segments. ``Statistics`` are sums over rows, wherever they are:
-those of a chunk are merged with those of the rows before it, those of a partition with its
-neighbours', in any grouping; ``data`` makes ``Summed`` of them. Both, and dask's partitions, say
-
-    facts                         names, motion and words for checks and messages
-    lengths                       rows of each segment
-    n_inputs, n_outputs           channels that are projected: of inputs, of outputs
-    most_block_rows               that R can be made with
-    scales(scale)                 what channels, and drive and outputs, are divided by
-    factor(block_rows, scale)     R of the block Hankel matrices
-    input_matrices(A, C, …)       B, D and the initial states, simulated
-    initial_states(A, …, K, …)    those of the innovation form
-
-so that the identification after them is one and the same.
+``Records`` holds the arrays of all segments. ``Statistics`` are sums over rows: those of a chunk
+are merged with those of the rows before it, those of a partition with its neighbours', in any
+grouping; ``data`` makes ``Summed`` of them. Both, and dask's partitions, use this protocol, so the
+identification after them is the same.
 """
 
 from dataclasses import dataclass, replace
@@ -213,7 +203,7 @@ class Records(_Data):
     Parameters
     ----------
     inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
-        Drive and outputs at the rows read.
+        Drive and outputs at the analysed rows.
     facts : Facts
     memory : str, joblib.Memory or None
         Where products are kept.
@@ -334,7 +324,7 @@ class Statistics:
 
     @classmethod
     def of(cls, channels, n_lags, rows, extremes, size, n_samples):
-        """Of the rows read of some segments, each shape (n_rows_s, n_channels)."""
+        """Of the analysed rows of some segments, each shape (n_rows_s, n_channels)."""
         alone, outputs = channels.waves(0), channels.outputs
         total = cls(channels, (), None, (), np.zeros_like(size), 0)
         for segment, ends in zip(rows, extremes, strict=True):

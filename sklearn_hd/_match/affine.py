@@ -1,8 +1,8 @@
 """Step 5 in a norm: a structure affine in its parameters, matched to a continuous model (Eq. 22).
 
-A MatrixStructure is affine as it stands; a HarmonicStructure is so in the harmonic
-decomposition of its periodic system. The matcher takes this route for all models but those
-identified period by period, and to start maximum likelihood from.
+A MatrixStructure is affine itself; a HarmonicStructure is affine in the harmonic decomposition of
+its periodic system. The matcher takes this route for all models except those of whole periods, and
+for the start of maximum likelihood.
 """
 
 from collections.abc import Mapping
@@ -87,8 +87,8 @@ def _matched(model, affine, settings, initial=None, bounds=None):
     """The MatchResult of an affine structure, channels scaled alike beside their weights."""
     if affine.n_parameters == 0:
         raise ValueError(
-            "the structure has no free parameter, so there is nothing to match: let entries be "
-            "NaN or names, or free some of those fixed"
+            "the structure has no free parameter, so there is nothing to match: set entries to NaN "
+            "or names, or free some of the fixed ones"
         )
     outputs = read_weights("output_weights", settings.output_weights, model.output_names)
     inputs = read_weights("input_weights", settings.input_weights, model.input_names)
@@ -121,8 +121,8 @@ def _match_decomposition(model, experiment, structure, settings):
     basis = experiment.basis
     if not basis.harmonic:
         raise ValueError(
-            "a HarmonicStructure needs the fundamental frequency, and no harmonic basis rides "
-            "on X; put a HarmonicAnalyzer before the model"
+            "a HarmonicStructure needs the fundamental frequency, but X carries no harmonic basis; "
+            "put a HarmonicAnalyzer before the model"
         )
     inputs, outputs = (tuple(s for s, _ in kept) for kept in (basis.inputs, basis.outputs))
     if structure.states is not None and set(structure.states) != set(outputs):
@@ -167,12 +167,12 @@ def _check_record(periodic, experiment, error):
     share = np.max(left[there > 0.0] / there[there > 0.0], initial=0.0)
     if share > 1.0:
         raise UnstableModelError(
-            f"the periodic model matched leaves {share:.3g} times what there is of an output in "
-            f"its own training record, from the best initial state (largest Floquet multiplier "
-            f"{response.spectral_radius:.3g}), though its harmonic decomposition is within "
-            f"{error:.2g} of the model identified: too few harmonics are kept to tell one by the "
-            f"other; identify with HarmonicAnalyzer(reading='period'), fit to the record itself "
-            f"(criterion='output_error'), or keep the model as it is (structure=None)"
+            f"the matched periodic model leaves {share:.3g} times the variance of an output in its "
+            f"own training record, even from the best initial state (largest Floquet multiplier "
+            f"{response.spectral_radius:.3g}), although its harmonic decomposition is within "
+            f"{error:.2g} of the identified model: too few harmonics are kept to determine the "
+            f"periodic model; identify with HarmonicAnalyzer(reading='period'), fit to the record "
+            f"itself (criterion='output_error'), or keep the model as it is (structure=None)"
         )
 
 
@@ -202,7 +202,7 @@ def read_weights(name, given, channels):
         raise ValueError(f"{name}={given!r} is not understood for {channels}; give {allowed}")
     unknown = [channel for channel in by_channel if channel not in channels]
     if unknown:
-        raise ValueError(f"{name} names {unknown}, the model has the channels {channels}")
+        raise ValueError(f"{name} names {unknown}, but the model has the channels {channels}")
     for channel, weight in by_channel.items():
         if not _is_number(weight):
             raise ValueError(f"{name}[{channel!r}]={weight!r} is not understood; give {allowed}")
@@ -224,7 +224,7 @@ def _check_channels(structure, model):
     ):
         if given != len(there):
             raise ValueError(
-                f"the structure has {given} {what}, the identified model {len(there)}: "
+                f"the structure has {given} {what}, but the identified model has {len(there)}: "
                 f"{list(there)}; give B, C and D of that size, or change the harmonics kept"
             )
     for what, given, there in (
@@ -233,7 +233,7 @@ def _check_channels(structure, model):
     ):
         if given is not None and tuple(given) != tuple(there):
             raise ValueError(
-                f"the structure names its {what} {list(given)}, the identified model "
+                f"the structure names its {what} {list(given)}, but the identified model has "
                 f"{list(there)}; give the same names in the same order"
             )
 
@@ -265,17 +265,17 @@ def warn_matched(result, criterion, poles, affine):
     n_found, n_wanted = len(poles), affine.n_states
     if n_found != n_wanted and result.relative_error > POOR_MATCH:
         warn(
-            f"the model has {n_found} states, the structure {n_wanted}, and the match leaves a "
+            f"the model has {n_found} states, the structure has {n_wanted}, and the match leaves a "
             f"relative error of {result.relative_error:.2g}; the structure may not be that of the "
             f"system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
             IdentifiabilityWarning,
         )
     if result.feedthrough_floor > FLOOR * result.hinf_error and not result.exact:
         warn(
-            f"the feedthrough of the model cannot be that of the structure: entries of D that are "
-            f"fixed leave {result.feedthrough_floor / result.hinf_error:.0%} of the error, at "
-            f"infinite frequency, whatever the parameters; free them, or weigh high frequencies "
-            f"less (output_weights)",
+            f"the structure cannot have the feedthrough of the model: fixed entries of D leave "
+            f"{result.feedthrough_floor / result.hinf_error:.0%} of the error at infinite "
+            f"frequency, whatever the parameters; free them, or give high frequencies less weight "
+            f"(output_weights)",
             IdentifiabilityWarning,
         )
     fastest = np.abs(poles).max(initial=0.0)
@@ -286,8 +286,8 @@ def warn_matched(result, criterion, poles, affine):
     if speed > RUNAWAY * fastest > 0 and held_by_parameters and not result.exact:
         warn(
             f"the match has a pole of {speed:.2g} rad/s, {speed / fastest:.1g} times the fastest "
-            f"of the model: the best one lies at infinity, where that pole is a feedthrough; free "
-            f"entries of D, or give bounds to the parameters that grew",
+            f"pole of the model: the best match lies at infinity, where that pole becomes a "
+            f"feedthrough; free entries of D, or give bounds to the parameters that grew",
             IdentifiabilityWarning,
         )
     if result.unidentified:
@@ -300,7 +300,8 @@ def warn_matched(result, criterion, poles, affine):
         name = "H-infinity" if criterion == "hinf" else "least-squares"
         warn(
             f"the {name} match stopped after {result.n_iter} steps at a relative error of "
-            f"{result.relative_error:.3g}, with {result.left:.2g} of it left where "
-            f"{result.tolerance:g} counts as converged; raise max_iter or n_starts",
+            f"{result.relative_error:.3g}, which could still fall by a share of "
+            f"{result.left:.2g} ({result.tolerance:g} counts as converged); raise max_iter or "
+            f"n_starts",
             ConvergenceWarning,
         )

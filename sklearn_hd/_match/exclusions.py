@@ -15,45 +15,44 @@ def checked_together(step, basis, lifted, periodic):
     if step.output_weights is not None or step.input_weights is not None:
         if likelihood:
             raise ValueError(
-                f"criterion={step.criterion!r} weighs each output by its noise; output_weights "
-                f"and input_weights are those of a norm, so leave them None, or use "
-                f"criterion='hinf' or 'least_squares'"
+                f"criterion={step.criterion!r} weights each output by its noise; output_weights "
+                f"and input_weights belong to a norm, so leave them None, or use criterion='hinf' "
+                f"or 'least_squares'"
             )
         if lifted and periodic:
             raise ValueError(
-                "this model is brought to periodic form in closed form, where nothing is "
-                "weighed; leave output_weights and input_weights None, or, period by period, "
-                "use criterion='output_error', which weighs each output by its noise"
+                "this model is brought to periodic form in closed form, which uses no weights; "
+                "leave output_weights and input_weights None, or, with reading='period', use "
+                "criterion='output_error', which weights each output by its noise"
             )
     given = step.input_noise
     if given is None:
         return None
     if not likelihood:
         raise ValueError(
-            f"input_noise={given!r} is allowed for by maximum likelihood only; fit with "
-            f"criterion='output_error', or leave input_noise=None"
+            f"input_noise={given!r} needs maximum likelihood; fit with criterion='output_error', "
+            f"or leave input_noise=None"
         )
     if step.criterion == "prediction_error":
         raise ValueError(
-            f"input_noise={given!r} is allowed for in simulations only, and "
-            f"criterion='prediction_error' predicts; fit with criterion='output_error', or "
-            f"leave input_noise=None, where noise on the inputs counts as gusts"
+            f"input_noise={given!r} needs simulations, but criterion='prediction_error' predicts; "
+            f"fit with criterion='output_error', or leave input_noise=None, where noise on the "
+            f"inputs counts as gusts"
         )
     if step.structure is None and not basis.harmonic:
         raise ValueError(
-            f"input_noise={given!r} is allowed for with the parameters of a structure, and "
-            f"structure=None leaves every entry free; give a MatrixStructure, or leave "
-            f"input_noise=None"
+            f"input_noise={given!r} needs the parameters of a structure, but structure=None leaves "
+            f"every entry free; give a MatrixStructure, or leave input_noise=None"
         )
     if basis.reading == "sample":
         raise ValueError(
-            f"input_noise={given!r} cannot be told from loads, which a model of samples has; "
-            f"use HarmonicAnalyzer(reading='period'), or leave input_noise=None"
+            f"input_noise={given!r} cannot be separated from the loads that a model of samples "
+            f"has; use HarmonicAnalyzer(reading='period'), or leave input_noise=None"
         )
     if not periodic and not np.all(basis.held):
         raise ValueError(
-            "input_noise is that of the measured inputs, but this model is driven by their "
-            "harmonics; keep harmonic 0 of the inputs alone, or use a HarmonicStructure"
+            "input_noise is the noise of the measured inputs, but this model is driven by their "
+            "harmonics; keep only harmonic 0 of the inputs, or use a HarmonicStructure"
         )
     names = basis.input_signals
     values = given if isinstance(given, Mapping) else dict.fromkeys(names, given)

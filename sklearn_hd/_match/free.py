@@ -1,8 +1,8 @@
 """Maximum likelihood of discrete models with all entries free: plain ones, and those of samples.
 
-Predictions drive the search (:mod:`sklearn_hd.algorithms.likelihood.free_form`). Where some outputs
-of a row are missing, its predictor cannot be told from outputs and inputs: all entries of A, B, C,
-D and K are parameters then, and the search begins and ends at the optimum nearby.
+The search uses predictions (:mod:`sklearn_hd.algorithms.likelihood.free_form`). If some outputs of
+a row are missing, outputs and inputs do not determine its predictor: all entries of A, B, C, D and
+K are then parameters, and the search begins and ends at the optimum nearby.
 """
 
 from dataclasses import replace

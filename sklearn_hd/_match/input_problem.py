@@ -152,7 +152,7 @@ class InputProblem:
         growth = n_samples / len(response.Phi) * np.log(max(response.spectral_radius, 1e-300))
         if not growth <= MAX_GROWTH:
             raise GrowthError(
-                f"F(ψ) of the states {list(self.names[0])} with the harmonics allowed makes a "
+                f"F(ψ) of the states {list(self.names[0])} with the allowed harmonics makes a "
                 f"model that grows e^{growth:.0f} times over the record; allow more harmonics of "
                 f"F, sample more often, or change the order of the model"
             )

@@ -1,8 +1,8 @@
-"""Maximum likelihood on the raw record: what a structured model is refined to.
+"""Maximum likelihood on the raw record, which refines a structured model.
 
-What a simulation leaves (``criterion="output_error"``), or a prediction one sample ahead
-(``"prediction_error"``), of periodic and time-invariant models, of their steps, and of models of
-samples about a forced periodic response, whose Fourier coefficients are parameters too.
+It minimises the residuals of a simulation (``criterion="output_error"``) or of a prediction one
+sample ahead (``"prediction_error"``), for periodic and time-invariant models, their steps, and
+models of samples about a forced periodic response, whose Fourier coefficients are parameters too.
 """
 
 from dataclasses import dataclass, replace
@@ -54,9 +54,9 @@ def match_likelihood(match, structure, experiment, settings):
     data = RecordData.of(experiment, periodic is not None, match.sampled)
     if data.cells is not None and settings.input_noise is not None:
         raise ValueError(
-            "input_noise is allowed for with inputs that switch at samples, and delays that are "
-            "'auto' or no whole samples have them switch between; give delays of whole samples, "
-            "or leave input_noise=None"
+            "input_noise needs inputs that switch at samples, but delays that are 'auto' or not "
+            "whole samples make them switch in between; give delays of whole samples, or leave "
+            "input_noise=None"
         )
     wanted = HarmonicStructure() if structure is None else structure
     bounds, given = None, match.structure
@@ -255,10 +255,10 @@ def _hopeless(at, best):
 def warn_closed_loop():
     """Of maximum likelihood of a simulation, after a model identified in closed loop."""
     warn(
-        "criterion='output_error' simulates the record and takes all that is left for noise of the "
-        "sensors; where disturbances move the machine and feedback answers, this is biased, and "
-        "weighting='pbsid' has told that inputs may answer to outputs: use "
-        "criterion='prediction_error', or ignore this where nothing but sensors is noisy",
+        "criterion='output_error' simulates the record and treats all residuals as noise of the "
+        "sensors; this is biased where disturbances move the machine and feedback reacts to them, "
+        "and weighting='pbsid' indicated that inputs may react to outputs: use "
+        "criterion='prediction_error', or ignore this if only the sensors are noisy",
         IdentifiabilityWarning,
     )
 
@@ -276,12 +276,12 @@ def warn_refined(result, settings, *, named=True):
         way = "raise max_iter"
         if result.n_iter < settings.max_iter:
             way = (
-                "the start may be of another order or unstable, or the record does not determine "
-                "the parameters: change the order, or give numbers of harmonics, "
+                "the start may have the wrong order or be unstable, or the record does not "
+                "determine the parameters: change the order, or give numbers of harmonics, "
                 "HarmonicStructure(F=..., G=...)"
             )
         warn(
             f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
-            f"lower the sum of squares by {result.relative_decrease:.2g} of itself; {way}",
+            f"lower the sum of squares by a share of {result.relative_decrease:.2g}; {way}",
             ConvergenceWarning,
         )

@@ -1,4 +1,4 @@
-"""What each route of matching returns: a structured model with its parameters, periodic or not."""
+"""Result of each route of matching: a structured model with its parameters."""
 
 from dataclasses import dataclass, replace
 
@@ -188,7 +188,7 @@ class PeriodicSimulator:
         if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
             raise UnstableModelError(
                 f"the simulation overflows: the model's largest Floquet multiplier is "
-                f"{self.response.spectral_radius:.4g} (1 is the bound of stability); change the "
+                f"{self.response.spectral_radius:.4g} (a stable model has less than 1); change the "
                 f"order of the identified model, or simulate a shorter span"
             )
         extended = np.concatenate([states, inputs], axis=-1)

@@ -1,8 +1,8 @@
-"""From a period-synchronous model to the linear time-periodic one behind it, in closed form.
+"""Closed form from a period-synchronous model to the linear time-periodic one behind it.
 
-1. The Poincaré map Φ identified; what every sample of the period sees of the state; from
-   both the mode shapes P(ψ) and R = log(Φ)/T.
-2. F(ψ) = (P′ + P R) P⁻¹ where the outputs determine the state; else Floquet coordinates,
+1. The identified Poincaré map Φ and the outputs that each sample of the period makes of the
+   state give the mode shapes P(ψ) and R = log(Φ)/T.
+2. F(ψ) = (P′ + P R) P⁻¹ if the outputs determine the state; otherwise Floquet coordinates,
    in which F = R and the outputs are P(ψ) x.
 3. G(ψ) and Q(ψ) by linear least squares on the raw record.
 """
@@ -90,7 +90,7 @@ def realize(model, experiment, structure):
     """
     if structure.n_states not in (None, model.n_states):
         raise ValueError(
-            f"the structure has {structure.n_states} states, the identified model "
+            f"the structure has {structure.n_states} states, but the identified model has "
             f"{model.n_states}; identify with MOESPRegressor(order={structure.n_states}), or "
             f"change the structure"
         )
@@ -104,7 +104,7 @@ def realize(model, experiment, structure):
         other = _from_equation_error(model, experiment, structure, scale)
         if other is None or other.systematic > MOST_SYSTEMATIC:
             raise  # not noise, but the order is at fault
-        return _told(other, model, f"is that of no periodic system ({error})")
+        return _told(other, model, f"belongs to no periodic system ({error})")
     if len(structure.states or experiment.basis.outputs) != model.n_states:
         if structure.n_states is None and found.systematic > MOST_SYSTEMATIC:
             other = _from_equation_error(model, experiment, structure, scale)
@@ -123,10 +123,10 @@ def _told(realization, model, why):
     n = realization.model.n_states
     if n != model.n_states:
         warn(
-            f"the model identified has {model.n_states} state(s), and {why}; with the {n} outputs "
-            f"{list(realization.model.state_names)} as states all but noise is explained, and they "
-            f"are taken; MOESPRegressor(order={n}) asks for them, HarmonicStructure(states=[...]) "
-            f"for others",
+            f"the identified model has {model.n_states} state(s), and it {why}; with the {n} "
+            f"outputs {list(realization.model.state_names)} as states only noise stays "
+            f"unexplained, so these are used; ask for them with MOESPRegressor(order={n}), or for "
+            f"others with HarmonicStructure(states=[...])",
             IdentifiabilityWarning,
         )
     return realization
@@ -211,8 +211,8 @@ def _check_harmonics(structure, samples_per_period):
         asked = structure.n_harmonics(name)
         if asked is not None and asked > most:
             raise ValueError(
-                f"the structure has harmonic {asked} of {name}, and {samples_per_period} samples a "
-                f"period tell at most {most} apart; give {name} fewer harmonics, or sample faster"
+                f"the structure has harmonic {asked} of {name}, but {samples_per_period} samples "
+                f"per period separate at most {most}; give {name} fewer harmonics, or sample faster"
             )
 
 
@@ -222,7 +222,7 @@ def state_outputs(structure, names, n, choices, determined):
         unknown = [name for name in structure.states if name not in names]
         if unknown:
             raise ValueError(
-                f"states={list(structure.states)} must be {n} of the outputs {names}, and "
+                f"states={list(structure.states)} must be {n} of the outputs {names}, but "
                 f"{unknown} are not among them"
             )
         rows = [names.index(name) for name in structure.states]
@@ -237,9 +237,9 @@ def state_outputs(structure, names, n, choices, determined):
             return list(rows)
     if entries := structure.given_entries():
         raise ValueError(
-            f"the outputs {names} do not determine the {n} states that the structure gives entries "
-            f"of {', '.join(entries)} for; measure more outputs, or give numbers of harmonics (or "
-            f"nothing), which leads to Floquet coordinates"
+            f"the outputs {names} do not determine the {n} states for which the structure gives "
+            f"entries of {', '.join(entries)}; measure more outputs, or give numbers of harmonics "
+            f"(or nothing), which leads to Floquet coordinates"
         )
     return None
 
@@ -308,7 +308,7 @@ def _simulated(model, C, inputs, directions, lifted, seen):
     if growth > MAX_GROWTH:
         raise GrowthError(
             f"a mode of the identified model grows e^{growth:.0f} times over the record, more than "
-            f"a record can show: lower the order, check omega, or cut the record shorter"
+            f"a record can show: lower the order, check omega, or use a shorter record"
         )
     if model.at_rest:
         stretches = periods_at_rest(inputs)
@@ -341,22 +341,22 @@ def warn_realized(found):
     if found.r2 < POOR_FIT:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
-            f"check order, omega and that the record is long enough, or refine it with "
+            f"check the order, omega and the length of the record, or refine the model with "
             f"criterion='output_error'",
             IdentifiabilityWarning,
         )
     elif found.systematic > MOST_SYSTEMATIC:
         warn(
-            f"the periodic model leaves {found.systematic:.2g} of the record's variance in a rest "
-            f"that is no noise (neighbouring samples are alike); check order, omega, the harmonics "
-            f"that the structure allows, and whether the response is linear",
+            f"the periodic model leaves {found.systematic:.2g} of the record's variance in "
+            f"residuals that are not noise (neighbouring samples are alike); check order, omega, "
+            f"the harmonics that the structure allows, and whether the response is linear",
             IdentifiabilityWarning,
         )
     if found.unidentified:
         warn(
             f"the record does not determine {', '.join(found.unidentified)} (only some "
-            f"combinations of them): of all values that fit, the smallest are taken; let inputs "
-            f"change at more phases of the period, or give G and Q fewer harmonics",
+            f"combinations of them): of all values that fit, the smallest are taken; record inputs "
+            f"that change at more phases of the period, or give G and Q fewer harmonics",
             IdentifiabilityWarning,
         )
 
@@ -381,9 +381,9 @@ def warn_growing(periodic, model, experiment):
     folds = np.log(max(radius, 1e-300)) * longest * basis.omega / (2.0 * np.pi)
     if folds > 1.0:
         warn(
-            f"the periodic model matched has a Floquet multiplier of size {radius:.4g}, by which "
-            f"it grows {np.exp(min(folds, 700.0)):.3g} times over the longest segment, where the "
-            f"model identified is stable: noise has moved it; refine it with criterion="
-            f"'output_error' and structure=HarmonicStructure(), or change the order",
+            f"the matched periodic model has a Floquet multiplier of size {radius:.4g}, so it "
+            f"grows by a factor of {np.exp(min(folds, 700.0)):.3g} over the longest segment, "
+            f"although the identified model is stable: noise has moved it; refine it with "
+            f"criterion='output_error' and structure=HarmonicStructure(), or change the order",
             InstabilityWarning,
         )

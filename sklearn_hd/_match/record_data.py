@@ -1,8 +1,8 @@
-"""A record as a likelihood sees it, and what is fitted to it.
+"""A record as a likelihood sees it, and the settings of the fit.
 
-Inputs and outputs of each segment with the phases of their samples; a constant input where there is
-a forced response; both values of an input within a sample where delays are no whole samples, or
-are parameters (:mod:`sklearn_hd.algorithms.likelihood.delay_search`).
+It holds inputs and outputs of each segment with the phases of their samples, a constant input if
+there is a forced response, and both values of an input within a sample if delays are not whole
+samples, or are parameters (:mod:`sklearn_hd.algorithms.likelihood.delay_search`).
 """
 
 from dataclasses import dataclass, replace
@@ -335,9 +335,9 @@ def _cells(experiment, raw):
         return cells
     if delays.free.any():
         raise ValueError(
-            "delays that the data decide need inputs as they were measured, but this model is "
-            "driven by their harmonics; keep harmonic 0 of the inputs alone, use a "
-            "HarmonicStructure, or give the delays in seconds"
+            "estimated delays need inputs as they were measured, but this model is driven by their "
+            "harmonics; keep only harmonic 0 of the inputs, use a HarmonicStructure, or give the "
+            "delays in seconds"
         )
     return None
 

@@ -1,8 +1,8 @@
-"""From a model of samples at their azimuths to the continuous one behind it, in closed form.
+"""Closed form from a model of samples at their azimuths to the continuous one behind it.
 
-1. The continuous model whose samples it is, outputs its states where they can be.
-2. The parameters of a structure whose steps over a turn are nearest to it.
-3. Its samples, about the forced response of the model identified: what ``predict`` simulates.
+1. The continuous model with these samples; its states are outputs if possible.
+2. The parameters of a structure whose steps over a turn are closest to it.
+3. Its samples, about the forced response of the identified model, for ``predict``.
 """
 
 from dataclasses import replace
@@ -59,7 +59,7 @@ def _periodic(model, experiment, structure):
     """The periodic model, and its structure."""
     if isinstance(structure, MatrixStructure):
         raise ValueError(
-            f"a MatrixStructure is time-invariant, and the model identified has coefficients of "
+            f"a MatrixStructure is time-invariant, but the identified model has coefficients of "
             f"{model.innovations.n_harmonics} harmonic(s) of the turn; give a HarmonicStructure, "
             f"or identify without them: HarmonicAnalyzer(reading='sample', output_harmonics=0)"
         )
@@ -67,8 +67,9 @@ def _periodic(model, experiment, structure):
     asked = HarmonicStructure() if structure is None else structure
     if asked.n_states not in (None, model.n_states):
         raise ValueError(
-            f"the structure has {asked.n_states} states, the identified model {model.n_states}; "
-            f"identify with MOESPRegressor(order={asked.n_states}), or change the structure"
+            f"the structure has {asked.n_states} states, but the identified model has "
+            f"{model.n_states}; identify with MOESPRegressor(order={asked.n_states}), or change "
+            f"the structure"
         )
     turn = turn_of(innovations, model.omega)
     names = list(model.output_names)
@@ -137,15 +138,16 @@ def _warn_unlike(sampled, model, experiment, structure):
     way += "entries, or leave structure=None"
     if structure is None:
         way = (
-            f"{experiment.basis.samples_per_period:.4g} samples a turn tell too few harmonics of a "
-            f"model in continuous time; sample more often, or use the model of MOESPRegressor"
+            f"{experiment.basis.samples_per_period:.4g} samples per turn determine too few "
+            f"harmonics of a model in continuous time; sample more often, or use the model of "
+            f"MOESPRegressor"
         )
     if longest * rate > 1.0:
         radius = np.max(np.abs(sampled.innovations.multipliers()))
         warn(
-            f"the model matched has a multiplier of size {radius:.4g} a turn, by which it grows "
-            f"{np.exp(min(rate * longest, 700.0)):.3g} times over the longest segment, where the "
-            f"model identified is stable; {way}",
+            f"the matched model has a multiplier of size {radius:.4g} per turn, so it grows by a "
+            f"factor of {np.exp(min(rate * longest, 700.0)):.3g} over the longest segment, "
+            f"although the identified model is stable; {way}",
             InstabilityWarning,
         )
         return
@@ -159,8 +161,8 @@ def _warn_unlike(sampled, model, experiment, structure):
     share = np.max(left / np.where(there > 0.0, there, np.inf))
     if share > UNLIKE:
         warn(
-            f"the match leaves {share:.2g} of the variance of the response to the inputs that "
-            f"the model identified has; {way}",
+            f"the match does not reproduce {share:.2g} of the variance of the identified model's "
+            f"response to the inputs; {way}",
             IdentifiabilityWarning,
         )
 

@@ -1,4 +1,4 @@
-"""How far the deviations of a fit can be trusted: residual tests, and parts of the record."""
+"""Checks of the standard deviations of a fit: residual tests, and parts of the record."""
 
 from dataclasses import dataclass
 
@@ -59,7 +59,7 @@ class Trust:
 
 
 def trusted(fit, experiment, simulators, parameters):
-    """Deviations of a fit that hold, if need be, where what it leaves is no white noise.
+    """Standard deviations of a fit that hold even if its residuals are not white noise.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def _tests(experiment, simulators):
         return scored(remainder(experiment, simulators), None, ALARM)
     except (UnstableModelError, ValueError) as reason:  # it overflows, or rows are too few
         warn(
-            f"what the fit leaves could not be tested: {reason}; its deviations hold only if that "
-            f"is white noise",
+            f"the residuals of the fit could not be tested: {reason}; the standard deviations hold "
+            f"only if the residuals are white noise",
             IdentifiabilityWarning,
         )
         return None
@@ -145,22 +145,22 @@ def _divisions(result):
 
 
 def _warn_of_tests(tests, kind, simulated):
-    """Of what is left that is no noise, with the figure that shows it."""
+    """Warn of residuals that are not noise, with the figure that shows it."""
     if kind == "information":
         return
     failed = tests[~tests["passed"]].sort_values("share", ascending=False)
     name, worst = failed.index[0], failed.iloc[0]
     way = (
         "a higher order, more harmonics or loads, noise on the inputs (input_noise) or smaller "
-        "motions may mend it"
+        "motions may help"
     )
     if _coloured(failed.index) and simulated:
-        way = "noise shakes the machine itself: use criterion='prediction_error'"
+        way = "noise moves the machine itself: use criterion='prediction_error'"
     warn(
-        f"what the fit leaves is no white noise: the test {name!r} gives {worst['statistic']:.4g} "
-        f"where noise gives {worst['degrees']:.0f}, {worst['share']:.2g} of the residuals' "
-        f"variance; deviations come from blocks of the record against each other (robust), and "
-        f"do not see what all blocks share; {way}",
+        f"the residuals of the fit are not white noise: the test {name!r} gives "
+        f"{worst['statistic']:.4g} instead of {worst['degrees']:.0f} for noise, "
+        f"{worst['share']:.2g} of the residuals' variance; standard deviations come from comparing "
+        f"blocks of the record (robust), and miss errors that all blocks share; {way}",
         IdentifiabilityWarning,
     )
 
@@ -171,7 +171,7 @@ def _coloured(failed):
 
 
 def _warn_of_parts(exponents, apart, own, more):
-    """Of parts of the record that put an exponent elsewhere."""
+    """Warn of parts of the record that put an exponent elsewhere."""
     n, told = len(exponents), None
     for name, (offsets, differ) in apart.items():
         for r in np.flatnonzero(differ):
@@ -185,28 +185,28 @@ def _warn_of_parts(exponents, apart, own, more):
     what = "real" if r < n else "imaginary"
     centre = value.real if r < n else value.imag
     warn(
-        f"parts of the record disagree: {WORDS[name]} the {what} part of the exponent "
-        f"{value:.4g} goes from {centre + offsets[0]:.5g} to {centre + offsets[-1]:.5g} 1/s "
-        f"(standard deviation {np.sqrt(own[r]):.2g}): the response is not that of one linear "
-        f"system; its deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; use smaller "
-        f"motions, or fit the parts by themselves",
+        f"parts of the record disagree: {WORDS[name]} the {what} part of the exponent {value:.4g} "
+        f"goes from {centre + offsets[0]:.5g} to {centre + offsets[-1]:.5g} 1/s (standard "
+        f"deviation {np.sqrt(own[r]):.2g}), so the response is not that of one linear system; its "
+        f"standard deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; use smaller motions, "
+        f"or fit the parts separately",
         IdentifiabilityWarning,
     )
 
 
 def warn_of_slow(fit, trust, experiment):
-    """Of modes that last longer than the record, and of intervals of a short one."""
+    """Warn of modes that last longer than the record, and of intervals of a short record."""
     spans = [time[-1] - time[0] for time in experiment.times()]
     slowest = np.max(trust.exponents.real, initial=-np.inf)
     decays = -slowest * max(spans)
     if abs(decays) < ONE_TIME_CONSTANT:
-        words = "give the trim that they were measured about (trim_span), or read the record with "
+        words = "give the trim about which they were measured (trim_span), or use "
         words = f"{words}HarmonicAnalyzer(reading='sample'), which identifies it"
         if experiment.basis.output_trim is not None or experiment.basis.reading == "sample":
-            words = "whatever is slow passes for it; use a longer record"
+            words = "any slow drift looks the same; use a longer record"
         warn(
-            f"a mode ({slowest:.3g} 1/s) lasts longer than the record, of which {max(spans):.3g} s "
-            f"are {abs(decays):.2g} of its time constants: it may be the mean of the outputs, or a "
+            f"a mode ({slowest:.3g} 1/s) lasts longer than the record: {max(spans):.3g} s are only "
+            f"{abs(decays):.2g} of its time constants. It may be the mean of the outputs or a "
             f"drift; {words}",
             IdentifiabilityWarning,
         )
@@ -214,8 +214,8 @@ def warn_of_slow(fit, trust, experiment):
     total = -slowest * sum(spans)
     if (fit.result.gain is not None or trust.coloured) and 0.0 < total < TIME_CONSTANTS:
         warn(
-            f"the record lasts {total:.0f} time constants of the slowest mode ({slowest:.3g} 1/s), "
-            f"which noise shakes: intervals are those of a long record, and hold less often than "
-            f"they say; {TIME_CONSTANTS} are enough",
+            f"the record lasts only {total:.0f} time constants of the slowest mode ({slowest:.3g} "
+            f"1/s), which noise excites: intervals assume a long record and cover less than "
+            f"stated; {TIME_CONSTANTS} time constants are enough",
             IdentifiabilityWarning,
         )

@@ -1,7 +1,7 @@
-"""How model steps read a record: one class a reading, chosen once by HarmonicAnalyzer.
+"""How model steps analyse a record: one class per reading, chosen by HarmonicAnalyzer.
 
-All readings answer the same questions: which rows models see, what drives them, how
-harmonics come back to samples. :class:`PlainReading` is that of data without an analyzer.
+All readings answer the same questions: which rows models use, what drives them, how
+harmonics come back to samples. :class:`PlainReading` is for data without an analyzer.
 """
 
 from sklearn_hd._readings.basis import (

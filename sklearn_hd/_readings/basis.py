@@ -1,4 +1,4 @@
-"""What every harmonic reading shares: how coefficients are made of signals, and back."""
+"""Common part of the harmonic readings: coefficients from signals, and back."""
 
 from dataclasses import dataclass, field
 
@@ -63,7 +63,7 @@ class HarmonicBasis:
     window : str
         Such as ``"boxcar"`` (causal) or ``"centred-boxcar"``.
     hop : int
-        Samples from one row read by the model steps to the next.
+        Samples from one analysed row to the next.
     inputs, outputs : tuple of (signal, (k, …))
         Harmonics kept of each signal.
     input_trim, output_trim : ndarray, shapes (samples_per_period, n_signals), or None
@@ -146,8 +146,8 @@ class HarmonicBasis:
         if missing or extra:
             what = f"dropped {missing[0]!r}" if missing else f"added {extra[0]!r}"
             raise ValueError(
-                f"a step between HarmonicAnalyzer and this one has {what}; the analyzer made "
-                f"{made}: put steps that change columns before it"
+                f"a step between HarmonicAnalyzer and this one has {what}; the analyzer "
+                f"made {made}: put steps that change columns before the analyzer"
             )
         return frame[self.measured]
 

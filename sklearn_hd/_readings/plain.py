@@ -1,6 +1,6 @@
 """Plain data: each row is a sample, its signals drive the model and are its outputs.
 
-What has no fundamental frequency is periodic with each sample.
+Data without a fundamental frequency are periodic with each sample.
 """
 
 from dataclasses import dataclass, field

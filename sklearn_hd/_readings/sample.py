@@ -1,7 +1,7 @@
 """``reading="sample"``: rows as they were sampled, each at its azimuth.
 
-Models of them are periodic innovations models: no window, no whole number of samples in a
-period, no span at rest.
+Their models are periodic innovations models. They need no window, no whole number of samples per
+period and no span at rest.
 """
 
 import math
@@ -44,7 +44,7 @@ class SampleBasis(EveryRow, HarmonicBasis):
     n_load_harmonics: int | None = None
 
     reading = "sample"
-    nothing_spurious = "at the sensors' clock, without a window"
+    nothing_spurious = "identified from samples, without a window"
     lead = 0
     coefficient_labels = ()
 

@@ -1,6 +1,6 @@
-"""``reading="sliding"``, the paper's: coefficients through a window, every ``hop`` samples.
+"""``reading="sliding"``, the method of the paper: coefficients through a window, each hop.
 
-Models of them are time-invariant, and hold the window's own modes beside the machine's.
+Their models are time-invariant, and contain the window's own modes beside the machine's.
 """
 
 from dataclasses import dataclass

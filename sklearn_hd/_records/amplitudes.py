@@ -102,9 +102,9 @@ def _check_moves(how, group, amplitudes, labels):
     """Raise ValueError if the input of a record is at rest."""
     if amplitudes[0] == 0.0:
         raise ValueError(
-            f"small_signal={how!r} found the input of record {group[0]!r} at rest (trim "
-            f"subtracted), so that it has no amplitude; leave that record out of {labels}, or "
-            f"use small_signal=None"
+            f"small_signal={how!r} found that the input of record {group[0]!r} is at rest (after "
+            f"the trim is subtracted), so it has no amplitude; leave that record out of {labels}, "
+            f"or use small_signal=None"
         )
 
 
@@ -116,16 +116,16 @@ def _weights(how, group, amplitudes, labels):
             r = single[0]
             raise ValueError(
                 f"small_signal='odd' found no partner for record {group[r]!r} among {labels}: "
-                f"{_beside(group, amplitudes, r)}, and none is {-amplitudes[r]:.3g} times it on "
-                f"the same times and phases; give pairs of records +u and -u (of one length, to "
-                f"within a period), leave {group[r]!r} out, or use small_signal='extrapolate' "
+                f"{_beside(group, amplitudes, r)}, and no record is {-amplitudes[r]:.3g} times it "
+                f"at the same times and phases; give pairs of records +u and -u (of equal length, "
+                f"to within a period), leave {group[r]!r} out, or use small_signal='extrapolate' "
                 f"(several amplitudes) or None"
             )
         return rows
     if n_distinct(amplitudes) < 2:
         raise ValueError(
-            f"small_signal='extrapolate' found but one amplitude for record {group[0]!r} among "
-            f"{labels}: no other record has a multiple of its input on the same times and phases; "
+            f"small_signal='extrapolate' found only one amplitude for record {group[0]!r} among "
+            f"{labels}: no other record has a multiple of its input at the same times and phases; "
             f"give records of one waveform at two amplitudes or more (±a, or a and a/2), leave "
             f"{group[0]!r} out, or use small_signal=None"
         )
@@ -133,9 +133,9 @@ def _weights(how, group, amplitudes, labels):
     gain = float(np.linalg.norm(weights))
     if gain > NOISE_GAIN:
         warn(
-            f"extrapolating records {group} of amplitudes {np.round(amplitudes, 3).tolist()} "
-            f"to zero makes noise {gain:.3g} times as large; leave the smallest amplitudes out, "
-            f"or give pairs of both signs and use small_signal='odd'",
+            f"extrapolating records {group} of amplitudes {np.round(amplitudes, 3).tolist()} to "
+            f"zero multiplies the noise by {gain:.3g}; leave the smallest amplitudes out, or give "
+            f"pairs of both signs and use small_signal='odd'",
             IdentifiabilityWarning,
         )
     return weights[None]

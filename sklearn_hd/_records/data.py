@@ -91,7 +91,7 @@ class Signals:
         return 2.0 * np.pi * steps / turned, float(turned / passed)
 
     def without(self, name):
-        """The signals but for one that is the azimuth."""
+        """The signals except for one that is the azimuth."""
         keep = [i for i, other in enumerate(self.names) if other != name]
         return self.data[:, keep], tuple(self.names[i] for i in keep)
 
@@ -113,7 +113,7 @@ def read_signals(data, prefix, what, timing=PLAIN.timing):
 def _set_azimuth_apart(signals, timing):
     name, base = timing.azimuth, signals.base
     if signals.names == (name,):
-        raise ValueError(f"X holds the azimuth {name!r} alone; give the inputs beside it")
+        raise ValueError(f"X holds only the azimuth {name!r}; give the inputs beside it")
     psi = _azimuth(signals.data, signals.names, base, name)
     data, names = signals.without(name)
     return Signals(data, names, base, _bridged(psi[:, None], base, timing)[:, 0])
@@ -286,7 +286,7 @@ def _refuse_lost_basis(X):
     lost = sorted(s for s in names if f"{s}_0" in names)
     if lost:
         raise ValueError(
-            f"column {lost[0]!r} stands beside its own coefficients ({lost[0]}_0, …), but the "
+            f"column {lost[0]!r} appears beside its own coefficients ({lost[0]}_0, …), but the "
             f"frame carries no harmonic basis: a step between HarmonicAnalyzer and this one has "
             f"dropped it (concatenation, a scaler); apply such steps before the analyzer"
         )
@@ -382,7 +382,7 @@ def _with_outputs_of(basis, other):
     if difference is not None and difference[0] not in ("inputs", "outputs"):
         name, here, there = difference
         raise ValueError(
-            f"y was decomposed with {name}={there!r}, X with {here!r}; use the same "
+            f"y was decomposed with {name}={there!r}, but X with {here!r}; use the same "
             f"HarmonicAnalyzer parameters for both, or give y in time"
         )
     return replace(basis, outputs=other.outputs, output_trim=other.output_trim)

@@ -106,8 +106,8 @@ def asked_delays(inputs, outputs, experiment):
     if np.max(seconds) >= longest:
         place = int(np.argmax(seconds))
         raise ValueError(
-            f"the delay of {names[place]!r}, {seconds[place]:g} s, outlasts the "
-            f"{experiment.span()} ({longest:g} s at a stretch); delays are in seconds: give a "
+            f"the delay of {names[place]!r}, {seconds[place]:g} s, is longer than the "
+            f"{experiment.span()} ({longest:g} s in one segment); delays are in seconds: give a "
             f"shorter one, or a longer record"
         )
     return Delays(names, len(signals[0]), seconds, np.full(len(names), np.nan), free)
@@ -122,7 +122,7 @@ def _by_signal(what, value, names):
     given = value if isinstance(value, Mapping) else dict.fromkeys(names, value)
     unknown = [name for name in given if name not in names]
     if unknown:
-        raise ValueError(f"{what}_delay names {unknown[0]!r}, which is no {what}; {hint}")
+        raise ValueError(f"{what}_delay names {unknown[0]!r}, which is not an {what}; {hint}")
     seconds, free = np.zeros(len(names)), np.zeros(len(names), dtype=bool)
     for place, name in enumerate(names):
         own = given.get(name, 0.0)
@@ -134,9 +134,9 @@ def _by_signal(what, value, names):
         except (TypeError, ValueError, OverflowError):
             seconds[place] = np.nan
         if not (np.isfinite(seconds[place]) and seconds[place] >= 0.0):
-            raise ValueError(f"{what}_delay={value!r}: {own!r} is no delay of {name!r}; {hint}")
+            raise ValueError(f"{what}_delay={value!r}: {own!r} is not a delay of {name!r}; {hint}")
     if not isinstance(value, Mapping) and not names and value not in (0, 0.0, "auto"):
-        raise ValueError(f"{what}_delay={value!r} is of no signal: there are no {what}s")
+        raise ValueError(f"{what}_delay={value!r} has no signal to delay: there are no {what}s")
     return seconds, free
 
 
@@ -253,7 +253,7 @@ def warn_of_doubt(delays):
             if it
         ]
         warn(
-            f"delays that the record hardly tells from none: {', '.join(words)} (standard "
+            f"the record hardly separates these delays from zero: {', '.join(words)} (standard "
             f"deviation); give them as zero, or use a longer record or sharper inputs",
             IdentifiabilityWarning,
         )

@@ -160,9 +160,9 @@ def lay_grid(base, places, present, step, timing, shortest=1):
                 records.append(record)
     if not pieces:
         raise ValueError(
-            f"no {shortest} consecutive row(s) without missing samples are left between "
-            f"t = {at(base.time[0])} and {at(base.time[-1])}, and the analysis window needs as "
-            f"many; bridge longer runs of NaN (missing, in seconds), or use a shorter window"
+            f"the analysis window needs {shortest} consecutive row(s) without missing samples, and "
+            f"none are left between t = {at(base.time[0])} and {at(base.time[-1])}; bridge longer "
+            f"runs of NaN (missing, in seconds), or use a shorter window"
         )
     edges = np.cumsum([0, *(len(piece.grid) for piece in pieces)])
     clock = [
@@ -235,6 +235,6 @@ def _resampling_error(basis, inputs, outputs):
     shares = interpolation_error(values, places) / np.where(size > 0.0, size, 1.0)
     listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
     return (
-        f"Interpolation errs by at most (rms, in parts of each signal's) {listed}; standard "
-        f"deviations do not count that. "
+        f"The interpolation error is at most (rms, as a share of each signal) {listed}; standard "
+        f"deviations do not include it. "
     )

@@ -35,8 +35,8 @@ def initial_states(x0, base, n_states, state_names=None):
         x0 = np.asarray(x0, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(
-            f"x0={x0!r} holds no numbers, or states of different lengths; give {n_states} numbers, "
-            f"one row of them a segment, or a dict of them by record"
+            f"x0={x0!r} holds values that are not numbers, or states of different lengths; give "
+            f"{n_states} numbers, one row of them per segment, or a dict of them by record"
         ) from None
     if not np.isfinite(x0).all():
         raise ValueError("x0 contains NaN or infinity; give finite states")
@@ -93,7 +93,7 @@ def _rows(frame, base):
         return frame.to_numpy()
     raise ValueError(
         f"x0 has the rows {labels}, which are not the records {list(dict.fromkeys(base.records))}; "
-        f"index it by record, or give an array of one row a segment"
+        f"index it by record, or give an array with one row per segment"
     )
 
 

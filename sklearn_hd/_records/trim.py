@@ -138,8 +138,8 @@ def _waveform(sampling, blocks, basis, start, stop):
     if waveforms is None:
         raise ValueError(
             f"trim_span=({start:g}, {stop:g}) holds less than one whole period "
-            f"({spp * basis.sample_time:.4g} s) of any record; widen it, or, where a fold of a "
-            f"cross-validation leaves it out, keep it in all of them: PeriodBlockSplit(..., "
+            f"({spp * basis.sample_time:.4g} s) of any record; widen it. If a fold of a "
+            f"cross-validation leaves it out, keep it in all folds: PeriodBlockSplit(..., "
             f"trim_span=...)"
         )
     return waveforms
@@ -165,9 +165,9 @@ def _warn_of_drift(sampling, given, basis, start, stop):
         what = "outputs are not at rest"
     if share > MOST_MOTION:
         warn(
-            f"the {what} within trim_span=({start:g}, {stop:g}): what is subtracted for the trim "
-            f"holds {np.sqrt(share):.2g} of the motion in the record (rms); give one that begins "
-            f"when outputs have settled and ends before inputs move, or trim_span='auto'",
+            f"the {what} within trim_span=({start:g}, {stop:g}): the waveform subtracted as trim "
+            f"holds {np.sqrt(share):.2g} of the motion in the record (rms); give a span that "
+            f"begins when outputs have settled and ends before inputs move, or trim_span='auto'",
             IdentifiabilityWarning,
         )
 
@@ -178,9 +178,9 @@ def _warn_of_no_trim(waveform, outputs, basis, sampling):
     if share > MOST_WAVEFORM:
         warn(
             f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
-            f"of the energy of an output, and trim_span=None subtracts none; identified as "
-            f"dynamics it is a multiplier at 1, and R² is mostly a share of it; give "
-            f"trim_span='auto', or the times of the trim",
+            f"of the energy of an output, but trim_span=None subtracts none; the waveform is "
+            f"identified as a multiplier at 1 and dominates R²; give trim_span='auto', or the "
+            f"times of the trim",
             IdentifiabilityWarning,
         )
 
@@ -188,8 +188,8 @@ def _warn_of_no_trim(waveform, outputs, basis, sampling):
 def _warn_of_no_rest():
     """Of a trim that a sliding window's models know no better than the mean over the record."""
     warn(
-        "trim_span='auto': no turn is in trim, in which inputs rest and outputs repeat themselves; "
-        "the mean waveform of turns in which outputs move is subtracted for it; use a record with "
+        "trim_span='auto': no turn is in trim, where inputs rest and outputs repeat themselves, so "
+        "the mean waveform of turns in which outputs move is subtracted instead; use a record with "
         "a span in trim, or reading='sample' or 'period', which identify the trim together with "
         "the dynamics",
         IdentifiabilityWarning,

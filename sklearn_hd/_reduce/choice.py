@@ -206,10 +206,10 @@ def choose_modes(modes, experiment, n_states=None):
     if not ranking:
         asked = "no mode" if n_states is None else f"n_states={n_states}"
         raise ValueError(
-            f"{asked} cannot be kept: {sum(sizes)} states in {len(units)} real poles or "
-            f"conjugate pairs are left once the window's memory and modes that turn or grow "
-            f"too fast are split off (pairs stay together); change n_states, keep more "
-            f"harmonics, or raise the order of the identified model"
+            f"{asked} cannot be kept: {sum(sizes)} states in {len(units)} real poles or conjugate "
+            f"pairs are left after the window's memory and modes that turn or grow too fast are "
+            f"removed (pairs stay together); change n_states, keep more harmonics, or raise the "
+            f"order of the identified model"
         )
     best, picked = ranking[0]
     slack = nothing if best <= nothing else rounding
@@ -252,9 +252,9 @@ def warn_of_doubt(choice, n_states):
     kept = sum(map(len, choice.units))
     if choice.left_out > DECISIVE_SHARE and n_states is None:
         warn(
-            f"the {kept} modes kept explain much less than all modes do (of what "
-            f"they leave, the others explain {choice.left_out:.0%}); give n_states, or change "
-            f"the order of the identified model",
+            f"the {kept} modes kept explain much less than all modes do (the others explain "
+            f"{choice.left_out:.0%} of what they leave); give n_states, or change the order of the "
+            f"identified model",
             IdentifiabilityWarning,
         )
     if choice.doubtful:
@@ -340,7 +340,7 @@ def with_those_behind(table, model, opinion):
         np.append(exponents, more),
         np.append(families, new),
         [*verdicts, *["genuine"] * len(more)],
-        [*reasons, *["of the free decays: the model is made of it"] * len(more)],
+        [*reasons, *["from the free decays, which give the model"] * len(more)],
     )
 
 
@@ -354,7 +354,7 @@ def mode_table(exponents, families, verdicts, reasons):
 
 
 def _window_memory(z, basis):
-    """Poles that die within the window, but for those whose copies agree."""
+    """Poles that die within the window, except those whose copies agree."""
     window = is_window_pole(z, basis.window_rows, WINDOW_DECAY)
     told = np.flatnonzero(~is_window_pole(z, basis.window_rows, FAINT))
     orders = [orders for _, orders in basis.outputs]

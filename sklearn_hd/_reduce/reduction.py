@@ -91,9 +91,8 @@ def _passed(model, n_states, reason):
     if n_states not in (None, model.n_states):
         way = f"MOESPRegressor(order={n_states})" if model.dt else "one reducer only"
         raise ValueError(
-            f"n_states={n_states} cannot be kept: the model is {reason}, has nothing "
-            f"spurious, and passes with its {model.n_states} states; use {way}, or leave "
-            f"n_states=None"
+            f"n_states={n_states} cannot be kept: the model is {reason}, has nothing spurious, and "
+            f"keeps all its {model.n_states} states; use {way}, or leave n_states=None"
         )
     return Reduction(model, _all_genuine(model.exponents(), reason))
 
@@ -134,7 +133,7 @@ def _chosen(model, experiment, modes, method, n_states):
         found = _behind_families(model, experiment, modes, choice)
         behind = found is not None
         if behind:
-            shown = "its family's mode shape gives F(ψ), and that the harmonic decomposition"
+            shown = "its family's mode shape gives F(ψ), and F(ψ) the harmonic decomposition"
             reasons = [shown if v == "genuine" else r for v, r in zip(judged, reasons, strict=True)]
     feedthrough = model.feedthrough
     if found is not None:

@@ -1,4 +1,4 @@
-"""Records of the flapping wing: what an experiment on the paper's vehicle would give."""
+"""Records of the flapping wing, as an experiment on the paper's vehicle would give them."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -57,7 +57,7 @@ def make_flapping_wing(
     subsystem="heave",
     random_state=None,
 ):
-    """Simulated records of the flapping wing about hover, with the truth beside them.
+    """Simulated records of the flapping wing about hover, together with the truth.
 
     The amplitude of the flapping torque is changed by ΔU(t) about its trim value U*,
     and the vertical speed w and flapping speed φ̇ respond. All kinds share one trim
@@ -66,11 +66,11 @@ def make_flapping_wing(
     Parameters
     ----------
     kind : {"lti", "lti-signal", "ltp", "nltp"}, default="ltp"
-        ``"lti"``: harmonic coefficients of the response of the harmonic-decomposition
-        model with N = 1, what a perfect analyzer would give; ``"lti-signal"``: the same
-        put together to w and φ̇ (Eq. 7); ``"ltp"``: perturbations of the linear
-        time-periodic model; ``"nltp"``: raw measurements of the nonlinear system, the
-        periodic trim still in them and U* in the input.
+        ``"lti"``: harmonic coefficients of the response of the harmonic-decomposition model with N
+        = 1, as a perfect analyzer would give them; ``"lti-signal"``: the same combined to w and φ̇
+        (Eq. 7); ``"ltp"``: perturbations of the linear time-periodic model; ``"nltp"``: raw
+        measurements of the nonlinear system, which include the periodic trim and, in the input,
+        U*.
     n_periods : int, default=220
         Length of each record.
     samples_per_period : int, default=64
@@ -78,30 +78,30 @@ def make_flapping_wing(
     start : float, default=132
         Period in which a doublet begins (132 are the paper's 5 s).
     width : float, default=10
-        Periods that a doublet is up, and then down; unit step of a 3211.
+        Number of periods that a doublet is up, and then down; unit step of a 3211.
     amplitude : float or sequence of float, default=0.02
-        Largest change of the input, in parts of U*; negative turns the input
-        over. A sequence gives one record for each, of the same waveform.
+        Largest change of the input, as a share of U*; a negative value reverses the input. A
+        sequence gives one record for each value, of the same waveform.
     offset : float, default=0.0
-        Shift of all edges in parts of a period. Edges are rounded to the nearest
+        Shift of all edges as a share of a period. Edges are rounded to the nearest
         sample.
     input : {"doublet", "3211", "multisine"} or array_like, default="doublet"
         ``"doublet"``: up, then down, once. ``"3211"``: steps of 3, 2, 1 and 1 widths,
-        up and down in turn, repeated to the end. ``"multisine"``: all frequencies up to
-        0.4 cycles a period with random phases, one value held for each period. The
-        latter two begin after four quiet periods; for kind "nltp" after a tenth of the
-        record if that is more, for the trim inside to be averaged over. An array is ΔU
-        itself, in the units of U, of shape (n_samples,) or (n_records, n_samples).
+        up and down in turn, repeated to the end. ``"multisine"``: all frequencies up to 0.4 cycles
+        per period with random phases, one value held for each period. The latter two begin after
+        four quiet periods; for kind "nltp" after a tenth of the record if that is more, so that
+        the trim can be averaged there. An array is ΔU itself, in the units of U, of shape
+        (n_samples,) or (n_records, n_samples).
     n_records : int, default=1
-        More than one gives a (record, time) index. The first record is as asked; the
-        further ones differ at random in sign, width and size (doublet, 3211) or in
+        More than one gives a (record, time) index. The first record has the given input; the
+        others differ at random in sign, width and size (doublet, 3211) or in
         phases (multisine).
     snr, snr_db : float, optional
         Ratio of the standard deviation of each column (perturbation only, over all
         records) to that of the white Gaussian noise added to it, plain or in decibels
         (20 log₁₀). Without either, no noise.
     noise_on : {"outputs", "both"}, default="outputs"
-        Where the noise is added; ``"both"`` is inputs and outputs.
+        Signals that get the noise; ``"both"`` is inputs and outputs.
     subsystem : {"heave", "flap"}, default="heave"
         ``"heave"``: ΔU is the amplitude itself, U₀; outputs w₀, φ̇_1c, φ̇_1s.
         ``"flap"``: ΔU is U_1c, so that the input is U_1c cos ψ; outputs φ̇₀, w_1c, w_1s.
@@ -137,8 +137,8 @@ def make_flapping_wing(
         trim : Trim
             The periodic solution that all kinds share.
         trim_span : tuple of float or None
-            (0, time of the first change of any record's input) in seconds, within each
-            record; None if that is less than a period.
+            (0, time of the first change of any record's input) in seconds, within each record;
+            None if that is shorter than a period.
         DESCR : str
             How the data were made.
 
@@ -292,7 +292,7 @@ _RESPONSES = {
 
 
 def _raw_input(part, du, psi):
-    """ΔU as it is seen at the samples: the amplitude times 1 or cos ψ."""
+    """ΔU at the samples: the amplitude times 1 or cos ψ."""
     return (du * recompose(np.array(part.modulation), psi, [0, 1]))[..., None]
 
 
@@ -322,13 +322,14 @@ class _ModulatedRates:
 
 def _excitation(input, n_periods, spp, start, width, size, offset, n_records, quiet, rng):
     n_samples = n_periods * spp
-    n_records = check_count("n_records", n_records, 1, "one is the least")
+    n_records = check_count("n_records", n_records, 1, "it is the number of records")
     if not isinstance(input, str):
         return _given(input, n_samples, n_records)
     check_choice("input", input, ("doublet", "3211", "multisine"))
     if not width * spp >= 1:
         raise ValueError(
-            f"width={width} is less than a sample; it counts periods, give {1 / spp:g} or more"
+            f"width={width} is shorter than a sample; it counts periods, so give {1 / spp:g} or "
+            f"more"
         )
     if input == "doublet":
         records = _doublets(n_samples, spp, start + offset, width, size, n_records, rng)
@@ -389,8 +390,8 @@ def _multisines(n_samples, spp, width, size, n_records, rng):
     cycles = np.arange(1, int(0.4 * n_values) + 1) / n_values
     if not len(cycles):
         raise ValueError(
-            f"a multisine needs three periods or more after the quiet ones; {n_values} are left: "
-            f"raise n_periods"
+            f"a multisine needs three periods or more after the quiet ones, but {n_values} are "
+            f"left; raise n_periods"
         )
     phases = rng.uniform(0.0, 2.0 * np.pi, (n_records, len(cycles)))
     values = np.cos(2.0 * np.pi * np.outer(np.arange(n_values), cycles) + phases[:, None]).sum(-1)
@@ -425,7 +426,7 @@ def _trim_span(du, t, spp):
 
 
 def record_index(t, n_records):
-    """Times t in seconds, repeated for each record where there are several."""
+    """Times t in seconds, repeated for each record if there are several."""
     if n_records == 1:
         return pd.Index(t, name="time")
     return pd.MultiIndex.from_product([range(n_records), t], names=["record", "time"])
@@ -465,7 +466,7 @@ def _check_amplitudes(amplitude, n_records):
         raise ValueError(f"amplitude={amplitude!r} must be a finite number, or several")
     if several and (n_records != 1 or not np.all(amplitudes)):
         raise ValueError(
-            f"amplitude={amplitude!r} gives one record for each, with n_records={n_records}; give "
-            f"amplitudes other than zero and leave n_records at 1"
+            f"amplitude={amplitude!r} makes one record for each value, but n_records={n_records}; "
+            f"give amplitudes other than zero and leave n_records at 1"
         )
     return amplitudes

@@ -1,4 +1,4 @@
-"""Records of a hovering hawkmoth, which cannot hover without its feedback."""
+"""Records of a hovering hawkmoth, which needs its feedback to hover."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -37,15 +37,15 @@ def make_hawkmoth(
     gain=None,
     random_state=None,
 ):
-    """Simulated flights of a hawkmoth under its stabilising feedback, with their truth.
+    """Simulated flights of a hawkmoth under its stabilising feedback, with the truth.
 
-    The nonlinear moth of :func:`~sklearn_hd.systems.hawkmoth` starts in its trim. Once a
+    The nonlinear moth of :func:`~sklearn_hd.systems.hawkmoth` starts in its trim. Once per
     wingbeat (k) its inputs are set to
 
         u_k = u* + v_k − K (ȳ_{k−1} − ȳ*)
 
-    from the means ȳ of what was measured. The inputs thus depend on past noise and gusts:
-    methods that take them for independent of these are biased.
+    from the means ȳ of the measurements. The inputs thus depend on past noise and gusts: methods
+    that assume independent inputs are biased.
 
     Parameters
     ----------
@@ -56,13 +56,13 @@ def make_hawkmoth(
     samples_per_period : int, default=64
         Rows of one wingbeat.
     excitation : float, (float, float) or array_like, default=0.01
-        Size of the steps v in rad, for both inputs or each; or v itself as an array,
-        array of shape (n_records, n_periods, 2).
+        Size of the steps v in rad, for both inputs or for each; or v itself as an array of shape
+        (n_records, n_periods, 2).
     quiet : int, default=8
         Wingbeats without excitation at the beginning.
     noise : float, default=0.0
-        Standard deviation of the white noise of the sensors, in parts of each output's
-        root mean square departure from the trim without any noise. The feedback reads it.
+        Standard deviation of the white noise of the sensors, as a share of each output's root mean
+        square departure from the trim without any noise. The feedback reads it.
     gust : float, default=0.0
         Standard deviation in m/s of the wind along the body's x and z axes, held from
         sample to sample and white.
@@ -77,9 +77,9 @@ def make_hawkmoth(
         With these attributes:
 
         inputs : DataFrame, (n_samples, 2)
-            Columns amplitude and mean_angle in rad, the trim in them.
+            Columns amplitude and mean_angle in rad, including the trim.
         outputs : DataFrame, (n_samples, 4)
-            Columns u, w (m/s), q (rad/s) and theta (rad) as measured, the trim in them.
+            Columns u, w (m/s), q (rad/s) and theta (rad) as measured, including the trim.
         outputs_clean : DataFrame, (n_samples, 4)
             The same motion without noise of the sensors.
         excitation : DataFrame, (n_samples, 2)
@@ -91,7 +91,7 @@ def make_hawkmoth(
         exponents : complex ndarray, (4,)
             Floquet exponents of the moth without feedback, in 1/s.
         multipliers : complex ndarray, (8,)
-            Of the closed loop, a wingbeat.
+            Multipliers of the closed loop over a wingbeat.
         ltp : LTPSystem
             The moth without feedback, linear about its trim.
         system : PeriodicSystem
@@ -108,7 +108,7 @@ def make_hawkmoth(
     ValueError
         If an argument is not allowed.
     RuntimeError
-        If the moth falls: excited, blown or fed back too much.
+        If the moth falls because of too much excitation, gust or feedback.
 
     References
     ----------
@@ -125,13 +125,13 @@ def make_hawkmoth(
     >>> bool(abs(data.multipliers[0]) < 0.75)
     True
     """
-    n_records = check_count("n_records", n_records, 1, "one is the least")
+    n_records = check_count("n_records", n_records, 1, "it is the number of records")
     n_periods = check_count("n_periods", n_periods, 1, "wingbeats of each record")
     S = check_count("samples_per_period", samples_per_period, 4, "64 resolve a wingbeat")
     quiet = check_count("quiet", quiet, 0, "wingbeats before the excitation")
     if quiet > n_periods:
         raise ValueError(
-            f"quiet={quiet} is more than n_periods={n_periods}; a record has no more than these"
+            f"quiet={quiet} exceeds n_periods={n_periods}, the length of a record; lower quiet"
         )
     check_numbers("nonnegative", "0 leaves it out", noise=noise, gust=gust)
     rng, truth = check_random_state(random_state), _truth()
@@ -193,7 +193,7 @@ def _truth():
 
 
 def _flights(loop, v, wind, noise, rng):
-    """Inputs, outputs as measured and outputs as they were."""
+    """Inputs, measured outputs and true outputs."""
     substeps = -(-64 // loop.samples_per_period)  # 64 a wingbeat: 2e-6 of q
     u, y = loop.simulate(v, disturbances=wind, substeps=substeps)
     _check_upright(y, loop)
@@ -208,12 +208,12 @@ def _flights(loop, v, wind, noise, rng):
 
 
 def _check_upright(y, loop):
-    """Raise RuntimeError if a moth has turned over: what it does then is no flight."""
+    """Raise RuntimeError if a moth has turned over, because it no longer flies then."""
     pitch = np.abs(y[..., loop.system.output_names.index("theta")])
     if np.max(pitch) > np.pi / 2.0:
         row = int(np.argwhere(np.any(pitch > np.pi / 2.0, axis=0))[0, 0])
         raise RuntimeError(
-            f"the moth turns over in wingbeat {row // loop.samples_per_period}: excite it less, or "
+            f"the moth turns over in wingbeat {row // loop.samples_per_period}; excite it less, or "
             f"give less gust or another gain"
         )
 

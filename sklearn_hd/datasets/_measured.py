@@ -1,4 +1,4 @@
-"""Records and models that others measured or published, as they are shipped."""
+"""Records and models that others measured or published, as shipped."""
 
 from importlib.resources import files
 from numbers import Real
@@ -25,7 +25,7 @@ TURBINES = {
 def load_robot_arm():
     """A flexible robot arm on an electric motor (DaISy): 1024 samples, one input, one output.
 
-    A periodic sine sweep. The sample time is not on record: rows are counted.
+    The input is a periodic sine sweep. The sample time is not on record, so rows count as samples.
 
     Returns
     -------
@@ -86,8 +86,8 @@ units are not on record. Contributed by P. Van Overschee (KU Leuven).
 def load_cd_player_arm():
     """The arm of a CD player (DaISy): 2048 samples, two inputs, two outputs.
 
-    Measured in closed loop, and converted to an equivalent record in open loop. The
-    sample time is not on record: rows are counted.
+    The record was measured in closed loop and converted to an equivalent record in open loop. The
+    sample time is not on record, so rows count as samples.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Records of a rotor in service: a blade in forward flight, as it is measured."""
+"""Records of a rotor in service: a blade in forward flight, as measured."""
 
 import numpy as np
 import pandas as pd
@@ -38,18 +38,18 @@ def make_rotor(
     speed_variation=0.0,
     random_state=None,
 ):
-    """Record of a rotor blade in service, with the truth beside it.
+    """Record of a rotor blade in service, together with the truth.
 
     The blade flaps in forward flight (:func:`~sklearn_hd.systems.flapping_blade`). Its pitch θ
-    follows the pitch asked for, θ_c; the air that comes through the disc, from below in parts of
-    the tip speed, is an inflow λ(ψ) fixed in space and a gust w:
+    follows the commanded pitch θ_c. The air comes through the disc from below; as a share of the
+    tip speed it is an inflow λ(ψ) fixed in space plus a gust w:
 
         β″ + γ/8 (1 + 4/3 μ sin ψ) β′ + (ν² + γ/8 (4/3 μ cos ψ + μ² sin 2ψ)) β
             = γ/8 (1 + 8/3 μ sin ψ + 2 μ² sin² ψ) θ + γ (1/6 + μ/4 sin ψ) (λ(ψ) + w),
         θ′ = 0.7 (θ_c − θ),    w′ = −0.3 w + white noise
 
-    with ′ = d/dψ. Nothing rests: there is no span in trim, and in general no whole number of
-    samples in a turn.
+    with ′ = d/dψ. Nothing rests: no span is in trim, and in general a turn does not hold a whole
+    number of samples.
 
     Parameters
     ----------
@@ -58,21 +58,21 @@ def make_rotor(
     sample_time : float, default=0.01
         Seconds from sample to sample.
     omega : float, default=38.8
-        Mean speed Ω of the rotor in rad/s; with ``sample_time`` it gives 16.19 samples a turn.
+        Mean speed Ω of the rotor in rad/s; with ``sample_time`` it gives 16.19 samples per turn.
     gamma, mu, nu : float, default=5.0, 0.4, 1.2
         Lock number, advance ratio and flap frequency of the blade.
     pitch : float, default=0.02
-        Size of the steps of the pitch asked for, rad; each is up, down or none.
+        Size of the steps of the commanded pitch, rad; each is up, down or none.
     hold : int, default=3
         Samples from one step to the next.
     turbulence : float, default=0.002
-        Standard deviation of the gust w, in parts of the tip speed.
+        Standard deviation of the gust w, as a share of the tip speed.
     noise : float, default=0.01
-        Standard deviation of the sensor's white noise, in parts of that of the response to
-        the input.
+        Standard deviation of the sensor's white noise, as a share of that of the response to the
+        input.
     speed_variation : float, default=0.0
-        Standard deviation of the speed in parts of its mean: slow waves, the fastest of 13
-        turns. The blade keeps pace with the rotor.
+        Standard deviation of the speed as a share of its mean: slow waves, the fastest over 13
+        turns. The dynamics of the blade scale with the rotor speed.
     random_state : int, RandomState or None, default=None
         For steps, gusts, noise and speed.
 
@@ -86,13 +86,13 @@ def make_rotor(
         outputs : DataFrame, (n_samples, 1)
             Column flap, the angle β in rad as measured.
         azimuth : Series, (n_samples,)
-            ψ in rad as an encoder has it, starting anew at each turn; its name is psi.
+            ψ in rad as from an encoder, starting again at each turn; its name is psi.
         response : DataFrame, (n_samples, 1)
-            What of the flap angle is due to the input.
+            Part of the flap angle that the input causes.
         outputs_clean : DataFrame, (n_samples, 1)
             The flap angle without the sensor's noise.
         loads : DataFrame, (25, 1)
-            Fourier coefficients of the forced periodic flap angle: what the inflow does.
+            Fourier coefficients of the forced periodic flap angle, which the inflow causes.
         omega : float
             Ω.
         sample_time : float
@@ -102,7 +102,7 @@ def make_rotor(
         exponents : complex ndarray, (3,)
             Floquet exponents of blade and actuator in 1/s, the slowest first.
         gust_exponent : float
-            That of the gust, −0.3 Ω, a state of any model that predicts ahead.
+            Exponent of the gust, −0.3 Ω; it is a state of any model that predicts ahead.
         ltp : LTPSystem
             Blade and actuator, driven by pitch and gust.
         DESCR : str
@@ -129,7 +129,7 @@ def make_rotor(
     n_turns = check_count("n_turns", n_turns, 2, "the length of the record")
     hold = check_count("hold", hold, 1, "samples from step to step")
     omega = check_positive("omega", omega, "rad/s", "it is the rotor speed")
-    sample_time = check_positive("sample_time", sample_time, "seconds", "it parts the samples")
+    sample_time = check_positive("sample_time", sample_time, "seconds", "it separates samples")
     sizes = {"pitch": pitch, "turbulence": turbulence, "noise": noise}
     check_numbers("nonnegative", "0 leaves it out", **sizes, speed_variation=speed_variation)
     rng, ltp = check_random_state(random_state), _rotor(gamma, mu, nu, omega)
@@ -140,7 +140,7 @@ def make_rotor(
     if np.any(np.diff(psi) <= 0.0):
         raise ValueError(
             f"speed_variation={speed_variation:g} makes the rotor stand still or turn back; it is "
-            f"a share of the mean speed, and 0.1 is much"
+            f"a share of the mean speed, and 0.1 is already large"
         )
     asked = pitch * np.repeat(rng.choice([-1.0, 0.0, 1.0], -(-n // hold)), hold)[:n]
     gust = turbulence * _gusts(np.diff(psi, append=psi[-1] + omega * sample_time), rng)

@@ -1,4 +1,4 @@
-"""From the model to the next record and the controller: inputs, regulators and Kalman filters."""
+"""Design from a model: the next record's inputs, regulators and Kalman filters."""
 
 from sklearn_hd.design._input import InputDesign, design_input
 from sklearn_hd.design._matrix import PeriodicMatrix

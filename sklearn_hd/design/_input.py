@@ -1,4 +1,4 @@
-"""The next record: inputs that tell the Floquet exponents best within a budget."""
+"""The next record: inputs that determine the Floquet exponents best within a budget."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -39,28 +39,28 @@ LACKS = 2.0  # times the doubt that the designed record leaves
 
 @dataclass(frozen=True, eq=False)
 class InputDesign:
-    """What :func:`design_input` finds.
+    """Result of :func:`design_input`.
 
     Parameters
     ----------
     inputs : DataFrame, shape (n_samples, n_inputs)
-        Ready to fly: changes of the inputs about their trim, held from sample to sample. Time in
+        Changes of the inputs about their trim, ready to fly, held from sample to sample. Time in
         seconds; the first row is at ψ = 0.
     outputs : DataFrame, shape (n_samples, n_outputs)
-        What the model makes of them, about the trim; look whether that is a small motion.
+        Response of the model to them, about the trim; check that this is a small motion.
     exponents : DataFrame, shape (n_states, 3 or 6)
         Floquet exponents of the model, 1/s, and ``std_real`` and ``std_imag``, the smallest
         standard deviations of an unbiased estimate from the new record. With a record at hand also
-        ``std_real_at_hand``, ``std_imag_at_hand`` and ``gain``: by how many times the magnitude of
-        the deviations falls.
+        ``std_real_at_hand``, ``std_imag_at_hand`` and ``gain``, the factor by which the magnitude
+        of the deviations falls.
     phases : DataFrame, shape (8 n_inputs, 1 or 2)
-        Index: input and azimuth in degrees. ``designed``: of the motion that a short pulse of that
-        input there makes, the share (root mean square) that remains unknown after the new record.
+        Index: input and azimuth in degrees. ``designed``: unknown share (root mean square), after
+        the new record, of the motion that a short pulse of that input at that azimuth causes.
         ``at_hand``: the same after the record at hand.
     energy : float
         ∫ Σ (u / amplitude)² dt, seconds.
     n_evaluations : int
-        Inputs compared.
+        Number of inputs compared.
 
     References
     ----------
@@ -85,7 +85,7 @@ class InputDesign:
 
     @property
     def lacking(self):
-        """What the record at hand lacks, in words; empty if nothing, or none was given."""
+        """What the record at hand lacks, in words; empty if it lacks nothing or was not given."""
         if "at_hand" not in self.phases:
             return ""
         hand, new = self.phases["at_hand"], self.phases["designed"]
@@ -94,8 +94,8 @@ class InputDesign:
         for name in worse.unique("input"):
             degrees = worse[worse.get_level_values("input") == name].get_level_values("azimuth")
             most = hand.loc[name].loc[degrees].max()
-            known = f"the motion that it makes there is known but for {most:.2g} of its size"
-            known = known if most < 1.0 else "nothing is known of the motion that it makes there"
+            known = f"its motion there is known only to {most:.2g} of its size"
+            known = known if most < 1.0 else "its motion there is unknown"
             where = "ψ = " + ", ".join(f"{each:g}°" for each in degrees)
             where = "all azimuths" if len(degrees) == N_PHASES else where
             words.append(f"{name} at {where} ({known})")
@@ -120,14 +120,14 @@ def design_input(
     n_trials=300,
     random_state=0,
 ):
-    """Inputs within a budget whose record tells the Floquet exponents of a machine best.
+    """Inputs within a budget whose record determines the Floquet exponents best.
 
         min over u of Π_i σ_i(u),   σ_i² = (∂λ_i/∂θ) I(u)⁻¹ (∂λ_i/∂θ)ᴴ,   |u| ≤ amplitude
 
     I(u) is the Fisher matrix of all parameters θ of the model, with white noise on the outputs and
-    an unknown initial state, so σ is the Cramér-Rao bound of the record to come. It is taken
-    at the model given: design, fly, identify, and design again. The search ends in a local optimum;
-    a longer one (``n_trials``), or other seeds, may find a better one.
+    an unknown initial state, so σ is the Cramér-Rao bound of the new record. It is computed for
+    the given model: design, fly, identify, and design again. The search ends in a local optimum; a
+    longer one (``n_trials``), or other seeds, may find a better one.
 
     Parameters
     ----------
@@ -136,39 +136,41 @@ def design_input(
     amplitude : float, sequence of float, or dict
         Largest change of each input, in its units (a dict: by name).
     length : float
-        Seconds, the quiet periods included.
+        Seconds, including the quiet periods.
     kind : {"steps", "multisine"}, default="steps"
-        ``"steps"``: held levels −amplitude, 0 or amplitude, with free edges: doublets and 3-2-1-1
-        among them. ``"multisine"``: up to forty lines with free amplitudes and phases, up to two
-        cycles a period.
+        ``"steps"``: held levels −amplitude, 0 or amplitude, with free edges; doublets and 3-2-1-1
+        are examples. ``"multisine"``: up to forty lines with free amplitudes and phases, up to two
+        cycles per period.
     energy : float, optional
         Bound of ∫ Σ (u / amplitude)² dt in seconds: the time for which one input may stand at its
         amplitude. By default there is none.
     X : DataFrame or ndarray, shape (n_samples, n_inputs), optional
-        Inputs of the record at hand, as the model would predict from; of an LTPSystem changes
-        about the trim, at a whole number of samples a period.
+        Inputs of the record at hand, as for ``predict``; for an LTPSystem changes about the trim,
+        with a whole number of samples per period.
     noise_std : float, sequence of float, or dict, optional
         Standard deviation of the noise of each output (a dict: by name). By default that of a
         model fitted with ``criterion="output_error"``. A common factor changes all σ, not the
         inputs found.
     structure : HarmonicStructure, optional
-        What of the system is unknown. By default that of the matcher; of an LTPSystem all
+        Unknown part of the system. By default that of the matcher; for an LTPSystem all
         coefficients of F and G up to the harmonics that they have, P and Q known.
     exponents : sequence of int, optional
-        Which of the exponents count, from the rightmost (0) leftwards; all by default.
+        Indices of the exponents that count, from the rightmost (0) leftwards; all by default.
     samples_per_period : int, optional
         That of the model by default, 64 for an LTPSystem.
     quiet_periods : int, default=4
         Periods at rest at the beginning, which show the trim.
     n_trials : int, default=300
-        Changes tried. Edges lie on sixteenths of a period, or finer where F has many harmonics.
+        Number of changes tried. Edges lie on sixteenths of a period, or finer if F has many
+        harmonics.
     random_state : int, RandomState or None, default=0
         Seed of the search.
 
     Returns
     -------
     design : InputDesign
-        With ``inputs``, a DataFrame to fly, the deviations to expect, and what is lacking so far.
+        With ``inputs``, a DataFrame to fly, the expected deviations, and what the record at hand
+        lacks.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def design_input(
         If the model has not been fitted.
     ValueError
         If an argument is not understood, the budget excites nothing, or no input within it
-        determines the exponents: the parameters left are named.
+        determines the exponents; the message names the undetermined parameters.
 
     References
     ----------
@@ -186,7 +188,7 @@ def design_input(
 
     Examples
     --------
-    A doublet of two periods, and the steps that tell more at its energy:
+    A doublet of two periods, and steps that determine more with the same energy:
 
     >>> from sklearn_hd.systems import mathieu
     >>> system = mathieu(damping=0.3)
@@ -264,7 +266,7 @@ class _Clock:
 
 @dataclass(frozen=True, eq=False)
 class _Plant:
-    """A periodic system, what of it is unknown, and how it is measured."""
+    """A periodic system, its unknown part, and how it is measured."""
 
     structure: object
     theta: np.ndarray
@@ -281,13 +283,13 @@ class _Plant:
 
     @property
     def rows_of_search(self):
-        """The fewest samples a period that resolve F(ψ), a divisor of all."""
+        """The fewest samples per period that resolve F(ψ), a divisor of all."""
         least = max(LEAST_ROWS, 4 * self.structure.n_harmonics)
         divisors = [d for d in range(1, self.n_phases + 1) if self.n_phases % d == 0]
         return next((d for d in divisors if d >= least), self.n_phases)
 
     def at(self, n_phases):
-        """At fewer samples a period, whose noise averages those between."""
+        """The plant at fewer samples per period, whose noise averages those in between."""
         sigma = self.sigma * np.sqrt(n_phases / self.n_phases)
         return _Clock(n_phases, ExponentBound(self.form(n_phases), self.theta, sigma))
 
@@ -295,18 +297,18 @@ class _Plant:
         return Form(self.structure, self.omega, n_phases)
 
     def with_load(self, u):
-        """Inputs, and one that is 1 where loads are unknown, too."""
+        """Inputs, with an additional one that is 1 if loads are also unknown."""
         return u if self.n_loads < 0 else np.hstack([u, np.ones((len(u), 1))])
 
     def check_growth(self, clock, n_periods):
-        """Raise ValueError if the motion grows beyond all measure."""
+        """Raise ValueError if the motion grows too large."""
         form = clock.bound.form
         radius = form.radius(form.response(self.theta, sensitivities=False))
         if radius > 1.0 and not n_periods * np.log(radius) < np.log(TOO_LARGE):
             raise ValueError(
                 f"the model is unstable (largest multiplier {radius:.3g}), and its motion grows by "
                 f"more than {TOO_LARGE:g} within {n_periods} periods; design a shorter record, or "
-                f"close a loop around the machine first"
+                f"close a control loop around the machine first"
             )
 
     def why_unknown(self, clock, u):
@@ -314,8 +316,8 @@ class _Plant:
         bound = clock.bound
         names = bound.information([(self.with_load(u), None, 0)]).unidentified
         return (
-            f"no input tried within this budget determines the exponents: the parameters "
-            f"{list(names[:6])}{' and others' if len(names) > 6 else ''} move no output apart; "
+            f"no input tried within this budget determines the exponents: the outputs do not "
+            f"separate the parameters {list(names[:6])}{' and others' if len(names) > 6 else ''}; "
             f"raise length, drive further inputs, or give structure=HarmonicStructure(...) with "
             f"fewer harmonics or known entries"
         )
@@ -336,7 +338,7 @@ class _Plant:
         )
 
     def compared(self, fine, coarse, u, at_hand):
-        """Tables of the exponents and of what is known at each phase."""
+        """Tables of the exponents and of the knowledge at each phase."""
         found = fine.bound.information([(self.with_load(u), None, 0)])
         std = fine.bound.std_of(found)
         pulses, index = self._pulses(coarse.n_phases)
@@ -365,7 +367,7 @@ class _Plant:
         return pulses, pd.MultiIndex.from_product([self.input_names, degrees], names=names)
 
     def at_hand(self, model, X):
-        """What a record of the inputs X tells of the parameters."""
+        """What a record of the inputs X shows about the parameters."""
         if isinstance(model, LTPSystem):
             segments, form = self._segments(X), self.form(self.n_phases)
         else:
@@ -373,13 +375,13 @@ class _Plant:
         return ExponentBound(form, self.theta, self.sigma).information(segments)
 
     def _segments(self, X):
-        """Records of an LTPSystem, at a whole number of samples a period."""
+        """Records of an LTPSystem, with a whole number of samples per period."""
         experiment = read_experiment(X)
         names = tuple(map(str, experiment.basis.drive_labels))
         if len(names) != len(self.input_names):
             raise ValueError(
-                f"X has the columns {list(names)}, the system the inputs {list(self.input_names)}; "
-                f"give one column for each"
+                f"X has the columns {list(names)}, but the system has the inputs "
+                f"{list(self.input_names)}; give one column for each"
             )
         segments = []
         for u, time in zip(experiment.inputs, experiment.times(), strict=True):
@@ -389,8 +391,9 @@ class _Plant:
             if not max(off, abs(rows[0] - round(rows[0]))) < 1e-3:
                 raise ValueError(
                     f"X has {2.0 * np.pi / (self.omega * experiment.base.sample_time):.6g} samples "
-                    f"a period, and must have samples_per_period={self.n_phases}, the first at a "
-                    f"multiple of them after ψ = 0; set samples_per_period, or resample X"
+                    f"per period, but must have samples_per_period={self.n_phases}, with the first "
+                    f"one a whole number of samples after ψ = 0; set samples_per_period, or "
+                    f"resample X"
                 )
             segments.append((u, None, round(rows[0])))
         return segments
@@ -415,7 +418,7 @@ class _Plant:
 def _plant(model, structure, noise_std, samples_per_period):
     """The plant of a model of either kind."""
     if structure is not None and not isinstance(structure, HarmonicStructure):
-        raise ValueError(f"structure={structure!r} is no HarmonicStructure; give one, or None")
+        raise ValueError(f"structure={structure!r} is not a HarmonicStructure; give one, or None")
     if isinstance(model, LTPSystem):
         return _of_system(model, structure, noise_std, samples_per_period)
     matcher = _matcher(model)
@@ -423,8 +426,8 @@ def _plant(model, structure, noise_std, samples_per_period):
     match, basis = matcher.match_, matcher.basis_
     if matcher.criterion == "prediction_error":
         raise ValueError(
-            "the model was fitted with criterion='prediction_error': gusts move its states, and "
-            "the bound here is that of noise on the outputs alone; fit with "
+            "the model was fitted with criterion='prediction_error', where gusts move its states, "
+            "but this bound counts only the noise on the outputs; fit with "
             "criterion='output_error', or give its ltp_ and noise_std for a bound without gusts"
         )
     if match.periodic is None or not (match.periodic.physical or structure is not None):
@@ -443,7 +446,7 @@ def _plant(model, structure, noise_std, samples_per_period):
     if noise_std is None:
         if match.uncertainty is None:
             raise ValueError(
-                "this model was fitted in a norm, which tells no noise; give noise_std, or fit "
+                "this model was fitted in a norm, so its noise is unknown; give noise_std, or fit "
                 "with criterion='output_error'"
             )
         noise_std = match.uncertainty.noise_std
@@ -454,8 +457,8 @@ def _plant(model, structure, noise_std, samples_per_period):
 def _of_system(system, structure, noise_std, samples_per_period):
     if noise_std is None:
         raise ValueError(
-            "an LTPSystem tells no noise; give noise_std, the standard deviation of each output's "
-            "(what sensors have: only their ratio moves the inputs found)"
+            "the noise of an LTPSystem is unknown; give noise_std, the standard deviation of each "
+            "output's sensor noise (only the ratios change the inputs found)"
         )
     names = system.state_names, system.input_names, system.output_names
     coefficients = system.fourier_coefficients(4 * MOST_HARMONICS)
@@ -484,7 +487,7 @@ def _assembled(structure, theta, omega, count, noise_std, names, n_loads):
 
 
 def _matcher(model):
-    """The matcher that a model is, or ends in."""
+    """The matcher itself, or that at the end of a Pipeline."""
     last = model[-1] if hasattr(model, "steps") else model
     if not isinstance(last, StructuredMatcher):
         raise ValueError(
@@ -495,14 +498,14 @@ def _matcher(model):
 
 
 def _n_harmonics(name, coefficients):
-    """Harmonics of a matrix but for a hundredth of its norm."""
+    """Harmonics of a matrix, except for a hundredth of its norm."""
     squares = np.sum(coefficients**2, axis=(1, 2))
     for k in range(MOST_HARMONICS + 1):
         if np.sum(squares[2 * k + 1 :]) <= TAIL**2 * np.sum(squares):
             return k
     raise ValueError(
-        f"{name} of the system has more than {MOST_HARMONICS} harmonics; say what of it is "
-        f"unknown: structure=HarmonicStructure(F=..., G=...)"
+        f"{name} of the system has more than {MOST_HARMONICS} harmonics; state what is unknown: "
+        f"structure=HarmonicStructure(F=..., G=...)"
     )
 
 
@@ -542,18 +545,18 @@ def _amplitudes(amplitude, names):
         return _by_name("amplitude", amplitude, names, "the largest change")
     except ValueError as error:
         raise ValueError(
-            f"{error}; with an amplitude of zero nothing moves: drop that input"
+            f"{error}; an input with amplitude zero does not move, so drop it"
         ) from None
 
 
 def _whole_periods(length, quiet, plant):
     """Whole periods after the quiet ones."""
-    check_positive("length", length, "seconds", "it is that of the whole record")
+    check_positive("length", length, "seconds", "it is the length of the whole record")
     n_periods = int(np.floor(length / plant.period + 1e-9)) - quiet
     if n_periods < 1:
         raise ValueError(
-            f"length={length:g} s leaves no period for inputs after quiet_periods={quiet}: a "
-            f"period lasts {plant.period:.4g} s; give {(quiet + 1) * plant.period:.4g} s or more"
+            f"length={length:g} s leaves no period for inputs after quiet_periods={quiet}; a "
+            f"period lasts {plant.period:.4g} s, so give {(quiet + 1) * plant.period:.4g} s or more"
         )
     return n_periods
 
@@ -566,6 +569,6 @@ def _which(exponents, plant):
     places = np.atleast_1d(np.asarray(exponents))
     if not (len(places) and places.dtype.kind in "iu" and np.all((places >= 0) & (places < n))):
         raise ValueError(
-            f"exponents={exponents!r} must be places among the {n} exponents, 0 the rightmost"
+            f"exponents={exponents!r} must be indices among the {n} exponents; 0 is the rightmost"
         )
     return places

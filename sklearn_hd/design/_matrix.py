@@ -1,4 +1,4 @@
-"""A periodic matrix by its samples: gains, costs to go, covariances."""
+"""A periodic matrix given by its samples: gains, costs to go, covariances."""
 
 from dataclasses import dataclass, field
 
@@ -16,8 +16,8 @@ class PeriodicMatrix:
         M(ψ) = M_0 + Σ_k (M_kc cos kψ + M_ks sin kψ)
 
     Called with azimuths ψ of shape (n_points,), it returns values (n_points, rows, columns): of
-    the trigonometric polynomial through its samples or, with ``held``, of the latest sample. So
-    it may serve as F, G, P or Q of an :class:`~sklearn_hd.systems.LTPSystem`.
+    the trigonometric polynomial through its samples or, with ``held``, of the latest sample. It
+    can therefore be F, G, P or Q of an :class:`~sklearn_hd.systems.LTPSystem`.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class PeriodicMatrix:
 
     @property
     def max_harmonics(self):
-        """Highest harmonic that p samples tell, the largest whole number below p / 2."""
+        """Highest harmonic that p samples determine, the largest whole number below p / 2."""
         return (len(self.values) - 1) // 2
 
     def __call__(self, psi):
@@ -89,18 +89,18 @@ class PeriodicMatrix:
         Raises
         ------
         ValueError
-            If ``n_harmonics`` is negative, not whole or more than the samples tell.
+            If ``n_harmonics`` is negative, not whole or more than the samples determine.
         """
         N = check_count("n_harmonics", n_harmonics, 0, "0 keeps the mean alone")
         if self.max_harmonics < N:
             raise ValueError(
-                f"n_harmonics={N} is more than the {len(self.values)} samples of a period tell; "
-                f"give {self.max_harmonics} at most"
+                f"n_harmonics={N} is more than the {len(self.values)} samples of a period "
+                f"determine; give {self.max_harmonics} at most"
             )
         return sampled_harmonics(self.values, N)
 
     def truncated(self, n_harmonics):
-        """The matrix of the first harmonics alone, at the same samples.
+        """The matrix of only the first harmonics, at the same samples.
 
         Parameters
         ----------

@@ -34,12 +34,12 @@ class PeriodicEstimator:
     system : LTPSystem
         What it was designed for.
     gain : PeriodicMatrix
-        L, shape (p, n, l): x̂ ← x̂ + L (y − ŷ) at a sample or, in continuous time,
+        L, shape (p, n, l): x̂ ← x̂ + L (y − ŷ) at a sample; in continuous time,
         dx̂/dt = F x̂ + G u + L (y − ŷ).
     covariance : PeriodicMatrix
-        P, shape (p, n, n): of the error of x̂ before y of the sample is known.
+        P, shape (p, n, n), of the error of x̂ before y of the sample is known.
     filtered : PeriodicMatrix
-        The same once y is known; in continuous time both are one.
+        The same after y is known; in continuous time both are equal.
     multipliers : complex ndarray, shape (n,)
         Floquet multipliers of the error, the largest first.
     sample_time : float or None
@@ -102,13 +102,13 @@ def periodic_kalman(system, W, V, *, noise_input=None, sample_time=None):
         Intensity of w, positive semidefinite: covariance of its integral over
         a second. Constant or periodic as :class:`~sklearn_hd.systems.LTPSystem` takes matrices.
     V : array_like or callable, shape (l, l)
-        Of v, positive definite: with ``sample_time`` the covariance of one sample, else
-        the intensity, which is that covariance times the sample time.
+        For v, positive definite: with ``sample_time`` the covariance of one sample, otherwise the
+        intensity, which is that covariance times the sample time.
     noise_input : array_like or callable, shape (n, q), optional
         E. By default the identity: noise on each state.
     sample_time : float, optional
-        Seconds from one y to the next, through which u is held; a whole number of samples makes
-        a period. None is a continuous filter.
+        Seconds from one y to the next, while u is held; a period must hold a whole number of
+        samples. None is a continuous filter.
 
     Returns
     -------
@@ -118,8 +118,9 @@ def periodic_kalman(system, W, V, *, noise_input=None, sample_time=None):
     Raises
     ------
     ValueError
-        If a covariance is not of its kind, a period holds no whole number of samples, or a
-        motion that does not die out is in no output: the message names its multiplier.
+        If a covariance is not positive (semi)definite, a period does not hold a whole number of
+        samples, or no output shows a motion that does not die out: the message names its
+        multiplier.
 
     References
     ----------
@@ -162,15 +163,15 @@ def periodic_kalman(system, W, V, *, noise_input=None, sample_time=None):
 def _solved(problem):
     return solved(
         problem,
-        "no output sees this motion, which does not die out by itself, so no estimate of it "
-        "settles; measure what it moves, or take the motion out of the model",
-        "the noise W does not drive this motion, so that the filter stops to correct it; give W "
-        "a share of the states that it moves",
+        "no output sees this motion, which does not die out by itself, so its estimate never "
+        "settles; measure something that it moves, or remove the motion from the model",
+        "the noise W does not drive this motion, so the filter stops correcting it; give W "
+        "a part in the states that it moves",
     )
 
 
 def _sampled(system, E, W, V, psi):
-    """The regulator of the transposed steps, the last first."""
+    """The regulator of the transposed steps, in reverse order."""
     noise, A = held_integral(E, system, W, psi)
     C, V = system.P(psi[:-1]), V(psi[:-1])
     zero = np.zeros((len(A), system.n_states, system.n_outputs))
@@ -201,7 +202,7 @@ def _continuous(system, E, W, V, psi):
 
 
 class _Backwards:
-    """M(−ψ), transposed if asked for."""
+    """M(−ψ), optionally transposed."""
 
     def __init__(self, matrix, *, transpose=False):
         self.matrix, self.transpose = matrix, transpose
@@ -213,7 +214,7 @@ class _Backwards:
 
 
 class Observer:
-    """Kalman filter on line: takes inputs and outputs, sample by sample, and gives the states.
+    """Kalman filter on line: reads inputs and outputs, sample by sample, and gives the states.
 
         x̂⁻ = Φ_k x̂ + Γ_k u_k,   x̂ = x̂⁻ + L_k (y_k − ŷ_k)
 
@@ -222,10 +223,10 @@ class Observer:
     Parameters
     ----------
     estimator : PeriodicEstimator
-        Of sampled outputs (``sample_time``).
+        For sampled outputs (``sample_time``).
     input_trim, output_trim : array_like, optional
-        What u and y are in trim, shapes (m,) and (l,), or (p, m) and (p, l) at the samples of
-        a period; subtracted from what is given. Zero by default.
+        Values of u and y in trim, shapes (m,) and (l,), or (p, m) and (p, l) at the samples of a
+        period. They are subtracted from the data. Zero by default.
 
     Attributes
     ----------
@@ -234,7 +235,7 @@ class Observer:
     covariance : ndarray, shape (n, n)
         Of its error.
     psi : float
-        Azimuth of the sample that comes next, radians.
+        Azimuth of the next sample, radians.
 
     Raises
     ------
@@ -262,8 +263,8 @@ class Observer:
     def __init__(self, estimator, *, input_trim=None, output_trim=None):
         if not isinstance(estimator, PeriodicEstimator) or estimator.sample_time is None:
             raise ValueError(
-                f"estimator={reprlib.repr(estimator)} does not run on line; give what "
-                f"periodic_kalman(..., sample_time=...) returns"
+                f"estimator={reprlib.repr(estimator)} does not run on line; give the result of "
+                f"periodic_kalman(..., sample_time=...)"
             )
         self.estimator = estimator
         system, psi = estimator.system, samples_of(estimator.system, estimator.sample_time)
@@ -289,17 +290,17 @@ class Observer:
         Parameters
         ----------
         x0 : array_like, shape (n,), optional
-            Estimate of the departure from trim at that sample, before its y; zero by default.
+            Estimate of the departure from trim at that sample, before y is known; zero by default.
         covariance : array_like, shape (n, n), optional
-            Of its error; gains then follow from it and approach the periodic ones. By default
-            the periodic gains serve from the first sample on.
+            Covariance of its error; gains then follow from it and approach the periodic ones. By
+            default the periodic gains are used from the first sample on.
         psi : float, default=0.0
             Azimuth of the first sample in radians, one of ``estimator.gain.azimuths``.
 
         Raises
         ------
         ValueError
-            If shapes do not fit, the covariance is none, or ψ is that of no sample.
+            If shapes do not fit, the covariance is not one, or no sample is at ψ.
         """
         system, azimuths = self.estimator.system, self.estimator.gain.azimuths
         n, p = system.n_states, len(azimuths)
@@ -328,8 +329,8 @@ class Observer:
         Parameters
         ----------
         u : array_like, shape (m,)
-            Inputs held from the sample before to this one; not used by the first step after
-            :meth:`reset`, but for outputs that they act on at once (Q).
+            Inputs held from the last sample to this one. The first step after :meth:`reset` uses
+            them only for outputs on which they act at once (Q).
         y : array_like, shape (l,), or None
             Outputs at this sample, before the inputs change; None if they are missing.
 
@@ -380,7 +381,7 @@ class OutputFeedback:
     Parameters
     ----------
     regulator : PeriodicRegulator
-        Sampled; a truncated one as well.
+        A sampled regulator, also a truncated one.
     estimator : PeriodicEstimator
         Of the same sample time, states and inputs.
     input_trim, output_trim : array_like, shapes (m,) and (l,), optional
@@ -415,8 +416,8 @@ class OutputFeedback:
     def __init__(self, regulator, estimator, *, input_trim=None, output_trim=None):
         if not isinstance(regulator, PeriodicRegulator) or regulator.sample_time is None:
             raise ValueError(
-                f"regulator={reprlib.repr(regulator)} does not run on line; give what "
-                f"periodic_lqr(..., sample_time=...) returns"
+                f"regulator={reprlib.repr(regulator)} does not run on line; give the result of "
+                f"periodic_lqr(..., sample_time=...)"
             )
         self.observer = Observer(estimator, input_trim=input_trim, output_trim=output_trim)
         mine, other = regulator.system, estimator.system
@@ -459,13 +460,12 @@ class OutputFeedback:
         y : array_like, shape (l,), or None
             Outputs at this sample, before the inputs change; None if they are missing.
         applied : array_like, shape (m,), optional
-            Inputs that acted since the sample before, where a limit has changed those returned
-            then.
+            Inputs that acted since the last sample, if a limit changed those that were returned.
 
         Returns
         -------
         u : ndarray, shape (m,)
-            To be held until the next sample, the trim in them.
+            To be held until the next sample, including the trim.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Quadratic problems of a period: what regulators and, transposed and backwards, filters solve.
+"""Quadratic problems of a period, solved by regulators and, transposed backwards, by filters.
 
 Both kinds have ``solve() -> X, K, steps`` (the stabilising solution, its gain and the closed
 loop's steps), ``evaluate(K) -> X, steps`` (the cost under another gain) and
@@ -100,7 +100,7 @@ class ContinuousProblem:
 
 
 def solved(problem, unreached, unseen):
-    """X, K and multipliers of a problem, or an error that names what no gain stabilises."""
+    """X, K and multipliers of a problem, or an error that names the motion out of reach."""
     lost = problem.unreachable()
     if len(lost):
         raise ValueError(f"{_worded(lost)}: {unreached}")
@@ -121,11 +121,11 @@ def _worded(multipliers):
 
 
 def samples_of(system, sample_time):
-    """Ends in radians of the steps of one period that a design is made for."""
+    """Ends in radians of the steps of one period of a design."""
     if not isinstance(system, LTPSystem):
         raise ValueError(
-            f"system={reprlib.repr(system)} must be an LTPSystem: ltp_ of a fitted matcher, or "
-            f"what PeriodicSystem.linearize returns"
+            f"system={reprlib.repr(system)} must be an LTPSystem: ltp_ of a fitted matcher, or the "
+            f"result of PeriodicSystem.linearize"
         )
     if sample_time is None:
         return 2.0 * np.pi * np.arange(POINTS + 1) / POINTS
@@ -158,7 +158,7 @@ def check_weight(name, matrix, size, psi, *, definite):
 
 
 def held_integral(M, system, W, psi):
-    """∫ Φ M W Mᵀ Φᵀ dt over each step: covariance that noise of intensity W leaves; and Φ."""
+    """∫ Φ M W Mᵀ Φᵀ dt over each step, the covariance left by noise of intensity W; and Φ."""
 
     def intensity(psi):
         entered = M(psi)

@@ -24,7 +24,7 @@ from sklearn_hd.systems.arguments import precision
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRegulator:
-    """State feedback u = −K(ψ) x with the cost that it leads to.
+    """State feedback u = −K(ψ) x with its cost.
 
     Made by :func:`periodic_lqr` and :meth:`with_gain`; each parameter is an attribute.
 
@@ -42,9 +42,9 @@ class PeriodicRegulator:
     sample_time : float or None
         Seconds for which u is held; None in continuous time.
     loss : float
-        Relative increase of the cost above that of the best gain; 0 for it.
+        Relative increase of the cost above that of the best gain; 0 for the best.
     problem : object
-        What was solved: the matrices of its steps, or the functions of ψ.
+        The solved problem: the matrices of its steps, or the functions of ψ.
 
     References
     ----------
@@ -81,7 +81,7 @@ class PeriodicRegulator:
         x0 : array_like, shape (n,)
             State, in the system's units.
         psi : float, default=0.0
-            Azimuth at which it is there, radians; of sampled designs, that of a sample.
+            Azimuth of that state, radians; for sampled designs, that of a sample.
 
         Returns
         -------
@@ -119,7 +119,7 @@ class PeriodicRegulator:
         Returns
         -------
         cost : float
-            A second. Of sampled designs, what noise costs before the sample after it, which no
+            Per second. For sampled designs, the cost of noise before the next sample, which no
             controller can change, is left out. Infinite if the loop is not stable.
 
         Raises
@@ -140,14 +140,14 @@ class PeriodicRegulator:
         Returns
         -------
         cost : float
-            A second, as for :meth:`h2_cost`: that of the regulator, and what the errors of the
-            estimates add.
+            Per second, as for :meth:`h2_cost`: the cost of the regulator plus that of the
+            estimation errors.
 
         Raises
         ------
         ValueError
-            If the estimator is not of the same system and sample time, or the gain is not the
-            best one: the two parts add up for it alone.
+            If the estimator has another system or sample time, or the gain is not the best one,
+            because the two parts add up only for the best gain.
 
         References
         ----------
@@ -155,7 +155,7 @@ class PeriodicRegulator:
         """
         if estimator.system is not self.system or estimator.sample_time != self.sample_time:
             raise ValueError(
-                "regulator and estimator must be of one system and one sample_time; design both "
+                "regulator and estimator must have the same system and sample_time; design both "
                 "with the same"
             )
         self._check_best()
@@ -170,7 +170,7 @@ class PeriodicRegulator:
         return float(_noise_cost(self, estimator.noise) + rate)
 
     def truncated(self, n_harmonics, W=None):
-        """The regulator whose gain keeps the first harmonics alone, and what that loses.
+        """Regulator whose gain keeps only the first harmonics, with its loss.
 
         Parameters
         ----------
@@ -187,14 +187,14 @@ class PeriodicRegulator:
         Raises
         ------
         ValueError
-            If ``n_harmonics`` is more than the samples tell, W is no intensity, or this is not
-            the best regulator.
+            If ``n_harmonics`` is more than the samples determine, W is not an intensity, or this
+            is not the best regulator.
         """
         return self.with_gain(self.gain.truncated(n_harmonics), W)
 
     @within_range
     def with_gain(self, gain, W=None):
-        """The same loop under another gain, and what that loses.
+        """The same loop under another gain, with its loss.
 
         Parameters
         ----------
@@ -202,17 +202,17 @@ class PeriodicRegulator:
             K with as many samples, or constant: of another model, or of another method.
         W : array_like or callable, shape (n, n), optional
             Intensity of the noise under which ``loss`` compares :meth:`h2_cost`. By default it
-            compares the cost from the worst state at the worst azimuth: no noise loses more.
+            compares the cost from the worst state at the worst azimuth; no noise loses more.
 
         Returns
         -------
         regulator : PeriodicRegulator
-            With its ``loss``, infinite if the loop is not stable any more, and ``multipliers``.
+            With its ``loss``, infinite if the loop becomes unstable, and ``multipliers``.
 
         Raises
         ------
         ValueError
-            If the gain is of another shape, W is no intensity, or this is not the best
+            If the gain has another shape, W is not an intensity, or this is not the best
             regulator.
         """
         self._check_best()
@@ -239,7 +239,7 @@ class PeriodicRegulator:
             )
 
     def _same_shape(self, gain):
-        """A gain given, at the samples of this one."""
+        """A given gain, at the samples of this one."""
         p, m, n = self.gain.values.shape
         wanted = f"a PeriodicMatrix of {p} samples {m} x {n}, or a matrix {m} x {n}"
         if not isinstance(gain, PeriodicMatrix):
@@ -264,7 +264,7 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
         :class:`~sklearn_hd.systems.LTPSystem` takes matrices. Q is positive semidefinite, R
         positive definite.
     sample_time : float, optional
-        Seconds for which inputs are held; a whole number of samples makes a period. The cost
+        Seconds for which inputs are held; a period must hold a whole number of samples. The cost
         is still the integral, also between samples. None is continuous feedback.
 
     Returns
@@ -275,8 +275,8 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
     Raises
     ------
     ValueError
-        If a weight is not of its kind, a period holds no whole number of samples, or no gain
-        stabilises the system: the message names the multiplier.
+        If a weight is not positive (semi)definite, a period does not hold a whole number of
+        samples, or no gain stabilises the system: the message names the multiplier.
 
     References
     ----------
@@ -286,7 +286,7 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
 
     Examples
     --------
-    A mass whose stiffness swings, sixteen samples a period:
+    A mass with a periodic stiffness, sixteen samples per period:
 
     >>> from sklearn_hd.systems import mathieu
     >>> mass = mathieu()
@@ -307,9 +307,9 @@ def periodic_lqr(system, Q, R, *, sample_time=None):
     X, K, multipliers = solved(
         problem,
         "no input reaches this motion, which does not die out by itself, so no gain stabilises "
-        "the system; give it an input that does, or take the motion out of the model",
+        "the system; add an input that reaches it, or remove the motion from the model",
         "Q does not see this motion, or R is too large for the gain to reach it within "
-        "floating-point numbers; weigh the states that it moves, or lower R",
+        "floating-point numbers; give weight to the states that it moves, or lower R",
     )
     held = sample_time is not None
     return PeriodicRegulator(
@@ -348,7 +348,7 @@ def _held_problem(system, Q, R, psi):
 
 
 def _intensity(regulator, W):
-    """Noise that one step brings (sampled), or its intensity at the points (continuous)."""
+    """Noise of one step (sampled), or its intensity at the points (continuous)."""
     system = regulator.system
     psi = samples_of(system, regulator.sample_time)
     W = check_weight("W", W, system.n_states, psi[:-1], definite=False)

@@ -1,16 +1,16 @@
-"""Choosing the order: a splitter, scorers and a rule for scikit-learn's searches.
+"""Choice of the order: splitters, scorers and a rule for scikit-learn's searches.
 
-Rows of a record follow one another in time, so three of scikit-learn's habits
-need a counterpart here:
+Rows of a record follow one another in time, so three habits of scikit-learn need a counterpart
+here:
 
 - folds are blocks of rows (:class:`BlockSplit`) or of whole periods
   (:class:`PeriodBlockSplit`), or whole records (``GroupKFold`` on the record level of
   the index), never random rows;
-- a fold that begins in mid-record does not begin at rest, so that scorers
+- a fold that begins in the middle of a record does not begin at rest, so scorers
   simulate from a fitted initial state, as ``score`` of the model steps does
   (:func:`simulation_scorer`, :func:`fit_percent_scorer`);
-- a model with states to spare predicts as well as the true one, to within the
-  noise: the smallest within one standard error of the best is the one to take
+- a model with surplus states predicts as well as the true one, to within the
+  noise: take the smallest within one standard error of the best
   (:func:`smallest_within_one_standard_error`).
 """
 

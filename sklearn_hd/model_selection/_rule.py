@@ -19,7 +19,7 @@ def smallest_within_one_standard_error(
 ):
     """Index of the smallest candidate about as good as the best: a rule for ``refit``.
 
-    On fold f the best candidate scores b_f and leaves 1 − b_f unexplained (R²). Another one, of
+    On fold f the best candidate scores b_f and leaves 1 − b_f unexplained (R²). Another one, with
     scores s_f, leaves more by
 
         d_f = log (1 − s_f) − log (1 − b_f),   d̄ = Σ w_f d_f
@@ -28,53 +28,53 @@ def smallest_within_one_standard_error(
 
         d̄ ≤ SE,   SE² = (1 + k q) k / (k − 1) Σ w_f² (d_f − d̄)²,   f = 1 … k
 
-    or if it leaves but a hundredth more; never if it leaves twice as much. Differences on the
-    same fold are free of what makes one fold harder than another. The weight w_f is what is
-    explained of the fold at best, −log (1 − b_f), and zero where every candidate is perfect: a fold
-    whose outputs stand still, or are all noise, tells no candidate from another. Folds share
-    their training rows, which makes the variance of a mean over them too small; q, rows tested
-    over rows trained on, corrects for that (Nadeau and Bengio). Of the candidates within, the one
-    smallest in the first parameter of ``size`` is taken, then in the second, …, then the one of
-    least d̄.
+    or if it leaves only a hundredth more; never if it leaves twice as much. Differences on the
+    same fold do not depend on how hard the fold is. The weight w_f is the best explained part of
+    the fold, −log (1 − b_f), and zero if every candidate is perfect: a fold whose outputs stand
+    still, or are all noise, does not separate candidates. Folds share their training rows, which
+    makes the variance of a mean over them too small; q, rows tested over rows trained on, corrects
+    for that (Nadeau and Bengio). Among the candidates within one standard error, the rule takes
+    the smallest in the first parameter of ``size``, then in the second, …, then the one of least
+    d̄.
 
     Parameters
     ----------
     cv_results : dict
-        ``cv_results_`` of a search; ``GridSearchCV(refit=rule)`` hands it over.
+        ``cv_results_`` of a search; ``GridSearchCV(refit=rule)`` passes it.
     size : str or sequence of str, default=("order", "block_rows")
-        Parameters that make a model large, the first above all. Names of
-        parameters, alone or with their steps (``"identify__order"``); those
-        that were not searched are passed over. The first that was needs a
-        number for every candidate, or one value for all (``order="auto"``); a later one that has
-        none for some (``block_rows=None``) parts nobody. Where nothing but choices without
-        a size were searched (a window, a method), the best is taken.
+        Parameters that make a model large, the most important first. Names of parameters, alone or
+        with their steps (``"identify__order"``); those that were not searched are ignored. The
+        first searched one needs a number for every candidate, or one value for all
+        (``order="auto"``). A later one that has none for some (``block_rows=None``) is not
+        compared. If only choices without a size were searched (a window, a method), the best is
+        taken.
     metric : str, default="score"
-        With several metrics, the one to decide by. (Like every callable
+        With several metrics, the one that decides. (Like every callable
         ``refit``, the rule leaves a search without ``best_score_``, which is
         ``cv_results_["mean_test_score"][search.best_index_]``).
     test_share : float or None, default=None
         Rows tested over rows trained on, q. None is 1/(k − 1), as in k folds of equal size.
     perfect : float or None, default=None
-        Score of a perfect model. None is 1, as of R²; 100 where a score is above 1, as of the fit
-        in percent; 0 where none is above 0, as of errors. Of errors all folds count alike.
+        Score of a perfect model. None is 1, as for R²; 100 if a score is above 1, as for the fit
+        in percent; 0 if none is above 0, as for errors. For errors all folds have equal weight.
 
     Returns
     -------
     index : int
-        Of ``cv_results_["params"]``.
+        Index into ``cv_results_["params"]``.
 
     Raises
     ------
     ValueError
-        If no fold has a score of every candidate that is left, there are fewer than two folds, a
-        score is above ``perfect``, or the candidates cannot be told apart by size.
+        If no fold has a score of every remaining candidate, there are fewer than two folds, a
+        score is above ``perfect``, or the candidates cannot be compared by size.
 
     Warns
     -----
     FitFailedWarning
-        Of candidates that failed on some fold (their score is NaN or +inf; −inf, that of
-        an unstable model, is a score). Those that failed on more folds than others are passed
-        over, and then the folds on which one of the others failed.
+        For candidates that failed on some fold (their score is NaN or +inf; −inf, that of an
+        unstable model, is a score). Candidates that failed on more folds than others are ignored,
+        and then the folds on which one of the others failed.
 
     References
     ----------
@@ -117,7 +117,7 @@ def smallest_within_one_standard_error(
 def standard_error(scores, test_share=None):
     """Standard error of the mean of the scores on some folds, which share training rows.
 
-    NaN where one of them is not finite.
+    NaN if one of them is not finite.
     """
     n_folds = len(scores)
     share = _share(n_folds, test_share)
@@ -140,9 +140,9 @@ def _left(scores, perfect):
         perfect = next((p for p in PERFECT if most <= p), PERFECT[-1])
     if most > perfect:
         raise ValueError(
-            f"a score of {most:.6g} is above that of a perfect model, perfect={perfect:g}; give "
-            f"perfect= the score of one, or take a metric that has one: R², the negative of an "
-            f"error"
+            f"a score of {most:.6g} is above that of a perfect model, perfect={perfect:g}; set "
+            f"perfect= to the score of a perfect model, or use a metric that has one: R², or the "
+            f"negative of an error"
         )
     left, some = perfect - scores, perfect > 0.0
     unit = perfect if some else np.median(left) or 1.0
@@ -153,7 +153,7 @@ def _left(scores, perfect):
 
 
 def _behind_best(left, weights, share):
-    """By how much candidates leave more than the best one, and the standard error of that."""
+    """Excess that candidates leave above the best one, and its standard error."""
     k, best = len(weights), np.argmin(left @ weights)
     differences = left - left[best]
     worse = differences @ weights
@@ -175,17 +175,17 @@ def fold_scores(cv_results, metric):
         n_folds += 1
     if n_folds < 2:
         raise ValueError(
-            f"the search has {n_folds} fold(s), and a standard error needs at least two; use a cv "
-            f"of more folds"
+            f"the search has {n_folds} fold(s), but a standard error needs at least two; use a cv "
+            f"with more folds"
         )
     folds = [cv_results[f"split{f}_test_{metric}"] for f in range(n_folds)]
     return np.asarray(folds, dtype=float).T
 
 
 def _comparable(scores, candidates):
-    """Which candidates and folds are compared, with a warning of those that are not.
+    """Candidates and folds that are compared, with a warning about the others.
 
-    Raises ValueError where none are left.
+    Raises ValueError if none are left.
     """
     finite, failed = np.isfinite(scores), np.isnan(scores) | np.isposinf(scores)
     n_bad = np.sum(~finite, axis=1)
@@ -197,26 +197,26 @@ def _comparable(scores, candidates):
     told = f"{len(several)} of {len(scores)} candidates failed on some fold: {named}"
     if len(folds) == 0 and len(several) == 0:
         raise ValueError(
-            f"the {len(kept)} candidates that are stable on most folds share none on which all "
-            f"are: the others score -inf; search over smaller orders, or drop growing modes "
-            f"(SpuriousModeReducer)"
+            f"the {len(kept)} candidates that are stable on most folds have no fold in common on "
+            f"which all are stable, and the others score -inf; search over smaller orders, or drop "
+            f"growing modes (SpuriousModeReducer)"
         )
     if len(folds) == 0:
         raise ValueError(
-            f"no fold has a score of each of the {len(kept)} candidates that failed least, and "
-            f"{told}; see why with error_score='raise', or give folds of more rows to train on"
+            f"no fold has a score of all {len(kept)} candidates that failed least, and {told}; see "
+            f"why with error_score='raise', or give folds with more rows to train on"
         )
     if len(several):
         warn(
             f"{told}; the {len(kept)} that failed least are compared on folds {folds.tolist()}; "
-            f"see why with error_score='raise', or take what fails out of the search",
+            f"see why with error_score='raise', or remove failing candidates from the search",
             FitFailedWarning,
         )
     return kept, folds
 
 
 def _sizes(cv_results, names):
-    """One tuple of numbers a candidate, in the order of the names; empty where all are alike."""
+    """One tuple of numbers per candidate, in the order of the names; empty if all are alike."""
     columns = [key for name in names for key in searched_as(cv_results, name)]
     candidates = cv_results["params"]
     if not columns:
@@ -229,7 +229,7 @@ def _sizes(cv_results, names):
 
 
 def searched_as(cv_results, name, parameter="size"):
-    """The parameter of a search that is called so, alone or after its step: at most one."""
+    """The parameter of a search with this name, alone or after its step: at most one."""
     keys = [key.removeprefix("param_") for key in cv_results if key.startswith("param_")]
     found = [key for key in keys if key == name or key.endswith(f"__{name}")]
     if len(found) > 1:
@@ -248,13 +248,13 @@ def _is_number(value):
 
 
 def _check_alike(candidates, names):
-    """Raise ValueError unless the candidates differ in nothing that may be a size."""
+    """Raise ValueError if the candidates differ in something that may be a size."""
     searched = sorted({key for params in candidates for key in params})
     numbers = [key for key in searched if any(_is_number(p.get(key)) for p in candidates)]
     if names != SIZE or numbers:
         raise ValueError(
-            f"none of size={list(names)} was searched, only {searched}; name the parameters that "
-            f"make a model large with size="
+            f"size={list(names)} names no parameter that was searched; searched were {searched}; "
+            f"name with size= the parameters that make a model large"
         )
 
 
@@ -268,7 +268,6 @@ def _check_numbers(candidates, key, names):
             )
         if not _is_number(params[key]):
             raise ValueError(
-                f"{key}={params[key]!r} of candidate {params} is no size: candidates can be "
-                f"compared by numbers only; search over numbers, or leave that parameter out of "
-                f"size={list(names)}"
+                f"{key}={params[key]!r} of candidate {params} is not a size: only numbers can be "
+                f"compared; search over numbers, or leave that parameter out of size={list(names)}"
             )

@@ -15,16 +15,16 @@ from sklearn_hd._tables import as_container, to_float
 
 
 def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs):
-    """A scorer that simulates as ``score`` does, for any metric of scikit-learn.
+    """Scorer that simulates as ``score`` does, for any metric of scikit-learn.
 
-    Plain ``scoring="r2"`` compares with ``predict``, which starts at rest; in
-    the middle of a record that can be far off. This one calls
+    Plain ``scoring="r2"`` compares with ``predict``, which starts at rest. In the middle of a
+    record that can be far off. This scorer computes
 
         ± metric(y, ŷ, **kwargs)
 
-    with ŷ the free simulation from an initial state fitted on each segment's
-    warm-up, on the rows after it and in whole periods, the periodic trim taken
-    from both: ``simulation_scorer(r2_score)`` is the estimator's own ``score``.
+    with ŷ the free simulation from an initial state fitted on each segment's warm-up. It compares
+    the rows after the warm-up, in whole periods, without the periodic trim:
+    ``simulation_scorer(r2_score)`` is the estimator's own ``score``.
 
     Parameters
     ----------
@@ -33,17 +33,17 @@ def simulation_scorer(metric, *, greater_is_better=True, horizon=None, **kwargs)
     greater_is_better : bool, default=True
         False for errors: the scorer then returns −metric.
     horizon : int or None, default=None
-        None compares free simulations; a whole number, predictions so many rows ahead of the
-        measured outputs (:meth:`MOESPRegressor.predict_ahead`), for models that
-        disturbances drive.
+        None compares free simulations. A whole number compares predictions so many rows ahead of
+        the measured outputs (:meth:`MOESPRegressor.predict_ahead`), for models that disturbances
+        drive.
     **kwargs
-        Handed on to the metric.
+        Passed to the metric.
 
     Returns
     -------
     scorer : callable
-        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``; where metadata are
-        routed, with ``set_score_request(sample_weight=True)``. The estimator is a model step, or
+        ``scorer(estimator, X, y, sample_weight=None)``, for ``scoring=``; with metadata routing,
+        with ``set_score_request(sample_weight=True)``. The estimator is a model step, or
         a Pipeline, search or FrozenEstimator that ends in one. As with ``score``, an unstable
         model whose simulation grows beyond 1e60 times y scores −inf.
 
@@ -114,8 +114,8 @@ class _SimulationScorer(_Scorer):
             kwargs["sample_weight"] = weight
             if not self.takes_weight:
                 raise TypeError(
-                    f"sample_weight was given, but {_name(self.metric)} takes none; leave it out "
-                    f"or use a metric that does"
+                    f"sample_weight was given, but {_name(self.metric)} does not accept it; leave "
+                    f"it out or use a metric that does"
                 )
         return self.sign * float(self.metric(truth, simulated, **kwargs))
 
@@ -136,7 +136,7 @@ def _name(function):
 
 
 def last_model_step(estimator, X):
-    """The model step that an estimator ends in, and X as the steps before hand it on."""
+    """The model step at the end of an estimator, and X as the earlier steps transform it."""
     step = estimator
     while not isinstance(step, ModelStep):
         if isinstance(step, Pipeline):
@@ -160,7 +160,7 @@ def last_model_step(estimator, X):
 def _simulate(estimator, X, y, sample_weight, horizon=None):
     """Last model step, measured and simulated outputs on the rows that score counts, weights.
 
-    None where the simulation grows too far to be scored.
+    None if the simulation grows too far to be scored.
     """
     step, X = last_model_step(estimator, X)
     found = compared(step, X, y, sample_weight, horizon)
@@ -172,9 +172,9 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
 
         fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
 
-    100 for a perfect model, 0 for one no better than the mean, negative for a
-    worse one; R² = 1 − (1 − fit/100)². An output that never moves has 100
-    where it is met exactly, else 0 (as ``r2_score`` has 1 and 0).
+    100 means a perfect model, 0 one no better than the mean, and negative numbers a worse one; R²
+    = 1 − (1 − fit/100)². An output that never moves has 100 if it is met exactly, and 0 otherwise
+    (as ``r2_score`` has 1 and 0).
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _check_weight(sample_weight, n_samples):
     try:
         weight = np.asarray(sample_weight, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are no numbers") from None
+        raise ValueError("sample_weight holds values that are not numbers") from None
     fits = weight.shape == (n_samples,) and np.all((weight >= 0.0) & np.isfinite(weight))
     if not fits or not np.any(weight > 0.0):
         raise ValueError(
@@ -254,15 +254,14 @@ def _check_weight(sample_weight, n_samples):
 
 
 def fit_percent_scorer(output=None):
-    """A scorer of the fit in percent, simulated as ``score`` does.
+    """Scorer of the fit in percent, simulated as ``score`` does.
 
         fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
 
     Parameters
     ----------
     output : str, int or None, default=None
-        Name or position of the output that alone counts; None is the mean over
-        all of them.
+        Name or position of the only output that counts; None is the mean over all of them.
 
     Returns
     -------

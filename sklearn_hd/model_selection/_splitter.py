@@ -15,23 +15,23 @@ SAME_TURN = 1e-6  # of a period
 class BlockSplit(BaseCrossValidator):
     """Cut each record into blocks of consecutive rows, and test on one block after another.
 
-    The rows of a record are shared among ``n_splits`` blocks as evenly as they go. Fold k
-    tests block k of every record, so that every row is tested once, and trains on the rest in
-    order of time, without the ``gap`` rows on either side.
+    The rows of a record are divided into ``n_splits`` blocks as evenly as possible. Fold k tests
+    block k of every record, so every row is tested once. It trains on the rest in order of time,
+    without the ``gap`` rows on either side.
 
-    The block held out leaves a hole in the training rows. In a DataFrame the index tells of
-    it: model steps read a gap in time, which starts a new segment. An array carries no times,
-    and rows from both sides would close up to one record with a jump in it. So of arrays each
-    fold trains on one side of the block alone, the longer one (that before it where both are
-    as long). ``pd.DataFrame(u)`` trains on both sides.
+    The test block leaves a hole in the training rows. The index of a DataFrame shows it: model
+    steps see a gap in time, which starts a new segment. An array has no times, so rows from both
+    sides would close up to one record with a jump in it. For arrays each fold therefore trains
+    only on the longer side of the block (on the side before it if both are equal).
+    ``pd.DataFrame(u)`` trains on both sides.
 
     Parameters
     ----------
     n_splits : int, default=5
         Number of blocks, at least 2.
     gap : int, default=0
-        Rows left out of training on either side of a test block: as many as the noise
-        takes to forget itself.
+        Rows left out of training on either side of a test block: choose the correlation length of
+        the noise.
 
     See Also
     --------
@@ -83,18 +83,18 @@ class BlockSplit(BaseCrossValidator):
         Raises
         ------
         ValueError
-            If ``n_splits`` is no whole number of at least 2.
+            If ``n_splits`` is not a whole number of at least 2.
         """
         return check_count("n_splits", self.n_splits, 2, "a single block leaves nothing to train")
 
     def split(self, X, y=None, groups=None):
-        """Rows to train and to test on, fold by fold, each in order of time.
+        """Training and test rows, fold by fold, each in order of time.
 
         Parameters
         ----------
         X : DataFrame, Series or ndarray, shape (n_samples, n_features)
-            With times in its index, or a (record, time) MultiIndex; the rows of an array are
-            counted (from ψ = 0, where there are periods).
+            With times in its index, or a (record, time) MultiIndex; the rows of an array count as
+            samples (from ψ = 0, if there are periods).
         y, groups : ignored
             Present for the habits of scikit-learn.
 
@@ -106,8 +106,8 @@ class BlockSplit(BaseCrossValidator):
         Raises
         ------
         ValueError
-            If a record has fewer rows, or whole periods, than blocks, or the gap leaves
-            nothing of the records to train on.
+            If a record has fewer rows, or whole periods, than blocks, or the gap leaves nothing to
+            train on.
         """
         n_splits = self.get_n_splits()
         unit = self._unit
@@ -161,15 +161,13 @@ class BlockSplit(BaseCrossValidator):
 class PeriodBlockSplit(BlockSplit):
     """Cut each record into blocks of whole periods, and test on one block after another.
 
-    Period p holds the rows with 2πp ≤ ψ < 2π(p + 1), ψ being ωt or a measured
-    azimuth. The whole periods of a record are shared among ``n_splits`` blocks as
-    evenly as they go; the incomplete ones at its ends stay with their neighbours, so that
-    every row is tested once. Fold k tests block k of every record and trains
-    on the rest in order of time, without the ``gap`` periods on either side:
-    there the outputs still move with what the tested inputs, or their window,
-    left behind. Model steps read the hole as a gap in time, which starts a new
-    segment; of arrays, which carry no times, each fold trains on the longer side of its
-    block alone (:class:`BlockSplit` says why).
+    Period p holds the rows with 2πp ≤ ψ < 2π(p + 1), where ψ is ωt or a measured azimuth. The
+    whole periods of a record are divided into ``n_splits`` blocks as evenly as possible. The
+    incomplete ones at its ends stay with their neighbours, so every row is tested once. Fold k
+    tests block k of every record and trains on the rest in order of time, without the ``gap``
+    periods on either side, where the outputs still respond to the tested inputs or their window.
+    Model steps see the hole as a gap in time, which starts a new segment. For arrays, which have
+    no times, each fold trains only on the longer side of its block (see :class:`BlockSplit`).
 
     Parameters
     ----------
@@ -181,19 +179,18 @@ class PeriodBlockSplit(BlockSplit):
         Periods left out of training on either side of a test block.
     trim_span : (float, float) or None, default=None
         Index times, in seconds within each record (dates: since ``time_origin``),
-        whose rows are trained on in every fold and tested in none: the
-        ``trim_span`` of the analyzer, which must see the machine in trim
-        whichever block is held out.
+        whose rows are used for training in every fold and never tested: the ``trim_span`` of the
+        analyzer, which must see the machine in trim whichever block is tested.
     sample_time : float or None, default=None
-        Seconds. None reads it from the index, or is 1.0 where samples are counted.
+        Seconds. None reads it from the index; without times it is 1.0.
     azimuth : str or None, default=None
-        Column of X that holds ψ in rad, growing, or starting anew at each turn, of
-        a rotor whose speed varies; where it is NaN it is interpolated.
+        Column of X that holds ψ in rad of a rotor whose speed varies. It increases, or starts
+        again at each turn; NaN is interpolated.
     time_origin : date or None, default=None
-        The instant of ψ = 0, for an index of dates. With ``azimuth`` it is but the
-        zero of ``trim_span``; None is then the first sample.
+        The instant of ψ = 0, for an index of dates. With ``azimuth`` it only sets the zero of
+        ``trim_span``; None is then the first sample.
 
-        These four are those of :class:`~sklearn_hd.HarmonicAnalyzer`.
+        The last four are those of :class:`~sklearn_hd.HarmonicAnalyzer`.
 
     See Also
     --------
@@ -289,9 +286,10 @@ class PeriodBlockSplit(BlockSplit):
         start, stop = check_span("trim_span", self.trim_span)
         if not _has_times(X):
             raise ValueError(
-                f"trim_span={self.trim_span} is trained on whichever block is held out, but X is "
-                f"an array, whose rows would close up over the hole between them; give it times: "
-                f"pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), y the same"
+                f"trim_span={self.trim_span} stays in the training rows of every fold, but X is an "
+                f"array without times, so its rows would close up over the gap between them; give "
+                f"it times: pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), and "
+                f"y the same"
             )
         tolerance = 0.5 * base.sample_time
         return (base.time >= start - tolerance) & (base.time < stop - tolerance)
@@ -303,7 +301,7 @@ def _has_times(X):
 
 
 def _longer_side(away):
-    """Of rows on both sides of a hole, those on the longer one."""
+    """The rows on the longer side of a hole."""
     first, last = np.flatnonzero(~away)[[0, -1]]
     before = first >= len(away) - 1 - last
     row = np.arange(len(away))

@@ -104,7 +104,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if isinstance(step.model_, SampleModel) and not step.model_.time_invariant:
                 raise ValueError(
                     f"{label!r} varies over the turn, with {step.model_.innovations.n_harmonics} "
-                    f"harmonic(s), and has no one frequency response; use "
+                    f"harmonic(s), so it has no single frequency response; use "
                     f"HarmonicTransferFunctionDisplay or AzimuthDisplay, or fit with "
                     f"output_harmonics=0"
                 )
@@ -153,8 +153,8 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if own != names and not more:
                 raise ValueError(
                     f"{label!r} has the inputs {system.input_labels} and outputs "
-                    f"{system.output_labels}, the others {names[0]} and {names[1]}; give models "
-                    f"between the same signals"
+                    f"{system.output_labels}, but the others have {names[0]} and {names[1]}; give "
+                    f"models between the same signals"
                 )
         if frequencies is None:
             frequencies = default_frequencies(systems.values())

@@ -188,7 +188,7 @@ class Panels:
         wrong = [item for item in given if not isinstance(item, Axes)]
         if wrong:
             raise TypeError(
-                f"ax={wrong[0]!r} is no matplotlib Axes; give one, an array of {len(cells)}, or "
+                f"ax={wrong[0]!r} is not a matplotlib Axes; give one, an array of {len(cells)}, or "
                 f"None for a new figure"
             )
         self.figure = given[0].figure
@@ -208,7 +208,7 @@ class Panels:
             grid = GridSpec(*shape, figure=self.figure, height_ratios=heights)
         elif ax.get_subplotspec() is None:
             raise ValueError(
-                f"this Axes stands in no grid of subplots and cannot be divided into the "
+                f"this Axes is not in a grid of subplots, so it cannot be divided into the "
                 f"{len(cells)} panels needed; make it with plt.subplots, or give {len(cells)} Axes"
             )
         else:
@@ -341,8 +341,8 @@ def unbroken(time, values, segments, span=None):
     shown = ~((times < start) | (times > stop))  # the breaks, too
     if not np.any(np.isfinite(times[shown])):
         raise ValueError(
-            f"span=({start:g}, {stop:g}) holds none of the rows, from t = {time[0]:.6g} s to "
-            f"{time[-1]:.6g} s; give times within"
+            f"span=({start:g}, {stop:g}) contains no row; rows lie from t = {time[0]:.6g} s to "
+            f"{time[-1]:.6g} s, so give times within"
         )
     return times[shown], parts[shown]
 
@@ -376,8 +376,8 @@ def fitted_step(estimator, kinds, display):
     """The last step of some kinds; TypeError where there is none."""
     if isinstance(estimator, type):
         raise TypeError(
-            f"{display} needs a fitted estimator, and {estimator.__name__} is a class; give an "
-            f"instance that has been fitted"
+            f"{display} needs a fitted estimator, but {estimator.__name__} is a class; give a "
+            f"fitted instance"
         )
     step = find_step(estimator, kinds)
     if step is None:
@@ -430,8 +430,8 @@ def _rows_of(index, n_rows, record):
     if not isinstance(index, pd.MultiIndex):
         if record is not None:
             raise ValueError(
-                f"record={record!r} was asked for, but the data have no (record, time) index; "
-                f"leave record=None"
+                f"record={record!r} was given, but the data have no (record, time) index; leave "
+                f"record=None"
             )
         return np.ones(n_rows, dtype=bool), None
     labels = index.droplevel(-1)
@@ -467,7 +467,7 @@ def periodic_system(estimator, display):
     matcher = fitted_step(estimator, StructuredMatcher, display)
     if not hasattr(matcher, "ltp_"):
         raise ValueError(
-            f"{display} needs a linear time-periodic model, and this match was made with "
+            f"{display} needs a linear time-periodic model, but this match was made with "
             f"structure={matcher.structure!r}; fit with a HarmonicStructure, or with "
             f"HarmonicAnalyzer(reading='period')"
         )
@@ -479,7 +479,7 @@ def step_of_samples(estimator, what):
     step = fitted_step(estimator, MOESPRegressor, what)
     if not isinstance(step.model_, SampleModel):
         raise ValueError(
-            f"{what} needs a model of samples at their azimuths, and this one was fitted with "
+            f"{what} needs a model of samples at their azimuths, but this one was fitted with "
             f"reading={step.basis_.reading!r}; fit behind HarmonicAnalyzer(reading='sample')"
         )
     return step

@@ -85,7 +85,7 @@ class HarmonicTransferFunctionDisplay(
         if len(signals) != 1:
             words = ", ".join(f"{list(o)} from {list(i)}" for o, i in sorted(signals))
             raise ValueError(
-                f"responses are between different signals: {words or 'there are none'}"
+                f"the responses must have the same signals, but have {words or 'none'}"
             )
         self.responses = responses
 
@@ -324,7 +324,7 @@ def _check_grid(basis):
         return
     what = f"{samples:.5g} samples a turn" if azimuth is None else "turns of varying length"
     raise ValueError(
-        f"the record has {what}, and a response without a model is estimated from a whole number "
-        f"of samples in each; draw the model alone (without X and y), or bring the record to such "
-        f"a grid and use HarmonicTransferFunctionDisplay.from_data(u, y, omega, systems=...)"
+        f"the record has {what}, but an estimate without a model needs a whole number of samples "
+        f"per turn; draw the model alone (without X and y), or resample the record to such a grid "
+        f"and use HarmonicTransferFunctionDisplay.from_data(u, y, omega, systems=...)"
     )

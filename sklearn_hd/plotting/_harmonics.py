@@ -128,9 +128,9 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
         basis = analyzer.basis_
         if basis.reading == "sample":
             raise ValueError(
-                f"HarmonicAnalyzer(reading='sample') hands samples on as they are: there are no "
+                f"HarmonicAnalyzer(reading='sample') does not decompose signals, so there are no "
                 f"coefficients to draw; use {cls.__name__}.from_data(X, omega) for those that a "
-                f"window sees, or AzimuthDisplay for what the model has at each turn"
+                f"window sees, or AzimuthDisplay for the model's harmonics"
             )
         record = Record(X, record, basis.timing)
         frame = pd.DataFrame(analyzer.transform(X))

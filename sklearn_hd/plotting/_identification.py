@@ -131,7 +131,7 @@ class SingularValueDisplay(Display):
         values = self.singular_values[: max(count, self.order + 1)]
         if not np.any(values > 0.0):
             raise ValueError(
-                "there are no singular values to draw: the record was too short for any "
+                "there are no singular values to draw, because the record was too short for any "
                 "dynamics, or is zero; use a longer one"
             )
         self._panels(ax, (6.4, 4.0))
@@ -260,7 +260,7 @@ class OrderSelectionDisplay(Display):
         if not hasattr(search, "get_params") or not hasattr(search, "cv"):
             raise TypeError(
                 f"{cls.__name__} needs a fitted search over orders, such as GridSearchCV; "
-                f"{type(search).__name__} is none"
+                f"{type(search).__name__} is not one"
             )
         check_is_fitted(search, "cv_results_")
         return cls.from_cv_results(
@@ -315,8 +315,8 @@ class OrderSelectionDisplay(Display):
         if orders is None:
             searched = sorted({key for p in cv_results["params"] for key in p})
             raise ValueError(
-                f"{order!r} was not searched, only {searched}; name the parameter that is the "
-                f"order with order="
+                f"{order!r} was not searched, only {searched}; give with order= the name of the "
+                f"parameter that is the order"
             )
         if not all(isinstance(n, int | np.integer) for n in orders):
             raise ValueError(
@@ -344,7 +344,7 @@ class OrderSelectionDisplay(Display):
         good = self._comparable()
         if len(good) == 0:
             raise ValueError(
-                "every candidate failed or was unstable on some fold, so that there is no score to "
+                "every candidate failed or was unstable on some fold, so there is no score to "
                 "draw; see why with error_score='raise', or search over smaller orders"
             )
         self._panels(ax, (6.4, 4.0))
@@ -480,7 +480,7 @@ class ConvergenceDisplay(Display):
             )
         if len(history) == 0:
             raise ValueError(
-                "history is empty: nothing was minimised, as where the match is exact or in closed "
+                "history is empty: nothing was minimised, because the match is exact or in closed "
                 "form"
             )
         self.history = history

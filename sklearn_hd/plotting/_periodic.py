@@ -338,9 +338,9 @@ def _entries(label, system, matrix, psi, rows, columns):
     for found, wanted in zip(own, (rows, columns), strict=True):
         if set(found) != set(wanted):
             raise ValueError(
-                f"{label!r} has the names {found}, the others {wanted}: entries of different "
-                f"coordinates cannot be compared; give the same names, or compare responses "
-                f"(HarmonicTransferFunctionDisplay)"
+                f"{label!r} has the names {found}, but the others have {wanted}, and entries in "
+                f"different coordinates cannot be compared; give the same names, or compare "
+                f"responses (HarmonicTransferFunctionDisplay)"
             )
     places = [
         [found.index(n) for n in wanted] for found, wanted in zip(own, (rows, columns), strict=True)

@@ -129,7 +129,7 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         left = left_of(step, handed, y)
         if not left.output_names:
             raise ValueError(
-                "the model leaves nothing of this record but rounding: no residuals to draw"
+                "the model leaves only rounding of this record: there are no residuals to draw"
             )
         own, crossed, bands = _correlations(left, lags)
         turns = left.samples_per_period is not None

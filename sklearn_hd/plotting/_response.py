@@ -126,7 +126,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         if self.loads is not None:
             if len(self.simulated) != 1:
                 raise ValueError(
-                    f"loads are those of one model, and {len(self.simulated)} are drawn: "
+                    f"loads belong to one model, but {len(self.simulated)} are drawn: "
                     f"{list(self.simulated)}; give one, or no loads"
                 )
             (simulated,) = self.simulated.values()
@@ -330,8 +330,8 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             inside = (time >= start) & (time < stop)
             if not inside.any():
                 raise ValueError(
-                    f"validation_span=({start:g}, {stop:g}) holds none of the rows drawn, from "
-                    f"t = {time[0]:.6g} s to {time[-1]:.6g} s; give times within"
+                    f"validation_span=({start:g}, {stop:g}) contains no drawn row; rows lie from t "
+                    f"= {time[0]:.6g} s to {time[-1]:.6g} s, so give times within"
                 )
 
         def fits(rows):
@@ -414,8 +414,8 @@ def _rows_of_all(rows, record):
     common = common[record.rows[common]]
     if len(common) == 0:
         raise ValueError(
-            f"no rows of record {record.label!r} can be scored: it is shorter than one analysis "
-            f"window and the warm-up; give a longer record or a smaller warmup"
+            f"no rows of record {record.label!r} can be scored, because it is shorter than one "
+            f"analysis window and the warm-up; give a longer record or a smaller warmup"
         )
     return common
 
@@ -445,8 +445,8 @@ def _check_alike(measured, values, label, columns=True):
     shape, expected = np.shape(values), np.shape(measured)
     if shape[:1] != expected[:1] or (columns and shape != expected):
         raise ValueError(
-            f"{label!r} has shape {shape}, the measured outputs {expected}; give the same rows"
-            f"{' and outputs' if columns else ''}"
+            f"{label!r} has shape {shape}, but the measured outputs have {expected}; give the same "
+            f"rows{' and outputs' if columns else ''}"
         )
     indices = [getattr(data, "index", None) for data in (measured, values)]
     if all(isinstance(index, pd.Index) for index in indices) and not indices[0].equals(indices[1]):

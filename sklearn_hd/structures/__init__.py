@@ -1,4 +1,4 @@
-"""What is known of a model beforehand: which entries are fixed, free or shared."""
+"""Known structure of a model: which entries are fixed, free or shared."""
 
 from sklearn_hd.structures._harmonic import HarmonicStructure
 from sklearn_hd.structures._matrix import MatrixStructure

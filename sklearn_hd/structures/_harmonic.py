@@ -38,26 +38,26 @@ class HarmonicStructure(Structure):
         ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   ψ = ωt                  (Eq. 6)
         F(ψ) = F_0 + Σ_k (F_kc cos kψ + F_ks sin kψ),   and so for G, P, Q
 
-    In the harmonic decomposition each coefficient stands in several places, by the block
-    pattern of Eq. 9, and ω itself stands where it is known: all that is one parameter here.
+    In the harmonic decomposition each coefficient appears in several places, by the block pattern
+    of Eq. 9, next to the known ω. Here each coefficient is one parameter.
 
     Parameters
     ----------
     F, G, P, Q : int, dict or None
-        A number of harmonics, every entry of every coefficient free. A dict by label,
-        ``{"0": M_0, "1c": M_1c, …}``, of the coefficients that are not zero, each a matrix
-        (or DataFrame) of entries as in :class:`MatrixStructure`: a number is fixed, NaN
-        a parameter of its own, a text such as ``"1 - 2*k"`` is affine in parameters shared
-        by name. Labels of a DataFrame must be the names of states, inputs and outputs, in
-        their order. None lets the data decide: the number of harmonics of F and G; of P only
-        those rows whose outputs are not states; Q is zero.
+        A number of harmonics, with every entry of every coefficient free. Or a dict by label,
+        ``{"0": M_0, "1c": M_1c, …}``, of the coefficients that are not zero, each a matrix (or
+        DataFrame) of entries as in :class:`MatrixStructure`: a number is fixed, NaN is a separate
+        parameter, a text such as ``"1 - 2*k"`` is affine in parameters shared by name. Labels of a
+        DataFrame must be the names of states, inputs and outputs, in their order. None lets the
+        data decide: the number of harmonics of F and G, and those rows of P whose outputs are not
+        states; Q is zero.
     states : sequence of str, optional
-        Outputs that are the states, where as many outputs as states determine the state.
-        By default the first that do. Where none do, the states are Floquet coordinates, in
-        which F is constant, and P(ψ) holds the mode shapes.
+        Outputs that are the states, if as many outputs as states determine the state. By default
+        the first ones that do. If none do, the states are Floquet coordinates, in which F is
+        constant, and P(ψ) holds the mode shapes.
     fixed : mapping of str to float, optional
-        Parameters whose value is known: they become numbers. ``"F[w,phi_dot]_1c"`` is the
-        place of an entry.
+        Parameters with a known value; they become numbers. ``"F[w,phi_dot]_1c"`` is the place of
+        an entry.
 
     Attributes
     ----------
@@ -104,8 +104,8 @@ class HarmonicStructure(Structure):
         n = self.n_states
         if self.states is not None and len(self.states) != n:
             raise ValueError(
-                f"F is of {n} states, but states={list(self.states)} names {len(self.states)}; "
-                f"give one name for each row of F"
+                f"F has {n} states, but states={list(self.states)} names {len(self.states)}; give "
+                f"one name for each row of F"
             )
         for name, sides in {"F": (n, n), "G": (n, None), "P": (None, n), "Q": (None, None)}.items():
             spec = self._specs[name]
@@ -124,13 +124,13 @@ class HarmonicStructure(Structure):
 
     @property
     def n_states(self):
-        """States that the structure calls for; None if any number is right."""
+        """Number of states that the structure needs; None if it accepts any."""
         if isinstance(self._specs["F"], dict):
             return shape_of(next(iter(self._specs["F"].values()))[0])[0]
         return None if self.states is None else len(self.states)
 
     def given_entries(self):
-        """Those of F, G, P and Q of which entries are given, not a number of harmonics alone.
+        """Those of F, G, P and Q whose entries are given, not only a number of harmonics.
 
         Returns
         -------
@@ -186,13 +186,13 @@ class HarmonicStructure(Structure):
         return new
 
     def _named(self):
-        """Names written in the coefficients given."""
+        """Names used in the given coefficients."""
         specs = [spec for spec in self._specs.values() if isinstance(spec, dict)]
         cells = [cells for spec in specs for cells, *_ in spec.values()]
         return tuple(name for name in parameter_names(cells) if name is not None)
 
     def _check_fixed(self, what, fixed):
-        """Raise ValueError for names that no signals can make parameters."""
+        """Raise ValueError for names that cannot become parameters with any signals."""
         named = self._named()
         for name in fixed:
             if name in named:
@@ -200,16 +200,17 @@ class HarmonicStructure(Structure):
             place = _PLACE.fullmatch(str(name))
             if place is None:
                 raise ValueError(
-                    f"{what} names {name!r}, no parameter here; give one of {list(named)}, or the "
-                    f"place of a free entry, such as 'F[w,phi_dot]_1c'"
+                    f"{what} names {name!r}, which is not a parameter; give one of {list(named)}, "
+                    f"or the place of a free entry, such as 'F[w,phi_dot]_1c'"
                 )
             matrix, order = place["matrix"], order_of(place["label"])
             spec = self._specs[matrix]
             labels = spec if isinstance(spec, dict) else labels_up_to(spec)
             if place["label"] not in labels:
                 raise ValueError(
-                    f"{what} names {name!r}, which {_written(matrix, spec)} leaves out; give "
-                    f"{matrix} harmonic {order}, as a number or in a dict, to fix an entry of it"
+                    f"{what} names {name!r}, but {_written(matrix, spec)} does not include it; "
+                    f"give {matrix} harmonic {order}, as a number or in a dict, to fix an entry of "
+                    f"it"
                 )
 
     def resolve(self, states, inputs, outputs, n_harmonics, *, form=None):
@@ -218,11 +219,11 @@ class HarmonicStructure(Structure):
         Parameters
         ----------
         states, inputs, outputs : sequence of str
-            Outputs among the states measure them.
+            Outputs that are also states measure them.
         n_harmonics : dict
             Number of harmonics of F, G, P where the structure leaves it to the data.
         form : FloquetForm, optional
-            What F may be in Floquet coordinates; takes the place of F.
+            Form of F in Floquet coordinates; it replaces F.
 
         Returns
         -------
@@ -311,7 +312,7 @@ class HarmonicStructure(Structure):
         return f"HarmonicStructure({', '.join(words)})"
 
     def _shown(self):
-        """Tables of the coefficients given, and a line for each matrix without."""
+        """Tables of the given coefficients, and a line for each matrix without them."""
         shown = []
         for name, spec in self._specs.items():
             if not isinstance(spec, dict):
@@ -345,7 +346,7 @@ def _written(name, spec):
 
 
 def _check_independent(basis, names):
-    """Raise ValueError if no values of the entries could tell some parameters apart."""
+    """Raise ValueError if the entries cannot determine some parameters separately."""
     counts = np.bincount(basis.indices, minlength=basis.shape[1])
     mixed = np.unique(sparse.coo_array(basis[:, counts > 1]).row)
     if not len(mixed):
@@ -356,15 +357,15 @@ def _check_independent(basis, names):
     if rank < len(mixed):
         alike = [names[k] for k in mixed[np.linalg.norm(U[:, rank:], axis=1) > 1e-10]]
         raise ValueError(
-            f"the entries determine only combinations of {alike}; give each an entry of its own, "
-            f"or fix some"
+            f"the entries determine only combinations of {alike}; give each its own entry, or fix "
+            f"some"
         )
 
 
 def read_specification(name, value):
     """A number of harmonics, a dict of coefficients by label, or None.
 
-    Of a coefficient there are the cells, and the names of its rows and columns or None.
+    Each coefficient is given by its cells and the names of its rows and columns, or None.
     """
     if value is None:
         return None
@@ -391,12 +392,12 @@ def shape_of(cells):
 
 
 def check_labels(what, labels, sides):
-    """Raise ValueError if a DataFrame is labelled otherwise than the signals are named."""
+    """Raise ValueError if the labels of a DataFrame are not the names of the signals."""
     for found, names in zip(labels, sides, strict=True):
         if found is not None and list(found) != list(names):
             raise ValueError(
-                f"{what} is labelled {list(found)} where the signals are {list(names)}; "
-                f"give the same names in the same order, or an array"
+                f"{what} is labelled {list(found)}, but the signals are {list(names)}; give the "
+                f"same names in the same order, or an array"
             )
 
 
@@ -409,16 +410,17 @@ def order_of(label, name="a coefficient"):
         _check_order(name, int(text[:-1][:20]))
         return int(text[:-1])
     raise ValueError(
-        f"{label!r} is no label of {name}; labels are '0', '1c', '1s', '2c', … (mean, cosine, sine)"
+        f"{label!r} is not a label of {name}; labels are '0', '1c', '1s', '2c', … (mean, cosine, "
+        f"sine)"
     )
 
 
 def _check_order(name, harmonic):
-    """Raise ValueError for harmonics that no record shows."""
+    """Raise ValueError for harmonics that no record can show."""
     if harmonic > MOST_HARMONICS:
         raise ValueError(
             f"harmonic {reprlib.repr(harmonic)} of {name} is beyond {MOST_HARMONICS}, more than "
-            f"any record tells apart; give fewer harmonics"
+            f"any record determines; give fewer harmonics"
         )
 
 

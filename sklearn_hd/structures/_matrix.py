@@ -44,28 +44,27 @@ class MatrixStructure(Structure):
     D : array_like or DataFrame, shape (l, m), optional
         Zero by default.
 
-        In all four a number is a fixed entry, NaN a parameter of its own, and a text is
-        affine in named parameters: ``"k"``, ``"-k"``, ``"2*k"``, ``"1.5 - (k1 + k2)/2"``.
-        A name that recurs, in whichever matrix, is one parameter.
+        In all four matrices a number is a fixed entry, NaN is a separate parameter, and a text is
+        affine in named parameters: ``"k"``, ``"-k"``, ``"2*k"``, ``"1.5 - (k1 + k2)/2"``. A name
+        that appears several times, in any matrix, is one parameter.
     state_names, input_names, output_names : sequence of str, optional
-        By default the labels of the DataFrames. NaN entries are called after them,
-        ``"A[w_0,phi_dot_1c]"``; without names after their position, ``"A[0,1]"``.
+        By default the labels of the DataFrames. NaN entries get their names from them,
+        ``"A[w_0,phi_dot_1c]"``, or without labels from their position, ``"A[0,1]"``.
     initial : mapping of str to float, or array_like of shape (k,), optional
-        Where a search may start; all parameters that are not fixed, or none.
+        Initial values for a search: for all parameters that are not fixed, or for none.
     bounds : mapping of str to (low, high), optional
-        Between what values a parameter lies; None is an open end.
+        Lower and upper limit of a parameter; None is an open end.
     fixed : mapping of str to float, optional
-        Parameters whose value is known: they become numbers.
+        Parameters with a known value; they become numbers.
 
     Attributes
     ----------
     parameter_names : tuple of str
-        In the order of their first appearance in A, B, C, D, read by rows; without those
-        fixed.
+        In the order of their first appearance in A, B, C, D, row by row, without the fixed ones.
     n_parameters, n_states, n_inputs, n_outputs : int
     initial : ndarray of shape (k,) or None
     bounds : dict of str to (float or None, float or None)
-        As given, those of fixed parameters too.
+        As given, including those of fixed parameters.
     lower, upper : ndarray, shape (k,)
         The bounds in the order of parameter_names, infinite where open.
     fixed : dict of str to float
@@ -75,8 +74,8 @@ class MatrixStructure(Structure):
     Raises
     ------
     ValueError
-        If shapes or labels do not fit together, an entry is no number, NaN or affine text,
-        or values by name contradict each other.
+        If shapes or labels do not fit together, an entry is not a number, NaN or affine text, or
+        values by name contradict each other.
 
     References
     ----------
@@ -85,7 +84,7 @@ class MatrixStructure(Structure):
 
     Examples
     --------
-    An oscillator of unknown frequency and damping (the same number stands twice):
+    An oscillator of unknown frequency and damping (each name appears twice):
 
     >>> oscillator = MatrixStructure([["-d", "w"], ["-w", "-d"]], [[0], [np.nan]], C=[[1, 0]],
     ...                              bounds={"d": (0, None)})
@@ -187,12 +186,12 @@ class MatrixStructure(Structure):
 
     @property
     def initial(self):
-        """Where a search may start, shape (k,); None where nothing was said."""
+        """Initial values for a search, shape (k,); None if none were given."""
         return None if self._initial is None else np.array(list(self._initial.values()))
 
     @property
     def bounds(self):
-        """Bounds by name as given, those of fixed parameters too."""
+        """Bounds by name as given, including those of fixed parameters."""
         return dict(self._bounds)
 
     @property
@@ -225,7 +224,7 @@ class MatrixStructure(Structure):
         Returns
         -------
         A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
-            Of their own, to be changed at will.
+            New arrays, which you may change.
 
         Raises
         ------
@@ -239,7 +238,7 @@ class MatrixStructure(Structure):
         check_known(what, fixed, parameter_names(self._cells))
 
     def _with_fixed(self, fixed):
-        """The same with other fixed values; what is freed starts at the value it had."""
+        """The same with other fixed values; a freed parameter starts at its former value."""
         initial = self._initial
         if initial is not None:
             known = {**initial, **self._fixed}
@@ -285,8 +284,8 @@ def _check_shapes(given, n, m, p):
     for name, shape in shapes.items():
         if found[name] != shape:
             raise ValueError(
-                f"{name} has shape {found[name]} where A of {found['A']}, B of {found['B']} and C "
-                f"of {found['C']} call for {shape}"
+                f"{name} has shape {found[name]}, but A of {found['A']}, B of {found['B']} and C "
+                f"of {found['C']} need {shape}"
             )
     if m == 0 or p == 0:
         raise ValueError(
@@ -296,7 +295,7 @@ def _check_shapes(given, n, m, p):
 
 
 def _labels(what, size, given, *sources):
-    """Names given, else those of the DataFrames' axes, which must agree; None if none."""
+    """Given names, or those of the DataFrames' axes, which must agree; None if none."""
     found = None if given is None else read_names(f"{what}_names", given)
     for labels in (axis_names(*source) for source in sources):
         if labels is None:

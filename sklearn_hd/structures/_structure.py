@@ -1,9 +1,9 @@
-"""What both structures share: entries, what is said of parameters by name, how both are shown.
+"""Common part of both structures: entries, knowledge of named parameters, display.
 
 Entries are affine in named parameters: "1.5 - 0.5*k1 + 2*k2" is the cell
 (1.5, (("k1", -0.5), ("k2", 2.0))), a constant and terms, each a name and its factor; a name of
-None stands for a parameter that is called after its place. Of a parameter there may be a value
-to hold, where to start, between what bounds.
+None stands for a parameter named after its place. A parameter may have a fixed value, a start
+value and bounds.
 """
 
 import ast
@@ -56,8 +56,8 @@ def _cell(value, place):
     if number is not None:
         return number + 0.0, ()  # no negative zero
     raise ValueError(
-        f"{place} = {value!r} is no entry; give a finite number (fixed), NaN (free) or a text of "
-        f"numbers and parameters, such as 'k' or '1.5 - 2*k'"
+        f"{place} = {value!r} is not an entry; give a finite number (fixed), NaN (free) or a text "
+        f"of numbers and parameters, such as 'k' or '1.5 - 2*k'"
     )
 
 
@@ -106,7 +106,7 @@ def _expression(text, place):
             f"letter"
         ) from None
     if not all(map(math.isfinite, (constant, *terms.values()))):
-        raise ValueError(f"{place} = {text!r} is no entry: its numbers must be finite")
+        raise ValueError(f"{place} = {text!r} is not an entry: its numbers must be finite")
     for name, scale in terms.items():
         if scale == 0.0:
             raise ValueError(f"{place} = {text!r} does not depend on {name!r}; leave it out")
@@ -224,8 +224,8 @@ def read_names(name, given):
     """Names as texts, from any sequence of them; a single text is no sequence of letters."""
     if isinstance(given, str) or not np.iterable(given):
         raise ValueError(
-            f"{name}={given!r} is no sequence of names; give a list such as ['w', 'phi_dot'], or "
-            f"None"
+            f"{name}={given!r} is not a sequence of names; give a list such as ['w', 'phi_dot'], "
+            f"or None"
         )
     return tuple(map(str, given))
 
@@ -375,8 +375,8 @@ def _interval(name, given):
         low = high = np.nan
     if not low < high:
         raise ValueError(
-            f"bounds of {name!r} are {given!r}; give (low, high) with low < high, None where it is "
-            f"open; one value alone is given by fixed"
+            f"bounds of {name!r} are {given!r}; give (low, high) with low < high, and None where "
+            f"it is open; use fixed for a single value"
         )
     return tuple(float(end) if np.isfinite(end) else None for end in (low, high))
 
@@ -450,7 +450,9 @@ def check_known(what, given, names):
     """Raise ValueError if a name is no parameter."""
     unknown = [name for name in given if name not in names]
     if unknown:
-        raise ValueError(f"{what} names {unknown}, no parameters here; allowed are {list(names)}")
+        raise ValueError(
+            f"{what} names {unknown}, which are not parameters here; allowed are {list(names)}"
+        )
 
 
 def read_numbers(what, values, names):
@@ -471,7 +473,7 @@ def _mapping(what, given, example):
     if given is None:
         return {}
     if not isinstance(given, Mapping | pd.Series):
-        raise ValueError(f"{what}={given!r} is no mapping by name; give one such as {example}")
+        raise ValueError(f"{what}={given!r} is not a mapping by name; give one such as {example}")
     if isinstance(given, pd.Series) and not given.index.is_unique:
         twice = list(given.index[given.index.duplicated()].unique())
         raise ValueError(f"{what} names {twice} more than once; give every name one value")

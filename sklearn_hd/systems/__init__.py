@@ -1,4 +1,4 @@
-"""Step 1 and what a model is: periodic systems, nonlinear and linear, and named ones."""
+"""Step 1, and the model classes: nonlinear and linear periodic systems, and named ones."""
 
 from sklearn_hd.systems.arguments import FourierMatrix
 from sklearn_hd.systems.export import export_model

@@ -1,4 +1,4 @@
-"""What users give to make systems and simulate them: names, records, periodic matrices.
+"""Arguments of systems and simulations: names, records, periodic matrices.
 
 ``PeriodicSystem``, ``LTPSystem`` and the others of this room need it.
 """

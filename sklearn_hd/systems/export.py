@@ -1,15 +1,15 @@
-"""Models out of Python: JSON, and the .mat files of MATLAB. Nothing is pickled.
+"""Export of models to JSON and to MATLAB's .mat files. Nothing is pickled.
 
-One table of names serves both. A file has those of them that the model has; the axis of harmonics,
-or of azimuths, is the first in JSON and the last in .mat:
+Both formats use one table of names. A file has those that the model has. The axis of harmonics, or
+of azimuths, is the first in JSON and the last in .mat:
 
     F, G, P, Q                  Fourier coefficients in the order 0, 1c, 1s, …
     psi, F_psi, …, Phi, Gamma   the same at azimuths, and x[k+1] = Phi_k x[k] + Gamma_k u[k]
     A, B, C, D, dt              time-invariant matrices; dt = 0 in continuous time
 
-JSON has decimals that read back as the same floats (Python's repr). Complex numbers are pairs
-(real, imaginary). Exponents and their deviations may be null, where they are no finite numbers;
-any other NaN or infinity is refused. ``LTPSystem``, the model steps and ``load_model`` need this.
+JSON stores decimals that read back as the same floats (Python's repr). Complex numbers are pairs
+(real, imaginary). Exponents and their deviations that are not finite are null; any other NaN or
+infinity is refused. ``LTPSystem``, the model steps and ``load_model`` need this.
 """
 
 import json
@@ -42,11 +42,11 @@ def export_model(model, path, *, n_phases=64):
     Parameters
     ----------
     model : LTPSystem or control.StateSpace
-        What to write.
+        The model to write.
     path : str or path-like
-        Ends in ``.json`` or ``.mat``; a file that is there is replaced.
+        Ends in ``.json`` or ``.mat``; an existing file is replaced.
     n_phases : int, default=64
-        Azimuths in a period at which periodic matrices are tabulated, too.
+        Number of azimuths per period at which periodic matrices are also tabulated.
 
     Raises
     ------
@@ -58,8 +58,8 @@ def export_model(model, path, *, n_phases=64):
     Warns
     -----
     ConvergenceWarning
-        If matrices given as functions of ψ are no Fourier series of 64 harmonics, with what is
-        left.
+        If 64 harmonics do not represent matrices given as functions of ψ; the warning states the
+        error.
 
     References
     ----------
@@ -77,12 +77,12 @@ def export_model(model, path, *, n_phases=64):
     """
     lti = isinstance(model, control.StateSpace)
     if not lti and not all(hasattr(model, name) for name in ("F", "G", "P", "Q", "omega")):
-        raise ValueError(f"model={model!r} is no model; give an LTPSystem or a control.StateSpace")
+        raise ValueError(f"model={model!r} is not a model; give LTPSystem or control.StateSpace")
     write(lti_contents(model) if lti else ltp_contents(model, n_phases), path)
 
 
 def ltp_contents(system, n_phases=64):
-    """What a file has of a periodic system, by name.
+    """Contents of a file for a periodic system, by name.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def ltp_contents(system, n_phases=64):
 
 
 def lti_contents(model):
-    """What a file has of a time-invariant model, by name.
+    """Contents of a file for a time-invariant model, by name.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def lti_contents(model):
     """
     if model.dt is None or model.dt is True:
         raise ValueError(
-            f"the model has dt={model.dt}, no sample time; give it one in seconds, or 0 for "
-            f"continuous time"
+            f"the model has dt={model.dt}, which is not a sample time; give it one in seconds, or "
+            f"0 for continuous time"
         )
     exponents = np.linalg.eigvals(model.A).astype(complex)
     if model.dt:
@@ -140,7 +140,7 @@ def lti_contents(model):
 
 
 def write(contents, path):
-    """Write what a model has, by name, to a file that its suffix tells.
+    """Write the contents of a model, by name, to a file; its suffix sets the format.
 
     Parameters
     ----------
@@ -158,12 +158,12 @@ def write(contents, path):
     for name, value in contents.items():
         told = isinstance(value, np.ndarray | float) and name not in MAY_BE_NULL
         if told and not np.isfinite(value).all():
-            raise ValueError(f"{name} holds NaN or infinity, which no model file may")
+            raise ValueError(f"{name} holds NaN or infinity, which a model file cannot store")
     kinds[path.suffix.lower()]({"format": FORMAT, "schema": SCHEMA} | contents, path)
 
 
 def _series(name, matrix):
-    """Fourier coefficients of a matrix, as many as it has or as resolve it."""
+    """Fourier coefficients of a matrix: those it has, or as many as resolve it."""
     if isinstance(matrix, FourierMatrix):
         return matrix.coefficients
     psi = 2.0 * np.pi * (np.arange(256) + 0.5) / 256
@@ -175,9 +175,9 @@ def _series(name, matrix):
         if left <= EXACT_SERIES * size:
             return coefficients
     warn(
-        f"{name}(psi) has kinks or jumps: its Fourier series of {K} harmonics is up to "
-        f"{left / size:.2g} of its largest entry off; F_psi to Q_psi, Phi and Gamma in the file "
-        f"are not of this series and are exact",
+        f"{name}(psi) has kinks or jumps, so its Fourier series of {K} harmonics errs by up to "
+        f"{left / size:.2g} of its largest entry; F_psi to Q_psi, Phi and Gamma in the file do not "
+        f"use this series and are exact",
         ConvergenceWarning,
     )
     return coefficients

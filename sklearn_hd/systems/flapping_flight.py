@@ -1,4 +1,4 @@
-"""Flapping flight: the wing whose identification the paper reports, and a hovering hawkmoth."""
+"""Flapping flight: the wing that the paper identifies, and a hovering hawkmoth."""
 
 from dataclasses import dataclass
 
@@ -30,13 +30,13 @@ def flapping_wing(
 
     States and outputs are the vertical speed w (m/s, positive down) and the flapping
     speed φ̇ (rad/s), ``w`` and ``phi_dot``; the input ``U`` is the amplitude of the
-    flapping torque. The trim asks for a mean w of zero and finds U.
+    flapping torque. The trim finds the U for which the mean of w is zero.
 
     Parameters
     ----------
     k_d1, k_d2, k_d3, k_L : float
-        Coefficients of drag and lift: k_d1 in 1/rad, k_d2 dimensionless, k_d3 in 1/m,
-        k_L in m. Drag may be zero, lift must be positive: it carries the weight.
+        Coefficients of drag and lift: k_d1 in 1/rad, k_d2 dimensionless, k_d3 in 1/m, k_L in m.
+        Drag may be zero; lift must be positive to carry the weight.
     inverse_inertia : float
         1 / I_f in 1/(kg m²).
     omega : float
@@ -168,15 +168,15 @@ def hawkmoth(
 
     States and outputs are the speeds u (forward) and w (down) in m/s, the pitch rate q
     (rad/s) and the pitch angle θ (rad, nose up), in body axes: ``u``, ``w``, ``q``,
-    ``theta``. The wings beat as they are told,
+    ``theta``. The wings follow the prescribed motion
 
         φ = φ̄ − Φ cos ωt,   η = η̄ + η_m tanh(C sin ωt) / tanh C
 
     φ forward in the stroke plane, η the chord's angle from the normal of that plane
     (η = 0 stands upright, the geometric angle of attack of the forward stroke is
     π/2 − η). The inputs are the stroke amplitude Φ and the mean stroke angle φ̄, both in
-    rad, ``amplitude`` and ``mean_angle``; the trim asks for a mean u and w of zero and
-    finds them. With equal wings on both sides, X, Z and M are twice the integrals over
+    rad, ``amplitude`` and ``mean_angle``; the trim finds those for which the means of u and w are
+    zero. With equal wings on both sides, X, Z and M are twice the integrals over
     one wing of
 
         dF_c = ρ (Γ v_n − c (C_D0 v_c² + C_D90 v_n²) v_c / 2V) dr
@@ -194,14 +194,14 @@ def hawkmoth(
     pitch_inertia : float
         I_yy about the centre of mass, kg m².
     hinge_forward, hinge_height : float
-        Where the forces' line meets the plane of symmetry: ahead of and above the
+        Point where the line of the forces meets the plane of symmetry: ahead of and above the
         centre of mass, in m along the body axes.
     wing_length, mean_chord : float
         R and c̄ of one wing, m; the chord is c = (4 c̄/π) √(1 − (r/R)²).
     omega : float
         Wingbeat frequency in rad/s.
     amplitude, mean_angle : float
-        Φ and φ̄ that the trim starts from, rad.
+        Φ and φ̄ at the start of the trim search, rad.
     pitch_amplitude, pitch_sharpness, pitch_offset : float
         Pitch of the wings: η_m in rad, C (small for a sine, large for a square wave)
         and η̄ in rad.
@@ -229,7 +229,7 @@ def hawkmoth(
 
     Notes
     -----
-    Where the defaults come from:
+    Sources of the defaults:
 
     =================== ========================== ====================================
     parameter           default                    source
@@ -251,19 +251,18 @@ def hawkmoth(
     ρ, g                1.225 kg/m³, 9.81 m/s²     standard atmosphere
     =================== ========================== ====================================
 
-    The figures of Berman and Wang were read in a program that reproduces their paper, not
-    in the paper itself.
+    The figures of Berman and Wang come from a program that reproduces their paper, not from the
+    paper itself.
 
-    Left out: added mass, the wings' inertia (two wings weigh 6 % of the moth), induced
-    flow, wake capture, the body's own drag, flow along the span, and the distance
-    from the hinge axis to the centre of pressure, which hangs below the hinge while the
-    wing flaps: the height is that of the forces. It decides how fast the instability
-    grows, for the drag of surging acts on it: M_u = ∂M/∂u / I_yy is 49 1/(m s) at
-    2 mm, and 26 more for each mm; at 1 mm the moth is stable. Rotational lift with
-    C_R = π adds 300 1/(m s).
+    The model leaves out added mass, the wings' inertia (two wings weigh 6 % of the moth), induced
+    flow, wake capture, the body's own drag, flow along the span, and the distance from the hinge
+    axis to the centre of pressure, which hangs below the hinge while the wing flaps.
+    ``hinge_height`` is therefore the height of the forces. It decides how fast the instability
+    grows, because the drag of surging acts there: M_u = ∂M/∂u / I_yy is 49 1/(m s) at 2 mm, and 26
+    more for each mm; at 1 mm the moth is stable. Rotational lift with C_R = π adds 300 1/(m s).
 
-    A change of Φ or φ̄ within a wingbeat moves the wings at once, without the speed of
-    that jump: hold inputs over whole wingbeats, from the reversal at t = 0.
+    A change of Φ or φ̄ within a wingbeat moves the wings at once, and the model ignores the speed
+    of that jump. Hold inputs over whole wingbeats, from the reversal at t = 0.
 
     References
     ----------

@@ -1,9 +1,9 @@
-"""The periodic system behind a harmonic decomposition: Eqs. 8 and 9 read backwards.
+"""The periodic system behind a harmonic decomposition: the inverse of Eqs. 8 and 9.
 
     A + ω N = T(F),   B = T(G),   C = T(P),   D = T(Q)
 
-T is affine in the Fourier coefficients, each of which stands in several places. The coefficients
-are those nearest to the matrices given. ``LTPSystem.from_harmonic_decomposition`` needs it.
+T is affine in the Fourier coefficients, each of which appears in several places. The result is the
+nearest fit to the given matrices. ``LTPSystem.from_harmonic_decomposition`` needs it.
 """
 
 import re
@@ -35,8 +35,8 @@ def read_decomposition(model, omega, names, tolerance):
     omega : float
         rad/s.
     names : dict
-        ``state_names``, ``input_names``, ``output_names``: signals in the paper's order, or None,
-        where the labels of the model tell.
+        ``state_names``, ``input_names``, ``output_names``: signals in the paper's order, or None
+        if the labels of the model name them.
     tolerance : float
         Largest relative misfit.
 
@@ -50,7 +50,7 @@ def read_decomposition(model, omega, names, tolerance):
     check_fraction("tolerance", tolerance, "0.1 is usual")
     labelled = ("state_labels", "input_labels", "output_labels")
     if not all(hasattr(model, name) for name in ("A", "B", "C", "D", "dt", *labelled)):
-        raise ValueError(f"model={model!r} is no state-space model; give a control.StateSpace")
+        raise ValueError(f"model={model!r} is not a state-space model; give a control.StateSpace")
     if model.dt:
         raise ValueError(
             f"the model has a sample time of {model.dt} s; a harmonic decomposition is "
@@ -87,8 +87,8 @@ def _read_labels(parameter, labels, given):
         count, left = divmod(len(labels), len(names)) if names else (0, 1)
         if left or count % 2 == 0:
             raise ValueError(
-                f"{parameter}={list(names)} names {len(names)} signals, the model has "
-                f"{len(labels)} such: it must have 2 N + 1 coefficients of each"
+                f"{parameter}={list(names)} names {len(names)} signals, but the model has "
+                f"{len(labels)} coefficients: it must have 2 N + 1 of each signal"
             )
         return {s: {p: p * len(names) + i for p in range(count)} for i, s in enumerate(names)}
     found = {}
@@ -96,8 +96,8 @@ def _read_labels(parameter, labels, given):
         match = _NAME.fullmatch(label)
         if match is None:
             raise ValueError(
-                f"{label!r} is no harmonic of a signal, such as w_0 or w_1c; give {parameter}, the "
-                f"signals in the order of Eq. 8 (all signals' harmonic 0, then 1c, 1s, …)"
+                f"{label!r} is not a harmonic of a signal, such as w_0 or w_1c; give {parameter}, "
+                f"the signals in the order of Eq. 8 (all signals' harmonic 0, then 1c, 1s, …)"
             )
         k = match["label"]
         place = 0 if k == "0" else 2 * int(k[:-1]) - (k[-1] == "c")
@@ -138,7 +138,7 @@ def _nearest(name, M, pairs):
         coefficients, close, unseen = toeplitz_coefficients(blocks, *kept)
         if unseen:
             raise ValueError(
-                f"the harmonics kept do not show harmonic(s) {unseen} of "
+                f"the kept harmonics do not show harmonic(s) {unseen} of "
                 f"{name}{pairs[places[0]][0]}; give a decomposition that keeps all harmonics of "
                 f"each signal, from 0 up to its highest"
             )
@@ -156,7 +156,7 @@ def _sizes(M, pairs):
 
 
 def _misfit(name, left, sizes, scale):
-    """What is left of a matrix over the matrix, whatever the units of the signals.
+    """Residual of a matrix relative to the matrix, independent of the units of the signals.
 
     States are scaled so that A is balanced. An input, or an output, counts by its own size.
     """
@@ -170,25 +170,25 @@ def _misfit(name, left, sizes, scale):
 
 
 def _check_misfits(misfits, tolerance):
-    """Refuse, or warn of, matrices that are no multiplications by Fourier series."""
+    """Refuse matrices that are not multiplications by Fourier series, or warn of them."""
     name = max(misfits, key=misfits.get)
     if misfits[name] <= ROUNDING:
         return
     figures = ", ".join(f"{each} {misfit:.2g}" for each, misfit in misfits.items())
     words = (
-        f"the model is no harmonic decomposition of a periodic system at this omega: the nearest "
-        f"one leaves these shares of its matrices (Frobenius norm): {figures}"
+        f"the model is not a harmonic decomposition of a periodic system at this omega: the "
+        f"nearest one leaves these shares of its matrices (Frobenius norm): {figures}"
     )
     if misfits[name] > tolerance:
         raise ValueError(
             f"{words}, above tolerance={tolerance:g}; check omega and the order of the signals, or "
             f"match the model to a HarmonicStructure (StructuredMatcher), which has this pattern"
         )
-    warn(f"{words}; the periodic system is that nearest one", IdentifiabilityWarning)
+    warn(f"{words}; the nearest periodic system is returned", IdentifiabilityWarning)
 
 
 def _without_dust(coefficients):
-    """Coefficients without harmonics that are rounding."""
+    """Coefficients without the harmonics that are only rounding."""
     sizes = np.abs(coefficients)
     unit = np.max(sizes, axis=0)
     moving = np.flatnonzero(np.any(sizes > EXACT * unit, axis=(1, 2)))

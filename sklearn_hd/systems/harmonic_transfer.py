@@ -57,15 +57,15 @@ class HarmonicTransferFunction:
     input_names, output_names : tuple of str
         In the order of the response's last axes.
     blocks : complex ndarray, shape (n_frequencies, 2 N + 1, 2 N + 1, n_outputs, n_inputs)
-        Of models: H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)) from input harmonic q to output
+        For models: H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)) from input harmonic q to output
         harmonic p, both from −N to N. None for estimates.
     std : ndarray, shape of ``response``
-        Of estimates: standard deviation √E|Ĥ − H|². None for models.
+        For estimates: standard deviation √E|Ĥ − H|². None for models.
     coherence : ndarray, shape (n_frequencies, 2 N + 1, n_outputs)
-        Of estimates: share of the output's power at Ω + nω that the inputs account
-        for, by all their harmonics together. None for models.
+        For estimates: share of the output's power at Ω + nω that all harmonics of the inputs
+        explain together. None for models.
     n_averages : float
-        Of estimates: independent segments averaged. None for models.
+        For estimates: number of independent segments averaged. None for models.
 
     References
     ----------
@@ -139,10 +139,10 @@ class HarmonicTransferFunction:
         Raises
         ------
         ValueError
-            If what is asked for is not there.
+            If ``what`` is not available.
         """
         if what not in ("response", "std") or getattr(self, what) is None:
-            raise ValueError(f"what={what!r} is not here; use 'response', or 'std' of an estimate")
+            raise ValueError(f"what={what!r} is not known; use 'response', or 'std' of an estimate")
         columns = pd.MultiIndex.from_product(
             [self.output_names, self.input_names, self._harmonics()],
             names=["output", "input", "harmonic"],
@@ -155,7 +155,7 @@ class HarmonicTransferFunction:
 
             √(mean_Ω (|Ĥ_n − H_n|² / std²))
 
-        Near 1, the two agree within the noise; a model's error shows as more.
+        Near 1, the two agree within the noise; an error of the model gives more.
 
         Parameters
         ----------
@@ -170,15 +170,15 @@ class HarmonicTransferFunction:
         Raises
         ------
         ValueError
-            If this is no estimate, or the model differs in signals, harmonics or
+            If this is not an estimate, or the model differs in signals, harmonics or
             frequencies.
         """
         if self.std is None:
-            raise ValueError("a misfit needs standard deviations: call misfit of the estimate")
+            raise ValueError("a misfit needs standard deviations; call misfit on the estimate")
         if not isinstance(model, HarmonicTransferFunction):
             raise ValueError(
-                f"model={reprlib.repr(model)} is no HarmonicTransferFunction; give what "
-                f"LTPSystem.harmonic_transfer_function returns"
+                f"model={reprlib.repr(model)} is not a HarmonicTransferFunction; give the result "
+                f"of LTPSystem.harmonic_transfer_function"
             )
         same = (self.input_names, self.output_names) == (model.input_names, model.output_names)
         extra = model.n_harmonics - self.n_harmonics
@@ -237,10 +237,10 @@ def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
     )
     if change > tolerance:
         warn(
-            f"the harmonic transfer function still changes by {change:.2g} of its largest value "
-            f"at the {max_harmonics} internal harmonics allowed (tolerance {tolerance:g}); F, G, "
-            f"P or Q has kinks or jumps: raise max_internal_harmonics, or give sample_time, which "
-            f"needs no truncation",
+            f"the harmonic transfer function still changes by {change:.2g} of its largest value at "
+            f"the {max_harmonics} internal harmonics allowed (tolerance {tolerance:g}), because F, "
+            f"G, P or Q has kinks or jumps; raise max_internal_harmonics, or give sample_time, "
+            f"which needs no truncation",
             ConvergenceWarning,
         )
     return blocks
@@ -282,14 +282,14 @@ def estimate_harmonic_transfer_function(
     sample_time=None,
     time_origin=None,
 ):
-    """Harmonic transfer function of a record, no model between.
+    """Estimate the harmonic transfer function from a record, without a model.
 
-    The record is cut into overlapping, windowed segments. At each frequency, least
-    squares over the segments tells apart the shares of the output that come from
-    different input harmonics, Y(Ω) = Σ_n H_n(j(Ω − nω)) U(Ω − nω): all inputs must move
-    at all these frequencies in ways that vary from segment to segment, as noise, random
-    steps and multisines with changing phases do. Subtract the trim first: a periodic
-    waveform in y spoils the frequencies near multiples of ω.
+    The record is cut into overlapping, windowed segments. At each frequency, least squares over
+    the segments separates the shares of the output that come from different input harmonics, Y(Ω)
+    = Σ_n H_n(j(Ω − nω)) U(Ω − nω). All inputs must therefore move at all these frequencies in ways
+    that vary from segment to segment, as noise, random steps and multisines with changing phases
+    do. Subtract the trim first: a periodic waveform in y spoils the frequencies near multiples of
+    ω.
 
     Parameters
     ----------
@@ -300,13 +300,12 @@ def estimate_harmonic_transfer_function(
     omega : float
         Fundamental frequency, rad/s.
     n_harmonics : int
-        N: harmonics −N … N of the response are told apart; those beyond count as
-        noise.
+        N: harmonics −N … N of the response are estimated separately; higher ones count as noise.
     periods_per_segment : int, optional
-        Length of a segment in periods of ω. It should last ten time constants of the
-        slowest mode or more: what leaks where resonances are narrower than ω / periods
-        is a bias that ``std`` does not know. By default the longest that leave ten
-        independent segments for each of the (2N + 1) m unknowns.
+        Length of a segment in periods of ω. It should last ten time constants of the slowest mode
+        or more: leakage at resonances narrower than ω / periods is a bias that ``std`` does not
+        include. By default the longest segment that leaves ten independent segments for each of
+        the (2N + 1) m unknowns.
     window : str or tuple, default="hann"
         As for :func:`scipy.signal.get_window`.
     overlap : float, default=0.5
@@ -314,7 +313,7 @@ def estimate_harmonic_transfer_function(
     sample_time : float, optional
         Seconds from row to row of arrays, which start at ψ = 0.
     time_origin : str, optional
-        The instant of ψ = 0 where the index holds dates.
+        The instant of ψ = 0, if the index holds dates.
 
     Returns
     -------
@@ -325,7 +324,7 @@ def estimate_harmonic_transfer_function(
     Raises
     ------
     ValueError
-        If the records are too short for the harmonics asked, or unevenly sampled.
+        If the records are too short for these harmonics, or unevenly sampled.
 
     References
     ----------
@@ -397,14 +396,14 @@ def estimate_harmonic_transfer_function(
 
 
 def _check_window(window):
-    """Raise ValueError unless scipy.signal makes a window of it."""
+    """Raise ValueError if scipy.signal does not know the window."""
     try:
         known = np.all(np.isfinite(get_window(window, 64)))
     except (TypeError, ValueError, OverflowError, np.linalg.LinAlgError):
         known = False
     if not known:
         raise ValueError(
-            f"window={reprlib.repr(window)} is none that scipy.signal.get_window makes; 'hann' is "
+            f"window={reprlib.repr(window)} is not a window of scipy.signal.get_window; 'hann' is "
             f"usual"
         )
 
@@ -418,7 +417,7 @@ def _signals(data, what, base):
 
 
 def _segment_length(lengths, samples_per_period, n_unknowns, periods, window, overlap):
-    """Samples of a segment that leaves enough averages, chosen or checked."""
+    """Length of a segment in samples that leaves enough averages, chosen or checked."""
 
     def averages(n_periods):
         n_segment = round(n_periods * samples_per_period)

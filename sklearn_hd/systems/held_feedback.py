@@ -1,4 +1,4 @@
-"""Feedback once a period: what stabilises a machine while it is measured."""
+"""Feedback once per period, which stabilises a machine while it is measured."""
 
 import reprlib
 from typing import NamedTuple
@@ -13,28 +13,27 @@ from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 
 
 class HeldFeedback:
-    """Periodic system whose inputs are set once a period, from the means of the one before.
+    """Periodic system whose inputs are set once per period, from the means of the last one.
 
         u_k = u* + v_k − K (ȳ_{k−1} − ȳ*)
 
-    ȳ_k is the mean of the measured outputs over period k, sample by sample, and v_k what
-    is added to excite the loop. Each period is a whole one from ψ = 0.
+    ȳ_k is the mean of the measured outputs over period k, sample by sample, and v_k
 
     Parameters
     ----------
     system : PeriodicSystem
-        What is fed back; it may be unstable.
+        The system under feedback; it may be unstable.
     trim : Trim
         Its periodic solution (u*, and the means ȳ*).
     gain : array_like, shape (m, l), optional
-        K. By default that of the best quadratic regulator of the linear period map,
-        from ``state_sizes`` and ``input_sizes``, as though the means were the state at the
-        beginning of a period; the outputs must be the states then.
+        K. By default the gain of the best quadratic regulator of the linear period map, from
+        ``state_sizes`` and ``input_sizes``, as if the means were the state at the beginning of a
+        period; the outputs must then be the states.
     inputs : sequence of str, optional
-        The m inputs that are fed back; the others are disturbances. By default all.
+        The m inputs that the feedback sets; the others are disturbances. By default all.
     state_sizes, input_sizes : array_like, optional
-        Departures that count alike in the regulator, array of floats of shape (n,) and
-        (m,). By default 1.
+        Departures with equal weight in the regulator, array of floats of shape (n,) and (m,). By
+        default 1.
     samples_per_period : int, default=64
         Rows of one period.
 
@@ -43,7 +42,7 @@ class HeldFeedback:
     gain : ndarray, shape (m, l)
         K.
     disturbances : tuple of str
-        Names of the inputs not fed back.
+        Names of the inputs that the feedback does not set.
 
     Raises
     ------
@@ -85,7 +84,7 @@ class HeldFeedback:
         if not isinstance(system, PeriodicSystem) or not isinstance(trim, Trim):
             raise ValueError(
                 f"system={reprlib.repr(system)} and trim={reprlib.repr(trim)} must be a "
-                f"PeriodicSystem and what its trim() returns"
+                f"PeriodicSystem and the result of its trim()"
             )
         self.system, self.trim = system, trim
         self.samples_per_period = check_count(
@@ -110,8 +109,8 @@ class HeldFeedback:
         Returns
         -------
         multipliers : complex ndarray, shape (n + l,)
-            Of the state and of the means that are fed back, the largest first: within the unit
-            circle if small departures from the trim die out.
+            Of the state and of the means that are fed back, the largest first. They lie inside the
+            unit circle if small departures from the trim die out.
         """
         values = np.linalg.eigvals(self._plant.closed_loop(self.gain))
         return values[np.argsort(-np.abs(values))]
@@ -135,7 +134,7 @@ class HeldFeedback:
         Parameters
         ----------
         v : array_like, shape (n_periods, m) or (n_records, n_periods, m)
-            Added to the inputs fed back, period by period.
+            Added to the inputs that the feedback sets, period by period.
         disturbances : array_like, shape (..., n_samples, d), optional
             Values of the other inputs about their trim, held from sample to sample.
         noise : array_like, shape (..., n_samples, l), optional
@@ -146,7 +145,7 @@ class HeldFeedback:
         Returns
         -------
         u : ndarray, shape (..., n_samples, n_inputs)
-            All inputs of the system, the trim in them.
+            All inputs of the system, including the trim.
         y : ndarray, shape (..., n_samples, l)
             Outputs as measured.
 
@@ -155,7 +154,7 @@ class HeldFeedback:
         ValueError
             If shapes do not fit.
         RuntimeError
-            If a record leaves the numbers; the message says when.
+            If a record diverges; the message gives the period.
         """
         v = real_array("v", v, f"one value of each of {list(self.inputs)} for each period")
         if v.ndim not in (2, 3) or v.shape[-1] != len(self.inputs):
@@ -227,8 +226,8 @@ class HeldFeedback:
             return gain
         if self.system.g is not None:
             raise ValueError(
-                "gain=None takes the outputs for the states, and this system has outputs of its "
-                "own (g); give a gain"
+                "gain=None assumes that the outputs are the states, but this system has its own "
+                "outputs (g); give a gain"
             )
         gain = quadratic_gain(
             self._plant,
@@ -238,9 +237,9 @@ class HeldFeedback:
         largest = np.abs(np.linalg.eigvals(self._plant.closed_loop(gain))).max()
         if largest >= 1.0:
             raise ValueError(
-                f"the regulator leaves a multiplier of size {largest:.3g}, for the means that it "
-                f"reads are older than the state that it was designed for; change state_sizes or "
-                f"input_sizes, or give a gain"
+                f"the regulator leaves a multiplier of size {largest:.3g}, because it reads period "
+                f"means, which are older than the state that it was designed for; change "
+                f"state_sizes or input_sizes, or give a gain"
             )
         return gain
 
@@ -265,7 +264,7 @@ def _sizes(name, sizes, count):
 
 
 class PeriodMap(NamedTuple):
-    """Period to period, with the outputs' means on the way.
+    """Map from period to period, including the means of the outputs.
 
     x_{k+1} = Φ x_k + Γ u_k,   ȳ_k = M x_k + N u_k
     """
@@ -299,7 +298,7 @@ def quadratic_gain(plant, state_sizes, input_sizes):
         P = linalg.solve_discrete_are(plant.Phi, plant.Gamma, Q, R)
     except ValueError as error:  # LinAlgError, or pencils too ill-conditioned to be ordered
         raise ValueError(
-            f"no gain stabilises the period map ({error}); an unstable mode may be out of reach "
-            f"of the inputs"
+            f"no gain stabilises the period map ({error}); perhaps the inputs do not reach an "
+            f"unstable mode"
         ) from error
     return linalg.solve(R + plant.Gamma.T @ P @ plant.Gamma, plant.Gamma.T @ P @ plant.Phi)

@@ -1,4 +1,4 @@
-"""Models read back from the JSON that ``systems/export.py`` writes: users call ``load_model``."""
+"""Load models from the JSON files of ``systems/export.py``; users call ``load_model``."""
 
 import json
 from pathlib import Path
@@ -16,23 +16,24 @@ LTI = dict(zip("ABCD", LTP.values(), strict=True))
 
 
 def load_model(path):
-    """The model in a JSON file, to the last bit of its matrices.
+    """Load the model in a JSON file, to the last bit of its matrices.
 
     Parameters
     ----------
     path : str or path-like
-        What ``export`` of a model step, :meth:`LTPSystem.export` or :func:`export_model` wrote.
+        A file written by ``export`` of a model step, :meth:`LTPSystem.export` or
+        :func:`export_model`.
 
     Returns
     -------
     model : LTPSystem or control.StateSpace
-        As ``kind`` in the file says. Standard deviations, trim and tables by azimuth stay in the
-        file: ``json.load`` reads them.
+        Set by ``kind`` in the file. Standard deviations, trim and tables by azimuth stay in the
+        file; ``json.load`` reads them.
 
     Raises
     ------
     ValueError
-        If it is no such file, of a later schema, or something is missing or does not fit.
+        If it is not such a file, has a later schema, or something is missing or does not fit.
     OSError
         If the file cannot be read.
 
@@ -52,17 +53,17 @@ def load_model(path):
     """
     path = Path(path)
     if path.suffix.lower() == ".mat":
-        raise ValueError(f"path={str(path)!r} is for MATLAB; export to .json what is to come back")
+        raise ValueError(f"path={str(path)!r} is for MATLAB; export to .json to load it again")
     try:
         found = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{str(path)!r} is no JSON: {error}") from None
+        raise ValueError(f"{str(path)!r} is not JSON: {error}") from None
     if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise ValueError(f"{str(path)!r} is no file of a model: its format is not {FORMAT!r}")
+        raise ValueError(f"{str(path)!r} is not a model file: its format is not {FORMAT!r}")
     if found.get("schema") != SCHEMA:
         raise ValueError(
-            f"{str(path)!r} has schema {found.get('schema')!r}, this version of sklearn_hd reads "
-            f"{SCHEMA}; use the version that wrote it, or export the model again"
+            f"{str(path)!r} has schema {found.get('schema')!r}, but this version of sklearn_hd "
+            f"reads {SCHEMA}; use the version that wrote it, or export the model again"
         )
     kind = _given(found, "kind", path)
     if kind not in ("ltp", "lti"):
@@ -89,12 +90,12 @@ def _given(found, name, path):
 def _names(found, name, path):
     names = _given(found, name, path)
     if not isinstance(names, list) or not all(isinstance(each, str) for each in names):
-        raise ValueError(f"{name} in {str(path)!r} is no list of names")
+        raise ValueError(f"{name} in {str(path)!r} is not a list of names")
     return names
 
 
 def _matrix(found, name, names, sides, path):
-    """An array of as many rows and columns as there are names."""
+    """An array with one row and column for each name."""
     rows, columns = (len(names[side]) for side in sides)
     wanted = f"rows of {rows} by {columns} numbers, as the names in the file are"
     values = real_array(f"{name} in {str(path)!r}", _given(found, name, path), wanted)
@@ -105,4 +106,4 @@ def _matrix(found, name, names, sides, path):
 
 
 def _no_number(text):
-    raise ValueError(f"the file holds {text}, which is no number of JSON; write null, or a number")
+    raise ValueError(f"the file holds {text}, which is not a JSON number; write null, or a number")

@@ -124,23 +124,24 @@ class LTPSystem(NamedSignals):
         output_names=None,
         tolerance=0.1,
     ):
-        """Periodic system of which a model is the harmonic decomposition.
+        """Periodic system whose harmonic decomposition is a given model.
 
             F, G, P, Q = arg min ‖[A + ωN, B; C, D] − [T(F), T(G); T(P), T(Q)]‖
 
-        the inverse of :meth:`harmonic_decomposition`: it returns the Fourier coefficients of
+        This is the inverse of :meth:`harmonic_decomposition`. It returns the Fourier coefficients
+        of
         F up to harmonic 2 N, of G up to N + M, of P up to L + N and of Q up to L + M.
 
         Parameters
         ----------
         model : control.StateSpace
-            Continuous. Its labels say which harmonic of which signal each state, input and
-            output is (w_0, w_1c, …), in any order; harmonics may differ by signal.
+            Continuous. Its labels (w_0, w_1c, …) name the signal and harmonic of each state, input
+            and output, in any order; harmonics may differ by signal.
         omega : float
             Fundamental frequency in rad/s.
         state_names, input_names, output_names : sequence of str, optional
-            Signals, where the labels do not tell; coefficients then stand in the paper's
-            order (all signals' harmonic 0, then 1c, 1s, …).
+            Signals, if the labels do not name them; coefficients are then in the paper's order
+            (all signals' harmonic 0, then 1c, 1s, …).
         tolerance : float, default=0.1
             Share of a matrix (Frobenius norm, units of the signals scaled out) that the
             nearest such pattern may leave.
@@ -159,7 +160,8 @@ class LTPSystem(NamedSignals):
         Warns
         -----
         IdentifiabilityWarning
-            If more than rounding is left, with the share: the model is not quite of that form.
+            If more than rounding is left; the model has this form only approximately. The warning
+            states the share.
         """
         names = {"state_names": state_names, "input_names": input_names}
         names["output_names"] = output_names
@@ -232,13 +234,13 @@ class LTPSystem(NamedSignals):
         Returns
         -------
         exponents : complex ndarray, shape (n_states,)
-            In 1/s. Right also where multipliers e^{λT} differ by a hundred decades,
-            which :meth:`monodromy` cannot hold.
+            In 1/s. They are also correct if multipliers e^{λT} differ by a hundred decades, which
+            :meth:`monodromy` cannot represent.
 
         Raises
         ------
         ValueError
-            If F is beyond the range of floating-point numbers.
+            If F exceeds the range of floating-point numbers.
         """
         tolerance = max(1e-14, precision(self.F))
         return floquet_exponents(self.F, self.omega, tolerance=tolerance)
@@ -296,8 +298,8 @@ class LTPSystem(NamedSignals):
 
             y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
 
-        from T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q), the Toeplitz form of the harmonic
-        decomposition, whose internal harmonics are doubled until nothing changes.
+        It is computed from T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q), the Toeplitz form of the harmonic
+        decomposition. Internal harmonics are doubled until the result no longer changes.
 
         Parameters
         ----------
@@ -306,15 +308,14 @@ class LTPSystem(NamedSignals):
         n_harmonics : int
             N, harmonics of inputs and outputs.
         sample_time : float, optional
-            Seconds. The response from sample to sample of inputs held between
-            them, as :meth:`simulate` holds them: what records made that way are to be
-            compared with. It is exact, also for matrices that jump. There must be a
-            whole number of samples in a period.
+            Seconds. Gives the response from sample to sample for inputs held between samples, as
+            :meth:`simulate` holds them; compare records of such inputs with it. It is exact, also
+            for matrices that jump. A period must hold a whole number of samples.
         tolerance : float, default=1e-8
             Largest change on doubling the internal harmonics, relative to the largest
             block.
         max_internal_harmonics : int, default=128
-            Bound on the internal harmonics; a ConvergenceWarning says what is left.
+            Bound on the internal harmonics; a ConvergenceWarning states the remaining change.
 
         Returns
         -------
@@ -324,7 +325,8 @@ class LTPSystem(NamedSignals):
         Raises
         ------
         ValueError
-            If a parameter is out of its range, or a period holds no whole number of samples.
+            If a parameter is out of its range, or a period does not hold a whole number of
+            samples.
 
         References
         ----------
@@ -380,9 +382,9 @@ class LTPSystem(NamedSignals):
 
             (|c_ik| + |c_{i,−k}|) / Σ_k |c_ik|
 
-        sum to one for each state and mode, or to zero where the mode does not move the state.
-        Each Floquet exponent is represented by the
-        eigenvalue of the HD model nearest to it (the paper's base eigenvalues, Fig. 1).
+        sum to one for each state and mode, or to zero if the mode does not move the state. Each
+        Floquet exponent is represented by the eigenvalue of the HD model nearest to it (the
+        paper's base eigenvalues, Fig. 1).
 
         Parameters
         ----------
@@ -421,24 +423,24 @@ class LTPSystem(NamedSignals):
 
     @within_range
     def harmonic_modes(self, n_harmonics):
-        """Modes of the harmonic decomposition: which are copies, and what u_0 and y_0 have of them.
+        """Modes of the harmonic decomposition: copies, and their links to u_0 and y_0.
 
             λ + jkω,   k = −N … N,   of which k = 0 is the base mode
 
-        The base mode is the one that the mean of F continues.
+        The base mode is the continuation of a mode of the mean of F.
 
         Parameters
         ----------
         n_harmonics : int
-            N, copies told on either side.
+            N, the number of copies on either side.
 
         Returns
         -------
         modes : DataFrame
             ``eigenvalue`` and that of its ``base`` mode in 1/s; ``copy``, k;
-            ``controllability``, from u_0, and ``observability``, in y_0: the harmonic that
-            serves this copy, as a share of the largest of the mode, from 0 to 1. A negative
-            multiplier has two base modes, σ ± jω/2.
+            ``controllability``, from u_0, and ``observability``, in y_0: the harmonic that belongs
+            to this copy, as a share of the largest of the mode, from 0 to 1. A negative multiplier
+            has two base modes, σ ± jω/2.
 
         Raises
         ------
@@ -448,7 +450,7 @@ class LTPSystem(NamedSignals):
         Warns
         -----
         ConvergenceWarning
-            If eigenvalues of the decomposition stay off the Floquet exponents.
+            If eigenvalues of the decomposition do not reach the Floquet exponents.
 
         Examples
         --------
@@ -460,34 +462,33 @@ class LTPSystem(NamedSignals):
 
     @within_range
     def minimal_model(self, n_copies=0, n_output_harmonics=0, *, return_loss=False):
-        """Time-invariant model to design a controller with: controllable and observable.
+        """Controllable and observable time-invariant model for controller design.
 
             ẋ = A x + B u_0,   Y = C x + D u_0
 
-        The harmonic decomposition has n (2 N + 1) states. Its base modes are split off from
-        their copies (ordered Schur form); the copies left out act at once, by their steady
-        response in D (residualization). The eigenvalues of A are Floquet exponents. Modes that
-        u_0 does not reach, or Y does not show, are left out, too.
+        The harmonic decomposition has n (2 N + 1) states. An ordered Schur form separates the base
+        modes from their copies. The omitted copies act at once, by their steady response in D
+        (residualization). Modes that u_0 does not reach, or Y does not show, are omitted, too.
 
         Parameters
         ----------
         n_copies : int, default=0
-            K. Copies λ ± jω … λ ± jKω that are kept: what the model needs if its inputs
-            act, or its outputs see, mostly by harmonics.
+            K: copies λ ± jω … λ ± jKω are kept. The model needs them if its inputs act, or its
+            outputs see, mostly by harmonics.
         n_output_harmonics : int, default=0
             L, harmonics of the outputs.
         return_loss : bool, default=False
-            Whether to return what the model misses, too.
+            Whether to return also the loss.
 
         Returns
         -------
         model : control.StateSpace
-            Continuous. Its states are means of states, w_0, …, where as many determine its
-            modes; else modal, z1, z2, …. A gain K of u_0 = −K x then is, but for the
-            ripple within a period, one of u = −K x(t) on these states: check it by the
-            exponents of the closed loop, ``LTPSystem(F - G K, …)``.
+            Continuous. Its states are means of states, w_0, …, if as many of them determine its
+            modes; otherwise modal, z1, z2, …. A gain K of u_0 = −K x then is also one of u = −K
+            x(t) on these states, except for the ripple within a period. Check it by the exponents
+            of the closed loop, ``LTPSystem(F - G K, …)``.
         loss : float
-            Only with ``return_loss=True``: share missed of the response of an output (with its
+            Only with ``return_loss=True``: missing share of the response of an output (with its
             harmonics) to an input, rms over frequencies up to ω/2 or the fastest mode; worst pair.
 
         Raises
@@ -498,8 +499,8 @@ class LTPSystem(NamedSignals):
         Warns
         -----
         IdentifiabilityWarning
-            Of each mode left out that u_0 does not reach or Y does not show, by its exponent;
-            if the loss exceeds 0.1.
+            For each omitted mode that u_0 does not reach or Y does not show, with its exponent; if
+            the loss exceeds 0.1.
         ConvergenceWarning
             As :meth:`harmonic_modes`.
 
@@ -532,8 +533,8 @@ class LTPSystem(NamedSignals):
     def simulate(self, u, t, x0=None, *, return_states=False):
         """Outputs at the sample times, exact for inputs held between samples.
 
-        Where the samples repeat after a period, the transition matrices of one
-        period serve the whole record; otherwise each interval has its own.
+        If the samples repeat after a period, the transition matrices of one period are used for
+        the whole record; otherwise each interval has its own.
 
         Parameters
         ----------
@@ -583,7 +584,7 @@ class LTPSystem(NamedSignals):
         path : str or path-like
             Ends in ``.json`` (:func:`load_model` reads it) or ``.mat`` (for MATLAB).
         n_phases : int, default=64
-            Azimuths in a period at which the matrices are tabulated, too.
+            Number of azimuths per period at which the matrices are also tabulated.
         """
         export_model(self, path, n_phases=n_phases)
 

@@ -1,4 +1,4 @@
-"""Time-invariant models of a periodic system to design controllers with.
+"""Time-invariant models of a periodic system for controller design.
 
 The harmonic decomposition has n (2 N + 1) states, of which n are the system's: the others are
 copies of its modes, λ + jkω. ``LTPSystem.minimal_model`` and ``harmonic_modes`` need this.
@@ -31,7 +31,7 @@ CLOSE = 1e-6  # of ω: eigenvalues that are told as those of the system
 
 
 def minimal_model(system, n_copies, n_output_harmonics):
-    """Controllable and observable model of the base modes and some copies, and what it misses.
+    """Controllable and observable model of the base modes and some copies, and its loss.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def harmonic_modes(system, n_harmonics):
 
 
 def _in_means(A, B, C, units, names):
-    """The model in the means of states, the last rows of C, where they determine its modes."""
+    """The model in the means of states, the last rows of C, if they determine its modes."""
     n, k = len(units), len(A)
     C, means = C[:-n], C[-n:]
     if 0 < k <= n:
@@ -120,7 +120,7 @@ def _with_copies(family, n_copies, omega):
 
 
 def _converged(system, units, wanted, n_outputs, n_copies):
-    """The modes wanted, of a decomposition of as many harmonics as they need."""
+    """The requested modes, from a decomposition with as many harmonics as they need."""
     n, N = system.n_states, max(4, 2 * n_copies)
     most = max(2 * N, min(MOST_HARMONICS, MOST_STATES // (2 * n)))
     kept = None
@@ -135,23 +135,23 @@ def _converged(system, units, wanted, n_outputs, n_copies):
                 if last:
                     raise ValueError(
                         f"base modes and copies of the harmonic decomposition of {N} harmonics "
-                        f"cannot be told apart to working precision ({error}); F varies too much "
+                        f"cannot be separated to working precision ({error}); F varies too much "
                         f"for a time-invariant model: design for the periodic system itself"
                     ) from None
         if kept is None:
             N *= 2
     if kept.error > CLOSE * system.omega:
         warn(
-            f"an eigenvalue of the harmonic decomposition of {N} harmonics is still "
-            f"{kept.error:.2g} rad/s off the Floquet exponent: F has kinks or jumps, or two "
-            f"exponents are equal; the model has eigenvalues as far off",
+            f"an eigenvalue of the harmonic decomposition of {N} harmonics differs by "
+            f"{kept.error:.2g} rad/s from the Floquet exponent, because F has kinks or jumps, or "
+            f"two exponents are equal; the model's eigenvalues have the same error",
             ConvergenceWarning,
         )
     return kept
 
 
 def _warn_lost(kept, bases, n_outputs, omega):
-    """Which modes inputs do not reach or outputs do not show, with a warning of base modes."""
+    """Modes that inputs do not reach or outputs do not show, with a warning of base modes."""
     middle = kept.reach.shape[2] // 2
     reached = shares(kept.reach)[:, middle]
     shown = shares(kept.shown)[:, middle - n_outputs : middle + n_outputs + 1].max(axis=1)
@@ -162,8 +162,8 @@ def _warn_lost(kept, bases, n_outputs, omega):
         if reached[i] > UNKNOWN:
             how = f"not seen in the harmonics kept of the outputs ({shown[i]:.1g} of its largest)"
         warn(
-            f"the mode {kept.eigenvalues[i]:.4g} (1/s) is {how}, and the minimal model is without "
-            f"it: no gain from these outputs to these inputs moves it; keep copies and harmonics "
+            f"the mode {kept.eigenvalues[i]:.4g} (1/s) is {how}, so the minimal model leaves it "
+            f"out: no gain from these outputs to these inputs moves it; keep copies and harmonics "
             f"(n_copies=1, n_output_harmonics=1), or design for the periodic system itself",
             IdentifiabilityWarning,
         )
@@ -171,13 +171,13 @@ def _warn_lost(kept, bases, n_outputs, omega):
 
 
 def _without_twins(model, signals):
-    """The model without combinations of modes of one eigenvalue that inputs move alike."""
+    """The model without combinations of modes with one eigenvalue that inputs move alike."""
     least = control.minimal_realization(model, verbose=False)
     if least.nstates == model.nstates:
         return model
     warn(
-        f"{model.nstates - least.nstates} combination(s) of modes of the same eigenvalue are not "
-        f"reached or not seen, and the minimal model is without them: inputs move them alike",
+        f"{model.nstates - least.nstates} combination(s) of modes with the same eigenvalue are not "
+        f"reached or not seen, so the minimal model leaves them out: inputs move them alike",
         IdentifiabilityWarning,
     )
     states = [f"z{i + 1}" for i in range(least.nstates)]

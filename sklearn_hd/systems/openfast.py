@@ -31,20 +31,20 @@ DEGREE_OF_FREEDOM = re.compile(r"(\w+)(?:\((\d+),(\d+)\))?\)")  # behind the las
 
 @dataclass(frozen=True, eq=False)
 class OpenFASTLinearization:
-    """A turbine linearised at one azimuth: what one .lin file holds.
+    """A turbine linearised at one azimuth: the contents of one .lin file.
 
         ẋ = A x + B u,   y = C x + D u
 
     Parameters
     ----------
     description : str
-        Of the model, from its input file.
+        Description of the model, from its input file.
     simulation_time : float
         In seconds.
     rotor_speed : float
         Ω in rad/s.
     azimuth : float
-        Of blade 1, ψ in radians.
+        Azimuth ψ of blade 1, in radians.
     wind_speed : float
         In m/s.
     A, B, C, D : ndarray, shapes (n, n), (n, m), (l, n), (l, m)
@@ -96,15 +96,15 @@ def read_openfast_lin(path):
     linearization : OpenFASTLinearization
         Degrees of freedom are named as OpenFAST numbers them: ``TFA1`` is the first
         fore-aft mode of the tower, ``BE1_b2`` the first edgewise mode of blade 2,
-        ``BE1_b2_dot`` its rate. Other signals go by their description.
+        ``BE1_b2_dot`` its rate. Other signals are named by their description.
 
     Raises
     ------
     OSError
         If there is no such file, or it cannot be read.
     ValueError
-        If the file holds no state matrix, not what its headings promise, a number that is
-        not finite, or a unit other than s, rad, deg, rad/s, deg/s, rpm, m/s. It names the
+        If the file holds no state matrix, does not match its headings, or holds a number that is
+        not finite or a unit other than s, rad, deg, rad/s, deg/s, rpm, m/s. The message names the
         file.
 
     References
@@ -126,7 +126,7 @@ def read_openfast_lin(path):
     try:
         text = Path(path).read_text(encoding="utf-8", errors="replace")
     except (TypeError, ValueError):
-        raise ValueError(f"path={path!r} is no path; give that of a .lin file") from None
+        raise ValueError(f"path={path!r} is not a path; give that of a .lin file") from None
     try:
         return _linearization(text)
     except ValueError as refusal:
@@ -135,7 +135,7 @@ def read_openfast_lin(path):
 
 def _linearization(text):
     if "\0" in text:
-        raise ValueError("this is no text")
+        raise ValueError("this is not text")
     lines = text.splitlines()
     stated = {}
     for line in lines:
@@ -156,9 +156,9 @@ def _linearization(text):
 
 
 def _quantity(stated, label, units):
-    """The number behind a label of the header, in our unit."""
+    """The number after a label of the header, in our unit."""
     if label not in stated:
-        raise ValueError(f"the header does not say {label!r}")
+        raise ValueError(f"the header does not give {label!r}")
     number, _, unit = stated[label].partition(" ")
     unit = unit.strip().lower()
     if unit not in units:
@@ -168,11 +168,11 @@ def _quantity(stated, label, units):
 
 
 def _number(word, what):
-    """A finite number as C or Fortran print it; ``what`` words what holds it."""
+    """A finite number as C or Fortran print it; ``what`` names its place in messages."""
     found = NUMBER.fullmatch(word)
     value = float(f"{found[1]}e{found[2] or found[3] or 0}") if found else math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{what} holds {reprlib.repr(word)}, which is no finite number")
+        raise ValueError(f"{what} holds {reprlib.repr(word)}, which is not a finite number")
     return value
 
 
@@ -185,7 +185,7 @@ def _tables(lines, stated):
             continue
         key = SECTIONS[title][0]
         if key in tables:
-            raise ValueError(f"{title!r} stands there twice")
+            raise ValueError(f"{title!r} appears twice")
         if not "".join(lines[k + 2 : k + 3]).strip().startswith("---"):
             raise ValueError(f"{title!r} has no heading with a rule below it")
         tables[key] = _rows(lines, k + 3)
@@ -227,7 +227,7 @@ def _matrices(lines, n, m, n_outputs):
         if not colon or name not in shapes:
             continue
         if name in found:
-            raise ValueError(f"{name} stands there twice")
+            raise ValueError(f"{name} appears twice")
         rows, columns = shapes[name]
         if size.replace("x", " x ").split() != [str(rows), "x", str(columns)]:
             raise ValueError(

@@ -48,14 +48,14 @@ class Trim:
     inputs : ndarray, shape (m,)
         Constant values u*.
     initial_state : ndarray, shape (n,)
-        State at ψ = 0: of the Fourier series (harmonic balance), or on the exact
-        orbit (shooting).
+        State at ψ = 0, from the Fourier series (harmonic balance) or on the exact orbit
+        (shooting).
     residual : float
         Relative residual at which the solver stopped.
     method : str
         ``"harmonic_balance"`` or ``"shooting"``.
     state_names, input_names : tuple of str
-        As the system has them.
+        Those of the system.
 
     References
     ----------
@@ -113,7 +113,7 @@ class Trim:
         Raises
         ------
         ValueError
-            If an azimuth is no finite number.
+            If an azimuth is not a finite number.
         """
         psi = real_array("psi", psi, "azimuths in radians")
         return evaluate_harmonics(self.coefficients, psi)
@@ -135,7 +135,7 @@ class PeriodicSystem(NamedSignals):
     period : float
         T in seconds.
     state_names, input_names : sequence of str
-        One name each; they say how many there are.
+        One name for each state and input; the number of names sets n and m.
     output_names : sequence of str, optional
         By default the states' names without g, and y1, y2, … with it.
     jacobian : callable, optional
@@ -145,7 +145,7 @@ class PeriodicSystem(NamedSignals):
         (coefficients, inputs) to start :meth:`trim` from, of shapes (2 K + 1, n) in
         the order 0, 1c, 1s, …, any K, and (m,). Zero by default.
     trim_targets : dict, optional
-        Mean that the trim asks of a state, by name, such as ``{"w": 0.0}``.
+        Mean of a state that the trim must reach, by name, such as ``{"w": 0.0}``.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class PeriodicSystem(NamedSignals):
 
     Examples
     --------
-    A driven pendulum with damping, its drive held at the trim:
+    A driven pendulum with damping; the drive is held at the trim:
 
     >>> def pendulum(x, u, t):
     ...     angle, rate = x
@@ -230,24 +230,24 @@ class PeriodicSystem(NamedSignals):
         n_harmonics : int, default=20
             Harmonics N of the states' Fourier series.
         method : {"harmonic_balance", "shooting"}, default="harmonic_balance"
-            Newton's method on the Galerkin equations of N harmonics, or on the defect
-            of the initial state after one period, which is exact whatever N; the
-            series is then that of the exact orbit.
+            Newton's method on the Galerkin equations of N harmonics, or on the defect of the
+            initial state after one period. The latter is exact for any N; its series is that of
+            the exact orbit.
         targets : dict, optional
-            Mean asked of a state, by name. By default the system's own.
+            Required mean of a state, by name. By default the system's own.
         inputs : dict, optional
-            Values of inputs that are held, by name. With targets, the inputs not named
-            are free, as many as there are targets; without, they stay at the guess.
+            Values of inputs that are held, by name. With targets, the other inputs are free, as
+            many as there are targets; without targets, they stay at the guess.
         guess : Trim or tuple of array_like, optional
-            Where to start, in the shapes of ``trim_guess``. By default the system's own.
+            Initial guess, in the shapes of ``trim_guess``. By default the system's own.
         n_points : int, optional
-            Points a period of the Galerkin integrals; by default 4096 or 128 a
-            harmonic, whichever is more.
+            Points per period of the Galerkin integrals; by default 4096 or 128 per harmonic,
+            whichever is more.
 
         Returns
         -------
         trim : Trim
-            The solution, with the residual it was left at.
+            The solution, with its residual.
 
         Raises
         ------
@@ -416,13 +416,13 @@ class PeriodicSystem(NamedSignals):
     def _check_trim(self, trim):
         """Raise ValueError unless it is a trim, and of a system such as this one."""
         if not isinstance(trim, Trim):
-            raise ValueError(f"trim={reprlib.repr(trim)} is no trim; give what trim() returns")
+            raise ValueError(f"trim={reprlib.repr(trim)} is not a trim; give the result of trim()")
         sizes = trim.coefficients.shape[1], len(trim.inputs)
         if sizes != (self.n_states, self.n_inputs) or not np.isclose(trim.omega, self.omega):
             raise ValueError(
                 f"the trim has {sizes[0]} states, {sizes[1]} inputs and omega={trim.omega:.6g}, "
-                f"the system {self.n_states}, {self.n_inputs} and {self.omega:.6g}; give what "
-                f"trim() of this system returns"
+                f"but the system has {self.n_states}, {self.n_inputs} and {self.omega:.6g}; give "
+                f"the result of this system's trim()"
             )
 
     def _hold(self, u, inputs, n_targets):
@@ -436,7 +436,7 @@ class PeriodicSystem(NamedSignals):
         if len(rest) != n_targets:
             raise ValueError(
                 f"{n_targets} targets cannot determine the free inputs {rest}; hold the others in "
-                f"inputs={{name: value}}, or change targets, until there are as many of each"
+                f"inputs={{name: value}}, or change targets, so that there are as many of each"
             )
         return [self.input_names.index(name) for name in rest]
 
@@ -496,10 +496,10 @@ class OrbitMatrix:
 class CentralDifferences:
     """F, G, P, Q by central differences of f and g.
 
-    Steps of ε^{1/3} of the largest size of each variable balance truncation and
-    rounding; the result is good to about ``precision``. The sizes are those of the
-    points given, or of a whole orbit: a step fitted to a few points where a state
-    passes through zero would be lost in rounding.
+    Steps of ε^{1/3} of the largest size of each variable balance truncation and rounding; the
+    result is accurate to about ``precision``. The sizes are those of the given points, or of a
+    whole orbit: a step fitted to a few points where a state passes through zero would be lost in
+    rounding.
     """
 
     precision = 1e-8

@@ -187,18 +187,18 @@ def coupled_oscillators(
 
 
 def duffing(*, damping=0.2, stiffness=1.0, hardening=1.0, amplitude=1.0, omega=1.5):
-    """Duffing oscillator under a periodic force, its trim the forced oscillation.
+    """Duffing oscillator under a periodic force; its trim is the forced oscillation.
 
         ẍ + δ ẋ + α x + β x³ = Γ cos ωt + u
 
-    States and outputs are ``x`` and ``x_dot``; the input ``u`` is a force beside the
-    periodic one, zero in trim. About the trim x* the stiffness α + 3β x*² is
+    States and outputs are ``x`` and ``x_dot``. The input ``u`` is a force added to the periodic
+    one; it is zero in trim. About the trim x* the stiffness α + 3β x*² is
     periodic; the Floquet exponents sum to −δ.
 
     Parameters
     ----------
     damping : float
-        Damping δ in 1/s, not negative: no oscillation would be stable.
+        Damping δ in 1/s. It must not be negative, because no oscillation would be stable.
     stiffness, hardening : float
         Coefficients α and β, of either sign (two wells, softening).
     amplitude : float
@@ -223,7 +223,7 @@ def duffing(*, damping=0.2, stiffness=1.0, hardening=1.0, amplitude=1.0, omega=1
 
         ((α − ω² + 3/4 β A²)² + δ² ω²) A² = Γ²
 
-    another ``guess`` finds the others.
+    Another ``guess`` finds the others.
 
     References
     ----------
@@ -290,12 +290,11 @@ def flapping_blade(*, gamma=8.0, mu=0.3, nu=1.0, omega=1.0):
     Notes
     -----
     The blade has constant chord, its hinge on the axis of rotation and no root cut
-    or tip loss; lift is linear and quasi-steady, and the airfoil is taken to meet
-    the flow with its leading edge all over the disc (normal flow). Inside the
-    reversed-flow circle, of diameter μ R on the retreating side, that gives lift of
-    the wrong sign. What it misses in the flap moment is of the order of μ⁴, hence
-    the model is used up to μ ≈ 0.5; results beyond are those of the equation, not of
-    a rotor. With reversed flow the mean damping exceeds γ/8, and the sum rule above
+    or tip loss. Lift is linear and quasi-steady, and the air is assumed to meet the leading edge
+    all over the disc (normal flow). Inside the reversed-flow circle, of diameter μ R on the
+    retreating side, this gives lift of the wrong sign. The error in the flap moment is of the
+    order of μ⁴, so the model is used up to μ ≈ 0.5; beyond that it describes the equation, not a
+    rotor. With reversed flow the mean damping exceeds γ/8, and the sum rule above
     no longer holds.
 
     References
@@ -312,7 +311,7 @@ def flapping_blade(*, gamma=8.0, mu=0.3, nu=1.0, omega=1.0):
     >>> bool(np.isclose(exponent.real, -0.5)), bool(np.isclose(abs(exponent.imag), 1 - 0.96**0.5))
     (True, True)
     """
-    check_numbers("nonnegative", "the blade has none below zero", gamma=gamma, mu=mu, nu=nu)
+    check_numbers("nonnegative", "a blade has none below zero", gamma=gamma, mu=mu, nu=nu)
     omega = check_positive("omega", omega, "rad/s", "it is the rotor speed")
     lift = gamma / 8.0
     F = np.zeros((5, 2, 2))  # harmonics 0, 1c, 1s, 2c, 2s
@@ -362,13 +361,13 @@ def vinograd():
         ẋ = [[−1 − 9c² + 12sc, 12c² + 9sc], [−12s² + 9sc, −1 − 9s² − 12sc]] x + [1, 1]ᵀ u
 
     with c = cos 6t and s = sin 6t. The Floquet exponents are +2 and −13: the
-    eigenvalues of the frozen matrix tell nothing. The outputs are both states.
+    eigenvalues of the frozen matrix do not show stability. The outputs are both states.
 
     Returns
     -------
     system : LTPSystem
-        With omega = 6 rad/s, the frequency of c and s. The matrix repeats after
-        half of that period already, over which both multipliers are negative.
+        With omega = 6 rad/s, the frequency of c and s. The matrix already repeats after half of
+        that period, over which both multipliers are negative.
 
     References
     ----------

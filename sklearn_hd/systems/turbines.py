@@ -1,4 +1,4 @@
-"""Models of three-bladed turbines, made of linearizations at several azimuths."""
+"""Models of three-bladed turbines from linearizations at several azimuths."""
 
 import re
 
@@ -47,14 +47,14 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
     Returns
     -------
     model : control.StateSpace
-        Names as in the files, but of what turns with the blades: ``BE1_mean``,
-        ``BE1_cos``, ``BE1_sin`` for ``BE1_b1``, ``BE1_b2``, ``BE1_b3``. Frequencies and
-        damping ratios are those of its method ``damp()``.
+        Names as in the files, except for signals that turn with the blades: ``BE1_mean``,
+        ``BE1_cos``, ``BE1_sin`` for ``BE1_b1``, ``BE1_b2``, ``BE1_b3``. Its method ``damp()``
+        gives frequencies and damping ratios.
 
     Raises
     ------
     ValueError
-        If the files do not belong together, blades are not three, or a name is unknown.
+        If the files do not belong together, there are not three blades, or a name is unknown.
 
     References
     ----------
@@ -86,8 +86,9 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
     A, B, C, D, inputs, outputs = _chosen(mean, names, inputs, outputs, _loose(first, frame))
     if outputs and not inputs:
         raise ValueError(
-            f"outputs={outputs} without inputs make no control.StateSpace, and the files have no "
-            f"inputs; name rates that accelerations act on, such as inputs={_rates(names[0])[:1]}"
+            f"outputs={outputs} without inputs cannot make a control.StateSpace, and the files "
+            f"have no inputs; name rates that accelerations act on, such as "
+            f"inputs={_rates(names[0])[:1]}"
         )
     return control.StateSpace(
         A[0], B[0], C[0], D[0], states=names[0], inputs=inputs, outputs=outputs
@@ -97,11 +98,11 @@ def multiblade_model(linearizations, *, inputs=None, outputs=None):
 def rotor_system(
     linearizations, *, inputs=None, outputs=None, coordinates="multiblade", n_harmonics=0
 ):
-    """Time-periodic model of a turbine, its blades turning.
+    """Time-periodic model of a turbine with turning blades.
 
-    Matrices are known at the azimuths of the files only. Between them, a Fourier series
-    is fitted (least squares) either to the matrices in multi-blade coordinates, turned
-    back onto the blades, or to the matrices as the files hold them.
+    The files give matrices at their azimuths only. In between, a Fourier series is fitted (least
+    squares) either to the matrices in multi-blade coordinates, turned back onto the blades, or to
+    the matrices as the files hold them.
 
     Parameters
     ----------
@@ -110,12 +111,13 @@ def rotor_system(
     inputs, outputs : sequence of str, optional
         As in :func:`multiblade_model`, by the names of the files.
     coordinates : {"multiblade", "rotating"}, default="multiblade"
-        ``"multiblade"`` takes three equal blades for granted: harmonics 3, 6, … are all
-        that a series has there, and its mean alone makes F(ψ) of two harmonics.
-        ``"rotating"`` takes nothing for granted, and needs the azimuths for it: F(ψ) of
-        a turbine with three blades has at least two harmonics, hence five azimuths.
+        ``"multiblade"`` assumes three equal blades: the series then has only harmonics 3, 6, …,
+        and its mean alone makes F(ψ) of two harmonics. ``"rotating"`` assumes nothing, but needs
+        more azimuths: F(ψ) of a turbine with three blades has at least two harmonics, hence five
+        azimuths.
     n_harmonics : int, default=0
-        Harmonics of the series: multiples of three a turn, or of one.
+        Harmonics of the series: multiples of three per turn with ``"multiblade"``, of one with
+        ``"rotating"``.
 
     Returns
     -------
@@ -127,8 +129,8 @@ def rotor_system(
     Raises
     ------
     ValueError
-        If the files do not belong together, the azimuths do not tell the harmonics
-        apart, or a name is unknown.
+        If the files do not belong together, the azimuths do not determine the harmonics, or a name
+        is unknown.
 
     References
     ----------
@@ -198,7 +200,7 @@ def _triplets(table):
 
 
 def _frame(file):
-    """What turns with the blades; ValueError where states do in another way."""
+    """Signals that turn with the blades; ValueError for states that turn in another way."""
     states = _triplets(file.states)
     turning = set(np.flatnonzero(file.states["rotating"]))
     left = turning - {k for triplet in states.values() for k in triplet}
@@ -210,8 +212,8 @@ def _frame(file):
     wrong = sorted(left | (second - with_rate))
     if wrong:
         raise ValueError(
-            f"the states {list(file.states.index[wrong])} turn with the rotor, but do not stand "
-            f"for three blades (with a rate each): multi-blade coordinates need these; use "
+            f"the states {list(file.states.index[wrong])} turn with the rotor, but are not states "
+            f"of three blades with a rate each, as multi-blade coordinates need; use "
             f"rotor_system(..., coordinates='rotating')"
         )
     own = (list(_triplets(table).values()) for table in (file.inputs, file.outputs))
@@ -219,7 +221,7 @@ def _frame(file):
 
 
 def _loose(file, frame):
-    """Names of inputs and outputs that turn, but do not stand for three blades."""
+    """Names of inputs and outputs that turn but are not one for each of three blades."""
     names = set()
     for table, triplets in ((file.inputs, frame.inputs), (file.outputs, frame.outputs)):
         placed = {k for triplet in triplets for k in triplet}
@@ -242,11 +244,11 @@ def _multiblade_names(names, triplets):
 
 
 def _checked(linearizations, blades=True):
-    """The files as a list, their rotor speed, and what turns with the blades."""
+    """The files as a list, their rotor speed, and the signals that turn with the blades."""
     files = list(linearizations) if np.iterable(linearizations) else [linearizations]
     if not files or not all(isinstance(file, OpenFASTLinearization) for file in files):
         raise ValueError(
-            f"linearizations={linearizations!r} must be a list of what read_openfast_lin returns"
+            f"linearizations={linearizations!r} must be a list of results of read_openfast_lin"
         )
     for file in files[1:]:
         for kind in ("states", "inputs", "outputs"):
@@ -269,15 +271,15 @@ def _stacked(files):
 
 
 def _fitted(matrices, psi, harmonics):
-    """Fourier coefficients of the harmonics given; ValueError where azimuths are too few."""
+    """Fourier coefficients of the given harmonics; ValueError for too few azimuths."""
     functions = harmonic_functions(psi, harmonics)
     values = np.linalg.svd(functions, compute_uv=False)
     if len(psi) < functions.shape[1] or values[0] > 30.0 * values[-1]:
         period = 360.0 / harmonics[-1]
         degrees = np.unique(np.round(np.degrees(psi) % period)).tolist()
         raise ValueError(
-            f"{len(psi)} azimuths do not tell the {functions.shape[1]} coefficients of harmonics "
-            f"{harmonics} apart: modulo {period:g}°, the period of the highest, they are "
+            f"{len(psi)} azimuths do not determine the {functions.shape[1]} coefficients of "
+            f"harmonics {harmonics}: modulo {period:g}°, the period of the highest, they are "
             f"{degrees}; linearise at more azimuths, or lower n_harmonics"
         )
     inverse = np.linalg.pinv(functions)
@@ -285,7 +287,7 @@ def _fitted(matrices, psi, harmonics):
 
 
 def _chosen(matrices, names, inputs, outputs, loose):
-    """The matrices with the inputs and outputs asked for, and their names.
+    """The matrices with the requested inputs and outputs, and their names.
 
     The second kind of input is an acceleration on a rate, the second of output a state.
     """
@@ -317,7 +319,7 @@ def _rates(names):
 
 
 def _places(parameter, wanted, n_own, allowed, loose):
-    """Positions of the names asked for; by default those of the files' own signals."""
+    """Positions of the requested names; by default those of the files' own signals."""
     wanted = allowed[:n_own] if wanted is None else check_names(wanted, parameter)
     unknown = [name for name in wanted if name not in allowed]
     if unknown:
@@ -326,7 +328,7 @@ def _places(parameter, wanted, n_own, allowed, loose):
     turning = [name for name in wanted if name in loose]
     if turning:
         raise ValueError(
-            f"{parameter}={turning} turn with the rotor, but do not stand for three blades: "
+            f"{parameter}={turning} turn with the rotor, but are not one for each of three blades; "
             f"leave them out, or use rotor_system(..., coordinates='rotating')"
         )
     return [allowed.index(name) for name in wanted]

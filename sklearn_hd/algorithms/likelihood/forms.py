@@ -79,7 +79,7 @@ class Form:
 
     @property
     def n_model(self):
-        """Number of parameters but for those of K."""
+        """Number of parameters except for those of K."""
         return self.structure.n_parameters + (0 if self.delays is None else len(self.delays.free))
 
     @property

@@ -135,8 +135,8 @@ def free_form(
     problem = found[0].problem
     if not np.isfinite(found[0].point.cost):
         raise ValueError(
-            f"the model identified, of order {n}, has no stable predictor to start maximum "
-            f"likelihood from; lower the order, or use a longer record"
+            f"the identified model, of order {n}, has no stable predictor from which maximum "
+            f"likelihood could start; lower the order, or use a longer record"
         )
     exact = found[0].point.rss <= problem.counts * (NOISELESS * problem.size) ** 2
     if exact.any() and not exact.all():  # an output without noise outweighs all others

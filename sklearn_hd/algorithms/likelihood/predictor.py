@@ -73,7 +73,7 @@ def as_records(segments, n_inputs, n_outputs):
         if not np.all(np.isfinite(u)):
             raise ValueError(
                 f"inputs of segment {position} hold NaN or infinity; only outputs may be missing: "
-                f"cut the segment where an input is"
+                f"cut the segment at the missing input"
             )
         present = np.isfinite(y)
         first, psi = (int(where), None) if np.ndim(where) == 0 else (0, np.asarray(where))
@@ -82,7 +82,7 @@ def as_records(segments, n_inputs, n_outputs):
     if not np.all(counts > 0):
         raise ValueError(
             f"outputs have {counts.tolist()} values in {len(records)} segments; each output needs "
-            f"some that are not NaN"
+            f"some values that are not NaN"
         )
     return records
 

@@ -93,7 +93,7 @@ class LikelihoodResult:
 
     @property
     def without_gain(self):
-        """Parameters but for those of K: to start from."""
+        """Parameters except for those of K: to start from."""
         return np.concatenate([self.theta, self.delays])
 
     @property

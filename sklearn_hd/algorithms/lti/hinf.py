@@ -87,8 +87,8 @@ def hinf_norm(A, B, C, D, dt=None):
         norm, peak = slycot.ab13dd(domain, "I", "S", "D", n, m, p, A, np.eye(n), B, C, D)
     except slycot.exceptions.SlycotArithmeticError as error:
         raise ArithmeticError(
-            "the H∞ norm of this model is out of reach: the eigenvalues of its Hamiltonian matrix "
-            "do not converge; its entries may span too many decades, so scale its states"
+            "the H∞ norm of this model cannot be computed: the eigenvalues of its Hamiltonian "
+            "matrix do not converge; its entries may span too many decades, so scale its states"
         ) from error
     peak, unit = float(peak), rate / (sample_time or 1.0)
     if not 0.0 < peak < (np.inf if sample_time is None else np.pi):

@@ -210,7 +210,7 @@ def discrete_to_continuous(A, B, dt):
         raise ValueError(
             f"discrete poles at {poles} lie on the closed negative real axis, where a real "
             f"continuous-time model does not exist; drop those modes (SpuriousModeReducer does, "
-            f"but for reading='sample'), take another order, or sample faster (a smaller hop)"
+            f"except for reading='sample'), use another order, or sample faster (a smaller hop)"
         )
     if n == 0:
         return A.copy(), B.copy()
@@ -234,8 +234,8 @@ def real_logarithm(matrix):
     rest = linalg.norm(linalg.expm(found) - matrix) / linalg.norm(matrix)
     if not rest <= 1e-6:
         raise ValueError(
-            f"the matrix logarithm of this model is good to {rest:.1g} only (nearly defective or "
-            f"very fast poles); drop such modes (SpuriousModeReducer does) or lower the order"
+            f"the matrix logarithm of this model is accurate to {rest:.1g} only (nearly defective "
+            f"or very fast poles); drop such modes (SpuriousModeReducer does) or lower the order"
         )
     return found
 

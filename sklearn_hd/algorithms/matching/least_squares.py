@@ -194,7 +194,7 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
     max_iter : int
         Largest number of steps from each.
     near : float
-        Relative residual that counts as an exact match but for rounding.
+        Relative residual that counts as an exact match except for rounding.
 
     Returns
     -------

@@ -195,7 +195,7 @@ def free_decay(decays, order=None, compare=True):
 
 
 def _without_products(found):
-    """The modes but for weak ones that are products of two others, as those of second order are."""
+    """The modes without weak ones that are products of two others, as second-order ones are."""
     z, logs = found.multipliers, np.log(np.where(found.multipliers == 0.0, TINY, found.multipliers))
     values, V = linalg.eig(found.Phi)
     parts = np.vstack(found.states) @ linalg.inv(V).T

@@ -239,6 +239,6 @@ def _residuals_with(R, columns, kept, candidates):
 
 
 def _range(columns, least=None):
-    """Orthonormal columns that span what some columns do, but for rounding."""
+    """Orthonormal columns that span what some columns do, except for rounding."""
     Q, values, _ = np.linalg.svd(columns, full_matrices=False)
     return Q[:, values > EXACT * (values[0] if least is None else least)]

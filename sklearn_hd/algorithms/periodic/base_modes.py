@@ -205,7 +205,7 @@ def split_modes(coefficients, omega, wanted, n_harmonics, n_outputs, n_copies):
 
 
 def _frequencies(poles, highest):
-    """An even grid and the resonances, up to some frequency, but for poles on the axis."""
+    """An even grid and the resonances, up to some frequency, except for poles on the axis."""
     grid = highest * np.arange(1, N_FREQUENCIES + 1) / N_FREQUENCIES
     resonances = np.abs(poles.imag)
     s = 1j * np.unique(np.concatenate([grid, resonances[resonances <= highest]]))

@@ -164,7 +164,7 @@ class Turn:
                     yield rows
 
     def determined_by(self, rows):
-        """Whether some outputs, but for a feedthrough, can be the states: F(ψ) is resolved, and
+        """Whether some outputs, except for a feedthrough, can be the states: F(ψ) is resolved, and
         moves no faster than samples can show."""
         if len(rows) != len(self.shapes.R):
             return False
@@ -259,8 +259,8 @@ def floquet_states(A, period):
     if not np.all(rank > EXACT * size):
         raise FloquetError(
             f"the step from one sample to the next forgets a state (its matrix has a singular "
-            f"value of {np.min(rank):.2g} beside one of {np.max(size):.2g}): no continuous system "
-            f"does; use order={n - 1}"
+            f"value of {np.min(rank):.2g} beside one of {np.max(size):.2g}), which no continuous "
+            f"system does; use order={n - 1}"
         )
     bases, groups, own = separated_factors(A)
     X, R, flips = np.empty_like(A), np.zeros((n, n)), np.zeros(n, dtype=bool)

@@ -15,8 +15,8 @@ and where y_j is read,
     ∂x(t)/∂f_i = Δt Φ(t, f_i) G_i (v_i[k − k_i − 1] − v_i[k − k_i]),
     ∂z_j/∂g_j = Δt (ω P_j′ x + P_j (F x + G u) + ω Q_j′ u).
 
-A feedthrough hands on what its input is at the instant of reading, which is constant but for jumps
-at whole samples of τ_i + σ_j: it does not tell the fraction, and has no derivative by it.
+A feedthrough passes on its input at the sampling instant, which is constant except for jumps
+at whole samples of τ_i + σ_j: it does not show the fraction, and has no derivative by it.
 
 Likelihoods of models with time delays need it (:mod:`sklearn_hd.algorithms.likelihood.forms`).
 """

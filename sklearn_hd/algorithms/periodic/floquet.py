@@ -72,7 +72,7 @@ def by_bisection(rule, compose, weights, left, right, tolerance):
         if rough.size > MAX_ROUGH:
             raise ValueError(
                 f"{rough.size} intervals of a period are still not resolved to {tolerance:g}; the "
-                f"matrices must be smooth in psi but for a few jumps, free of noise"
+                f"matrices must be smooth in psi except for a few jumps, and free of noise"
             )
         if rough.size and depth:
             ends = np.concatenate([left[rough], middle[rough], right[rough]])

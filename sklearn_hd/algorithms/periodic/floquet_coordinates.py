@@ -85,9 +85,9 @@ def floquet_coordinates(shapes, psi, omega):
     if n_flips % 2:
         raise FloquetError(
             f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
-            f"which no real system has (their product is positive): the order is wrong, or noise "
-            f"hides the fast modes; try order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a "
-            f"longer record"
+            f"which no real system has (the product of its multipliers is positive): the order is "
+            f"wrong, or noise hides the fast modes; try "
+            f"order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a longer record"
         )
     turn = _half_turns(psi, n, n_flips)
     back = np.swapaxes(turn, -1, -2)

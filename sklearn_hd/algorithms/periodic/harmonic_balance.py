@@ -176,8 +176,8 @@ def _check_points(n_points, n_harmonics):
         return max(4096, 128 * n_harmonics)
     if n_points <= 4 * n_harmonics:
         raise ValueError(
-            f"n_points={n_points} cannot tell the {2 * n_harmonics} harmonics of the linearisation "
-            f"apart; give more than {4 * n_harmonics}"
+            f"n_points={n_points} cannot separate the {2 * n_harmonics} harmonics of the "
+            f"linearisation; give more than {4 * n_harmonics}"
         )
     return int(n_points)
 
@@ -246,7 +246,7 @@ def _size(residual, scale):
 
 def _failure(history, tolerance, where):
     return TrimError(
-        f"harmonic balance reached a relative residual of {history[-1]:.3g} {where} "
-        f"(tolerance {tolerance:.3g}); give a guess nearer to the periodic solution, begin with "
-        f"fewer harmonics and pass that trim as the guess, or raise n_points if f has kinks"
+        f"harmonic balance reached a relative residual of {history[-1]:.3g} {where} (tolerance "
+        f"{tolerance:.3g}); give a guess closer to the periodic solution, start with fewer "
+        f"harmonics and pass that trim as the guess, or raise n_points if f has kinks"
     )

@@ -209,7 +209,7 @@ def solve_shooting(
     if not size <= tolerance:
         raise TrimError(
             f"shooting reached a relative defect of {size:.3g} after one period (tolerance "
-            f"{tolerance:.3g}); give a guess nearer to the periodic solution, such as a "
+            f"{tolerance:.3g}); give a guess closer to the periodic solution, such as a "
             f"harmonic-balance trim with more harmonics"
         )
     return best[:n], inputs_of(best), size
@@ -229,7 +229,7 @@ def _relative_defect(f, period, x0, u, targets):
     try:
         x = integrate(with_means, start, held, t, rtol=1e-13, atol=1e-14)
     except RuntimeError as error:
-        raise TrimError(f"shooting met an orbit that does not last a period: {error}") from error
+        raise TrimError(f"shooting met an orbit shorter than one period: {error}") from error
     size = np.max(np.abs(x[:, :n]), axis=0)
     size = np.where(size > 0, size, 1.0)
     misses = x[-1, n:] - [mean for _, mean in targets]

@@ -368,8 +368,8 @@ def transitions(structure, theta, omega, n_phases, n_points, sensitivities, offs
     if S > MAX_SUBSTEPS:
         raise ValueError(
             f"F has rates of {S * n_phases * omega / (2 * np.pi):.3g} 1/s, {S} time constants in "
-            f"one sample; start nearer to the truth, or sample more often than {n_phases} times "
-            f"a period"
+            f"one sample; start closer to the truth, or sample more often than {n_phases} times "
+            f"per period"
         )
     nodes, Psi, left, stages = _intervals(
         structure, theta, omega, n_phases, p, S, adjoint=sensitivities, offset=offset

@@ -124,17 +124,16 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
     ends = periods.search(span) if periods.moves else None
     if ends is None:
         raise ValueError(
-            f"the records hold {periods.n_turns:.3g} periods of omega={omega:.6g} rad/s, in "
-            f"segments of three and more, beside {inputs[0].shape[1]} inputs, and outputs that "
-            f"move in {100 * periods.moves:.0f} % of them: too few to see them repeat themselves "
-            f"({FEWEST} are needed, and more the more inputs move); give longer records, or "
-            f"another guess"
+            f"the records hold {periods.n_turns:.3g} periods of omega={omega:.6g} rad/s in "
+            f"segments of three or more, with {inputs[0].shape[1]} inputs, and the outputs move in "
+            f"{100 * periods.moves:.0f} % of them. That is too few to find a repetition: {FEWEST} "
+            f"are needed, and more if the inputs move more; give longer records, or another guess"
         )
     estimate = periods.estimate(*ends)
     if not periods.tells(estimate, span):
         raise ValueError(
             f"no fundamental frequency stands out within {100 * span:.2g} % of omega={omega:.6g} "
-            f"rad/s: widen the span, or the record is not periodic at all"
+            f"rad/s; widen the span, or check that the record is periodic"
         )
     return estimate
 

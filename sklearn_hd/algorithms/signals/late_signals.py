@@ -25,7 +25,7 @@ __all__ = ["advanced", "arriving", "first_lag", "lagged", "late", "turned"]
 def first_lag(samples):
     """Whole samples of some delays, and what is left of them, between 0 and 1.
 
-    What is whole but for rounding is whole.
+    What is whole except for rounding is whole.
 
     Examples
     --------

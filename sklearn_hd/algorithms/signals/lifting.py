@@ -62,7 +62,7 @@ def input_directions(lifted, most=None):
     directions : list of ndarray, shapes (n_periods_s, r)
         Uncorrelated, of mean square one over all periods.
     n_all : int
-        Directions that the inputs move in, but for noise.
+        Directions that the inputs move in, except for noise.
     left_out : float
         Share of the inputs' energy in directions not kept.
 

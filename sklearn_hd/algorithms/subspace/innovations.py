@@ -257,8 +257,8 @@ def gain_of_covariances(A, C, covariance, y_scale):
         if np.max(np.abs(linalg.eigvals(A - K @ C))) < 1.0 + PRECISION:
             return K, E * unit
     raise ValueError(
-        f"no Kalman gain makes the model of order {n} a stable predictor: it has a mode that grows "
-        f"and that the outputs hardly show; lower the order, or check the units of the outputs"
+        f"no Kalman gain makes the model of order {n} a stable predictor, because it has a growing "
+        f"mode that the outputs hardly show; lower the order, or check the units of the outputs"
     )
 
 

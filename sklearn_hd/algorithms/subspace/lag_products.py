@@ -5,7 +5,7 @@ of 2i block rows and j columns with itself has the p × p blocks
 
     G[a, b] = Σ_{k=0}^{j-1} z_{k+a} z_{k+b}ᵀ,    0 ≤ a ≤ b < 2i,   j = n − 2i + 1
 
-which is constant along block diagonals but for the ends of the record:
+which is constant along block diagonals except for the ends of the record:
 
     G[0, b]     = T[b] − Σ_{k=j}^{n-1-b} z_k z_{k+b}ᵀ,     T[b] = Σ_{k=0}^{n-1-b} z_k z_{k+b}ᵀ
     G[a+1, b+1] = G[a, b] − z_a z_bᵀ + z_{j+a} z_{j+b}ᵀ
@@ -136,8 +136,8 @@ class LagProducts:
         """
         if n_lags > len(self.lags):
             raise ValueError(
-                f"products of {len(self.lags)} lags give no Hankel matrix of {n_lags} block rows; "
-                f"make them with n_lags={n_lags} or more"
+                f"products of {len(self.lags)} lags are too few for a Hankel matrix of {n_lags} "
+                f"block rows; make them with n_lags={n_lags} or more"
             )
         if n_lags == len(self.lags):
             return self

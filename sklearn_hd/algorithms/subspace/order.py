@@ -1,14 +1,14 @@
-"""The order of a model: by a gap of the singular values, or by what simulations leave.
+"""The order of a model: by a gap of the singular values, or by simulation residuals.
 
-Singular values tell the order of exact data, by a gap of decades. What noise, gusts and
-nonlinearity leave of measured data has no gap: there models of rising order are simulated over
-the record, and compared by the Bayesian information criterion of what they leave (Schwarz, 1978),
+Singular values show the order of exact data by a gap of decades. Measured data with noise, gusts
+and nonlinearity have no gap: there models of rising order are simulated over the record, and
+compared by the Bayesian information criterion of their residuals (Schwarz, 1978),
 
     BIC(n) = N Σ_j log(Σ_k e_j[k]² / N) + p log N,   e = y − ŷ
 
 with p = n (m + l) + l m free entries; each initial state costs n times the logarithm of its own
-segment's rows. Of models that leave alike, to a hundredth, the smallest is taken. Each output
-counts by what is left of it, whatever its unit, also where outputs are sums of others. The
+segment's rows. Among models whose residuals agree to a hundredth, the smallest is taken. Each
+output counts by its own residual, whatever its unit, also where outputs are sums of others. The
 criterion asks nothing of how states were found: one rule serves all weightings. Plain data need it
 (:mod:`sklearn_hd._identify.plain`); :mod:`~sklearn_hd.algorithms.periodic.multipliers` has the
 like for Poincaré maps.

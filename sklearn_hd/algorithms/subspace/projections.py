@@ -1,4 +1,4 @@
-"""What future outputs share with past data: observability, singular values, order, A and C.
+"""Common part of future outputs and past data: observability, singular values, A and C.
 
 From the triangular factor of [U_f; U_p; Y_p; Y_f] = L Q, with W_p = [U_p; Y_p], the oblique
 projection O of Y_f along U_f on W_p, and Π the projection off the rows of U_f (Van Overschee
@@ -77,7 +77,7 @@ def release_idle_directions(R, n_future_inputs):
     Returns
     -------
     R : ndarray, shape (p, p)
-        Upper block triangular; RᵀR as before, but for what is below rounding in U_f.
+        Upper block triangular; RᵀR as before, except for what is below rounding in U_f.
     """
     n = n_future_inputs
     if all_above(R[:n, :n], DEPENDENT):

@@ -162,5 +162,5 @@ def test_eigenvalues_that_do_not_converge_are_said(monkeypatch):
         raise slycot.exceptions.SlycotArithmeticError("did not converge", 3)
 
     monkeypatch.setattr(slycot, "ab13dd", failing)
-    with pytest.raises(ArithmeticError, match=r"is out of reach: .* scale its states"):
+    with pytest.raises(ArithmeticError, match=r"cannot be computed: .* scale its states"):
         hinf_norm(*oscillator(1.0, 0.1))

@@ -135,7 +135,7 @@ def test_logarithms_are_judged_by_their_residual():
     matrix = nearly_defective(1e-3)
     found = linalg.expm(real_logarithm(matrix))
     assert linalg.norm(found - matrix) < 1e-8 * linalg.norm(matrix)
-    with pytest.raises(ValueError, match=r"matrix logarithm of this model is good to .* only"):
+    with pytest.raises(ValueError, match=r"matrix logarithm of this model is accurate to .* only"):
         real_logarithm(nearly_defective(1e-12))
 
 

@@ -205,5 +205,5 @@ def test_errors_say_what_is_needed(rng):
         PeriodicStructure(structure.constant, np.zeros((2, 3, 3, 3)), 2, ("a",))
     with pytest.raises(ValueError, match=r"observe has shape \(3, 1, 1\); with 8 phases and 1 out"):
         sampled_response(structure, theta, OMEGA, 8, np.ones((3, 1, 1)))
-    with pytest.raises(ValueError, match=r"time constants in one sample; start nearer"):
+    with pytest.raises(ValueError, match=r"time constants in one sample; start closer"):
         sampled_response(structure, theta - 1e5, OMEGA, 8)

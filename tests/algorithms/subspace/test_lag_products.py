@@ -153,7 +153,9 @@ def test_plain_sums_are_those_of_double(records):
 
 def test_more_lags_than_there_are_cannot_be_had(records):
     products = lag_products([(z,) for z in records], 4, exact=False)
-    with pytest.raises(ValueError, match=r"products of 4 lags give no Hankel matrix of 6 block"):
+    with pytest.raises(
+        ValueError, match=r"products of 4 lags are too few for a Hankel matrix of 6 block"
+    ):
         products.fewer(6)
 
 
