@@ -11,6 +11,12 @@ from sklearn_hd._report.page import digits
 __all__ = ["doubts", "doubts_box"]
 
 HARMLESS = ("TimeBaseWarning", "JitterWarning", "ResamplingWarning")  # of how rows were read
+ANCHORS = {  # of the section that shows what a warning is about
+    "ExcitationWarning": "data",
+    "FrequencyMismatchWarning": "harmonics",
+    "IdentifiabilityWarning": "modes",
+    "InstabilityWarning": "modes",
+}
 HALF = 0.5  # R² below which a simulation leaves more than it explains
 UNSURE = ("ambiguous", "second-order")
 
@@ -23,7 +29,11 @@ def doubts(fitted, validation):
     fitted : Fitted
     validation : Run or None
     """
-    found = [(text, "warnings") for kind, text in fitted.told if kind not in HARMLESS]
+    found = [
+        (text[:1].upper() + text[1:] + ".", ANCHORS.get(kind, "warnings"))
+        for kind, text in fitted.told
+        if kind not in HARMLESS
+    ]
     found += _of_modes(fitted.reducer)
     found += _of_match(fitted.matcher)
     tests = fitted.tests
@@ -94,7 +104,9 @@ def doubts_box(found, checks):
     """The box at the top: doubts, or which checks found none."""
     if not found:
         return f'<div class="box"><p><b>No check found a fault.</b> {escape(checks)}</p></div>'
-    items = "".join(f'<li>{escape(t)} <a href="#{a}">More</a></li>' for t, a in found)
+    items = "".join(
+        f'<li>{escape(t)} <a href="#{a}">See {a.capitalize()}.</a></li>' for t, a in found
+    )
     many = "one doubt" if len(found) == 1 else f"{len(found)} doubts"
     return (
         f'<div class="box doubt"><p><b>This model may be wrong: {many}.</b></p>'

@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import dataclass
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from scipy.stats import norm
@@ -11,19 +12,21 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._opinion import warn_unconfirmed
+from sklearn_hd._opinion import doubtful, warn_unconfirmed
 from sklearn_hd._records.data import Experiment
+from sklearn_hd._report.page import REFUSALS, with_reach
 from sklearn_hd._scoring import scored_simulation
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.model_selection._scorers import last_model_step
+from sklearn_hd.plotting import ResidualDisplay
 from sklearn_hd.plotting._display import find_step, steps_of
 from sklearn_hd.reduction import SpuriousModeReducer
 from sklearn_hd.subspace import MOESPRegressor
 
-__all__ = ["LEVEL", "Fitted", "Run", "exponents_of", "motion_table", "read_fitted"]
+__all__ = ["LEVEL", "Fitted", "Run", "exponents_of", "motion_table", "read_fitted", "words_of"]
 
 LEVEL = 0.95
 REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
@@ -93,6 +96,7 @@ class Fitted:
         X as the last step takes it.
     experiment : Experiment
     analyzer, identifier, reducer, matcher : steps or None
+    residuals : ResidualDisplay or None
     tests : DataFrame or str
         Of the residuals, or why there are none.
     run : Run
@@ -112,6 +116,7 @@ class Fitted:
     identifier: MOESPRegressor | None
     reducer: SpuriousModeReducer | None
     matcher: StructuredMatcher | None
+    residuals: ResidualDisplay | None
     tests: pd.DataFrame | str
     run: Run
     told: list
@@ -140,13 +145,25 @@ def read_fitted(pipe, X, y, units):
         analyzer, identifier, reducer, matcher = (find_step(pipe, kind) for kind in kinds)
         _warn_again(pipe, X, y, analyzer, experiment, (reducer or identifier, matcher))
         run = Run.of(last, handed, y, units)
-        try:
-            tests = last.residual_tests(handed, y)
-        except (UnstableModelError, ValueError) as error:
-            tests = str(error)
-    told = list(dict.fromkeys((w.category.__name__, str(w.message)) for w in raised))
+        residuals, tests = _tested(pipe, X, y, units)
     steps = analyzer, identifier, reducer, matcher
-    return Fitted(pipe, X, y, units, last, handed, experiment, *steps, tests, run, told)
+    found = experiment, *steps, residuals, tests, run, words_of(raised)
+    return Fitted(pipe, X, y, units, last, handed, *found)
+
+
+def _tested(pipe, X, y, units):
+    """The display of the residuals and their tests; None and the reason where there are none."""
+    try:
+        with plt.ioff():
+            residuals = ResidualDisplay.from_estimator(pipe, X, y, units=units)
+    except REFUSALS as error:
+        return None, str(error)
+    return residuals, residuals.tests
+
+
+def words_of(raised, what=""):
+    """Names and texts of warnings, each once."""
+    return list(dict.fromkeys((w.category.__name__, what + str(w.message)) for w in raised))
 
 
 def _warn_again(pipe, X, y, analyzer, experiment, models):
@@ -159,8 +176,9 @@ def _warn_again(pipe, X, y, analyzer, experiment, models):
     model, matcher = models
     opinion = None if model is None else model.model_.opinion
     if opinion is not None:
-        warn_unconfirmed(model.model_.exponents(), opinion)
-        if matcher is not None:
+        exponents = model.model_.exponents()
+        warn_unconfirmed(exponents, opinion)
+        if matcher is not None and not doubtful(exponents, opinion).any():
             warn_unconfirmed(exponents_of(matcher), opinion)
 
 
@@ -172,7 +190,7 @@ def exponents_of(step):
 
 
 def motion_table(exponents, std=None):
-    """Decay, frequency and damping of exponents, with half widths of their 95 % intervals.
+    """Decay, frequency and damping of exponents in words, with half widths of 95 % intervals.
 
         λ = σ + jΩ,   ζ = −σ / |λ|,   δζ ≤ (Ω² δσ + |σ Ω| δΩ) / |λ|³
 
@@ -185,15 +203,17 @@ def motion_table(exponents, std=None):
     z = np.asarray(exponents, complex)
     order = np.lexsort((z.imag, np.abs(z.imag), -z.real))
     z, size = z[order], np.maximum(np.abs(z[order]), np.finfo(float).tiny)
-    real = np.abs(z.imag) <= 1e-9 * size
+    none = np.where(np.abs(z.imag) <= 1e-9 * size, np.nan, 1.0)
     reach = np.full(len(z), np.nan + 0j) if std is None else REACH * np.asarray(std)[order]
-    decay, turn = reach.real, np.where(reach.real >= 0.0, reach.imag, np.nan)
+    decay, turn = reach.real, np.where(np.isnan(reach.real), np.nan, reach.imag)
     damping = (z.imag**2 * decay + np.abs(z.real * z.imag) * turn) / size**3
-    missing, none = np.full(len(z), np.nan), np.where(real, np.nan, 1.0)
-    table = {"real part (1/s)": z.real, "± ": decay, "frequency (rad/s)": z.imag * none}
-    table |= {"±  ": turn * none, "frequency (Hz)": np.abs(z.imag) / (2.0 * np.pi) * none}
-    table |= {"damping ratio (–)": -z.real / size * none, "±   ": damping * none}
-    table["half-life (s)"] = np.divide(-np.log(2.0), z.real, out=missing, where=z.real < 0.0)
-    if std is None:
-        table = {name: column for name, column in table.items() if not name.startswith("±")}
+    decays = np.where(z.real < 0.0, -z.real, np.nan)
+    columns = {
+        "real part (1/s)": (z.real, decay),
+        "frequency (rad/s)": (z.imag * none, turn),
+        "frequency (Hz)": (np.abs(z.imag) / (2.0 * np.pi) * none, turn / (2.0 * np.pi)),
+        "damping ratio (–)": (-z.real / size * none, damping),
+        "half-life (s)": (np.log(2.0) / decays, np.log(2.0) * decay / decays**2),
+    }
+    table = {n: [with_reach(*pair) for pair in zip(*c, strict=True)] for n, c in columns.items()}
     return pd.DataFrame(table, index=pd.RangeIndex(1, len(z) + 1, name="mode"))

@@ -2,6 +2,7 @@
 
 import base64
 import os
+from contextlib import contextmanager
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -13,8 +14,10 @@ import numpy as np
 from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = [
+    "REFUSALS",
     "attempt",
     "checked_path",
+    "closed_figures",
     "digits",
     "facts_table",
     "figure",
@@ -22,9 +25,11 @@ __all__ = [
     "page",
     "section",
     "table",
+    "with_reach",
 ]
 
 DOTS = 144  # an inch of a figure
+PIXELS = 96  # an inch on the screen
 REFUSALS = (ValueError, TypeError, AttributeError, UnstableModelError, np.linalg.LinAlgError)
 PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
@@ -44,14 +49,16 @@ nav a { margin-right: 0.8rem; white-space: nowrap; }
 .doubt { border-color: #d55e00; background: #fdf1e8; }
 .note { color: #555; font-size: 0.9rem; }
 .wide { overflow-x: auto; }
-.wide img { min-width: 34rem; max-width: 100%; }
-table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
+.wide img { min-width: 28rem; max-width: 100%; }
+table { border-collapse: collapse; margin: 0.6rem 0; font-size: 0.9rem;
+  font-variant-numeric: tabular-nums; }
 th, td { padding: 0.15rem 0.6rem; border-bottom: 1px solid #e4e4e4; text-align: right;
   vertical-align: top; white-space: nowrap; }
 th, td.words { text-align: left; font-weight: normal; }
+.facts th { white-space: normal; min-width: 6rem; }
 td.words { white-space: normal; min-width: 9rem; overflow-wrap: anywhere; }
 thead th { font-weight: 600; border-bottom: 1px solid #888; text-align: right; }
-thead th:first-child { text-align: left; }
+thead th:first-child, thead th.words { text-align: left; }
 tbody th { color: #333; }
 details { margin: 0.5rem 0; }
 @media print {
@@ -127,14 +134,28 @@ def digits(value, count=4):
     return (f"{words}e{int(power)}" if power else words).replace("-", "−")
 
 
+def with_reach(value, reach):
+    """A value and the half width of its interval, both to two digits of the latter."""
+    if np.isnan(value) or not np.isfinite(reach) or reach <= 0.0:
+        known = "" if np.isnan(value) or np.isnan(reach) or reach == 0.0 else f" ± {reach:g}"
+        return digits(value) + known
+    size = int(np.floor(np.log10(max(abs(value), reach))))
+    power = 0 if -4 <= size < 6 else size
+    unit = 10.0**power
+    places = int(np.clip(1 - np.floor(np.log10(reach / unit)), -300, 9))
+    rounded = (f"{round(x / unit, places):.{max(places, 0)}f}" for x in (value, reach))
+    text = " ± ".join(rounded)
+    return (f"({text})e{power}" if power else text).replace("-", "−")
+
+
 def table(frame, words=()):
     """A DataFrame as a table of HTML; columns of words are set to the left."""
 
-    def cell(name, value):
+    def cell(name, value, kind="td"):
         style = ' class="words"' if name in words else ""
-        return f"<td{style}>{escape(digits(value))}</td>"
+        return f"<{kind}{style}>{escape(digits(value))}</{kind}>"
 
-    head = "".join(f"<th>{escape(str(name))}</th>" for name in frame.columns)
+    head = "".join(cell(name, str(name), "th") for name in frame.columns)
     rows = "".join(
         f'<tr><th scope="row">{escape(str(label))}</th>'
         + "".join(cell(*each) for each in zip(frame.columns, values, strict=True))
@@ -149,11 +170,12 @@ def table(frame, words=()):
 def facts_table(facts):
     """A table of names and what they are; None leaves a row out."""
     rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td class="words">{escape(digits(value))}</td></tr>'
+        f'<tr><th scope="row">{escape(name)}</th>'
+        f'<td class="words">{escape(digits(value))}</td></tr>'
         for name, value in facts.items()
         if value is not None
     )
-    return f'<div class="wide"><table><tbody>{rows}</tbody></table></div>'
+    return f'<div class="wide"><table class="facts"><tbody>{rows}</tbody></table></div>'
 
 
 def figure(draw, caption):
@@ -164,16 +186,23 @@ def figure(draw, caption):
         stored = BytesIO()
         display.figure_.savefig(stored, format="png", dpi=DOTS, facecolor="white")
         data = base64.b64encode(stored.getvalue()).decode()
-        text = escape(caption)
+        text, width = escape(caption), round(PIXELS * display.figure_.get_size_inches()[0])
         return (
-            f'<figure><div class="wide"><img alt="{text}" src="data:image/png;base64,{data}"></div>'
+            f'<figure><div class="wide"><img alt="{text}" width="{width}" '
+            f'src="data:image/png;base64,{data}"></div>'
             f'<figcaption class="note">{text}</figcaption></figure>'
         )
 
+    with plt.ioff():
+        return attempt(drawn, f"There is no picture here ({caption.rstrip('.')})")
+
+
+@contextmanager
+def closed_figures():
+    """Close the figures that are made meanwhile."""
     before = set(plt.get_fignums())
     try:
-        with plt.ioff():
-            return attempt(drawn, f"There is no picture here ({caption.rstrip('.')})")
+        yield
     finally:
         for number in set(plt.get_fignums()) - before:
             plt.close(number)
