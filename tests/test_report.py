@@ -1,6 +1,7 @@
 """The report of a fitted pipeline: laws of the page, and what it refuses."""
 
 import re
+import warnings
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from sklearn_hd import (
 )
 from sklearn_hd._report.page import digits, with_reach
 from sklearn_hd.datasets import make_flapping_wing
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
 SECTIONS = ["data", "harmonics", "order", "modes", "model", "residuals", "validation"]
 SECTIONS += ["warnings", "settings", "versions"]
@@ -83,17 +85,14 @@ def by_period(wing):
 def by_sample(wing):
     analyzer = HarmonicAnalyzer(wing.omega, reading="sample", output_harmonics=1)
     steps = [("harmonics", analyzer), ("identify", MOESPRegressor(order=2))]
-    return Pipeline(steps).fit(wing.inputs, wing.outputs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", IdentifiabilityWarning)  # the wrong order is meant
+        return Pipeline(steps).fit(wing.inputs, wing.outputs)
 
 
-@pytest.fixture(scope="module")
-def by_window(wing):
-    steps = [
-        ("harmonics", HarmonicAnalyzer(wing.omega, reading="sliding")),
-        ("identify", MOESPRegressor(order=11)),
-        ("reduce", SpuriousModeReducer()),
-    ]
-    return Pipeline(steps).fit(wing.inputs, wing.outputs)
+def words(text):
+    """Text with one space between words."""
+    return " ".join(text.split())
 
 
 def check_whole(path):
@@ -109,8 +108,7 @@ def check_whole(path):
     return page
 
 
-@pytest.mark.parametrize("n_steps", [2, 3, 4])
-@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.parametrize("n_steps", [2, 4])
 def test_pages_of_whole_periods_stand_alone_and_show_every_mode(wing, by_period, n_steps, tmp_path):
     open_before = plt.get_fignums()
     path = report(by_period[:n_steps], wing.inputs, wing.outputs, tmp_path / "wing.html")
@@ -132,12 +130,21 @@ def test_page_of_samples(wing, by_sample, tmp_path):
         assert digits(exponent.real, 3)[:4] in page.text["modes"]
     assert "each row as a sample with its azimuth" in page.text["harmonics"]
     assert "Loads" in page.text["model"]
+    assert "This model may be wrong" in page.text["head"]
+    assert "tests fail" in page.text["head"]
 
 
-def test_page_of_a_sliding_window_names_window_and_every_verdict(wing, by_window, tmp_path):
-    page = check_whole(report(by_window, wing.inputs, wing.outputs, tmp_path / "window.html"))
+def test_page_of_a_sliding_window_names_window_and_every_verdict(tmp_path):
+    wing = make_flapping_wing("lti")
+    steps = [
+        ("harmonics", HarmonicAnalyzer(wing.omega, reading="sliding")),
+        ("identify", MOESPRegressor()),
+        ("reduce", SpuriousModeReducer()),
+    ]
+    pipe = Pipeline(steps).fit(wing.inputs, wing.outputs)
+    page = check_whole(report(pipe, wing.inputs, wing.outputs, tmp_path / "window.html"))
     assert "boxcar" in page.text["harmonics"]
-    for mode in by_window["reduce"].modes_.itertuples():
+    for mode in pipe["reduce"].modes_.itertuples():
         assert digits(mode.eigenvalue) in page.text["modes"]
         assert mode.verdict in page.text["modes"]
 
@@ -172,7 +179,8 @@ def test_names_are_escaped(tmp_path):
     page, text = check_whole(path), path.read_text(encoding="utf-8")
     assert "&lt;b&gt;" in text
     assert "&lt;script&gt;" in text
-    assert not {"b", "i"} & set(re.findall(r"<(\w+)>", page.text["data"])) - {"b", "i"}
+    assert "<i>" in page.text["data"]
+    assert not {"i", "script"} & set(page.tags)
     assert "a&<script>" in page.text["data"]
 
 
@@ -184,9 +192,7 @@ def test_a_matrix_structure_shows_its_parameters(tmp_path):
     interval = matcher.confidence_interval()
     half = 0.5 * (interval["upper"] - interval["lower"])
     for name, value in matcher.theta_.items():
-        assert f"{name}  {with_reach(value, half[name])}" in " ".join(
-            page.text["model"].split(" ")
-        ).replace("\n", "")
+        assert f"{name} {with_reach(value, half[name])}" in words(page.text["model"])
 
 
 def test_a_wrong_model_says_so_at_the_top(tmp_path):
@@ -209,7 +215,7 @@ def test_settings_tell_what_was_left(tmp_path):
     page = check_whole(report(plain(scale=False).fit(u, y), u, y, tmp_path / "set.html"))
     for name, value in plain(scale=False).get_params().items():
         how = "set" if name in ("order", "block_rows", "disturbance_model", "scale") else "default"
-        assert f" {name} {value!r} {how}" in page.text["settings"]
+        assert f" {name} {value!r} {how}" in words(page.text["settings"])
 
 
 def test_bad_input_is_named(tmp_path):
@@ -238,7 +244,7 @@ def test_bad_input_is_named(tmp_path):
     ("value", "reach", "words"),
     [
         (-12.5412, 0.923, "−12.54 ± 0.92"),
-        (237353.0, 95911.0, "240000 ± 96000"),
+        (237353.0, 95911.0, "237000 ± 96000"),
         (1.13e-4, 2.1e-5, "0.000113 ± 0.000021"),
         (6.4e-5, 1.6e-5, "(6.4 ± 1.6)e−5"),
         (0.0, 0.5, "0.00 ± 0.50"),

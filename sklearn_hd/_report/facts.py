@@ -9,6 +9,7 @@ import pandas as pd
 from scipy.stats import norm
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._model_step import ModelStep
@@ -138,6 +139,7 @@ def read_fitted(pipe, X, y, units):
     """Everything that a report says of the record of a fit."""
     X = without_inputs(y) if X is None else X
     last, handed = last_model_step(pipe, X)
+    check_is_fitted(last)
     with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
         experiment = last._experiment(handed, y)
