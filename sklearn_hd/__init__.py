@@ -13,6 +13,7 @@ Steps 2 to 5 compose in a scikit-learn ``Pipeline``.
 """
 
 from sklearn_hd._frame import HarmonicFrame
+from sklearn_hd._report import report
 from sklearn_hd.frequency import OmegaEstimate, estimate_omega
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.matching import StructuredMatcher
@@ -32,4 +33,5 @@ __all__ = [
     "SpuriousModeReducer",
     "StructuredMatcher",
     "estimate_omega",
+    "report",
 ]

@@ -28,6 +28,7 @@ LAYERS = [
     {"_model_step", "_simulators", "_upstream", "_identify", "_reduce", "_match"},
     {"frequency", "harmonics", "subspace", "reduction", "matching"},
     {"datasets", "design", "model_selection", "plotting"},
+    {"_report"},
     {"__init__"},
 ]
 TOPICS = [  # of algorithms; two of one row know nothing of each other
@@ -106,7 +107,12 @@ def test_topics_of_algorithms_import_from_the_left_alone(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(ROOT)) for p in FILES])
-def test_matplotlib_stays_in_plotting_and_nothing_else_imports_it(path):
-    if room(path) != "plotting":
+def test_matplotlib_stays_in_plotting_and_reports_and_nothing_else_imports_it(path):
+    if room(path) not in ("plotting", "_report"):
         for module in imports(path):
             assert not module.startswith(("matplotlib", "sklearn_hd.plotting"))
+
+
+def test_matplotlib_and_plotting_are_not_imported_with_the_package():
+    at_once = ast.parse((ROOT / "_report" / "__init__.py").read_text(encoding="utf-8")).body
+    assert not [node for node in at_once if isinstance(node, ast.Import | ast.ImportFrom)]

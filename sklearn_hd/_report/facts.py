@@ -1,0 +1,221 @@
+"""What a report reads once of a fitted pipeline and its records."""
+
+import warnings
+from dataclasses import dataclass
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from scipy.stats import norm
+from sklearn.base import clone
+from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_hd._fit_checks import warn_of_mismatch
+from sklearn_hd._model_step import ModelStep
+from sklearn_hd._opinion import doubtful, warn_unconfirmed
+from sklearn_hd._records.data import Experiment
+from sklearn_hd._report.page import REFUSALS, with_reach
+from sklearn_hd._scoring import scored_simulation
+from sklearn_hd._tables import without_inputs
+from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.harmonics import HarmonicAnalyzer
+from sklearn_hd.matching import StructuredMatcher
+from sklearn_hd.model_selection._scorers import last_model_step
+from sklearn_hd.plotting import ResidualDisplay
+from sklearn_hd.plotting._display import find_step, steps_of
+from sklearn_hd.reduction import SpuriousModeReducer
+from sklearn_hd.subspace import MOESPRegressor
+
+__all__ = ["LEVEL", "Fitted", "Run", "exponents_of", "motion_table", "read_fitted", "words_of"]
+
+LEVEL = 0.95
+REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A free simulation over one record, as ``score`` has it.
+
+    Attributes
+    ----------
+    outputs : DataFrame
+        By output: R², fit in percent, root mean squares of the motion and of the error.
+    n_rows : int
+        Rows compared.
+    reason : str or None
+        Why there is no simulation; then ``outputs`` is empty.
+    """
+
+    outputs: pd.DataFrame
+    n_rows: int
+    reason: str | None = None
+
+    @property
+    def r2(self):
+        """Mean over the outputs; NaN where nothing was simulated."""
+        return float(self.outputs["R²"].mean()) if self.reason is None else np.nan
+
+    @classmethod
+    def of(cls, step, handed, y, units):
+        """Of a step over a record; the reason where it cannot be simulated or scored."""
+        try:
+            truth, simulated, rows = scored_simulation(step, handed, y)
+        except (UnstableModelError, ValueError) as error:
+            return cls(pd.DataFrame({"R²": []}), 0, str(error))
+        names = step.target_names_
+        if step.predicts_harmonics_:
+            names = [signal for signal, _ in step.basis_.outputs]
+        error = np.sqrt(np.mean((truth - simulated) ** 2, axis=0))
+        spread = np.std(truth, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = np.where(error > 0.0, error / spread, 0.0)
+        table = pd.DataFrame(
+            {
+                "R²": 1.0 - left**2,
+                "fit (%)": 100.0 * (1.0 - left),
+                "motion, rms": spread,
+                "error, rms": error,
+                "unit": [units.get(name, "–") for name in names],
+            },
+            index=pd.Index(names, name="output"),
+        )
+        return cls(table, len(rows))
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fitted pipeline by its steps, and the record of its fit.
+
+    Attributes
+    ----------
+    pipe : estimator
+    X, y : as given
+    units : dict
+    last : ModelStep
+    handed : DataFrame or ndarray
+        X as the last step takes it.
+    experiment : Experiment
+    analyzer, identifier, reducer, matcher : steps or None
+    residuals : ResidualDisplay or None
+    tests : DataFrame or str
+        Of the residuals, or why there are none.
+    run : Run
+        Over the record of the fit.
+    told : list of (str, str)
+        Names and texts of warnings that were made again.
+    """
+
+    pipe: object
+    X: object
+    y: object
+    units: dict
+    last: ModelStep
+    handed: object
+    experiment: Experiment
+    analyzer: HarmonicAnalyzer | None
+    identifier: MOESPRegressor | None
+    reducer: SpuriousModeReducer | None
+    matcher: StructuredMatcher | None
+    residuals: ResidualDisplay | None
+    tests: pd.DataFrame | str
+    run: Run
+    told: list
+
+    @property
+    def basis(self):
+        """The reading of the record."""
+        return self.last.basis_
+
+    @property
+    def steps(self):
+        """Every step by its name, in the order of the pipeline."""
+        if isinstance(self.pipe, Pipeline):
+            return dict(self.pipe.steps)
+        return {type(step).__name__: step for step in reversed(list(steps_of(self.pipe)))}
+
+
+def read_fitted(pipe, X, y, units):
+    """Everything that a report says of the record of a fit."""
+    X = without_inputs(y) if X is None else X
+    last, handed = last_model_step(pipe, X)
+    check_is_fitted(last)
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always")
+        experiment = last._experiment(handed, y)
+        kinds = HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher
+        analyzer, identifier, reducer, matcher = (find_step(pipe, kind) for kind in kinds)
+        _warn_again(pipe, X, y, analyzer, experiment, (reducer or identifier, matcher))
+        run = Run.of(last, handed, y, units)
+        residuals, tests = _tested(pipe, X, y, units)
+    steps = analyzer, identifier, reducer, matcher
+    found = experiment, *steps, residuals, tests, run, words_of(raised)
+    return Fitted(pipe, X, y, units, last, handed, *found)
+
+
+def _tested(pipe, X, y, units):
+    """The display of the residuals and their tests; None and the reason where there are none."""
+    try:
+        with plt.ioff():
+            residuals = ResidualDisplay.from_estimator(pipe, X, y, units=units)
+    except REFUSALS as error:
+        return None, str(error)
+    return residuals, residuals.tests
+
+
+def words_of(raised, what=""):
+    """Names and texts of warnings, each once."""
+    return list(dict.fromkeys((w.category.__name__, what + str(w.message)) for w in raised))
+
+
+def _warn_again(pipe, X, y, analyzer, experiment, models):
+    """Warnings of a fit that need no fit of the model."""
+    if analyzer is not None:
+        place = [] if not isinstance(pipe, Pipeline) else [step for _, step in pipe.steps]
+        before = place.index(analyzer) if analyzer in place else 0
+        clone(analyzer).fit(pipe[:before].transform(X) if before else X, y)
+    warn_of_mismatch(experiment)
+    model, matcher = models
+    opinion = None if model is None else model.model_.opinion
+    if opinion is not None:
+        exponents = model.model_.exponents()
+        warn_unconfirmed(exponents, opinion)
+        if matcher is not None and not doubtful(exponents, opinion).any():
+            warn_unconfirmed(exponents_of(matcher), opinion)
+
+
+def exponents_of(step):
+    """Exponents of a fitted model step, 1/s: Floquet exponents of a periodic model."""
+    if isinstance(step, StructuredMatcher) and step.match_.periodic is not None:
+        return step.ltp_.floquet_exponents()
+    return step.model_.exponents()
+
+
+def motion_table(exponents, std=None):
+    """Decay, frequency and damping of exponents in words, with half widths of 95 % intervals.
+
+        λ = σ + jΩ,   ζ = −σ / |λ|,   δζ ≤ (Ω² δσ + |σ Ω| δΩ) / |λ|³
+
+    Parameters
+    ----------
+    exponents : complex ndarray, shape (n,)
+    std : complex ndarray, shape (n,), optional
+        Standard deviation of the real part + j times that of the imaginary part.
+    """
+    z = np.asarray(exponents, complex)
+    order = np.lexsort((z.imag, np.abs(z.imag), -z.real))
+    z, size = z[order], np.maximum(np.abs(z[order]), np.finfo(float).tiny)
+    none = np.where(np.abs(z.imag) <= 1e-9 * size, np.nan, 1.0)
+    reach = np.full(len(z), np.nan + 0j) if std is None else REACH * np.asarray(std)[order]
+    decay, turn = reach.real, np.where(np.isnan(reach.real), np.nan, reach.imag)
+    damping = (z.imag**2 * decay + np.abs(z.real * z.imag) * turn) / size**3
+    decays = np.where(z.real < 0.0, -z.real, np.nan)
+    columns = {
+        "real part (1/s)": (z.real, decay),
+        "frequency (rad/s)": (z.imag * none, turn),
+        "frequency (Hz)": (np.abs(z.imag) / (2.0 * np.pi) * none, turn / (2.0 * np.pi)),
+        "damping ratio (–)": (-z.real / size * none, damping),
+        "half-life (s)": (np.log(2.0) / decays, np.log(2.0) * decay / decays**2),
+    }
+    table = {n: [with_reach(*pair) for pair in zip(*c, strict=True)] for n, c in columns.items()}
+    return pd.DataFrame(table, index=pd.RangeIndex(1, len(z) + 1, name="mode"))
