@@ -1,17 +1,10 @@
-"""Eigenvalues in the complex plane, and against the order: identified, judged, matched, true."""
-
-import warnings
-from dataclasses import KW_ONLY, dataclass
+"""Eigenvalues in the complex plane: identified, judged, matched, true, of several models."""
 
 import numpy as np
 import pandas as pd
 from matplotlib.patches import Ellipse
 from scipy.stats import chi2, norm
-from sklearn.base import clone
-from sklearn.pipeline import Pipeline
 
-from sklearn_hd._checks import check_positive
-from sklearn_hd._guards import candidates
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
@@ -32,7 +25,6 @@ from sklearn_hd.plotting._display import (
     is_real,
 )
 from sklearn_hd.reduction import SpuriousModeReducer
-from sklearn_hd.subspace import MOESPRegressor
 from sklearn_hd.systems import LTPSystem
 
 VERDICTS = {  # marker, colour, size, words
@@ -44,8 +36,6 @@ VERDICTS = {  # marker, colour, size, words
 }
 MODEL = ("+", RED, 12)
 TRUE = ("o", BLACK, 13, "true")
-STEADY = {"marker": "o", "ms": 4.5, "color": BLUE, "label": "steady: as at the order before"}
-WANDERING = {"marker": "x", "ms": 4, "color": GREY, "label": "new or moved"}
 
 
 class EigenvalueDisplay(Display):
@@ -280,183 +270,3 @@ def _of_truth(true):
     if hasattr(true, "poles"):
         return true.poles()
     return true
-
-
-@dataclass(eq=False, repr=False)
-class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
-    """Modes of models of growing order: genuine ones come back, others wander.
-
-    A mode of order n is steady if the order tried before has one at a distance of at most
-    ``tol`` times the size of λ. Copies λ + jpω that the analyzer makes are steady, too.
-
-    Parameters
-    ----------
-    modes : DataFrame
-        One row a mode of a model: the columns order, eigenvalue (1/s) and steady.
-    order : int, optional
-        The order chosen.
-
-    Attributes
-    ----------
-    axes_ : ndarray of Axes, shape (2,)
-        Frequency, and decay.
-    figure_ : Figure
-    steady_, wandering_ : list of Line2D
-        In each panel.
-    chosen_ : list of Line2D
-
-    References
-    ----------
-    Peeters, De Roeck (1999), Reference-based stochastic subspace identification for
-    output-only modal analysis, Mechanical Systems and Signal Processing 13(6), 855-878.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> rng = np.random.default_rng(0)
-    >>> u, y = rng.standard_normal((300, 1)), np.zeros((300, 1))
-    >>> for k in range(299):
-    ...     y[k + 1] = 0.8 * y[k] + u[k]
-    >>> y += 0.01 * rng.standard_normal((300, 1))
-    >>> display = StabilizationDisplay.from_data(u, y, orders=[1, 2, 3], block_rows=5)
-    >>> bool(display.modes.query("steady and order == 3")["eigenvalue"].size >= 1)
-    True
-    """
-
-    modes: pd.DataFrame
-    _: KW_ONLY
-    order: int | None = None
-
-    @classmethod
-    def from_data(cls, X, y, *, orders=None, tol=0.02, ax=None, **parameters):
-        """Identify models of several orders by :class:`~sklearn_hd.MOESPRegressor`.
-
-        Parameters
-        ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, plain or as HarmonicAnalyzer hands them on.
-        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Outputs in time.
-        orders : sequence of int, optional
-            From 1 to four beyond the order found at first by default.
-        tol : float, default=0.02
-            Share of its size by which a steady mode may differ from the order before.
-        **parameters
-            Of MOESPRegressor.
-        """
-        estimator = MOESPRegressor(**parameters)
-        return cls.from_estimator(estimator, X, y, orders=orders, tol=tol, ax=ax)
-
-    @classmethod
-    def from_estimator(cls, estimator, X, y, *, orders=None, tol=0.02, ax=None):
-        """Fit clones of an estimator at several orders.
-
-        Parameters
-        ----------
-        estimator : MOESPRegressor, or Pipeline, search or step that holds one
-            Fitted or not. A clone is fitted once as it is, for its order and block rows;
-            warnings are those of this fit.
-        X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, as the estimator takes them.
-        orders : sequence of int, optional
-            From 1 to four beyond the order of the estimator by default.
-
-        Raises
-        ------
-        TypeError
-            If there is no MOESPRegressor.
-        ValueError
-            If an order cannot be identified from these data.
-        """
-        tol = check_positive("tol", tol, "shares of |λ|", "0.02 is usual")
-        identifier, X = _identifier(estimator, X, y)
-        first = clone(identifier).fit(X, y)
-        block_rows, n_outputs = first.block_rows_, len(first.model_.output_names)
-        if orders is None:
-            orders = range(1, min(first.order_ + 4, (block_rows - 1) * n_outputs) + 1)
-        found, orders = {}, sorted(orders)
-        with warnings.catch_warnings(), candidates():
-            warnings.simplefilter("ignore", UserWarning)  # what the first fit said
-            for n in orders:
-                model = clone(identifier).set_params(order=n, block_rows=block_rows).fit(X, y)
-                found[n] = model.model_.exponents()
-        return cls(_table(found, tol), order=first.order_).plot(ax=ax)
-
-    def plot(self, ax=None):
-        """Draw, on a new figure by default."""
-        orders = sorted(set(self.modes["order"]))
-        height = min(8.0, max(3.6, 1.6 + 0.22 * len(orders)))
-        panels = self._panels(ax, (8.0, height), [(0, 0), (0, 1)], share_y="all")
-        upper = self.modes[[z.imag >= 0.0 for z in self.modes["eigenvalue"]]]
-        steady, others = upper[upper["steady"]], upper[~upper["steady"]]
-        self.steady_, self.wandering_, self.chosen_ = [], [], []
-        for axis, part in zip(self.axes_, ("imag", "real"), strict=True):
-            for modes, lines, style in (
-                (others, self.wandering_, WANDERING),
-                (steady, self.steady_, STEADY),
-            ):
-                values = [getattr(z, part) for z in modes["eigenvalue"]]
-                lines += axis.plot(values, modes["order"].to_numpy(), ls="", **style)
-            if self.order is not None:
-                label = f"order chosen: {self.order}"
-                self.chosen_.append(axis.axhline(self.order, color=ORANGE, lw=1.2, label=label))
-        dress(self.axes_[0], x="frequency |Im λ| (rad/s)", y="order of the model (–)")
-        dress(self.axes_[1], x="decay Re λ (1/s)")
-        if panels.own:
-            self.axes_[1].tick_params(labelleft=False)
-        self.axes_[0].yaxis.get_major_locator().set_params(integer=True)
-        self._limit_decay(steady)
-        self.axes_[1].axvline(0.0, color=BLACK, lw=0.8, zorder=0.5)
-        panels.legend()
-        return self
-
-    def _limit_decay(self, steady):
-        """The view of decays: as far left as steady modes are, for memory may die at once."""
-        if len(steady) == 0:
-            return
-        real = np.array([z.real for z in steady["eigenvalue"]])
-        size = np.abs(real).max()
-        self.axes_[1].set_xlim(
-            min(real.min(), 0.0) * 1.15 - 0.05 * size, max(real.max(), 0.0) + 0.15 * size
-        )
-
-
-def _identifier(estimator, X, y):
-    """The MOESPRegressor of an estimator, and X as the steps before it hand it on."""
-    if isinstance(estimator, MOESPRegressor):
-        return estimator, X
-    if isinstance(estimator, Pipeline):
-        for k, (_, step) in enumerate(estimator.steps):
-            if any(isinstance(part, MOESPRegressor) for part in _inside(step)):
-                head = estimator[:k]
-                return _identifier(step, clone(head).fit_transform(X, y) if k else X, y)
-    elif getattr(estimator, "best_estimator_", None) is not None:
-        return _identifier(estimator.best_estimator_, X, y)
-    elif getattr(estimator, "estimator", None) is not None:
-        return _identifier(estimator.estimator, X, y)
-    raise TypeError(
-        f"StabilizationDisplay needs a MOESPRegressor, or a Pipeline or search that holds one; "
-        f"{type(estimator).__name__} holds none"
-    )
-
-
-def _inside(step):
-    """An estimator and those that it holds."""
-    while step is not None:
-        yield step
-        if isinstance(step, Pipeline):
-            for _, part in step.steps:
-                yield from _inside(part)
-        step = getattr(step, "estimator", None)
-
-
-def _table(found, tol):
-    """Modes of all orders; steady ones have a mode near at the order before."""
-    rows, before = [], np.zeros(0)
-    for order, z in found.items():
-        gap = np.abs(z[:, None] - before[None, :]).min(axis=1, initial=np.inf)
-        steady = gap <= tol * np.abs(z)
-        rows += [(order, *row) for row in zip(z, steady, strict=True)]
-        before = z
-    table = pd.DataFrame(rows, columns=["order", "eigenvalue", "steady"])
-    return table.astype({"steady": bool})
