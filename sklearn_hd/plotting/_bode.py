@@ -7,7 +7,6 @@ from scipy.stats import norm
 
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.plotting._display import (
-    CONFIDENCE,
     FREQUENCY,
     Display,
     between_same_signals,
@@ -18,6 +17,7 @@ from sklearn_hd.plotting._display import (
     invariant_steps,
     line_styles,
     matrices_between,
+    name_confidence,
     sample_time,
     unit_of,
 )
@@ -176,7 +176,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         size = max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows
         panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
         styles = line_styles(self.responses, self.reference)
-        self.magnitude_lines_, self.phase_lines_, self.bands_ = {}, {}, {}
+        self.magnitude_lines_, self.phase_lines_, self.bands_, self._edges = {}, {}, {}, []
         for k, (o, i) in enumerate(pairs):
             self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units, styles)
             panels.axes[2 * k].tick_params(labelbottom=False)
@@ -185,6 +185,9 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if k % columns == 0:
                 panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
                 panels.axes[2 * k + 1].set_ylabel("phase (deg)")
+        if self.bands_:
+            self.figure_.draw_without_rendering()  # how wide a band is, depends on the layout
+            name_confidence(next(iter(self.bands_.values()))[0], self._edges)
         self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
         return self
 
@@ -215,16 +218,12 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         deviations = norm.ppf(0.975)  # on either side of 95 %
         reach, turn = deviations * along, np.degrees(deviations * across)
         look = {"color": style["color"], "alpha": 0.25, "lw": 0}
-        return [
-            axes[0].fill_between(
-                self.frequencies,
-                np.maximum(size - reach, 1e-3 * size),
-                size + reach,
-                label=CONFIDENCE,
-                **look,
-            ),
-            axes[1].fill_between(self.frequencies, angle - turn, angle + turn, **look),
-        ]
+        edges = (
+            (axes[0], np.maximum(size - reach, 1e-3 * size), size + reach),
+            (axes[1], angle - turn, angle + turn),
+        )
+        self._edges += edges
+        return [axis.fill_between(self.frequencies, *sides, **look) for axis, *sides in edges]
 
 
 def default_frequencies(systems):

@@ -60,7 +60,7 @@ BARS = (
     {"color": SKY, "edgecolor": "white", "hatch": "\\\\"},
     {"color": GREY, "edgecolor": "white", "hatch": "++"},
 )
-CONFIDENCE = "95 % confidence"
+CONFIDENCE, NARROW = "95 % confidence", 2.0  # points: a line's width, 1.5, and its edges
 TIME, SAMPLES = "time (s)", "sample (–)"
 FREQUENCY = "frequency (rad/s)"
 REAL, IMAGINARY = "real part (1/s)", "imaginary part (rad/s)"
@@ -551,3 +551,16 @@ def matrices_between(system, inputs, outputs):
 def sample_time(system):
     """Seconds between the samples of a system; 0 in continuous time."""
     return 0.0 if system.dt is None else float(system.dt)
+
+
+def name_confidence(band, edges):
+    """Name a band for the legend, which says so where no band is as wide as a line.
+
+    ``edges`` holds the Axes of each band, with its lower and upper values.
+    """
+    widest = 0.0
+    for axis, *sides in edges:
+        x = np.full(len(sides[0]), np.mean(axis.get_xlim()))
+        low, high = (axis.transData.transform(np.column_stack([x, y]))[:, 1] for y in sides)
+        widest = max(widest, np.nanmax(high - low) * 72.0 / axis.figure.dpi)
+    band.set_label(CONFIDENCE if widest > NARROW else f"{CONFIDENCE}, narrower than the line")

@@ -185,14 +185,16 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
         block_rows, n_outputs = first.block_rows_, len(first.model_.output_names)
         if orders is None:
             orders = range(1, min(first.order_ + 4, (block_rows - 1) * n_outputs) + 1)
+        signals = _outputs(X, y)
+        sizes = signals.std()
         found, orders = {}, sorted(set(orders))
         with warnings.catch_warnings(), candidates():
             warnings.simplefilter("ignore", UserWarning)  # what the first fit said
             for n in orders:
                 model = clone(identifier).set_params(order=n, block_rows=block_rows).fit(X, y)
-                found[n] = _modes_of(model.model_)
+                found[n] = _modes_of(model.model_, sizes)
         modes = _table(found, tolerances)
-        return cls(modes, order=first.order_, spectrum=_spectrum(X, y)).plot(ax=ax)
+        return cls(modes, order=first.order_, spectrum=_spectrum(signals)).plot(ax=ax)
 
     def plot(self, ax=None):
         """Draw, on a new figure by default."""
@@ -305,15 +307,17 @@ def _inside(step):
         step = getattr(step, "estimator", None)
 
 
-def _modes_of(model):
+def _modes_of(model, sizes):
     """Eigenvalues of a model, and the shapes that its outputs show; None where there is no one."""
     A, C = getattr(model, "A", None), getattr(model, "C", None)
     if A is None or np.ndim(C) != 2 or len(C) < 2:
         return model.exponents(), None
     values, vectors = np.linalg.eig(A)
     z = values.astype(complex)
-    z = np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / model.dt if model.dt else z
-    return z, C @ vectors
+    z = np.log(np.where(z == 0.0, TINY, z)) / model.dt if model.dt else z
+    names = [n if n in sizes else n.rsplit("_", 1)[0] for n in model.output_names]
+    scale = sizes.reindex(names).to_numpy()
+    return z, C @ vectors / np.where(scale > 0.0, scale, 1.0)[:, None]
 
 
 def _table(found, tolerances):
@@ -366,19 +370,31 @@ def _picked(modes):
     return table
 
 
-def _spectrum(X, y):
-    """Power density of the outputs of a fit, in variances, against rad/s; None of short ones."""
+def _outputs(X, y):
+    """The outputs of a fit by record and seconds."""
     experiment = read_experiment(X, y)
-    total, rows = 0.0, 0
-    size = np.std(np.concatenate(experiment.outputs), axis=0)
-    length = min(256, max(map(len, experiment.outputs)))
-    for values, times in zip(experiment.outputs, experiment.times(), strict=True):
-        if len(values) < length or length < 8:
+    return pd.concat(
+        {
+            k: pd.DataFrame(values, index=times, columns=list(experiment.output_names))
+            for k, (values, times) in enumerate(
+                zip(experiment.outputs, experiment.times(), strict=True)
+            )
+        }
+    )
+
+
+def _spectrum(signals):
+    """Power density of outputs, in variances, against rad/s; None where they are short."""
+    size, total, rows = signals.std().to_numpy(), 0.0, 0
+    segments = [part.droplevel(0) for _, part in signals.groupby(level=0)]
+    length = min(512, max(map(len, segments)))
+    for part in segments:
+        if len(part) < length or length < 8:
             continue
-        step = float(np.median(np.diff(times)))
-        scaled = values / np.where(size > 0.0, size, 1.0)
+        step = float(np.median(np.diff(part.index)))
+        scaled = part.to_numpy() / np.where(size > 0.0, size, 1.0)
         hertz, power = welch(scaled, 1.0 / step, nperseg=length, axis=0)
-        total, rows = total + len(values) * power.sum(axis=1), rows + len(values)
+        total, rows = total + len(part) * power.sum(axis=1), rows + len(part)
     if not rows:
         return None
     return pd.Series(total / rows / (2.0 * np.pi), index=2.0 * np.pi * hertz, name="spectrum")

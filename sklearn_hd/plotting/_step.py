@@ -9,7 +9,6 @@ from sklearn_hd._checks import check_positive
 from sklearn_hd.algorithms.lti.simulation import step_response
 from sklearn_hd.plotting._display import (
     BLACK,
-    CONFIDENCE,
     TIME,
     Display,
     between_same_signals,
@@ -20,6 +19,7 @@ from sklearn_hd.plotting._display import (
     invariant_steps,
     line_styles,
     matrices_between,
+    name_confidence,
     places,
     sample_time,
     with_unit,
@@ -200,7 +200,7 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
         size = max(5.0, 3.4 * columns), 0.8 + 2.4 * rows
         panels = self._panels(ax, size, cells, share_x="all")
         styles = line_styles(self.responses, self.reference)
-        self.lines_, self.bands_ = {}, {}
+        self.lines_, self.bands_, self._edges = {}, {}, []
         for k, (o, i) in enumerate(pairs):
             axis = self.axes_[k]
             self._draw(o, i, axis, styles)
@@ -209,6 +209,9 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
             axis.axhline(0.0, color=BLACK, lw=0.6, zorder=0.5)
             if k + columns >= len(pairs):
                 axis.set_xlabel(TIME)
+        if self.bands_:
+            self.figure_.draw_without_rendering()  # how wide a band is, depends on the layout
+            name_confidence(next(iter(self.bands_.values())), self._edges)
         self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
         return self
 
@@ -222,10 +225,9 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
             if label in self.std:
                 reach = norm.ppf(0.975) * self.std[label][:, o, i]  # on either side of 95 %
                 look = {"color": styles[label]["color"], "alpha": 0.25, "lw": 0}
+                self._edges.append((axis, y - reach, y + reach))
                 step = "post" if stairs else None
-                self.bands_[key] = axis.fill_between(
-                    time, y - reach, y + reach, step=step, label=CONFIDENCE, **look
-                )
+                self.bands_[key] = axis.fill_between(time, y - reach, y + reach, step=step, **look)
 
 
 def _duration(system):
