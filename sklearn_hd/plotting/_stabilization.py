@@ -28,9 +28,9 @@ from sklearn_hd.subspace import MOESPRegressor
 
 MARKS = {  # what is as at the order before: marker, size, colour, words
     "none": ("x", 4.0, GREY, "new or moved"),
-    "frequency": ("D", 4.0, SKY, "frequency"),
-    "frequency and damping": ("s", 4.5, PURPLE, "frequency and damping"),
-    "frequency and shape": ("^", 5.5, GREEN, "frequency and shape"),
+    "frequency": ("D", 4.0, SKY, "steady: frequency only"),
+    "frequency and damping": ("s", 4.5, PURPLE, "steady: frequency, damping"),
+    "frequency and shape": ("^", 5.5, GREEN, "steady: frequency, shape"),
     "all": ("o", 5.0, BLUE, "steady: frequency, damping, shape"),
 }
 TINY = np.finfo(float).tiny
