@@ -30,6 +30,7 @@ from sklearn_hd.plotting import (
     ResponseDisplay,
     SingularValueDisplay,
     StabilizationDisplay,
+    StepResponseDisplay,
 )
 from sklearn_hd.systems import LTPSystem
 
@@ -130,7 +131,9 @@ def modes_of(orders):
     """Modes as a stabilization display draws them: one pair at every order, others that move."""
     rows = [(n, z, n > 1) for n in orders for z in (-1 + 4j, -1 - 4j)]
     rows += [(n, complex(-k, n * k), False) for n in orders for k in range(1, n)]
-    return pd.DataFrame(rows, columns=["order", "eigenvalue", "steady"])
+    table = pd.DataFrame(rows, columns=["order", "eigenvalue", "steady"])
+    told = [f"{what}_steady" for what in ("frequency", "damping", "shape")]
+    return table.assign(**dict.fromkeys(told, table["steady"]))
 
 
 def many_signals(count):
@@ -215,6 +218,13 @@ def bode(ax=None):
     return BodeDisplay.from_estimator(system, frequencies, true=true, units=units, ax=ax)
 
 
+def step_response(ax=None):
+    system = sliding(20, "output_error")
+    true = wing().ltp.harmonic_decomposition(1)
+    units = {"U": "N m", "w": "m/s", "phi_dot": "rad/s"}
+    return StepResponseDisplay.from_estimator(system, true=true, units=units, ax=ax)
+
+
 def harmonic_transfer(ax=None):
     u, y = random_steps()
     return HarmonicTransferFunctionDisplay.from_data(
@@ -253,6 +263,7 @@ DISPLAYS = {  # how to make it, panels
     "residuals": (residuals, 6),
     "azimuth": (azimuth, 4),
     "bode": (bode, 6),
+    "step_response": (step_response, 3),
     "harmonic_transfer": (harmonic_transfer, 6),
     "participation": (participation, 4),
     "periodic_matrix": (periodic_matrix, 4),

@@ -203,7 +203,7 @@ def test_the_true_modes_are_steady():
     steady = highest.loc[highest["steady"], "eigenvalue"].to_numpy()
     assert np.abs(steady[:, None] - true).min(axis=0).max() < 1e-3 * np.abs(true).max()
     assert not display.modes.loc[display.modes["order"] == 1, "steady"].any()
-    shown = sum(len(lines[0].get_ydata()) for lines in (display.steady_, display.wandering_))
+    shown = sum(len(lines[0].get_ydata()) for lines in display.points_.values())
     assert shown == sum(z.imag >= 0 for z in display.modes["eigenvalue"])
 
 
@@ -216,8 +216,8 @@ def test_stabilization_by_default_goes_beyond_the_order_chosen():
 def test_stabilization_needs_a_regressor():
     with pytest.raises(TypeError, match="StabilizationDisplay needs a MOESPRegressor"):
         StabilizationDisplay.from_estimator(HarmonicAnalyzer(2.0), None, None)
-    with pytest.raises(ValueError, match="tol must be a positive number in shares"):
-        StabilizationDisplay.from_data(np.zeros(4), np.zeros(4), tol=0)
+    with pytest.raises(ValueError, match="damping_tol must be a positive number in shares"):
+        StabilizationDisplay.from_data(np.zeros(4), np.zeros(4), damping_tol=0)
 
 
 # ---- searches and matches ---------------------------------------------------------------------

@@ -9,7 +9,7 @@ Importing :mod:`sklearn_hd` does not import this package.
 
 from sklearn_hd.plotting._azimuth import AzimuthDisplay
 from sklearn_hd.plotting._bode import BodeDisplay
-from sklearn_hd.plotting._eigenvalues import EigenvalueDisplay, StabilizationDisplay
+from sklearn_hd.plotting._eigenvalues import EigenvalueDisplay
 from sklearn_hd.plotting._harmonic_transfer import HarmonicTransferFunctionDisplay
 from sklearn_hd.plotting._harmonics import HarmonicsDisplay
 from sklearn_hd.plotting._identification import (
@@ -20,6 +20,8 @@ from sklearn_hd.plotting._identification import (
 from sklearn_hd.plotting._periodic import ParticipationDisplay, PeriodicMatrixDisplay
 from sklearn_hd.plotting._residuals import ResidualDisplay
 from sklearn_hd.plotting._response import ResponseDisplay
+from sklearn_hd.plotting._stabilization import StabilizationDisplay
+from sklearn_hd.plotting._step import StepResponseDisplay
 
 __all__ = [
     "AzimuthDisplay",
@@ -35,4 +37,5 @@ __all__ = [
     "ResponseDisplay",
     "SingularValueDisplay",
     "StabilizationDisplay",
+    "StepResponseDisplay",
 ]

@@ -2,22 +2,23 @@
 
 from dataclasses import KW_ONLY, dataclass, field
 
-import control
 import numpy as np
 from scipy.stats import norm
 
-from sklearn_hd._model_step import ModelStep
-from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.lti.simulation import frequency_response
-from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
     FREQUENCY,
     Display,
+    between_same_signals,
     by_label,
     chosen,
     dress,
-    fitted_step,
+    has_confidence,
+    invariant_steps,
     line_styles,
+    matrices_between,
+    name_confidence,
+    sample_time,
     unit_of,
 )
 
@@ -96,24 +97,13 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         ValueError
             If models have different signals, or one of samples varies over the turn.
         """
-        steps = {
-            label: fitted_step(model, ModelStep, cls.__name__)
-            for label, model in by_label(estimator, "identified").items()
-        }
-        for label, step in steps.items():
-            if isinstance(step.model_, SampleModel) and not step.model_.time_invariant:
-                raise ValueError(
-                    f"{label!r} varies over the turn, with {step.model_.innovations.n_harmonics} "
-                    f"harmonic(s), so it has no single frequency response; use "
-                    f"HarmonicTransferFunctionDisplay or AzimuthDisplay, or fit with "
-                    f"output_harmonics=0"
-                )
+        steps = invariant_steps(estimator, cls.__name__)
         systems = {label: step.system_ for label, step in steps.items()}
         display = cls._of(systems, frequencies, true)
         display.std = {
             label: step.frequency_response(display.frequencies)[1]
             for label, step in steps.items()
-            if hasattr(step, "eigenvalues_") and isinstance(step, StructuredMatcher)
+            if has_confidence(step)
         }
         return display.plot(ax=ax, **plotted)
 
@@ -137,25 +127,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
 
     @classmethod
     def _of(cls, systems, frequencies, true):
-        models = dict(systems)
-        systems = models if true is None else {"true": true, **models}
-        for label, system in systems.items():
-            if not isinstance(system, control.StateSpace):
-                raise TypeError(
-                    f"{cls.__name__} draws control.StateSpace models; {label!r} is of type "
-                    f"{type(system).__name__} (an LTPSystem gives one by harmonic_decomposition)"
-                )
-        first = next(iter(models.values()))
-        names = first.input_labels, first.output_labels
-        for label, system in systems.items():
-            own = system.input_labels, system.output_labels
-            more = label not in models and all(map(set.issuperset, map(set, own), names))
-            if own != names and not more:
-                raise ValueError(
-                    f"{label!r} has the inputs {system.input_labels} and outputs "
-                    f"{system.output_labels}, but the others have {names[0]} and {names[1]}; give "
-                    f"models between the same signals"
-                )
+        systems, names = between_same_signals(systems, true, cls.__name__)
         if frequencies is None:
             frequencies = default_frequencies(systems.values())
         frequencies = np.asarray(frequencies, dtype=float)
@@ -204,7 +176,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         size = max(5.0, 3.2 * columns), 0.6 + (4.4 if rows == 1 else 3.4) * rows
         panels = self._panels(ax, size, cells, heights=[1.3, 1.0] * rows, share_x="all")
         styles = line_styles(self.responses, self.reference)
-        self.magnitude_lines_, self.phase_lines_, self.bands_ = {}, {}, {}
+        self.magnitude_lines_, self.phase_lines_, self.bands_, self._edges = {}, {}, {}, []
         for k, (o, i) in enumerate(pairs):
             self._draw(o, i, panels.axes[2 * k : 2 * k + 2], units, styles)
             panels.axes[2 * k].tick_params(labelbottom=False)
@@ -213,6 +185,9 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if k % columns == 0:
                 panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
                 panels.axes[2 * k + 1].set_ylabel("phase (deg)")
+        if self.bands_:
+            self.figure_.draw_without_rendering()  # how wide a band is, depends on the layout
+            name_confidence(next(iter(self.bands_.values()))[0], self._edges)
         self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
         return self
 
@@ -243,23 +218,19 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         deviations = norm.ppf(0.975)  # on either side of 95 %
         reach, turn = deviations * along, np.degrees(deviations * across)
         look = {"color": style["color"], "alpha": 0.25, "lw": 0}
-        return [
-            axes[0].fill_between(
-                self.frequencies,
-                np.maximum(size - reach, 1e-3 * size),
-                size + reach,
-                label="95 % confidence",
-                **look,
-            ),
-            axes[1].fill_between(self.frequencies, angle - turn, angle + turn, **look),
-        ]
+        edges = (
+            (axes[0], np.maximum(size - reach, 1e-3 * size), size + reach),
+            (axes[1], angle - turn, angle + turn),
+        )
+        self._edges += edges
+        return [axis.fill_between(self.frequencies, *sides, **look) for axis, *sides in edges]
 
 
 def default_frequencies(systems):
     """A grid in rad/s that holds all poles, and for discrete models ends where they do."""
     sizes, top = [], np.inf
     for system in systems:
-        dt, poles = _sample_time(system), system.poles()
+        dt, poles = sample_time(system), system.poles()
         if dt > 0.0:
             top = min(top, np.pi / dt)
             poles = np.log(np.where(poles == 0.0, np.finfo(float).tiny, poles)) / dt
@@ -270,16 +241,9 @@ def default_frequencies(systems):
 
 
 def _response(system, frequencies, inputs, outputs):
-    dt = _sample_time(system)
+    dt = sample_time(system)
     points = 1j * frequencies if dt == 0.0 else np.exp(1j * frequencies * dt)
-    columns = [system.input_labels.index(name) for name in inputs]
-    rows = [system.output_labels.index(name) for name in outputs]
-    B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
-    return frequency_response(system.A, B, C, D, points)
-
-
-def _sample_time(system):
-    return 0.0 if system.dt is None else float(system.dt)
+    return frequency_response(*matrices_between(system, inputs, outputs), points)
 
 
 def _degrees(g):

@@ -9,6 +9,7 @@ import math
 import re
 from itertools import cycle, islice
 
+import control
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -59,11 +60,13 @@ BARS = (
     {"color": SKY, "edgecolor": "white", "hatch": "\\\\"},
     {"color": GREY, "edgecolor": "white", "hatch": "++"},
 )
+CONFIDENCE, NARROW = "95 % confidence", 2.0  # points: a line's width, 1.5, and its edges
 TIME, SAMPLES = "time (s)", "sample (–)"
 FREQUENCY = "frequency (rad/s)"
 REAL, IMAGINARY = "real part (1/s)", "imaginary part (rad/s)"
 LEGEND = {"fontsize": 9, "edgecolor": "none", "framealpha": 0.8}  # readable over what it covers
 NAMES = {ModelStep: "MOESPRegressor, SpuriousModeReducer or StructuredMatcher"}
+RESPONSES = {"BodeDisplay": "frequency response", "StepResponseDisplay": "step response"}
 SHARED = {  # parameters that mean the same wherever they occur
     "record": "label, optional\n    Which record of a (record, time) index; the first by default.",
     "span": "(float, float), optional\n    Seconds to draw.",
@@ -490,3 +493,74 @@ def check_periodic(system, display, label=None):
     if not isinstance(system, LTPSystem):
         what = "this" if label is None else repr(label)
         raise TypeError(f"{display} draws LTPSystems; {what} is of type {type(system).__name__}")
+
+
+def invariant_steps(estimator, display):
+    """Fitted model steps by label, whose models have one response at every azimuth."""
+    steps = {
+        label: fitted_step(model, ModelStep, display)
+        for label, model in by_label(estimator, "identified").items()
+    }
+    for label, step in steps.items():
+        if isinstance(step.model_, SampleModel) and not step.model_.time_invariant:
+            raise ValueError(
+                f"{label!r} varies over the turn, with {step.model_.innovations.n_harmonics} "
+                f"harmonic(s), and has no one {RESPONSES[display]}; use "
+                f"HarmonicTransferFunctionDisplay or AzimuthDisplay, or fit with "
+                f"output_harmonics=0"
+            )
+    return steps
+
+
+def has_confidence(step):
+    """Whether a fitted step knows the covariance of its parameters."""
+    return isinstance(step, StructuredMatcher) and hasattr(step, "eigenvalues_")
+
+
+def between_same_signals(systems, true, display):
+    """Models by label, the truth first, all control.StateSpace; and the signals they share."""
+    models = dict(systems)
+    systems = models if true is None else {"true": true, **models}
+    for label, system in systems.items():
+        if not isinstance(system, control.StateSpace):
+            raise TypeError(
+                f"{display} draws control.StateSpace models; {label!r} is of type "
+                f"{type(system).__name__} (an LTPSystem gives one by harmonic_decomposition)"
+            )
+    first = next(iter(models.values()))
+    names = first.input_labels, first.output_labels
+    for label, system in systems.items():
+        own = system.input_labels, system.output_labels
+        more = label not in models and all(map(set.issuperset, map(set, own), names))
+        if own != names and not more:
+            raise ValueError(
+                f"{label!r} has the inputs {system.input_labels} and outputs "
+                f"{system.output_labels}, the others {names[0]} and {names[1]}; give models "
+                f"between the same signals"
+            )
+    return systems, names
+
+
+def matrices_between(system, inputs, outputs):
+    """(A, B, C, D) of a system between some of its signals, by name."""
+    columns = [system.input_labels.index(name) for name in inputs]
+    rows = [system.output_labels.index(name) for name in outputs]
+    return system.A, system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
+
+
+def sample_time(system):
+    """Seconds between the samples of a system; 0 in continuous time."""
+    return 0.0 if system.dt is None else float(system.dt)
+
+
+def name_confidence(band, edges):
+    """Name a band for the legend, which says so where no band is as wide as a line.
+
+    ``edges`` holds the Axes of each band, with its lower and upper values.
+    """
+    widest = 0.0
+    for axis, *sides in edges:
+        x = np.full(len(sides[0]), np.mean(axis.get_xlim()))
+        low, high = (axis.transData.transform(np.column_stack([x, y]))[:, 1] for y in sides)
+        widest = max(widest, np.nanmax(high - low) * 72.0 / axis.figure.dpi)
+    band.set_label(CONFIDENCE if widest > NARROW else f"{CONFIDENCE}, narrower than the line")

@@ -1,18 +1,15 @@
-"""Eigenvalues in the complex plane, and against the order: identified, judged, matched, true."""
+"""Eigenvalues in the complex plane: identified, judged, matched, true, of several models."""
 
-import warnings
-from dataclasses import KW_ONLY, dataclass
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
 from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2, norm
-from sklearn.base import clone
-from sklearn.pipeline import Pipeline
 
-from sklearn_hd._checks import check_positive
-from sklearn_hd._guards import candidates
 from sklearn_hd._model_step import ModelStep
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
     BLACK,
@@ -21,18 +18,21 @@ from sklearn_hd.plotting._display import (
     IMAGINARY,
     LIGHT,
     ORANGE,
+    POINTS,
     PURPLE,
     REAL,
     RED,
     SKY,
     Display,
+    by_label,
     dress,
     find_step,
     fitted_step,
     is_real,
+    looks,
+    sample_time,
 )
 from sklearn_hd.reduction import SpuriousModeReducer
-from sklearn_hd.subspace import MOESPRegressor
 from sklearn_hd.systems import LTPSystem
 
 VERDICTS = {  # marker, colour, size, words
@@ -43,9 +43,8 @@ VERDICTS = {  # marker, colour, size, words
     "genuine": ("x", BLUE, 8, "genuine, kept"),
 }
 MODEL = ("+", RED, 12)
+DAMPING_RATIOS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)  # rays of the grid
 TRUE = ("o", BLACK, 13, "true")
-STEADY = {"marker": "o", "ms": 4.5, "color": BLUE, "label": "steady: as at the order before"}
-WANDERING = {"marker": "x", "ms": 4, "color": GREY, "label": "new or moved"}
 
 
 class EigenvalueDisplay(Display):
@@ -58,15 +57,18 @@ class EigenvalueDisplay(Display):
     ----------
     modes : DataFrame, optional
         ``modes_`` of a SpuriousModeReducer: the columns eigenvalue, family, verdict.
-    model : DataFrame or array_like, shape (n_states,), optional
+    model : DataFrame or array_like, shape (n_states,), or a dict of them by label, optional
         Eigenvalues of the model in use, 1/s; a DataFrame has the columns eigenvalue and,
-        where they are known, the standard deviations std_real and std_imag.
+        where they are known, the standard deviations std_real and std_imag. Several models
+        have a marker each.
     true : array_like, shape (n_states,), optional
         Eigenvalues of the truth, 1/s.
     omega : float, optional
         In rad/s; the strip of width ω in which Floquet exponents are told apart is marked.
     model_name : str, default="identified"
         What the legend calls the model.
+    zeros : dict of array_like, optional
+        Transmission zeros, 1/s, by the label of the model (``model_name`` of one).
 
     Attributes
     ----------
@@ -76,6 +78,11 @@ class EigenvalueDisplay(Display):
         By verdict.
     family_lines_ : list of Line2D
     model_points_, true_points_ : Line2D or None
+        ``model_points_`` is a dict by label where several models are drawn.
+    zero_points_ : dict of Line2D
+        By label.
+    grid_lines_ : list of Line2D
+        Of constant damping ratio, then of constant natural frequency.
     uncertainty_ : list of Ellipse or Line2D
         Of the model's eigenvalues; a line for real ones.
     legend_ : Legend or None
@@ -99,17 +106,29 @@ class EigenvalueDisplay(Display):
     ['copy', 'genuine']
     """
 
-    def __init__(self, modes=None, *, model=None, true=None, omega=None, model_name="identified"):
-        if model is not None and not isinstance(model, pd.DataFrame):
-            model = pd.DataFrame({"eigenvalue": np.asarray(model, dtype=complex).ravel()})
+    def __init__(
+        self,
+        modes=None,
+        *,
+        model=None,
+        true=None,
+        omega=None,
+        model_name="identified",
+        zeros=None,
+    ):
         self.modes = modes
-        self.model = model
+        named = {} if model is None else by_label(model, model_name)
+        self._models = {label: _eigenvalue_table(z) for label, z in named.items()}
+        self.model = self._models if isinstance(model, dict) else self._models.get(model_name)
+        self.zeros = {
+            label: np.asarray(z, dtype=complex).ravel() for label, z in (zeros or {}).items()
+        }
         self.true = None if true is None else np.asarray(true, dtype=complex).ravel()
         self.omega = omega
         self.model_name = model_name
 
     @classmethod
-    def from_estimator(cls, estimator, true=None, *, level=0.95, ax=None):
+    def from_estimator(cls, estimator, true=None, *, level=0.95, zeros=False, grid=False, ax=None):
         """Draw what a fitted pipeline, or a step of it, has found.
 
         Parameters
@@ -117,31 +136,76 @@ class EigenvalueDisplay(Display):
         estimator : model step of sklearn_hd, or Pipeline or search that holds some
             Fitted. The modes are those of its SpuriousModeReducer, the model is that of
             its StructuredMatcher, or of the last model step where there is no reducer.
+            Several, in a dict by label, are drawn together, their models alone.
         true : array_like, LTPSystem or control.StateSpace, optional
             The truth: eigenvalues in 1/s, shape (n_states,), or a system (an LTPSystem by
             its Floquet exponents).
         level : float, default=0.95
             Probability with which an ellipse holds the eigenvalue.
+        zeros : bool, default=False
+            Whether to draw the transmission zeros of the models, too.
+
+        Raises
+        ------
+        ValueError
+            If zeros are asked for of a model that varies over the turn.
         """
+        if isinstance(estimator, dict):
+            lasts = {k: fitted_step(e, ModelStep, cls.__name__) for k, e in estimator.items()}
+            found = {k: _found(e, lasts[k]) for k, e in estimator.items()}
+            omega = {getattr(step.basis_, "omega", None) for step in lasts.values()}
+            display = cls(
+                model=found,
+                true=_of_truth(true),
+                omega=omega.pop() if len(omega) == 1 else None,
+                zeros={k: _zeros_of(k, step) for k, step in lasts.items()} if zeros else None,
+            )
+            return display.plot(ax=ax, level=level, grid=grid)
         last = fitted_step(estimator, ModelStep, cls.__name__)
         reducer = find_step(estimator, SpuriousModeReducer)
         matcher = find_step(estimator, StructuredMatcher)
-        model = None
-        if matcher is not None:
-            model = _matched(matcher)
-        elif reducer is None:
-            model = last.model_.exponents()
+        model = None if matcher is None and reducer is not None else _found(estimator, last)
+        name = "identified" if matcher is None else "after matching"
         basis = last.basis_
         display = cls(
             None if reducer is None else reducer.modes_,
             model=model,
             true=_of_truth(true),
             omega=getattr(basis, "omega", None),
-            model_name="identified" if matcher is None else "after matching",
+            model_name=name,
+            zeros={name: _zeros_of(name, last)} if zeros else None,
         )
-        return display.plot(ax=ax, level=level)
+        return display.plot(ax=ax, level=level, grid=grid)
 
-    def plot(self, ax=None, *, level=0.95, families=True, legend=True):
+    @classmethod
+    def from_systems(cls, systems, true=None, *, omega=None, zeros=False, grid=False, ax=None):
+        """Draw the poles of systems, LTPSystems by their Floquet exponents, on one axis.
+
+        Parameters
+        ----------
+        systems : control.StateSpace or LTPSystem, or a dict of them by label
+            Discrete ones are drawn where the logarithm of their poles lies, in 1/s.
+        omega : float, optional
+            In rad/s; that of an LTPSystem by default.
+
+        Raises
+        ------
+        ValueError
+            If zeros are asked for of a system that is periodic.
+        """
+        systems = by_label(systems, "model")
+        speeds = {s.omega for s in systems.values() if isinstance(s, LTPSystem)}
+        if omega is None and len(speeds) == 1:
+            (omega,) = speeds
+        display = cls(
+            model={label: _poles_of(system) for label, system in systems.items()},
+            true=_of_truth(true),
+            omega=omega,
+            zeros={k: _zeros_of(k, system) for k, system in systems.items()} if zeros else None,
+        )
+        return display.plot(ax=ax, grid=grid)
+
+    def plot(self, ax=None, *, level=0.95, families=True, grid=False, legend=True):
         """Draw, on a new figure by default.
 
         The view holds the origin and all but the window's memory, which may lie far to
@@ -151,6 +215,9 @@ class EigenvalueDisplay(Display):
         ----------
         families : bool, default=True
             Whether to join the modes of a family.
+        grid : bool, default=False
+            Whether to draw lines of constant damping ratio and of constant natural frequency;
+            where ω is known, also the edges of the strips of Floquet exponents.
         legend : bool, default=True
             Whether to draw a legend.
 
@@ -174,21 +241,80 @@ class EigenvalueDisplay(Display):
         self.family_lines_, self.mode_points_ = [], {}
         if self.modes is not None:
             self._draw_modes(families, view)
-        self.model_points_, self.uncertainty_ = None, []
-        if self.model is not None:
-            found = self.model["eigenvalue"].to_numpy()
-            self.model_points_ = self._points(found, *MODEL, self.model_name, view)
-            self._draw_uncertainty(level)
+        self._draw_models(level, view)
         self.ax_.set(xlim=view[0], ylim=view[1])
+        self.grid_lines_ = self._draw_grid(view) if grid else []
         self.legend_ = panels.legend(columns=3) if legend else None
         return self
+
+    def _draw_models(self, level, view):
+        """Poles and zeros of each model, told apart by markers where there are several."""
+        self.model_points_, self.zero_points_, self.uncertainty_ = None, {}, []
+        models = self._models
+        styles = [MODEL]
+        if len(models) > 1:
+            styles = [
+                (marker, look["color"], 8)
+                for marker, look in zip(cycle("+xsD^v"), looks(POINTS, len(models)), strict=False)
+            ]
+        points = {
+            label: self._points(model["eigenvalue"].to_numpy(), *style, label, view)
+            for (label, model), style in zip(models.items(), styles, strict=True)
+        }
+        if points:
+            self.model_points_ = points if len(points) > 1 else next(iter(points.values()))
+        colours = {label: line.get_color() for label, line in points.items()}
+        for label, z in self.zeros.items():
+            label_of = "zeros" if len(z) else "no zeros"
+            label_of += f": {label}" if len(models) > 1 else ""
+            self.zero_points_[label] = self._points(
+                z, "o", colours.get(label, BLACK), 6, label_of, view, mew=1.2
+            )
+        for label in models:
+            self._draw_uncertainty(level, label, colours[label])
+
+    def _draw_grid(self, view):
+        """Damping ratios as rays from the origin, natural frequencies as circles round it."""
+        (left, right), (low, high) = view
+        far = np.hypot(max(abs(left), abs(right)), max(abs(low), abs(high)))
+        style = {"color": GREY, "lw": 0.6, "ls": ":", "zorder": 0.3}
+        words = {"fontsize": 7.5, "color": GREY, "annotation_clip": True}
+        words |= {"textcoords": "offset points", "bbox": {"fc": "white", "ec": "none", "pad": 0.5}}
+        lines, taken, room = [], [], (right - left, high - low)
+        self.ax_.grid(False)
+        for ratio in DAMPING_RATIOS:
+            up = np.sqrt(1.0 - ratio**2)
+            for side in (-1.0, 1.0):
+                lines += self.ax_.plot([0.0, -ratio * far], [0.0, side * up * far], **style)
+            at_top = -left * up >= high * ratio  # the ray leaves through the top of the view
+            y = high if at_top else -left * up / ratio
+            x = -high * ratio / up if at_top else left
+            near = any(np.hypot((x - u) / room[0], (y - v) / room[1]) < 0.07 for u, v in taken)
+            if high > 0.0 > left and not near and y > 0.04 * room[1] and -x > 0.04 * room[0]:
+                taken.append((x, y))
+                self.ax_.annotate(f"ζ = {ratio:g}", (x, y), (3, -2), va="top", **words)
+        angle = np.linspace(0.5 * np.pi, 1.5 * np.pi, 181)
+        for size in MaxNLocator(5).tick_values(0.0, max(abs(left), abs(low), abs(high)))[1:]:
+            lines += self.ax_.plot(size * np.cos(angle), size * np.sin(angle), **style)
+            if size < 0.97 * high:
+                self.ax_.annotate(f"{size:g} rad/s", (0.0, size), (3, 0), va="center", **words)
+        lines[0].set_label("damping ratio ζ, natural frequency")
+        if self.omega is not None:
+            edge = {"color": GREY, "lw": 0.8, "ls": "--", "zorder": 0.3}
+            first, last = np.ceil(low / self.omega - 0.5), np.floor(high / self.omega - 0.5)
+            label = "edges of strips, (k + ½) ω"
+            for k in np.arange(first, last + 1.0)[:40]:
+                lines.append(self.ax_.axhline((k + 0.5) * self.omega, label=label, **edge))
+                label = None
+        return lines
 
     def _view(self, level):
         """Limits that hold all that is not the window's memory."""
         parts = [] if self.true is None else [self.true]
-        if self.model is not None:
-            parts.append(self.model["eigenvalue"].to_numpy())
-            parts += [z + side for z, *reach in self._reaches(level) for side in _corners(*reach)]
+        for label, model in self._models.items():
+            parts.append(model["eigenvalue"].to_numpy())
+            reaches = self._reaches(level, label)
+            parts += [z + side for z, *reach in reaches for side in _corners(*reach)]
         if self.modes is not None:
             window = (self.modes["verdict"] == "window").to_numpy()
             seen = window if window.all() else ~window
@@ -212,7 +338,7 @@ class EigenvalueDisplay(Display):
         if outside:
             label = f"{label} ({outside} out of view)"
         style = {"color": colour, "ms": size, "mew": mew, "mfc": "none", "ls": ""}
-        return self.ax_.plot(z.real, z.imag, marker, label=label, **style)[0]
+        return self.ax_.plot(z.real, z.imag, marker=marker, label=label, **style)[0]
 
     def _draw_modes(self, families, view):
         modes = self.modes
@@ -229,27 +355,28 @@ class EigenvalueDisplay(Display):
             if len(z):
                 self.mode_points_[verdict] = self._points(z, *look, view)
 
-    def _reaches(self, level):
+    def _reaches(self, level, label):
         """Eigenvalues of known uncertainty, and how far it reaches in both directions."""
-        if self.model is None or "std_real" not in self.model:
+        model = self._models[label]
+        if "std_real" not in model:
             return []
         joint, alone = np.sqrt(chi2.ppf(level, 2)), norm.ppf(0.5 + 0.5 * level)
-        columns = self.model[["eigenvalue", "std_real", "std_imag"]]
+        columns = model[["eigenvalue", "std_real", "std_imag"]]
         return [
             (z, alone * std_real, 0.0) if is_real(z) else (z, joint * std_real, joint * std_imag)
             for z, std_real, std_imag in columns.itertuples(index=False)
             if np.isfinite(std_real + std_imag)
         ]
 
-    def _draw_uncertainty(self, level):
-        label = f"{100 * level:g} % confidence"
-        for z, right, up in self._reaches(level):
+    def _draw_uncertainty(self, level, model, colour):
+        label = f"{100 * level:g} % confidence" if not self.uncertainty_ else None
+        for z, right, up in self._reaches(level, model):
             if is_real(z):
                 ends = [z.real - right, z.real + right]
-                style = {"color": RED, "lw": 1.6, "marker": "|", "ms": 7, "label": label}
+                style = {"color": colour, "lw": 1.6, "marker": "|", "ms": 7, "label": label}
                 self.uncertainty_ += self.ax_.plot(ends, [0.0, 0.0], **style)
             else:
-                style = {"fill": False, "ec": RED, "lw": 1.2, "label": label}
+                style = {"fill": False, "ec": colour, "lw": 1.2, "label": label}
                 ellipse = Ellipse((z.real, z.imag), 2.0 * right, 2.0 * up, **style)
                 self.uncertainty_.append(self.ax_.add_patch(ellipse))
             label = None
@@ -263,6 +390,44 @@ class EigenvalueDisplay(Display):
 
 def _corners(right, up):
     return [np.array([right * a + 1j * up * b]) for a in (-1, 1) for b in (-1, 1)]
+
+
+def _eigenvalue_table(model):
+    if isinstance(model, pd.DataFrame):
+        return model
+    return pd.DataFrame({"eigenvalue": np.asarray(model, dtype=complex).ravel()})
+
+
+def _found(estimator, last):
+    """Eigenvalues of the model of an estimator: matched, or of its last step."""
+    matcher = find_step(estimator, StructuredMatcher)
+    return last.model_.exponents() if matcher is None else _matched(matcher)
+
+
+def _poles_of(system):
+    """Poles of a system in 1/s, Floquet exponents of a periodic one."""
+    if isinstance(system, LTPSystem):
+        return system.floquet_exponents()
+    return _in_seconds(system.poles(), system)
+
+
+def _in_seconds(z, system):
+    """Poles or zeros in 1/s, of a discrete system by their logarithm."""
+    dt, z = sample_time(system), np.asarray(z, dtype=complex)
+    return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / dt if dt else z
+
+
+def _zeros_of(label, given):
+    """Transmission zeros of a system, or of the one that a step has found, in 1/s."""
+    model = getattr(given, "model_", None)
+    varies = isinstance(model, SampleModel) and not model.time_invariant
+    if isinstance(given, LTPSystem) or varies:
+        raise ValueError(
+            f"{label!r} is periodic and has no transmission zeros of its own; give its "
+            f"harmonic_decomposition, or zeros=False"
+        )
+    system = given if model is None else given.system_
+    return _in_seconds(system.zeros(), system)
 
 
 def _matched(matcher):
@@ -280,183 +445,3 @@ def _of_truth(true):
     if hasattr(true, "poles"):
         return true.poles()
     return true
-
-
-@dataclass(eq=False, repr=False)
-class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
-    """Modes of models of growing order: genuine ones come back, others wander.
-
-    A mode of order n is steady if the order tried before has one at a distance of at most
-    ``tol`` times the size of λ. Copies λ + jpω that the analyzer makes are steady, too.
-
-    Parameters
-    ----------
-    modes : DataFrame
-        One row a mode of a model: the columns order, eigenvalue (1/s) and steady.
-    order : int, optional
-        The order chosen.
-
-    Attributes
-    ----------
-    axes_ : ndarray of Axes, shape (2,)
-        Frequency, and decay.
-    figure_ : Figure
-    steady_, wandering_ : list of Line2D
-        In each panel.
-    chosen_ : list of Line2D
-
-    References
-    ----------
-    Peeters, De Roeck (1999), Reference-based stochastic subspace identification for
-    output-only modal analysis, Mechanical Systems and Signal Processing 13(6), 855-878.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> rng = np.random.default_rng(0)
-    >>> u, y = rng.standard_normal((300, 1)), np.zeros((300, 1))
-    >>> for k in range(299):
-    ...     y[k + 1] = 0.8 * y[k] + u[k]
-    >>> y += 0.01 * rng.standard_normal((300, 1))
-    >>> display = StabilizationDisplay.from_data(u, y, orders=[1, 2, 3], block_rows=5)
-    >>> bool(display.modes.query("steady and order == 3")["eigenvalue"].size >= 1)
-    True
-    """
-
-    modes: pd.DataFrame
-    _: KW_ONLY
-    order: int | None = None
-
-    @classmethod
-    def from_data(cls, X, y, *, orders=None, tol=0.02, ax=None, **parameters):
-        """Identify models of several orders by :class:`~sklearn_hd.MOESPRegressor`.
-
-        Parameters
-        ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, plain or as HarmonicAnalyzer hands them on.
-        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Outputs in time.
-        orders : sequence of int, optional
-            From 1 to four beyond the order found at first by default.
-        tol : float, default=0.02
-            Share of its size by which a steady mode may differ from the order before.
-        **parameters
-            Of MOESPRegressor.
-        """
-        estimator = MOESPRegressor(**parameters)
-        return cls.from_estimator(estimator, X, y, orders=orders, tol=tol, ax=ax)
-
-    @classmethod
-    def from_estimator(cls, estimator, X, y, *, orders=None, tol=0.02, ax=None):
-        """Fit clones of an estimator at several orders.
-
-        Parameters
-        ----------
-        estimator : MOESPRegressor, or Pipeline, search or step that holds one
-            Fitted or not. A clone is fitted once as it is, for its order and block rows;
-            warnings are those of this fit.
-        X : DataFrame or ndarray, shape (n_samples, n_features)
-            Inputs, as the estimator takes them.
-        orders : sequence of int, optional
-            From 1 to four beyond the order of the estimator by default.
-
-        Raises
-        ------
-        TypeError
-            If there is no MOESPRegressor.
-        ValueError
-            If an order cannot be identified from these data.
-        """
-        tol = check_positive("tol", tol, "shares of |λ|", "0.02 is usual")
-        identifier, X = _identifier(estimator, X, y)
-        first = clone(identifier).fit(X, y)
-        block_rows, n_outputs = first.block_rows_, len(first.model_.output_names)
-        if orders is None:
-            orders = range(1, min(first.order_ + 4, (block_rows - 1) * n_outputs) + 1)
-        found, orders = {}, sorted(orders)
-        with warnings.catch_warnings(), candidates():
-            warnings.simplefilter("ignore", UserWarning)  # what the first fit said
-            for n in orders:
-                model = clone(identifier).set_params(order=n, block_rows=block_rows).fit(X, y)
-                found[n] = model.model_.exponents()
-        return cls(_table(found, tol), order=first.order_).plot(ax=ax)
-
-    def plot(self, ax=None):
-        """Draw, on a new figure by default."""
-        orders = sorted(set(self.modes["order"]))
-        height = min(8.0, max(3.6, 1.6 + 0.22 * len(orders)))
-        panels = self._panels(ax, (8.0, height), [(0, 0), (0, 1)], share_y="all")
-        upper = self.modes[[z.imag >= 0.0 for z in self.modes["eigenvalue"]]]
-        steady, others = upper[upper["steady"]], upper[~upper["steady"]]
-        self.steady_, self.wandering_, self.chosen_ = [], [], []
-        for axis, part in zip(self.axes_, ("imag", "real"), strict=True):
-            for modes, lines, style in (
-                (others, self.wandering_, WANDERING),
-                (steady, self.steady_, STEADY),
-            ):
-                values = [getattr(z, part) for z in modes["eigenvalue"]]
-                lines += axis.plot(values, modes["order"].to_numpy(), ls="", **style)
-            if self.order is not None:
-                label = f"order chosen: {self.order}"
-                self.chosen_.append(axis.axhline(self.order, color=ORANGE, lw=1.2, label=label))
-        dress(self.axes_[0], x="frequency |Im λ| (rad/s)", y="order of the model (–)")
-        dress(self.axes_[1], x="decay Re λ (1/s)")
-        if panels.own:
-            self.axes_[1].tick_params(labelleft=False)
-        self.axes_[0].yaxis.get_major_locator().set_params(integer=True)
-        self._limit_decay(steady)
-        self.axes_[1].axvline(0.0, color=BLACK, lw=0.8, zorder=0.5)
-        panels.legend()
-        return self
-
-    def _limit_decay(self, steady):
-        """The view of decays: as far left as steady modes are, for memory may die at once."""
-        if len(steady) == 0:
-            return
-        real = np.array([z.real for z in steady["eigenvalue"]])
-        size = np.abs(real).max()
-        self.axes_[1].set_xlim(
-            min(real.min(), 0.0) * 1.15 - 0.05 * size, max(real.max(), 0.0) + 0.15 * size
-        )
-
-
-def _identifier(estimator, X, y):
-    """The MOESPRegressor of an estimator, and X as the steps before it hand it on."""
-    if isinstance(estimator, MOESPRegressor):
-        return estimator, X
-    if isinstance(estimator, Pipeline):
-        for k, (_, step) in enumerate(estimator.steps):
-            if any(isinstance(part, MOESPRegressor) for part in _inside(step)):
-                head = estimator[:k]
-                return _identifier(step, clone(head).fit_transform(X, y) if k else X, y)
-    elif getattr(estimator, "best_estimator_", None) is not None:
-        return _identifier(estimator.best_estimator_, X, y)
-    elif getattr(estimator, "estimator", None) is not None:
-        return _identifier(estimator.estimator, X, y)
-    raise TypeError(
-        f"StabilizationDisplay needs a MOESPRegressor, or a Pipeline or search that holds one; "
-        f"{type(estimator).__name__} holds none"
-    )
-
-
-def _inside(step):
-    """An estimator and those that it holds."""
-    while step is not None:
-        yield step
-        if isinstance(step, Pipeline):
-            for _, part in step.steps:
-                yield from _inside(part)
-        step = getattr(step, "estimator", None)
-
-
-def _table(found, tol):
-    """Modes of all orders; steady ones have a mode near at the order before."""
-    rows, before = [], np.zeros(0)
-    for order, z in found.items():
-        gap = np.abs(z[:, None] - before[None, :]).min(axis=1, initial=np.inf)
-        steady = gap <= tol * np.abs(z)
-        rows += [(order, *row) for row in zip(z, steady, strict=True)]
-        before = z
-    table = pd.DataFrame(rows, columns=["order", "eigenvalue", "steady"])
-    return table.astype({"steady": bool})

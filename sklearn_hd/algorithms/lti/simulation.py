@@ -275,3 +275,43 @@ def frequency_response(A, B, C, D, s):
     resolvent = s[:, None, None] * np.eye(n) - A
     states = np.linalg.solve(resolvent, np.broadcast_to(B.astype(complex), (len(s), *B.shape)))
     return C @ states + D
+
+
+def step_response(A, B, C, D, step, count, *, dt=0.0, impulse=False):
+    """Response to a step of one unit in each input, or to an impulse of area one.
+
+    In continuous time (dt = 0), by the zero-order hold that is exact for a step:
+
+        step     y(t) = C ∫₀ᵗ e^{As} B ds + D,      impulse   y(t) = C e^{At} B
+
+    In discrete time the impulse is 1/dt at the first sample. The impulse D δ(t) of a
+    continuous feedthrough has no height and is left out. ``StepResponseDisplay`` draws both.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray
+        Continuous, or discrete with the sample time dt.
+    step : float
+        Seconds between the values of a continuous model; a discrete one has its own.
+    count : int
+        Number of values, the first at t = 0.
+    dt : float, default=0.0
+        Sample time; 0 in continuous time.
+    impulse : bool, default=False
+
+    Returns
+    -------
+    response : ndarray, shape (count, l, m)
+    """
+    discrete, held = (A, B) if dt else continuous_to_discrete(A, B, step)
+    first = (held / dt if dt else B) if impulse else np.zeros(B.shape)
+    push = np.zeros(B.shape) if impulse else held
+    response = np.empty((count, *D.shape))
+    direct = (0.0 if impulse else 1.0) * D
+    x = first
+    for k in range(count):
+        response[k] = C @ x + direct
+        x = discrete @ x + push
+    if impulse and dt:  # the first value is that of the feedthrough, the state moves after it
+        response = np.concatenate([D[None] / dt, response[:-1]])
+    return response
