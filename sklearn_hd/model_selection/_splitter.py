@@ -288,8 +288,8 @@ class PeriodBlockSplit(BlockSplit):
             raise ValueError(
                 f"trim_span={self.trim_span} stays in the training rows of every fold, but X is an "
                 f"array without times, so its rows would close up over the gap between them; give "
-                f"it times: pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), and "
-                f"y the same"
+                f"it times: pd.DataFrame(X, index=np.arange(len(X)) * {base.sample_time:.6g}), y "
+                f"the same"
             )
         tolerance = 0.5 * base.sample_time
         return (base.time >= start - tolerance) & (base.time < stop - tolerance)
