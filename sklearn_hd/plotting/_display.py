@@ -505,7 +505,7 @@ def invariant_steps(estimator, display):
         if isinstance(step.model_, SampleModel) and not step.model_.time_invariant:
             raise ValueError(
                 f"{label!r} varies over the turn, with {step.model_.innovations.n_harmonics} "
-                f"harmonic(s), and has no one {RESPONSES[display]}; use "
+                f"harmonic(s), so it has no single {RESPONSES[display]}; use "
                 f"HarmonicTransferFunctionDisplay or AzimuthDisplay, or fit with "
                 f"output_harmonics=0"
             )
@@ -535,8 +535,8 @@ def between_same_signals(systems, true, display):
         if own != names and not more:
             raise ValueError(
                 f"{label!r} has the inputs {system.input_labels} and outputs "
-                f"{system.output_labels}, the others {names[0]} and {names[1]}; give models "
-                f"between the same signals"
+                f"{system.output_labels}, but the others have {names[0]} and {names[1]}; give "
+                f"models between the same signals"
             )
     return systems, names
 
