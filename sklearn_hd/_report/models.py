@@ -19,6 +19,7 @@ from sklearn_hd.plotting import (
 __all__ = ["model_section", "modes_section", "order_section"]
 
 MOST_ROWS = 60  # of a table of parameters
+MOST_STATES = 20  # whose matrices are shown
 MOST_PAIRS = 6  # of an input and an output, in one picture of frequency responses
 
 
@@ -87,8 +88,8 @@ def _opinion(fitted):
     step = fitted.reducer or fitted.identifier
     opinion = None if step is None else step.model_.opinion
     if opinion is None:
-        why = "plain data" if not fitted.basis.harmonic else "this reading, or this record,"
-        return line(f"There is no second opinion of the exponents: {why} gives none.")
+        why = "plain data have" if not fitted.basis.harmonic else "this reading, or record, has"
+        return line(f"There is no second opinion of the exponents: {why} none.")
     exponents = step.model_.exponents()
     exponents = exponents[np.lexsort((exponents.imag, -exponents.real))]
     nearest, apart, spread = opinion.about(exponents)
@@ -150,7 +151,7 @@ def model_section(fitted):
         attempt(lambda: _entries(fitted), "The entries of the model are not shown"),
         figure(
             lambda: _picture(fitted),
-            "The model: F(ψ), or the frequency response "
+            "The model: what varies over the turn, or the frequency response "
             f"(of {MOST_PAIRS} pairs of signals at most).",
         ),
     ]
@@ -192,7 +193,9 @@ def _picture(fitted):
     matcher, last = fitted.matcher, fitted.last
     sampled = isinstance(last.model_, SampleModel) and not last.model_.time_invariant
     if (matcher is not None and matcher.match_.periodic is not None) or sampled:
-        return PeriodicMatrixDisplay.from_estimator(fitted.pipe, "F")
+        periodic = None if matcher is None else matcher.match_.periodic
+        varies = [name for name in "FGP" if periodic is not None and periodic.highest(name)]
+        return PeriodicMatrixDisplay.from_estimator(fitted.pipe, (varies or ["F"])[0])
     system = last.system_
     inputs = system.input_labels[:MOST_PAIRS]
     outputs = system.output_labels[: max(1, MOST_PAIRS // len(inputs))]
@@ -253,6 +256,8 @@ def _fourier(periodic):
 def _matrices(step):
     """A, B, C, D with the names of their signals."""
     system = step.system_
+    if system.nstates > MOST_STATES:
+        return line(f"The matrices of {system.nstates} states are not shown; see system_.")
     states, inputs, outputs = system.state_labels, system.input_labels, system.output_labels
     shapes = {"A": (states, states), "B": (states, inputs), "C": (outputs, states)}
     shapes["D"] = outputs, inputs

@@ -65,6 +65,8 @@ details { margin: 0.5rem 0; }
   body { font-size: 10pt; max-width: none; padding: 0; }
   nav { display: none; }
   .wide { overflow: visible; }
+  table { font-size: 7.5pt; }
+  th, td { padding: 0.1rem 0.3rem; }
   .wide img { min-width: 0; max-width: 100%; }
   figure, tr, .box { break-inside: avoid; }
   h2, h3 { break-after: avoid; }
