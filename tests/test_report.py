@@ -108,7 +108,7 @@ def check_whole(path):
     return page
 
 
-@pytest.mark.parametrize("n_steps", [2, 4])
+@pytest.mark.parametrize("n_steps", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_pages_of_whole_periods_stand_alone_and_show_every_mode(wing, by_period, n_steps, tmp_path):
     open_before = plt.get_fignums()
     path = report(by_period[:n_steps], wing.inputs, wing.outputs, tmp_path / "wing.html")
@@ -134,6 +134,7 @@ def test_page_of_samples(wing, by_sample, tmp_path):
     assert "tests fail" in page.text["head"]
 
 
+@pytest.mark.slow
 def test_page_of_a_sliding_window_names_window_and_every_verdict(tmp_path):
     wing = make_flapping_wing("lti")
     steps = [
