@@ -7,7 +7,11 @@ from sklearn_hd._records.data import read_experiment
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals import fundamental
 from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
-from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import (
+    FrequencyMismatchWarning,
+    IdentifiabilityWarning,
+    TimeBaseWarning,
+)
 
 __all__ = ["OmegaEstimate", "estimate_omega"]
 
@@ -49,6 +53,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     -----
     FrequencyMismatchWarning
         If the speed drifts.
+    TimeBaseWarning
+        If neither the records nor ``sample_time`` say when rows were sampled.
     IdentifiabilityWarning
         If a fraction of the frequency explains the records better, or a multiple explains them as
         well.
@@ -80,6 +86,12 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
         span,
         [time[0] for time in experiment.times()],
     )
+    if experiment.base.counted and sample_time is None:
+        warn(
+            "no times given: rows count as seconds, so omega is in rad per row; give sample_time=, "
+            "or use a DataFrame indexed by seconds",
+            TimeBaseWarning,
+        )
     slower = any(rival < found.omega for rival in found.rivals)
     if found.drift and not slower:
         warn(
@@ -92,10 +104,15 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     if found.rivals:
         others = ", ".join(f"{rival:.7g}" for rival in found.rivals)
         better = "better than" if slower else "as well as"
+        way_out = (
+            "give the frequency at which the machine turns as guess"
+            if guess is None
+            else f"keep it only if the machine turns at about guess={guess:.7g} rad/s"
+        )
         warn(
             f"{others} rad/s explain the records {better} {found.omega:.7g} rad/s: a multiple of "
-            f"the machine's frequency looks like it if every second (third) period is alike; give "
-            f"the frequency at which the machine turns as guess",
+            f"the machine's frequency looks like it if every second (third) period is alike; "
+            f"{way_out}",
             IdentifiabilityWarning,
         )
     return found
