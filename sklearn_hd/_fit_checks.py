@@ -39,14 +39,14 @@ CALM = 1e6  # times growth that leaves most of them
 
 
 def warn_of_mismatch(experiment):
-    """Warn if the data repeat themselves at another frequency than omega.
+    """Warn if the data repeat themselves at another frequency than omega, and return whether.
 
     No check is possible if inputs never rest for some periods, and none is needed if the azimuth
     was measured. In a search the fit of all data gives the warning.
     """
     basis = experiment.basis
     if not basis.harmonic or basis.timing.azimuth is not None or searching():
-        return
+        return False
     outputs, trim = experiment.outputs, experiment.output_trim()
     if trim is not None and basis.small_signal is None:
         # a trim averaged at the wrong period is no trim: back to what was measured
@@ -55,7 +55,7 @@ def warn_of_mismatch(experiment):
     starts = [time[0] for time in experiment.times()]
     estimate = omega_mismatch(experiment.drive, outputs, step, basis.omega, starts=starts)
     if estimate is None:
-        return
+        return False
     worse = np.sqrt(estimate.residual_given / estimate.residual)
     warn(
         f"the data repeat themselves {words_of_omega(estimate, basis.omega)}; at "
@@ -64,6 +64,7 @@ def warn_of_mismatch(experiment):
         f"longest segment ({experiment.span()}); {way_out(estimate)}",
         FrequencyMismatchWarning,
     )
+    return True
 
 
 def words_of_omega(estimate, omega):

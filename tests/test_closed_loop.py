@@ -37,6 +37,7 @@ def growing(exponents):
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_only_the_predictor_sees_that_the_moth_is_unstable(gusty):
     frame = HarmonicAnalyzer(
         gusty.omega, reading="period", trim_span=gusty.trim_span

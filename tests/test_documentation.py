@@ -56,6 +56,7 @@ def assert_same_output(shown, stated):
 
 
 @pytest.mark.parametrize("page", pages())
+@pytest.mark.slow
 def test_page_runs_and_prints_what_it_states(page, capsys, tmp_path, monkeypatch):
     mpl.use("Agg")
     monkeypatch.chdir(tmp_path)
@@ -97,6 +98,7 @@ def test_messages_quoted_are_those_of_the_code():
         assert any(literal.search(text) for text in worded), f"no longer said so: {message}"
 
 
+@pytest.mark.slow
 def test_studies_and_benchmarks_find_all_that_they_import():
     folder = ROOT / "docs" / "benchmarks"
     names = ", ".join(path.stem for path in sorted(folder.glob("*.py")))

@@ -185,6 +185,7 @@ def steps(n, seed=0):
         ("sliding", 3, -2.5),
     ],
 )
+@pytest.mark.slow
 def test_twin_inputs_are_named_and_share_their_effect(reading, n_steps, factor):
     """Each by itself has no effect that the record tells; together they have the right one."""
     u = steps(80 * SPP)

@@ -47,6 +47,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("name", KINDS)
+@pytest.mark.slow
 def test_a_wrong_frequency_is_found_out_and_the_right_one_is_not(name):
     """Off by 1 % or by 0.3 %, in turn."""
     kind, kwargs = KINDS[name]
@@ -76,6 +77,7 @@ def test_noise_free_records_give_their_frequency(n_samples):
     assert abs(estimate.omega / omega - 1) < 1e-5
 
 
+@pytest.mark.slow
 def test_scatter_under_noise_of_a_twentieth():
     off = []
     for seed in range(4):
@@ -92,6 +94,7 @@ def test_the_right_frequency_is_right_for_any_input(kind, kwargs):
     assert omega_mismatch(inputs, outputs, dt, omega) is None
 
 
+@pytest.mark.slow
 def test_random_periodic_systems():
     """No false alarm, and every frequency off by 1 % found out."""
     rng = np.random.default_rng(1)
@@ -176,6 +179,7 @@ def test_an_amplitude_that_varies_is_no_frequency(shape):
 
 
 @pytest.mark.parametrize(("shape", "noise"), [(np.cos, 0.05), (wave, 0.0), (wave, 0.05)])
+@pytest.mark.slow
 def test_multiples_and_fractions_are_told_from_the_frequency(shape, noise):
     y = shape(2 * np.pi * T) + noise * np.random.default_rng(0).standard_normal(2000)
     assert of_one(y, 6.3).rivals == ()
@@ -190,6 +194,7 @@ SLOW = [pytest.param(shape, marks=pytest.mark.slow) for shape in ("ramp", "trans
 
 
 @pytest.mark.parametrize("shape", ["steady", *SLOW, "decay"])
+@pytest.mark.slow
 def test_the_standard_deviation_holds(shape):
     """Errors over deviations of 12 records: rms 1, of which 0.5 to 1.6 is what chance gives."""
     y = {
@@ -234,6 +239,7 @@ def fit(data, off, **kwargs):
 
 
 @pytest.mark.parametrize(("kind", "snr"), [("ltp", None), ("nltp", None), ("nltp", 20)])
+@pytest.mark.slow
 def test_a_fit_at_a_wrong_frequency_names_the_right_one(kind, snr):
     data = wing(kind, snr=snr)
     assert fit(data, 0.0) == []
@@ -274,6 +280,7 @@ def test_what_repeats_itself_goes_on_over_gaps(seed):
 # ---- what users call ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_frames_series_arrays_and_records_give_one_frequency():
     data = wing("nltp", snr=20)
     frames = sklearn_hd.estimate_omega(data.inputs, data.outputs)

@@ -16,6 +16,7 @@ COUNT = 10_000 if NIGHTLY else 300
 
 
 @pytest.mark.parametrize("first", range(FIRST, FIRST + COUNT, TOGETHER))
+@pytest.mark.slow
 def test_only_what_is_promised_comes_out(first):
     outcomes = [run(number) for number in range(first, first + TOGETHER)]
     assert len(outcomes) == TOGETHER

@@ -125,6 +125,7 @@ def fitted(recorded):
 
 @pytest.mark.parametrize("structure", [MATHIEU, HarmonicStructure(), None])
 @pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.slow
 def test_a_machine_in_gusts_is_found_within_its_deviations(reading, structure, recorded):
     pipe = fit(pipeline(reading, structure), *recorded)
     assert np.max(np.abs(apart(pipe))) < 3.5

@@ -255,6 +255,7 @@ def test_forces_of_a_wingbeat_carry_the_weight(moth, trim):
     assert abs(np.mean(M)) < 1e-6 * weight * 51.9e-3
 
 
+@pytest.mark.slow
 def test_hover_is_a_periodic_solution_that_stands_still(moth, trim):
     assert np.all(np.abs(moth.periodicity_defect(trim)) < [1e-8, 1e-9, 1e-6, 1e-7])
     np.testing.assert_allclose(trim.coefficients[0, :3], 0.0, atol=1e-12)

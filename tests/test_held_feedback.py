@@ -297,6 +297,7 @@ def identified(random_state=7, **given):
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+@pytest.mark.slow
 def test_exponents_come_back_from_a_calm_flight():
     """As well as the excitation is small: what is left is the moth's being nonlinear."""
     errors = []
@@ -309,6 +310,7 @@ def test_exponents_come_back_from_a_calm_flight():
 
 @pytest.mark.filterwarnings("ignore:.* within trim_span=")
 @pytest.mark.filterwarnings("ignore:the periodic orbit is unstable")
+@pytest.mark.slow
 def test_gusts_that_are_fed_back_bias_the_growing_pair():
     found, wanted = identified(n_periods=150, excitation=3e-3, gust=0.05, random_state=102)
     grows = wanted[np.argmax(wanted.real)]

@@ -55,6 +55,7 @@ def fitted(short):
     return pipe.fit(short.inputs, short.outputs)
 
 
+@pytest.mark.slow
 def test_scalers_and_functions_before_the_analyzer(short, fitted):
     """A change of the inputs' units before the analyzer changes B alone."""
     for step in (
@@ -392,6 +393,7 @@ def test_grid_search_over_structures_and_harmonics(periodic):
     assert search.best_score_ > 0.9
 
 
+@pytest.mark.slow
 def test_periodic_models_in_two_processes(periodic):
     """Structure, criterion and noise of the inputs are values of a grid like any other."""
     pipe, u, y = periodic
@@ -412,6 +414,7 @@ def test_periodic_models_in_two_processes(periodic):
     assert scores.min() > 0.99
 
 
+@pytest.mark.slow
 def test_memory_tells_the_options_of_a_synchronous_analysis_apart(tmp_path):
     """A cache that took one for the other would hand on the wrong records."""
     u, y = record(mathieu(), n_periods=30, noise=0.01)

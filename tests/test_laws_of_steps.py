@@ -270,6 +270,7 @@ def few_rows(divisors):
     SEEDS,
     st.integers(-40, 40),
 )
+@pytest.mark.slow
 def test_whole_periods_later_nothing_changes(system, sampling, seed, shift):
     """Of a system that answers from one row read to the next."""
     rng, spp = np.random.default_rng(seed), sampling.samples_per_period

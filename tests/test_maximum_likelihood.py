@@ -194,6 +194,7 @@ def noisy_inputs(seed):
 
 
 @pytest.mark.filterwarnings("ignore:the record lasts")
+@pytest.mark.slow
 def test_noise_on_the_inputs_is_allowed_for_or_told():
     """Ignored, it colours what is left: deviations are those of blocks of the record."""
     data, sigma = noisy_inputs(0)

@@ -104,6 +104,7 @@ def dated(data, origin):
 
 
 @pytest.mark.parametrize("origin", [UTC, UTC.tz_convert("Europe/Rome"), UTC.tz_localize(None)])
+@pytest.mark.slow
 def test_dates_are_times_since_their_origin(steady, by_seconds, origin):
     X, y = steady
     pipe = pipeline(omega=OMEGA, time_origin=origin).fit(dated(X, origin), dated(y, origin))
@@ -128,6 +129,7 @@ def test_the_origin_says_where_psi_is_zero():
     np.testing.assert_allclose(frame[["u_1c", "u_1s"]] - [0.0, -1.0], 0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_dates_as_last_level_beside_the_record(steady):
     X, y = steady
     whole = [pd.concat({"a": dated(d, UTC), "b": dated(d, UTC)}, names=["record"]) for d in (X, y)]
@@ -176,6 +178,7 @@ def test_coefficients_locked_to_azimuth_are_exact(wrapped):
     assert wrong.max() > 0.1 * np.abs(truth).max()
 
 
+@pytest.mark.slow
 def test_identification_on_a_spin_up(spun, by_seconds, by_azimuth):
     """As good as at constant speed (4e-5), where analysis at the mean speed misses by a third."""
     X, y = spun
@@ -201,6 +204,7 @@ def test_predictions_answer_every_row_of_the_user(spun, by_azimuth):
     assert by_azimuth.score(X, y, sample_weight=weight) > 1 - 1e-4
 
 
+@pytest.mark.slow
 def test_azimuth_survives_clones_pickles_folds_and_records(spun, by_azimuth):
     X, y = spun
     pipe = clone(by_azimuth).fit(X, y)
@@ -224,6 +228,7 @@ def test_even_azimuth_is_the_analysis_at_constant_speed(steady, by_seconds):
     np.testing.assert_allclose(azimuth.predict(X_psi), by_seconds.predict(X), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_trim_locked_to_azimuth(spun):
     X, y = spun
     quiet = X.index[-1] * 0.9
@@ -238,6 +243,7 @@ def test_trim_locked_to_azimuth(spun):
 
 
 @pytest.mark.parametrize("sampling", ["azimuth", "jitter"])
+@pytest.mark.slow
 def test_units_of_the_signals_do_not_matter(spun, by_azimuth, sampling):
     if sampling == "azimuth":
         (X, y), plain = spun, by_azimuth
@@ -264,6 +270,7 @@ def jittered(size=0.1, seed=0):
 
 
 @pytest.mark.parametrize("size", [0.02, 0.2])
+@pytest.mark.slow
 def test_jitter_is_resampled_and_said(steady, by_seconds, size):
     X, y = jittered(size)
     said = r"off a grid of 0.003125 s by .* s rms \(.* % of a sample\) and by .* s at most"

@@ -239,6 +239,7 @@ def test_scorers_word_what_is_wrong(lti):
 # ---- scikit-learn's searches ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_grid_search_over_period_blocks(lti):
     search = GridSearchCV(
         MOESPRegressor(),
@@ -283,6 +284,7 @@ def test_grid_search_with_several_metrics(lti):
 
 
 @pytest.mark.parametrize("cv", [GroupKFold(2), LeaveOneGroupOut()])
+@pytest.mark.slow
 def test_grid_search_over_whole_records(ltp_records, cv):
     data = ltp_records
     search = GridSearchCV(

@@ -76,6 +76,7 @@ def published(route, data, doublet):
     ],
     ids=lambda value: " ".join(map(str, value[1:])) if isinstance(value, tuple) else "",
 )
+@pytest.mark.slow
 def test_rows_without_noise_stay_within_twice_their_figure(case, row):
     found = run(case)
     assert found.e_percent <= 2.0 * published(*row)

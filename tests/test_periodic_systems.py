@@ -210,6 +210,7 @@ def noisy_blade(seed, noise, n_periods=400, samples=16):
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")  # MOESP's start
 @pytest.mark.parametrize(("seed", "noise"), [(0, 0.02), (0, 0.05), (2, 0.05)])
 @pytest.mark.filterwarnings("ignore:the outputs repeat themselves")
+@pytest.mark.slow
 def test_likelihood_finds_the_noisy_blade(seed, noise):
     """Whose multipliers, seen once a period, were of both signs, or beyond one."""
     blade, u, y = noisy_blade(seed, noise)

@@ -147,6 +147,7 @@ def test_nothing_crosses_a_gap_or_the_border_of_a_record(ltp):
         assert np.abs(found[:, None] - once).min(axis=0).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_grid_search_over_order_and_block_rows():
     data = make_flapping_wing("ltp", n_records=4, n_periods=60, start=5, random_state=1)
     pipe = heave_pipeline(data.omega, n_states=3)
@@ -193,6 +194,7 @@ def test_mode_shapes_give_the_harmonic_decomposition_of_periodic_data(ltp):
 
 
 @pytest.mark.parametrize("width", [3, 6, 20])
+@pytest.mark.slow
 def test_nonlinear_data_of_any_doublet(width):
     """Not the doublet of the paper's table alone: a 0.5 % doublet of any width."""
     data = make_flapping_wing("nltp", amplitude=0.005, width=width, start=40, n_periods=110)
@@ -429,6 +431,7 @@ def test_harmonics_that_are_rounding_are_no_signals(trim):
 
 
 @pytest.mark.parametrize("snr", [None, 20])
+@pytest.mark.slow
 def test_a_sliding_fit_takes_little_memory_beside_its_record(snr):
     """51 200 rows of three signals are 1.2 MB; what stands beside them does not grow with them."""
     data = make_flapping_wing("lti-signal", n_periods=800, start=5, snr=snr, random_state=0)

@@ -217,6 +217,7 @@ def test_outputs_ahead_of_their_inputs_are_told():
     assert "nan" not in model.feedthrough_reason_
 
 
+@pytest.mark.slow
 def test_records_with_many_gaps_keep_their_order():
     u, y = noisy(4, False, 6000, 0.1)
     rows = np.sort(np.random.default_rng(0).choice(6000, 5600, replace=False))

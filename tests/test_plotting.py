@@ -83,6 +83,7 @@ def check_texts(figure):
 
 
 @pytest.mark.parametrize("name", cases.DISPLAYS)
+@pytest.mark.slow
 def test_a_new_figure_is_made_and_kept(name):
     display, n_figures = made(name)
     n_panels = cases.DISPLAYS[name][1]
@@ -95,6 +96,7 @@ def test_a_new_figure_is_made_and_kept(name):
 
 
 @pytest.mark.parametrize("name", cases.DISPLAYS)
+@pytest.mark.slow
 def test_one_axes_given_is_drawn_on_or_divided(name):
     make, n_panels = cases.DISPLAYS[name]
     figure, (left, right) = plt.subplots(1, 2, layout="constrained", figsize=(16, 6))
@@ -189,6 +191,7 @@ def of_states(count):
 
 @pytest.mark.parametrize("make", [of_signals, of_states])
 @pytest.mark.parametrize("count", [1, 4, 12])
+@pytest.mark.slow
 def test_one_to_twelve_outputs_are_legible(make, count):
     for display in make(count):
         display.figure_.draw_without_rendering()

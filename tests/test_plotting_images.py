@@ -60,6 +60,7 @@ def _no_figures_left():
 
 @pytest.mark.parametrize("name", cases.DISPLAYS)
 @image
+@pytest.mark.slow
 def test_display(name):
     return cases.DISPLAYS[name][0]().figure_
 
@@ -77,6 +78,7 @@ def test_response_of_twelve_outputs():
 
 
 @image
+@pytest.mark.slow
 def test_bode_of_twelve_outputs():
     hd = cases.large_system(12).harmonic_decomposition(0)
     return BodeDisplay.from_systems(hd, np.geomspace(0.1, 100.0, 60)).figure_

@@ -71,6 +71,7 @@ def test_a_search_goes_through_each_fold_once_or_twice(tmp_path, data, counted):
     )
 
 
+@pytest.mark.slow
 def test_two_processes_may_share_a_folder(tmp_path, data):
     grid = {"order": [2, 3], "block_rows": [5, 20]}
     model = MOESPRegressor(memory=joblib.Memory(tmp_path, verbose=0))

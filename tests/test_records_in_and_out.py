@@ -162,6 +162,7 @@ def test_states_that_are_named_come_in_any_order(data):
 @pytest.mark.parametrize(
     ("u_unit", "y_unit"), [(1.0, 1e170), (1e170, 1e170), (1e170, 1e-170), (1e-180, 1e-180)]
 )
+@pytest.mark.slow
 def test_units_whose_squares_leave_the_range_of_floats(u_unit, y_unit):
     """Same score as in plain units, by every step, and no warning of NumPy's (an error here)."""
     data = make_flapping_wing("ltp", start=5, n_periods=60, snr=100, random_state=0)

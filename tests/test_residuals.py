@@ -50,6 +50,7 @@ def failed(tests):
     return set(tests.index[~tests["passed"]])
 
 
+@pytest.mark.slow
 def test_p_values_of_right_models_are_spread_evenly():
     p = []
     for seed in range(120):
@@ -148,6 +149,7 @@ def test_a_fit_of_samples_warns_of_states_that_are_missing():
     in_service(1).fit(u, exact)
 
 
+@pytest.mark.slow
 def test_matched_periodic_models_by_their_simulations():
     u, y = record(mathieu(), noise=0.02)
     assert (

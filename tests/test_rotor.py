@@ -151,6 +151,7 @@ def test_what_is_not_allowed_is_named(argument, given):
 
 @pytest.mark.parametrize("variation", [0.0, 0.01])
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_samples_at_their_azimuths_give_the_rotor_back(variation):
     rotor = make_rotor(speed_variation=variation, random_state=5)
     X, y = rotor.inputs.join(rotor.azimuth), rotor.outputs

@@ -107,6 +107,7 @@ def test_few_rows_by_thinning_name_the_hop():
 
 @pytest.mark.parametrize("noise", [0.02, 2.0])
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_motion_that_thinning_loses_is_named(noise):
     """A response of 20 samples, read at every eighth, left 0.2 unexplained without a word."""
     u, y = record(samples=200.0, rows=6000, noise=noise)
@@ -196,7 +197,7 @@ def test_one_long_record_among_short_ones_takes_no_lags_that_they_lack():
 @pytest.mark.parametrize("reading", ["sample", "period"])
 def test_a_clock_that_is_slightly_off_is_told(reading):
     """One doublet: its waveform tells what its short motion does not."""
-    data = make_flapping_wing("nltp", amplitude=0.02)
+    data = make_flapping_wing("nltp", amplitude=0.02, n_periods=80, start=40)
     analyzer = HarmonicAnalyzer(data.omega * 1.0001, reading=reading)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")

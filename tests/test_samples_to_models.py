@@ -115,6 +115,7 @@ def test_counting_states_from_the_forced_motion_changes_nothing_else():
 
 @pytest.mark.parametrize("samples", [16.0, 16.216, 7.3, 50.01])
 @pytest.mark.parametrize("make", [mathieu, coupled, deflection_only])
+@pytest.mark.slow
 def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
     system = make()
     pipe = pipeline(system.omega, order=system.n_states)[:2].fit(*record(system, samples))

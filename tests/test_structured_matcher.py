@@ -110,6 +110,7 @@ def test_each_criterion_is_best_in_its_own_norm(identified, record):
 @pytest.mark.parametrize(
     "weight", [{"v": 50.0}, [1.0, 50.0], pd.Series({"v": 50.0, "x": 1.0})], ids=type
 )
+@pytest.mark.slow
 def test_a_channel_that_weighs_more_is_matched_better(identified, record, weight, criterion):
     frequencies = np.geomspace(1e-2, 1e2, 500)
     errors = {}

@@ -158,6 +158,7 @@ def test_held_inputs_alone_have_no_interpolation_error():
 
 
 @pytest.mark.parametrize("samples", [16.3, 32.3, 50.3])
+@pytest.mark.slow
 def test_the_bound_of_the_interpolation_error_holds(wing, samples):
     """At the kinks of a doublet's edges, and in the free decay."""
     X, y = record(wing, samples)

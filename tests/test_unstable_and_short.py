@@ -251,6 +251,7 @@ def test_modes_that_noise_makes_grow_are_no_false_alarm():
     assert alarms(slowest=-0.2) == []
 
 
+@pytest.mark.slow
 def test_orbits_that_are_unstable_are_said_to_be():
     assert alarms(slowest=0.1) == list(range(20))
 

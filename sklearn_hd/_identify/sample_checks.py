@@ -108,10 +108,10 @@ def warn_of_little(layout, n_rows, best, basis):
 def warn_of_drift(data, predictor, experiment, most_rows):
     """Warn of an omega that is off, so that the azimuth drifts.
 
-    The predictor tells it from motion, the waveform of the turns in which inputs rest without.
+    The waveform of turns in which inputs rest tells it best, elsewhere the predictor does.
     """
     basis = experiment.basis
-    if basis.timing.azimuth is not None:
+    if basis.timing.azimuth is not None or warn_of_mismatch(experiment):
         return
     means = tuple(mean / scale for mean, scale in zip(data.means, data.scales, strict=True))
     segments = [tuple(z[:most_rows] for z in segment) for segment in data.segments]
@@ -126,8 +126,6 @@ def warn_of_drift(data, predictor, experiment, most_rows):
             f"correct omega until this warning stops, or give azimuth=",
             FrequencyMismatchWarning,
         )
-    else:
-        warn_of_mismatch(experiment)
 
 
 def warn_of_rest(segments, innovations, predictor):

@@ -144,6 +144,7 @@ def test_a_pair_moves_little_through_the_double_eigenvalue(kind, angle, lower):
 
 
 @pytest.mark.parametrize("shape", [(200, 30), (30, 200), (80, 80)])
+@pytest.mark.slow
 def test_the_strongest_direction_of_white_noise_has_the_law_of_tracy_and_widom(
     shape, rng, monkeypatch
 ):
