@@ -45,7 +45,7 @@ def without_letters(figure):
     for axis in figure.axes:
         axis.set_title("", loc="left")
         axis.set(xlabel="", ylabel="")
-        axis.tick_params(which="both", labelleft=False, labelbottom=False)
+        axis.tick_params(which="both", labelleft=False, labelright=False, labelbottom=False)
         for ticks in (axis.xaxis, axis.yaxis):
             ticks.offsetText.set_visible(False)
     figure.set_size_inches(np.round(figure.get_size_inches()))  # whole pixels

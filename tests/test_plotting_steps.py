@@ -53,7 +53,9 @@ def test_bands_are_those_of_parameters_drawn_from_their_covariance(kind):
     matcher, std = pipe["match"], display.std["identified"]
     found, time = matcher.match_, display.times["identified"]
     rng = np.random.default_rng(0)
-    drawn = rng.multivariate_normal(found.theta, found.uncertainty.covariance, 500)
+    size = found.theta_std  # parameters differ by 1e8 in size
+    alike = found.uncertainty.covariance / np.outer(size, size)
+    drawn = found.theta + size * rng.multivariate_normal(np.zeros(len(size)), alike, 500)
     systems = {
         str(k): control.ss(*found.uncertainty.affine.matrices(theta[found.uncertainty.seen]))
         for k, theta in enumerate(drawn)
@@ -77,9 +79,14 @@ def _named(system, like):
 
 
 def test_a_band_that_no_one_sees_is_named_in_the_legend():
+    time, y = np.linspace(0.0, 1.0, 20), np.linspace(0.0, 1.0, 20)[:, None, None]
+    names = {"input_names": ["u"], "output_names": ["y"]}
+    for share, words in ((1e-3, ", narrower than the line"), (0.1, "")):
+        std = {"model": np.full(y.shape, share)}
+        display = StepResponseDisplay({"model": time}, {"model": y}, std=std, **names).plot()
+        shown = [text.get_text() for text in display.legend_.get_texts()]
+        assert shown == ["model", f"95 % confidence{words}"]
     pipe = cases.sliding(20, "output_error")
-    words = [t.get_text() for t in StepResponseDisplay.from_estimator(pipe).legend_.get_texts()]
-    assert "95 % confidence, narrower than the line" in words
     bode = BodeDisplay.from_estimator(pipe, np.geomspace(0.5, 2000.0, 40))
     assert "95 % confidence" in [t.get_text() for t in bode.legend_.get_texts()]
 
@@ -120,7 +127,7 @@ def test_the_grid_holds_damping_ratios_frequencies_and_strips():
             sizes.add(round(abs(z[0]), 6))
     assert {0.1, 0.3, 0.5, 0.7, 0.9} < ratios
     assert {1.0, 2.0, 3.0} & sizes
-    assert edges == {-2.0, 2.0}
+    assert edges == {-6.0, -2.0, 2.0, 6.0}
 
 
 def test_a_periodic_system_has_no_zeros_of_its_own():

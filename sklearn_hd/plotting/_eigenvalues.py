@@ -67,7 +67,7 @@ class EigenvalueDisplay(Display):
         In rad/s; the strip of width ω in which Floquet exponents are told apart is marked.
     model_name : str, default="identified"
         What the legend calls the model.
-    zeros : dict of array_like, optional
+    zeros : dict of array_like, shape (n_zeros,), optional
         Transmission zeros, 1/s, by the label of the model (``model_name`` of one).
 
     Attributes
@@ -251,7 +251,7 @@ class EigenvalueDisplay(Display):
         """Poles and zeros of each model, told apart by markers where there are several."""
         self.model_points_, self.zero_points_, self.uncertainty_ = None, {}, []
         models = self._models
-        styles = [MODEL]
+        styles = [MODEL][: len(models)]
         if len(models) > 1:
             styles = [
                 (marker, look["color"], 8)

@@ -158,6 +158,7 @@ class SingularValueDisplay(Display):
         }
         dress(ax, x="number (–)", y="singular value (scaled outputs)")
         ax.set_xlim(0, len(values) + 1)
+        ax.xaxis.get_major_locator().set_params(integer=True)
         handles = [*ax.get_legend_handles_labels()[0], *([self.left_] if self.left_ else [])]
         ax.legend(handles=handles, loc="upper right", **LEGEND)
         return self
