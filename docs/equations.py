@@ -145,9 +145,10 @@ def symbol(value):
     """LaTeX of a letter, Latin or Greek, with its accent."""
     letter, accent = value[0], value[1:]
     if not letter.isascii():
-        script, case, *_, name = unicodedata.name(letter).split()
-        if script != "GREEK" or case not in ("SMALL", "CAPITAL"):
+        known = unicodedata.name(letter)
+        if not known.startswith(("GREEK SMALL LETTER", "GREEK CAPITAL LETTER")):
             raise Unknown(value)
+        _, case, *_, name = known.split()
         name = name.lower().replace("lamda", "lambda")
         letter = "\\" + (name.capitalize() if case == "CAPITAL" else name)
     if accent and accent not in ACCENTS:

@@ -373,7 +373,7 @@ def test_no_free_entry_is_allowed_here():
         ({"A": [[1, 2]], "B": [[1]]}, r"A has shape \(1, 2\)"),
         (
             {"A": np.eye(2), "B": np.ones((3, 1))},
-            r"B has shape \(3, 1\) .* need \(2, 1\)",
+            r"B has shape \(3, 1\), but .* need \(2, 1\)",
         ),
         ({"A": np.eye(2), "B": np.ones((2, 1)), "C": np.ones((1, 3))}, r"C has shape .*\(1, 2\)"),
         ({"A": np.eye(2), "B": np.ones((2, 1)), "D": [[0.0]]}, r"D has shape .*\(2, 1\)"),

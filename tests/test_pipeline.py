@@ -382,7 +382,7 @@ def test_outputs_that_are_decomposed_already(fitted, lti_signal):
     np.testing.assert_allclose(phi_dot, fitted.predict(u)["phi_dot"], atol=1e-9)
     assert pipe.score(u, Y) == pytest.approx(fitted.score(u, y))
     other = HarmonicAnalyzer(input_harmonics=KEPT, omega=lti_signal.omega, hop=16)
-    with pytest.raises(ValueError, match=r"y was decomposed with hop=16, X with 8; use the same"):
+    with pytest.raises(ValueError, match=r"y was decomposed with hop=16, but X with 8; use"):
         clone(pipe).fit(u, other.fit_transform(y))
 
 

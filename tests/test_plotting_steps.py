@@ -96,7 +96,7 @@ def test_what_has_no_one_step_response_is_refused():
         StepResponseDisplay.from_systems(lag(), kind="ramp")
     with pytest.raises(ValueError, match="duration must be a positive number in seconds"):
         StepResponseDisplay.from_systems(lag(), duration=0)
-    with pytest.raises(ValueError, match="has no one step response"):
+    with pytest.raises(ValueError, match="has no single step response"):
         StepResponseDisplay.from_estimator(cases.sampled())
 
 

@@ -40,10 +40,10 @@ TINY = np.finfo(float).tiny
 class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
     """Modes of models of growing order: genuine ones come back, others wander.
 
-    A mode λ is compared with the nearest one, λ', of the order tried before:
+    A mode λ is compared with the nearest one, λ′, of the order tried before:
 
-        |Δω_n| ≤ tol ω_n',   |Δζ| ≤ tol |ζ'|,   1 − MAC ≤ tol,
-        MAC = |φᴴ φ'|² / (φᴴφ · φ'ᴴφ'),   ω_n = |λ|,   ζ = −Re λ / |λ|
+        |Δω_n| ≤ tol ω_n′,   |Δζ| ≤ tol |ζ′|,   1 − MAC ≤ tol,
+        MAC = |φᴴ φ′|² / (φᴴφ · φ′ᴴφ′),   ω_n = |λ|,   ζ = −Re λ / |λ|
 
     where φ = C v is the shape that the outputs show, each in units of its standard deviation.
     The shape of a single output is always the same, and a model that varies over the turn has no

@@ -33,7 +33,7 @@ SETTLED = 5.0  # time constants, after which 0.7 % of a decay is left
 class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
     """Responses to a step or an impulse in each input, from rest.
 
-        step     y(t) = C ∫₀ᵗ e^{As} B ds + D,      impulse   y(t) = C e^{At} B
+        step     y(t) = C ∫_0^{t} e^{As} B ds + D,      impulse   y(t) = C e^{At} B
 
     For models in harmonic-decomposition form the signals are coefficients such as
     U_0 and w_1c; each pair of them has a panel. The impulse has the area one; a continuous

@@ -282,7 +282,7 @@ def step_response(A, B, C, D, step, count, *, dt=0.0, impulse=False):
 
     In continuous time (dt = 0), by the zero-order hold that is exact for a step:
 
-        step     y(t) = C ∫₀ᵗ e^{As} B ds + D,      impulse   y(t) = C e^{At} B
+        step     y(t) = C ∫_0^{t} e^{As} B ds + D,      impulse   y(t) = C e^{At} B
 
     In discrete time the impulse is 1/dt at the first sample. The impulse D δ(t) of a
     continuous feedthrough has no height and is left out. ``StepResponseDisplay`` draws both.
