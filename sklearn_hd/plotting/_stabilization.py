@@ -64,7 +64,7 @@ class StabilizationDisplay(Display, axes="two Axes, of frequency and of decay"):
     Attributes
     ----------
     picked_ : DataFrame
-        The modes clicked on in an interactive window: order, eigenvalue, frequency (|λ|, rad/s)
+        The modes clicked on in an interactive window: order, eigenvalue, frequency (``|λ|``, rad/s)
         and damping_ratio. A second click takes a mode away. Keep the display in a variable:
         clicks are lost with it.
     axes_ : ndarray of Axes, shape (2,)
