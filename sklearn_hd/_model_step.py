@@ -345,14 +345,14 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         named = states_by_record(states, experiment.base, simulators[0].model.state_names)
         return named if is_pandas(from_elsewhere(X, "X")) else named.to_numpy()
 
-    def _fitted_simulation(self, X, y, horizon=None, loads=False):
+    def _fitted_simulation(self, X, y, horizon=None):
         """Measured and simulated (or predicted) outputs on the rows that count, and those rows.
 
-        Without the forced periodic response unless ``loads``.
+        Both without the forced periodic response, which comes last.
         """
         experiment = self._experiment(without_inputs(y) if X is None else X, y)
         trim, sampling = experiment.output_trim(), experiment.sampling
-        truth, simulated, rows = [], [], []
+        truth, simulated, rows, forced = [], [], [], []
         simulators = self._simulators(experiment)
         self._warn_of_inputs(experiment, simulators)
         samples = (self._samples_late if horizon is None else self._samples_ahead)(experiment)
@@ -371,15 +371,15 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
                 within = own
             seen = as_seen(simulator, y_segment)
             outputs = self._fitted_outputs(simulator, seen, warm, horizon)
-            forced = (not loads) * simulator.forced()
+            loads = np.broadcast_to(simulator.forced(), outputs.shape)
             if seen is y_segment:
-                forced = np.broadcast_to(forced, outputs.shape)
-                outputs, forced = (late(each, samples) for each in (outputs, forced))
-                known = forced if trim is None else trim[i] + forced
+                outputs, loads = (late(each, samples) for each in (outputs, loads))
+                known = loads if trim is None else trim[i] + loads
                 truth.append(measured - piece.back(known)[within])
             else:
-                truth.append(piece.back(seen - forced)[within])
-            simulated.append(piece.back(outputs - forced)[within])
+                truth.append(piece.back(seen - loads)[within])
+            simulated.append(piece.back(outputs - loads)[within])
+            forced.append(piece.back(loads)[within])
             rows.append(own + piece.rows.start)
         if not truth:
             raise ValueError(
@@ -387,9 +387,9 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
                 f"one analysis window and the warm-up; give longer records or a smaller warmup"
             )
         truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
-        rows = joined(rows)  # by columns, which are quick to sum
+        rows, forced = joined(rows), joined(forced)  # by columns, which are quick to sum
         meet_at_rest(truth, simulated, experiment.measured[rows])
-        return truth, simulated, rows
+        return truth, simulated, rows, forced
 
     def _fitted_outputs(self, simulator, outputs, rows, horizon):
         """Outputs from the initial state that fits best over some rows."""

@@ -13,14 +13,14 @@ __all__ = ["compared", "meet_at_rest", "power_of_two", "scored_simulation", "wei
 MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 
 
-def scored_simulation(step, X, y, horizon=None, loads=False):
+def scored_simulation(step, X, y, horizon=None):
     """Measured and simulated outputs on the rows that ``step.score`` counts, and those rows.
 
-    With a horizon, outputs predicted so many rows ahead; with loads, the forced response of models
-    of samples within.
+    With a horizon, outputs predicted so many rows ahead. Last the forced response of models of
+    samples, which both are without.
     """
     check_is_fitted(step)
-    return step._fitted_simulation(X, y, horizon, loads)
+    return step._fitted_simulation(X, y, horizon)
 
 
 def compared(step, X, y, sample_weight=None, horizon=None):
@@ -30,7 +30,7 @@ def compared(step, X, y, sample_weight=None, horizon=None):
     not be finite. A search over orders continues with that candidate as the worst.
     """
     try:
-        truth, simulated, rows = scored_simulation(step, X, y, horizon)
+        truth, simulated, rows, _ = scored_simulation(step, X, y, horizon)
         weight = weights_of(rows, sample_weight, len(y))
         with np.errstate(over="ignore"):
             grown = np.max(np.abs(extremes(simulated)) / power_of_two(truth))

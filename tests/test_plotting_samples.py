@@ -132,7 +132,7 @@ def test_an_output_is_drawn_in_its_parts():
     assert np.std(left) < 0.05 * np.std(caused)
     drawn = display.part_lines_["loads", "y"]
     assert 100.0 <= min(drawn.get_xdata()) <= max(drawn.get_xdata()) <= 120.0
-    assert display.axes_[2].get_title("left").startswith("std: loads 0.74, inputs 0.6")
+    assert display.axes_[2].get_title("left").startswith("std: loads 0.73, inputs 0.6")
 
 
 def test_loads_go_with_one_model():

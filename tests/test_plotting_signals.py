@@ -119,7 +119,7 @@ def test_the_response_is_that_which_is_scored():
     pipe = cases.periodic()
     display = ResponseDisplay.from_estimator(pipe, u, y)
     step, X = pipe[-1], pipe[:-1].transform(u)
-    truth, simulated, rows = scored_simulation(step, X, y)
+    truth, simulated, rows, _ = scored_simulation(step, X, y)
     for k, name in enumerate(y):
         t, values = finite(display.simulated_lines_["simulated", name])
         np.testing.assert_allclose(t, u.index[rows])
@@ -127,7 +127,7 @@ def test_the_response_is_that_which_is_scored():
         np.testing.assert_allclose(finite(display.measured_lines_[name])[1], truth[:, k])
         score = fit_percent_scorer(output=name)(pipe, u, y)
         assert display.fit_.loc["simulated", name] == pytest.approx(score)
-        assert display.axes_[1 + k].get_title("left") == f"fit {score:.1f} %"
+        assert display.axes_[1 + k].get_title("left") == f"fit of {name}: {score:.1f} %"
     np.testing.assert_array_equal(display.input_lines_["u1"].get_ydata(), u["u1"])
 
 

@@ -60,7 +60,7 @@ class Run:
     def of(cls, step, handed, y, units):
         """Of a step over a record; the reason where it cannot be simulated or scored."""
         try:
-            truth, simulated, rows = scored_simulation(step, handed, y)
+            truth, simulated, rows, _ = scored_simulation(step, handed, y)
         except (UnstableModelError, ValueError) as error:
             return cls(pd.DataFrame({"R²": []}), 0, str(error))
         names = step.target_names_

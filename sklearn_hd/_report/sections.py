@@ -181,8 +181,6 @@ def _response(fitted, X, y, what):
         middle = (len(record.time) - CLOSER) // 2
         span = record.time[middle], record.time[middle + CLOSER]
         shown += f": {CLOSER} of its {len(record.time)} rows, from the middle; the fit is of all"
-    if fitted.basis.reading == "sample":
-        shown += ". The percentage in the picture counts the loads; R² at the top does not"
     return figure(
         lambda: ResponseDisplay.from_estimator(fitted.pipe, X, y, span=span, units=fitted.units),
         f"{what}, measured and simulated{shown}.",

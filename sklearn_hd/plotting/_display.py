@@ -60,6 +60,7 @@ BARS = (
     {"color": SKY, "edgecolor": "white", "hatch": "\\\\"},
     {"color": GREY, "edgecolor": "white", "hatch": "++"},
 )
+SMALLEST = 6.0  # points, of letters
 CONFIDENCE, NARROW = "95 % confidence", 2.0  # points: a line's width, 1.5, and its edges
 TIME, SAMPLES = "time (s)", "sample (–)"
 FREQUENCY = "frequency (rad/s)"
@@ -288,7 +289,7 @@ def dress(ax, *, x=None, y=None, title=None, small=False):
     if x is not None:
         ax.set_xlabel(x, **size)
     if y is not None:
-        ax.set_ylabel(y, **size)
+        _beside(ax, y, **size)
     if title is not None:
         ax.set_title(title, loc="left", fontsize=8 if small else 10.5)
     if small:
@@ -296,6 +297,21 @@ def dress(ax, *, x=None, y=None, title=None, small=False):
     ax.grid(True, color=LIGHT, lw=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
+
+
+def _beside(ax, words, **size):
+    """Label the y axis: in two lines, and in smaller letters, where the axis is shorter."""
+    label = ax.set_ylabel(words, **size)
+
+    def too_long():
+        return label.get_window_extent().height > ax.bbox.height
+
+    spaces = [k for k, letter in enumerate(words) if letter == " "]
+    if too_long() and spaces:
+        k = min(spaces, key=lambda k: abs(2 * k - len(words)))
+        label.set_text(f"{words[:k]}\n{words[k + 1 :]}")
+    while too_long() and label.get_fontsize() > SMALLEST:
+        label.set_fontsize(label.get_fontsize() - 0.5)
 
 
 def with_unit(name, units):

@@ -154,7 +154,7 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
     def plot(self, ax=None, *, span=None, units=None):
         """Draw, on a new figure by default."""
         count = len(self.harmonics)
-        rows, columns = grid_of(count, most=2 if count == 4 else 3)
+        rows, columns = grid_of(count, most=2 if count in (3, 4) else 3)
         cells = [(2 * r + half, c) for r, c in places(count, columns) for half in (0, 1)]
         size = max(6.4, 4.2 * columns), 0.6 + 3.2 * rows if rows < 3 else 2.6 * rows
         panels = self._panels(ax, size, cells, heights=[1.0, 1.2] * rows, share_x="all")

@@ -177,6 +177,8 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         if self.by_phase is not None:
             last[-1].set_xlabel("ψ (deg)")
         handles = [self.lines_[shown[0], i] for i in inputs] if len(inputs) > 1 else []
+        if self.by_phase is not None:
+            handles += last[-1].get_legend_handles_labels()[0]
         self.legend_ = panels.legend(handles, fallback=1) if handles else None
         return self
 
@@ -211,11 +213,12 @@ class ResidualDisplay(Display, axes="two Axes an output, three of a machine that
         psi, n = self.by_phase.index.to_numpy(), self.n_rows / len(self.by_phase)
         reach = stats.norm.ppf(0.5 + 0.5 * BAND) * std / np.sqrt(n)
         axis.axhline(0.0, color=GREY, lw=0.8)
-        axis.fill_between(psi, mean - reach, mean + reach, color=BLUE, alpha=0.25, lw=0)
+        style = {"color": BLUE, "alpha": 0.25, "lw": 0, "label": f"its {BAND:.0%} interval"}
+        axis.fill_between(psi, mean - reach, mean + reach, **style)
         style = LINES[0] | {"label": "mean"}
         self.phase_lines_[name] = axis.plot(psi, mean, **style)[0]
         for sign in (-1.0, 1.0):
-            axis.plot(psi, sign * std, **LINES[1])
+            axis.plot(psi, sign * std, **LINES[1] | {"label": "±std" if sign > 0.0 else None})
         verdict = self._verdict("loads")
         dress(axis, y=with_unit(name, units), title=": ".join(filter(None, ("mean, std", verdict))))
         axis.set(xlim=(0, 360), xticks=range(0, 361, 90))

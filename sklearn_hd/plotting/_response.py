@@ -7,11 +7,8 @@ import pandas as pd
 
 from sklearn_hd._checks import check_span, signal_names
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._records.data import read_experiment
 from sklearn_hd._scoring import scored_simulation
 from sklearn_hd._tables import to_float
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.late_signals import turned
 from sklearn_hd.model_selection import fit_percent
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (
@@ -34,16 +31,19 @@ from sklearn_hd.plotting._display import (
     with_unit,
 )
 
+LONGEST = 60  # characters of a title
+
 
 @dataclass(eq=False, repr=False)
 class ResponseDisplay(Display, axes="one Axes an input, then one an output, or two with loads"):
     """Measured outputs and those that models simulate, with the fit of each in percent.
 
-        fit = 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖)
+        fit = 100 (1 − ‖y − ŷ‖ / ‖m − m̄‖)
 
-    With the loads of a model of samples, what an output is made of is drawn below it: loads,
-    the response to the inputs (simulation less loads), and the residual (measured less
-    simulation).
+    The fit is that of the motion m, as in ``score``: y less what repeats from turn to turn while
+    inputs stand at their mean. A model of samples knows this part, its loads. Then what an output
+    is made of can be drawn below it: loads, the response to the inputs (simulation less loads),
+    and the residual (measured less simulation).
 
     Parameters
     ----------
@@ -64,7 +64,10 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
     measured_name : str, default="measured"
         What the legend calls the measured outputs.
     loads : DataFrame, shape (n_samples, n_outputs), optional
-        Periodic outputs of the model without inputs, on the same rows; goes with one model.
+        Periodic outputs of the model at the mean of its inputs, on the same rows; goes with one
+        model.
+    motion : dict of DataFrame, optional
+        By label, on the same rows: what the fit of a model is a share of; by default ``measured``.
 
     Attributes
     ----------
@@ -106,7 +109,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
     >>> y = pd.DataFrame({"y": np.exp(-t) * np.cos(6 * t)}, index=t)
     >>> display = ResponseDisplay.from_data(y, {"model": 0.9 * y}, validation_span=(2, 4))
     >>> display.axes_[0].get_title("left")
-    'fit 90.0 %, validation 89.9 %'
+    'fit of y: 90.0 %, validation 89.9 %'
     """
 
     measured: pd.DataFrame
@@ -119,9 +122,11 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
     title: str | None = None
     measured_name: str = "measured"
     loads: pd.DataFrame | None = None
+    motion: dict | None = None
 
     def __post_init__(self):
         self.segments = self.segments or [slice(0, len(self.measured))]
+        self.motion = self.motion or dict.fromkeys(self.simulated, self.measured)
         self.parts_ = {}
         if self.loads is not None:
             if len(self.simulated) != 1:
@@ -190,28 +195,30 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         time = np.full(len(whole.rows), np.nan)
         time[whole.rows] = whole.time
         index = pd.Index(time[rows], name="time")
-        tables = [
-            pd.DataFrame(values[np.searchsorted(own, rows)], index, names)
-            for _, truth, simulated, own in runs.values()
-            for values in (truth, simulated)
-        ]
-        periodic = None
+        motion, simulated, periodic = (
+            {
+                label: pd.DataFrame(run[part][np.searchsorted(run[-1], rows)], index, names)
+                for label, run in runs.items()
+            }
+            for part in (1, 2, 3)
+        )
+        first = next(iter(runs))
         if loads:
-            parts = (_loads(model, X, y, cls.__name__) for model in estimators.values())
-            periodic = pd.DataFrame(next(parts)[rows], index, names)
+            step_of_samples(estimators[first], cls.__name__)
         inputs = None
         if show_inputs:
             azimuth = step.basis_.timing.azimuth
             inputs = _table(X, "X", "x", whole).drop(columns=[azimuth], errors="ignore")
         display = cls(
-            tables[0],
-            dict(zip(runs, tables[1::2], strict=True)),
+            motion[first] + periodic[first],
+            {label: table + periodic[label] for label, table in simulated.items()},
             inputs=inputs,
             segments=_runs(rows),
             validation_span=validation_span,
             axis=whole.axis,
             title=None if whole.label is None else f"record {whole.label}",
-            loads=periodic,
+            loads=periodic[first] if loads else None,
+            motion=motion,
         )
         return display.plot(ax=ax, span=span, units=units)
 
@@ -335,8 +342,10 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
                 )
 
         def fits(rows):
-            y = self.measured.to_numpy()[rows]
-            values = [fit_percent(y, table.to_numpy()[rows]) for table in self.simulated.values()]
+            values = []
+            for label, table in self.simulated.items():
+                m, left = self.motion[label][rows], (self.measured - table)[rows]
+                values.append(fit_percent(m.to_numpy(), (m - left).to_numpy()))
             return pd.DataFrame(values, index, names)
 
         self.fit_ = fits(~inside) if not inside.all() else fits(inside)
@@ -369,12 +378,11 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
         dress(axis, y=with_unit(name, units), title=words, small=small)
 
     def _words(self, name):
-        """Fit of an output in words, models in the order of the legend."""
-        words = "fit " + " / ".join(f"{value:.1f}" for value in self.fit_[name]) + " %"
-        if self.validation_fit_ is None:
-            return words
-        new = " / ".join(f"{value:.1f}" for value in self.validation_fit_[name])
-        return f"{words}, validation {new} %"
+        """Fit of an output in words; of several models each by its label."""
+        lines = [f"fit of {name}: {_percent(self.fit_[name])}"]
+        if self.validation_fit_ is not None:
+            lines.append(f"validation {_percent(self.validation_fit_[name])}")
+        return (", " if len(self.simulated) == 1 else "\n").join(lines)
 
     def _shade(self, axis, span):
         if self.validation_span is None:
@@ -388,22 +396,20 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
 
 
 def _simulate(estimator, X, y, display):
-    """Last model step; measured and simulated outputs on the rows scored; those rows."""
+    """Last model step; motion, simulated motion and forced response on the rows scored; those."""
     fitted_step(estimator, ModelStep, display)
     step, handed = last_model_step(estimator, X)
-    return step, *scored_simulation(step, handed, y, loads=True)
+    motion, simulated, rows, forced = scored_simulation(step, handed, y)
+    return step, motion, simulated, forced, rows
 
 
-def _loads(estimator, X, y, display):
-    """Periodic outputs of a model of samples without inputs, on the rows of X."""
-    of_samples, (step, handed) = step_of_samples(estimator, display), last_model_step(estimator, X)
-    experiment = read_experiment(step.transform(handed), y)
-    delays, coefficients = of_samples.model_.delays, of_samples.loads_.to_numpy()
-    if delays is not None:  # measured later than the machine has them
-        coefficients = turned(coefficients, experiment.basis.omega * delays.outputs)
-    return experiment.sampling.back(
-        [evaluate_harmonics(coefficients, psi) for psi in experiment.phases]
-    )
+def _percent(fits):
+    """Fits in words: one, several by label, or many in the order of the legend."""
+    values = [f"{value:.1f}" for value in fits]
+    if len(values) == 1:
+        return f"{values[0]} %"
+    words = ", ".join(f"{label} {value} %" for label, value in zip(fits.index, values, strict=True))
+    return words if len(words) <= LONGEST else " / ".join(values) + " %, as in the legend"
 
 
 def _rows_of_all(rows, record):
