@@ -58,7 +58,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": r"^(?!plot_)",  # reproduce_paper.py is run by itself
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
-    "reset_modules": ("matplotlib",),
+    "reset_modules": ("matplotlib", "gallery_style.apply"),
     "matplotlib_animations": False,
     "image_srcset": ["2x"],
     "thumbnail_size": (400, 280),

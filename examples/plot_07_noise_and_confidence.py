@@ -105,7 +105,8 @@ print(f"95 % intervals that hold the truth: {100 * inside.to_numpy().mean():.0f}
 eigenvalues = np.concatenate([one.system_.poles() for one in others])
 exact = np.linalg.eigvals(data.A_exact)
 display = EigenvalueDisplay.from_estimator(match, true=exact)
-display.ax_.plot(eigenvalues.real, eigenvalues.imag, "k.", ms=4, zorder=0)
+display.ax_.plot(eigenvalues.real, eigenvalues.imag, "k.", ms=4, zorder=0, label="twelve flights")
+display.ax_.legend(loc="lower left")
 display.ax_.set(xlim=(-82, -70), ylim=(156, 168))
 
 # %%
