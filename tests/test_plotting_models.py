@@ -1,5 +1,8 @@
 """Displays of models: singular values, eigenvalues, frequency responses, periodic matrices."""
 
+import copy
+from dataclasses import replace
+
 import control
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,6 +14,7 @@ from scipy.stats import chi2, norm
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, StructuredMatcher
+from sklearn_hd._opinion import Opinion
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.plotting import (
     BodeDisplay,
@@ -159,6 +163,30 @@ def test_a_discrete_model_is_drawn_in_continuous_time():
     z = np.exp(points(display.model_points_) * model.model_.dt)
     np.testing.assert_allclose(np.sort(z), np.sort(model.eigenvalues_))
     np.testing.assert_allclose(points(display.true_points_), [-1.0])
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_exponents_in_doubt_stand_beside_the_second_opinion(own):
+    """One of its own says how well it knows them; another has a value, and may be surer."""
+    step = copy.deepcopy(cases.periodic()[1])
+    model, z = step.model_, step.model_.exponents()
+    assert EigenvalueDisplay.from_estimator(step).doubt_points_ is None
+    other = z if own else 1.2 * z.real + 1j * z.imag
+    spread = np.full(len(z), 0.2 if own else 1e-3) * np.abs(z)
+    opinion = Opinion(other, spread, 2.0, "halves of the record have", own)
+    step.model_ = replace(model, opinion=opinion)
+    display = EigenvalueDisplay.from_estimator(step)
+    np.testing.assert_allclose(points(display.doubt_points_), z)
+    if own:
+        assert display.opinion_points_ is None
+    else:
+        np.testing.assert_allclose(points(display.opinion_points_), other)
+
+
+def test_every_verdict_of_the_reducer_has_a_look():
+    modes = pd.DataFrame({"eigenvalue": np.arange(-6.0, 0.0), "family": range(6)})
+    modes["verdict"] = ["genuine", "copy", "window", "weak", "ambiguous", "second-order"]
+    assert set(EigenvalueDisplay(modes).plot().mode_points_) == set(modes["verdict"])
 
 
 def test_eigenvalues_of_nothing():

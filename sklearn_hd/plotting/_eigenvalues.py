@@ -9,11 +9,13 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2, norm
 
 from sklearn_hd._model_step import ModelStep
+from sklearn_hd._opinion import doubtful
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
     BLACK,
     BLUE,
+    GREEN,
     GREY,
     IMAGINARY,
     LIGHT,
@@ -33,6 +35,7 @@ from sklearn_hd.plotting._display import (
     sample_time,
 )
 from sklearn_hd.reduction import SpuriousModeReducer
+from sklearn_hd.subspace import MOESPRegressor
 from sklearn_hd.systems import LTPSystem
 
 VERDICTS = {  # marker, colour, size, words
@@ -40,11 +43,14 @@ VERDICTS = {  # marker, colour, size, words
     "copy": ("^", ORANGE, 7, "copy of a genuine mode"),
     "weak": ("s", PURPLE, 5, "weak"),
     "ambiguous": ("D", SKY, 6, "kept, ambiguous"),
+    "second-order": ("v", GREEN, 6, "kept, second-order"),
     "genuine": ("x", BLUE, 8, "genuine, kept"),
 }
 MODEL = ("+", RED, 12)
 DAMPING_RATIOS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)  # rays of the grid
 TRUE = ("o", BLACK, 13, "true")
+IN_DOUBT = ("s", SKY, 15, "in doubt")
+OPINION = ("2", SKY, 12, "second opinion")
 
 
 class EigenvalueDisplay(Display):
@@ -69,6 +75,9 @@ class EigenvalueDisplay(Display):
         What the legend calls the model.
     zeros : dict of array_like, shape (n_zeros,), optional
         Transmission zeros, 1/s, by the label of the model (``model_name`` of one).
+    doubts : DataFrame, optional
+        Eigenvalues that a second opinion does not confirm, in 1/s: the columns eigenvalue and
+        opinion, what it has next to it (NaN where it has no value of its own).
 
     Attributes
     ----------
@@ -85,6 +94,8 @@ class EigenvalueDisplay(Display):
         Of constant damping ratio, then of constant natural frequency.
     uncertainty_ : list of Ellipse or Line2D
         Of the model's eigenvalues; a line for real ones.
+    doubt_points_, opinion_points_ : Line2D or None
+        Eigenvalues in doubt, and what the second opinion has.
     legend_ : Legend or None
 
     References
@@ -115,8 +126,9 @@ class EigenvalueDisplay(Display):
         omega=None,
         model_name="identified",
         zeros=None,
+        doubts=None,
     ):
-        self.modes = modes
+        self.modes, self.doubts = modes, doubts
         named = {} if model is None else by_label(model, model_name)
         self._models = {label: _eigenvalue_table(z) for label, z in named.items()}
         self.model = self._models if isinstance(model, dict) else self._models.get(model_name)
@@ -130,6 +142,8 @@ class EigenvalueDisplay(Display):
     @classmethod
     def from_estimator(cls, estimator, true=None, *, level=0.95, zeros=False, grid=False, ax=None):
         """Draw what a fitted pipeline, or a step of it, has found.
+
+        Of a single model, exponents that the record's second opinion does not confirm are marked.
 
         Parameters
         ----------
@@ -174,6 +188,7 @@ class EigenvalueDisplay(Display):
             omega=getattr(basis, "omega", None),
             model_name=name,
             zeros={name: _zeros_of(name, last)} if zeros else None,
+            doubts=_doubts(estimator, last.model_.exponents() if model is None else model),
         )
         return display.plot(ax=ax, level=level, grid=grid)
 
@@ -242,6 +257,7 @@ class EigenvalueDisplay(Display):
         if self.modes is not None:
             self._draw_modes(families, view)
         self._draw_models(level, view)
+        self._draw_doubts(view)
         self.ax_.set(xlim=view[0], ylim=view[1])
         self.grid_lines_ = self._draw_grid(view) if grid else []
         self.legend_ = panels.legend(columns=3) if legend else None
@@ -272,6 +288,19 @@ class EigenvalueDisplay(Display):
             )
         for label in models:
             self._draw_uncertainty(level, label, colours[label])
+
+    def _draw_doubts(self, view):
+        """A frame round each eigenvalue in doubt, joined to what the second opinion has."""
+        self.doubt_points_ = self.opinion_points_ = None
+        if self.doubts is None or self.doubts.empty:
+            return
+        z, other = (self.doubts[c].to_numpy(complex) for c in ("eigenvalue", "opinion"))
+        self.doubt_points_ = self._points(z, *IN_DOUBT, view, mew=1.2)
+        has = np.isfinite(other)
+        if has.any():
+            for ends in zip(z[has], other[has], strict=True):
+                self.ax_.plot(np.real(ends), np.imag(ends), color=SKY, lw=0.8, zorder=1)
+            self.opinion_points_ = self._points(other[has], *OPINION, view)
 
     def _draw_grid(self, view):
         """Damping ratios as rays from the origin, natural frequencies as circles round it."""
@@ -319,6 +348,9 @@ class EigenvalueDisplay(Display):
             window = (self.modes["verdict"] == "window").to_numpy()
             seen = window if window.all() else ~window
             parts.append(self.modes["eigenvalue"].to_numpy()[seen])
+        if self.doubts is not None:
+            z, other = (self.doubts[c].to_numpy(complex) for c in ("eigenvalue", "opinion"))
+            parts += [z, other[np.abs(other - z) <= np.abs(z)]]  # a far one is out of view
         z = np.concatenate(
             [*map(np.ravel, parts), [0.0]]
         )  # how near to instability is seen from the origin
@@ -402,6 +434,18 @@ def _found(estimator, last):
     """Eigenvalues of the model of an estimator: matched, or of its last step."""
     matcher = find_step(estimator, StructuredMatcher)
     return last.model_.exponents() if matcher is None else _matched(matcher)
+
+
+def _doubts(estimator, found):
+    """Eigenvalues that the second opinion of a record does not confirm, and what it has."""
+    step = find_step(estimator, (MOESPRegressor, SpuriousModeReducer))
+    opinion = None if step is None else step.model_.opinion
+    if opinion is None:
+        return None
+    z = _eigenvalue_table(found)["eigenvalue"].to_numpy(complex)
+    doubt = doubtful(z, opinion)
+    other = np.full(len(z), np.nan) if opinion.own else opinion.about(z)[0]
+    return pd.DataFrame({"eigenvalue": z[doubt], "opinion": other[doubt]})
 
 
 def _poles_of(system):
