@@ -272,8 +272,7 @@ class Uncertainty:
     def step_response(self, theta, step, count, *, impulse=False):
         """Response in time to a step or an impulse, and its standard deviation, (n, l, m) each.
 
-        Slopes are central differences over 1e-4 standard deviations: the error is 1e-8 of
-        the curvature, rounding 1e-12 of the response.
+        Slopes are central differences over 1e-4 standard deviations.
         """
         at, options = theta[self.seen], {"dt": self.dt, "impulse": impulse}
         covariance = self.covariance[np.ix_(self.seen, self.seen)]
