@@ -118,6 +118,7 @@ def test_arrays_whose_rows_a_fold_joins_are_told(validate):
         validate(u, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("as_given", [np.asarray, pd.DataFrame])
 def test_a_search_over_plain_data_finds_the_order(as_given):
     u, y = ringing(1500, noise=0.02)

@@ -78,6 +78,7 @@ def test_one_wingbeat_ahead_is_predicted_to_within_gusts_and_noise(gusty, fitted
     assert np.all(left < 0.6 * motion.std())
 
 
+@pytest.mark.slow
 def test_without_gusts_the_linearisation_comes_back():
     """Steps so small that the moth is linear: exponents, F(ψ) and the harmonic decomposition."""
     data = make_hawkmoth(n_records=3, n_periods=80, quiet=10, excitation=1e-4, random_state=2027)

@@ -98,6 +98,7 @@ def of_pyarrow(frame):
     return pytest.importorskip("pyarrow").Table.from_pandas(frame, preserve_index=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [of_polars, of_pyarrow])
 def test_frames_that_keep_no_index_have_that_of_their_time(make):
     """Columns time and record become the index, and outputs without them are on the same rows."""

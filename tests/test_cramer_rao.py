@@ -96,6 +96,7 @@ def errors_and_intervals(case, wing, n_seeds, *, free_initial_state=True):
     return np.array(errors), np.array(stds), bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_errors_are_distributed_as_the_bound_says(case, wing):
     """Σ eᵀ I e over seeds is χ² distributed; within its central 99.9 %."""

@@ -66,6 +66,7 @@ def assert_same_simulation(found, expected, frame, rtol=1e-10):
         np.testing.assert_allclose(here[name], there[name], atol=rtol * np.abs(there[name]).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameters", [{"order": 10, "block_rows": 20}, {}], ids=str)
 def test_partitions_of_whole_records(steady, parameters):
     analyzer, frame = analyzed(steady)
@@ -92,6 +93,7 @@ def test_inputs_that_change_at_several_phases(doublets, monkeypatch, scale):
     assert_same_simulation(found, expected.fit(frame, doublets.outputs), frame, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_more_block_rows_where_the_order_fills_them(steady, monkeypatch):
     """Asked for once; the data are read again for them."""
     asked = []

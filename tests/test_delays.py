@@ -42,6 +42,7 @@ def mathieu_steps(reading, criterion, structure=None, **delays):
     )
 
 
+@pytest.mark.slow
 def test_all_delays_of_plain_data_are_found_to_rounding():
     u, y = plain_record()
     model = MOESPRegressor(3, block_rows=8, input_delay="auto", output_delay="auto").fit(u, y)
@@ -67,6 +68,7 @@ def test_whole_samples_leave_nothing_of_plain_data():
     np.testing.assert_allclose(reduced.predict(model.transform(u)), y, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", ["period", "sample"])
 def test_a_periodic_machine_is_exact_with_a_delay_given_and_one_found(reading):
     u, y, dt = mathieu_record()
@@ -88,6 +90,7 @@ def test_a_periodic_machine_is_exact_with_a_delay_given_and_one_found(reading):
     np.testing.assert_array_equal(again.predict(u), steps.predict(u))
 
 
+@pytest.mark.slow
 def test_predictions_and_their_gain_find_a_delay_within_its_deviation():
     u, y, dt = mathieu_record()
     noise = 0.02 * y.std().to_numpy() * np.random.default_rng(3).standard_normal(y.shape)
@@ -96,6 +99,7 @@ def test_predictions_and_their_gain_find_a_delay_within_its_deviation():
     assert abs(match.delays_["u"] / dt - 2.3) < 3.0 * match.delay_std_["u"] / dt < 0.05
 
 
+@pytest.mark.slow
 def test_a_structure_tells_the_delays_of_both():
     u, y, dt = mathieu_record()
     steps = mathieu_steps("period", "output_error", SPEED, input_delay="auto", output_delay="auto")
@@ -173,6 +177,7 @@ def test_without_delays_there_are_none():
     assert model.delay_std_.isna().all()
 
 
+@pytest.mark.slow
 def test_a_delay_that_is_hardly_told_from_none_is_said():
     u, y = plain_record((0.0, 0.0), (0.0, 0.0), 200, 1)
     noisy = y + 0.3 * y.std().to_numpy() * np.random.default_rng(2).standard_normal(y.shape)

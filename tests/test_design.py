@@ -150,6 +150,7 @@ def test_h2_cost_of_other_gains_by_covariances():
     assert 0.0 < other.loss <= best.truncated(1).loss  # that of the worst state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [None, 16])
 def test_truncation_loses_less_with_more_harmonics(p):
     best = periodic_lqr(SYSTEM, Q3, R1, sample_time=None if p is None else SYSTEM.period / p)

@@ -46,6 +46,7 @@ def designed():
     return design_input(SYSTEM, **BUDGET, **SETTINGS, X=doublet())
 
 
+@pytest.mark.slow
 def test_the_bound_and_the_errors_fall_at_equal_energy(designed):
     """Estimates of six records each, by maximum likelihood, deviate less, as predicted."""
     assert designed.exponents["gain"].min() > 2.0
@@ -123,6 +124,7 @@ def test_a_common_factor_of_noise_or_amplitude_changes_the_deviations_alone(desi
     np.testing.assert_allclose(louder.exponents["gain"], designed.exponents["gain"], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_longer_searches_are_no_worse():
     costs = []
     for n_trials in (0, 60):
@@ -134,6 +136,7 @@ def test_longer_searches_are_no_worse():
 # ---- what the record at hand lacks ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_inputs_that_never_moved_apart_are_named():
     """Both moved as one: the motion that each makes by itself is unknown."""
     structure = HarmonicStructure(F=1, G=0)
@@ -171,6 +174,7 @@ def test_without_a_record_at_hand_nothing_is_compared():
 # ---- models identified -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(
     "ignore:the match does not reproduce"
 )  # of a structure without all harmonics

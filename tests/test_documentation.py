@@ -86,6 +86,7 @@ def templates(node):
             yield "".join(v.value if isinstance(v, ast.Constant) else "…" for v in part.values)
 
 
+@pytest.mark.slow
 def test_messages_quoted_are_those_of_the_code():
     quoted = [" ".join(text.split()) for kind, text in blocks("docs/faq.md") if kind == "text"]
     assert len(quoted) > 30

@@ -112,6 +112,7 @@ def test_a_hidden_state_pushed_at_phases_never_excited_is_said_to_be(reading):
     assert "record inputs" in told[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", [{}, {"stiffness": 0.2}, {"gain": 0.8}], ids=str)
 @pytest.mark.parametrize("criterion", ["hinf", "output_error"])
 def test_measured_states_show_the_effect_of_inputs_at_all_phases(machine, criterion):
@@ -121,6 +122,7 @@ def test_measured_states_show_the_effect_of_inputs_at_all_phases(machine, criter
     assert told == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reading", "n_steps"), [("period", 4), ("sliding", 3), ("sample", 2), ("sample", 4)]
 )
@@ -143,6 +145,7 @@ def test_a_model_of_whole_periods_says_what_share_of_the_motion_is_new(n_steps):
     assert "StructuredMatcher" in told
 
 
+@pytest.mark.slow
 def test_what_was_shown_survives_pickle_and_clone_and_is_silent_in_searches():
     data = record(1, stiffness=0.2)
     pipe = fitted(pipeline("period", 4), data)

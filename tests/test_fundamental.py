@@ -59,6 +59,7 @@ def test_a_wrong_frequency_is_found_out_and_the_right_one_is_not(name):
     assert found.residual < found.residual_given
 
 
+@pytest.mark.slow
 def test_noise_on_the_inputs_too():
     """A twentieth of each: 1 % off is found out, to a thousandth."""
     for seed in range(2):
@@ -69,6 +70,7 @@ def test_noise_on_the_inputs_too():
         assert abs(found.omega / omega - 1) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_samples", [16, 64])
 def test_noise_free_records_give_their_frequency(n_samples):
     """Inputs explain but what is above the least noise that a record is taken to have."""
@@ -250,6 +252,7 @@ def test_a_fit_at_a_wrong_frequency_names_the_right_one(kind, snr):
     assert named == pytest.approx(data.omega, rel=1e-5 if snr is None else 1e-4)
 
 
+@pytest.mark.slow
 def test_pairs_and_azimuths_at_a_wrong_frequency():
     data = wing("nltp", amplitude=[0.02, -0.02])
     assert fit(data, 0.0, small_signal="odd") == []
@@ -313,6 +316,7 @@ def test_what_the_user_is_told():
         sklearn_hd.estimate_omega(u, pd.Series(y, T, name="y"), 6.3)
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_a_little_off_is_told():
     """More patterns at a wrong frequency leave as little as fewer at the right one."""
     data = wing("nltp", n_periods=220, samples_per_period=32, start=132, snr=100)

@@ -152,6 +152,7 @@ def test_named_parameters_are_the_machines_own(fitted):
     assert set(theta.index) == set(std.index)
 
 
+@pytest.mark.slow
 def test_loads_are_fitted_beside_the_rest():
     X, y = gusty(0, load=3.0)
     pipe = fit(pipeline("sample"), X, y)
@@ -162,6 +163,7 @@ def test_loads_are_fitted_beside_the_rest():
     np.testing.assert_allclose(rest[:, 1], 0.0, atol=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.parametrize("structure", [MATHIEU, pytest.param(None, marks=pytest.mark.slow)])
 def test_a_turn_need_not_hold_whole_samples(structure):
@@ -183,6 +185,7 @@ def test_deviations_without_gusts_are_those_of_simulations():
 LAG = MatrixStructure([["0", "1"], ["-k", "-c"]], [["0"], ["b"]], np.eye(2))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.parametrize("reading", ["sample", "sliding", "plain"])
 def test_a_matrix_structure_is_refined_too(reading):
@@ -333,6 +336,7 @@ def test_records_may_begin_on_a_phase_or_between_two(criterion, first):
     np.testing.assert_allclose(F[1, 1, 0], 1.0, atol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", ["period", "sample"])
 def test_rows_without_outputs_are_gaps(reading, recorded):
     X, y = recorded
@@ -353,6 +357,7 @@ def test_gusts_name_prediction_error(reading, recorded):
         pipeline(reading, criterion="output_error").fit(*recorded)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_short_records_are_told(recorded):
     with pytest.warns(IdentifiabilityWarning, match=r"lasts only \d+ time constants"):

@@ -95,6 +95,7 @@ def test_loads_are_those_of_vectors_in_space(rng, monkeypatch):
     np.testing.assert_allclose(found, expected.T, rtol=2e-5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_eight_elements_are_enough(ltp, monkeypatch):
     monkeypatch.setattr(hawkmoth_module, "ELEMENTS", 64)
     fine = hawkmoth()

@@ -330,6 +330,7 @@ def test_bad_arguments_are_named(given, message):
         make_hawkmoth(**given)
 
 
+@pytest.mark.slow
 def test_a_moth_that_turns_over_is_an_error():
     with pytest.raises(RuntimeError, match=r"the moth turns over in wingbeat \d+; excite it less"):
         make_hawkmoth(n_periods=40, samples_per_period=16, excitation=3.0, random_state=0)

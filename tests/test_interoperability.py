@@ -149,6 +149,7 @@ def test_randomized_search_and_two_processes(short, groups):
     )
 
 
+@pytest.mark.slow
 def test_time_series_split_on_one_long_record():
     data = make_flapping_wing("ltp", input="3211", n_periods=160, width=4)
     pipe = heave_pipeline(data.omega, n_states=3)
@@ -156,6 +157,7 @@ def test_time_series_split_on_one_long_record():
     assert scores.min() > 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_cross_val_predict_mirrors_the_rows(short, groups):
     pipe = heave_pipeline(short.omega, n_states=3)
@@ -167,6 +169,7 @@ def test_cross_val_predict_mirrors_the_rows(short, groups):
     assert 1 - np.var(rest) / np.var(short.outputs.to_numpy()) > 0.98
 
 
+@pytest.mark.slow
 def test_validation_curve_over_the_order(short, groups):
     pipe = heave_pipeline(short.omega, n_states=3)
     _, test = validation_curve(
@@ -213,6 +216,7 @@ def test_frozen_models_are_not_fitted_again(short):
     np.testing.assert_array_equal(matcher.model_.A, reducer.model_.A)
 
 
+@pytest.mark.slow
 def test_system_goes_straight_into_python_control(fitted):
     system = fitted["match"].system_
     assert system.ninputs == 1
@@ -256,6 +260,7 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     pd.testing.assert_frame_equal(loaded.predict(short.inputs), fitted.predict(short.inputs))
 
 
+@pytest.mark.slow
 def test_skops_keeps_a_structure(tmp_path, short):
     skops = pytest.importorskip("skops.io")
     names = ["w_0", "phi_dot_1c", "phi_dot_1s"]
@@ -295,6 +300,7 @@ def test_skops_keeps_a_structure(tmp_path, short):
     pd.testing.assert_frame_equal(loaded.predict(short.inputs), pipe.predict(short.inputs))
 
 
+@pytest.mark.slow
 def test_all_records_from_one_csv_file(tmp_path, short, fitted):
     """The one line of docs/guide/1_data.md, for several records."""
     pd.concat([short.inputs, short.outputs], axis=1).to_csv(tmp_path / "flights.csv")
@@ -305,6 +311,7 @@ def test_all_records_from_one_csv_file(tmp_path, short, fitted):
     np.testing.assert_allclose(again["match"].model_.A, fitted["match"].model_.A, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_parquet_files_keep_index_and_types(tmp_path, short, fitted):
     pytest.importorskip("pyarrow")
     path = tmp_path / "flights.parquet"
@@ -436,6 +443,7 @@ def test_records_from_a_csv_file(tmp_path, short, fitted):
     pd.testing.assert_frame_equal(predicted, fitted.predict(short.inputs.loc[0]), rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_two_records_equal_one_only_where_they_should(short):
     """The same record twice gives the model of one; another record moves it."""

@@ -168,6 +168,7 @@ def test_a_search_cut_short_is_said():
         pipe.fit(u, y)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the record lasts")
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_harmonic_structure_on_a_sliding_analyzer_is_refined():

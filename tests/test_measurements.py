@@ -220,6 +220,7 @@ def test_azimuth_survives_clones_pickles_folds_and_records(spun, by_azimuth):
     assert two.predict(both[0]).index.equals(both[1].index)
 
 
+@pytest.mark.slow
 def test_even_azimuth_is_the_analysis_at_constant_speed(steady, by_seconds):
     X, y = steady
     X_psi = X.assign(psi=OMEGA * X.index.to_numpy())
@@ -322,6 +323,7 @@ def spoiled(data, *rows, column=0):
     return data
 
 
+@pytest.mark.slow
 def test_missing_outputs_become_gaps(steady):
     """As good as without them; nothing of what surrounds them is fitted or scored."""
     X, y = steady
@@ -339,6 +341,7 @@ def test_missing_outputs_become_gaps(steady):
     assert other.score(X, wild) == pipe.score(X, holed)
 
 
+@pytest.mark.slow
 def test_short_runs_are_bridged_on_request(steady):
     X, y = steady
     holed = spoiled(y, slice(1000, 1002), slice(4000, 4100), column=1)
@@ -352,6 +355,7 @@ def test_short_runs_are_bridged_on_request(steady):
     assert pipe.score(given, holed) > 1 - 1e-4
 
 
+@pytest.mark.slow
 def test_no_answer_where_the_input_is_missing(steady):
     X, y = steady
     holed = spoiled(X, slice(1000, 1100))
@@ -365,6 +369,7 @@ def test_no_answer_where_the_input_is_missing(steady):
     assert pole_error(pipe) < 2e-3
 
 
+@pytest.mark.slow
 def test_pieces_shorter_than_the_window_are_left_out(steady):
     X, y = steady
     holed = spoiled(X, 1000, 1030)
@@ -375,6 +380,7 @@ def test_pieces_shorter_than_the_window_are_left_out(steady):
         pipeline(omega=OMEGA, missing="gap").fit(spoiled(X, slice(None, None, 50)), y)
 
 
+@pytest.mark.slow
 def test_missing_azimuth_and_inputs_on_a_spin_up(spun):
     X, y = spun
     holed = spoiled(spoiled(X, slice(1000, 1003), column=1), slice(3000, 3100))

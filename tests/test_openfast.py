@@ -419,6 +419,7 @@ JUNK = ["", "\n", " " * 50, "NaN", "-", "1e400", "9" * 30, "T", "A: 3 x 3\n", "\
 PIECES = st.one_of(st.text(max_size=8), st.sampled_from(JUNK))
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_spoilt_file_gives_a_model_or_a_refusal_that_names_it(tmp_path, data):

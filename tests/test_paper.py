@@ -99,6 +99,7 @@ def test_rows_read_twice_as_often_change_nothing():
     assert twice.model["reduce"].n_states_ == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "way"),
     [
@@ -116,6 +117,7 @@ def test_rows_say_where_their_matrix_comes_from(case, way):
     assert paper.table_row([run(case)], seconds=0.0)["way"] == way
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 2], ids=["ltp", "nltp"])
 def test_the_papers_own_way_keeps_modes_that_were_identified(index):
     own = run(cases.OWN[index]).model
@@ -128,6 +130,7 @@ def test_a_feedthrough_that_the_form_has_not_is_warned_of():
     assert any("the feedthrough of the model" in text for text in run(cases.OWN[1]).warned)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "n_seeds", "row"),
     [
@@ -169,6 +172,7 @@ def test_input_matrices_come_from_the_raw_record():
         np.testing.assert_allclose(found.matched.B[:, 0], expected, atol=1e-8 * expected.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", [cases.LTP, cases.NLTP, cases.NLTP_SMALL], ids=["ltp", "nltp 2 %", "nltp 0.5 %"]
 )

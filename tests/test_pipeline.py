@@ -130,6 +130,7 @@ def test_several_records_fit_together():
     assert pipe.score(data.inputs, data.outputs) > 1 - 1e-9
 
 
+@pytest.mark.slow
 def test_nothing_crosses_a_gap_or_the_border_of_a_record(ltp):
     """A record cut in mid-motion, twice: the jump between the two must not move the model."""
     cut = slice(64 * 120, 64 * 150)

@@ -46,6 +46,7 @@ def test_discrete_models_agree_with_control_and_an_impulse_has_area_one():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["step", "impulse"])
 def test_bands_are_those_of_parameters_drawn_from_their_covariance(kind):
     pipe = cases.sliding(20, "output_error")

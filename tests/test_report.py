@@ -108,6 +108,7 @@ def check_whole(path):
     return page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_steps", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_pages_of_whole_periods_stand_alone_and_show_every_mode(wing, by_period, n_steps, tmp_path):
     open_before = plt.get_fignums()
@@ -124,6 +125,7 @@ def test_pages_of_whole_periods_stand_alone_and_show_every_mode(wing, by_period,
     assert digits(by_period[:n_steps].score(wing.inputs, wing.outputs)) in page.text["head"]
 
 
+@pytest.mark.slow
 def test_page_of_samples(wing, by_sample, tmp_path):
     page = check_whole(report(by_sample, wing.inputs, wing.outputs, tmp_path / "samples.html"))
     for exponent in by_sample["identify"].model_.exponents():
@@ -165,6 +167,7 @@ def test_plain_arrays_series_and_validation(tmp_path):
     assert "No check found a fault" in page.text["head"]
 
 
+@pytest.mark.slow
 def test_several_records_and_no_inputs(tmp_path):
     u, y = (pd.concat({"a": a, "b": b}) for a, b in zip(lag(), lag(seed=1), strict=True))
     page = check_whole(report(plain().fit(u, y), u, y, tmp_path / "records.html"))
@@ -185,6 +188,7 @@ def test_names_are_escaped(tmp_path):
     assert "a&<script>" in page.text["data"]
 
 
+@pytest.mark.slow
 def test_a_matrix_structure_shows_its_parameters(tmp_path):
     u, y = lag()
     structure = MatrixStructure([["-rate"]], [["gain"]])

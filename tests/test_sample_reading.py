@@ -108,6 +108,7 @@ def test_an_azimuth_at_constant_speed_is_the_same_as_omega():
     assert by_azimuth["harmonics"].get_feature_names_out().tolist() == ["u", "psi"]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_rotor_whose_speed_varies_by_a_tenth():
     data = make_rotor(random_state=0, speed_variation=0.1)
@@ -161,6 +162,7 @@ def test_a_machine_held_by_feedback_is_unstable_and_predicted_ahead():
     assert np.std((one - y.to_numpy())[100:]) < 1.05 * 0.1
 
 
+@pytest.mark.slow
 def test_without_harmonics_the_model_is_time_invariant():
     rng = np.random.default_rng(0)
     u, y = rng.standard_normal((3000, 1)), np.zeros((3000, 1))
@@ -187,6 +189,7 @@ def test_a_feedthrough_is_found_where_there_is_one():
     assert pipe.score(u, direct) > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_oversampled_records_are_thinned():
     data = make_rotor(n_turns=100, sample_time=0.001, hold=30, random_state=0)
@@ -199,6 +202,7 @@ def test_oversampled_records_are_thinned():
     assert pipe.score(data.inputs, data.outputs) > 0.9
 
 
+@pytest.mark.slow
 def test_a_search_over_order_lags_and_harmonics():
     u, y, *_ = machine(2400)
     grid = {

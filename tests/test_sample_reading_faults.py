@@ -168,6 +168,7 @@ def test_an_order_too_high_is_a_question_of_rows():
     assert any("rows are enough for order 12" in str(each.message) for each in told)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_long_record_may_begin_at_rest():
     """Choices were made on the first 10 000 rows: no harmonics, of which there are two."""
@@ -185,6 +186,7 @@ def test_a_long_record_may_begin_at_rest():
     assert np.std(left) < 0.02 * np.std(rest[moving])
 
 
+@pytest.mark.slow
 def test_one_long_record_among_short_ones_takes_no_lags_that_they_lack():
     """28 lags left 172 of 3800 rows, for 302 coefficients."""
     parts = [record(rows=n, seed=seed) for seed, n in enumerate([12] * 300 + [200])]
@@ -194,6 +196,7 @@ def test_one_long_record_among_short_ones_takes_no_lags_that_they_lack():
     assert pipe.score(*record(noise=0.0, seed=1000)) > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", ["sample", "period"])
 def test_a_clock_that_is_slightly_off_is_told(reading):
     """One doublet: its waveform tells what its short motion does not."""

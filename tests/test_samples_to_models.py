@@ -208,6 +208,7 @@ def test_entries_are_those_of_the_machine(samples, criterion):
     assert pipe.score(u, y) > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [16.0, 16.216, 7.3])
 def test_coefficients_are_those_of_the_machine(samples):
     system = coupled()
@@ -231,6 +232,7 @@ def test_new_records_are_predicted_with_their_loads():
     np.testing.assert_allclose(pipe.predict(new.iloc[later] * 0.0), rest.iloc[later], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_parameters_may_be_fixed_and_shared(measured):
     structure = SWINGING.fix({"d": 0.2})
     found = pipeline(2.0, structure=structure).fit(*measured)["match"].theta_
@@ -263,6 +265,7 @@ def test_one_output_leads_to_floquet_coordinates():
     assert pipe.score(u, y) == pytest.approx(pipe[:2].score(u, y), abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_structure_that_cannot_respond_so_is_told(measured):
     rigid = HarmonicStructure(F={"0": [[0, 1], [-1.0, -0.2]]}, G={"0": [[0], ["b"]]})
@@ -275,6 +278,7 @@ def test_a_structure_that_cannot_respond_so_is_told(measured):
         pipeline(2.0, structure=growing).fit(*measured)
 
 
+@pytest.mark.slow
 def test_time_invariant_models_are_matched_in_continuous_time():
     system = mathieu(excitation=0.0)
     u, y = record(system)
@@ -317,6 +321,7 @@ def test_entries_of_states_that_nothing_measures_are_refused():
         pipeline(2.0, order=2, structure=SWINGING).fit(*record(deflection_only()))
 
 
+@pytest.mark.slow
 def test_a_feedthrough_is_kept_where_it_is_asked_for():
     system = mathieu(P=np.eye(2), Q=[[0.0], [0.5]], output_names=["y", "a"])
     u, y = record(system, 16.0)

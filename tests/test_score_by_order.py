@@ -99,6 +99,7 @@ def test_new_rows_may_begin_and_end_anywhere(first, last):
     np.testing.assert_allclose(found[start:], y[rows][start:], atol=1e-9 * y.abs().max().max())
 
 
+@pytest.mark.slow
 def test_what_a_trim_is_off_by_is_no_state():
     """Noise of the trim waveforms repeats itself: part of the model, and none of its order."""
     data = make_flapping_wing(
@@ -111,6 +112,7 @@ def test_what_a_trim_is_off_by_is_no_state():
     assert 1.0 - pipe.score(data.inputs, y) == pytest.approx(4e-4, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_search_finds_the_order_of_noisy_records():
     """Right in 6 of 10 before."""
     for seed in range(3):
@@ -124,6 +126,7 @@ def test_a_search_finds_the_order_of_noisy_records():
         assert search.best_params_["identify__order"] == 2
 
 
+@pytest.mark.slow
 def test_through_a_sliding_window_scores_are_those_of_what_it_shows():
     """A causal window delays: compared with y itself the score fell as models improved."""
     data = make_flapping_wing(

@@ -110,6 +110,7 @@ def pair():
     return nltp(0.02, -0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "goal"), [(0.02, 0.06), (0.005, 0.004)])
 def test_a_pair_of_doublets_gives_the_model_of_small_motions(amplitude, goal):
     data = nltp(amplitude, -amplitude)
@@ -119,6 +120,7 @@ def test_a_pair_of_doublets_gives_the_model_of_small_motions(amplitude, goal):
     assert odd < single / 20
 
 
+@pytest.mark.slow
 def test_four_amplitudes_reach_the_linear_data():
     data = nltp(0.02, -0.02, 0.01, -0.01)
     linear = make_flapping_wing("ltp", n_periods=60, start=5)

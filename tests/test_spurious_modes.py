@@ -31,6 +31,7 @@ def test_modes_of_a_harmonic_decomposition_are_found_whatever_the_input(excitati
     assert not row["ambiguous"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("excitation", ["doublet, any phase", "multisine"])
 def test_families_of_a_periodic_system_are_found_whatever_the_phase(excitation):
     """Before inputs were multiplied by harmonics of ψ the first of these gave none."""

@@ -126,6 +126,7 @@ def test_arrays_go_on_where_the_last_chunk_ended(rng):
     assert_same_model(parts, MOESPRegressor(**settings).fit(X, y))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("excitation", "analysis"),
     [
@@ -149,6 +150,7 @@ def test_chunks_seen_through_a_sliding_window_give_the_model_of_the_record(excit
     assert_same_model(parts, whole, 1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* within trim_span=")
 def test_arrays_go_on_in_the_phase_of_their_trim(rng):
     """Chunks of other than whole periods."""
@@ -213,6 +215,7 @@ def test_there_is_no_model_before_there_are_rows_enough(rng):
     check_is_fitted(model)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the model is unstable")
 @pytest.mark.filterwarnings("ignore:inputs explain")
 @pytest.mark.parametrize("weighting", ["moesp", "pbsid"])

@@ -114,6 +114,7 @@ def test_models_of_either_time_are_matched(upstream, data):
     assert pipe.score(u, y) > 1 - 1e-9
 
 
+@pytest.mark.slow
 def test_structures_with_other_values_fixed_are_values_of_a_grid(data):
     u, y = data
     free = SHAPES["tall"]

@@ -98,6 +98,7 @@ def test_what_a_match_reports(identified, record, criterion):
         assert peaks.empty
 
 
+@pytest.mark.slow
 def test_each_criterion_is_best_in_its_own_norm(identified, record):
     found = {c: match(identified, record, criterion=c) for c in ("hinf", "least_squares")}
     assert min(found, key=lambda c: found[c].hinf_error_) == "hinf"
@@ -121,6 +122,7 @@ def test_a_channel_that_weighs_more_is_matched_better(identified, record, weight
     assert errors["weighed"][0] > errors["plain"][0]
 
 
+@pytest.mark.slow
 def test_one_number_for_all_channels_changes_no_parameter(identified, record):
     plain = match(identified, record)
     weighed = match(identified, record, output_weights=7.0, input_weights=0.1)
@@ -151,6 +153,7 @@ def test_settings_that_cannot_be_read_are_refused(identified, record, options, m
         match(identified, record, **options)
 
 
+@pytest.mark.slow
 def test_bounds_of_the_structure_are_kept(identified, record):
     free = match(identified, record)
     limit = round(float(free.theta_["w"]) - 0.1, 3)
@@ -171,6 +174,7 @@ def test_a_structure_without_parameters_is_refused(identified, record):
         match(identified, record, structure)
 
 
+@pytest.mark.slow
 def test_feedthrough_that_decides_the_error_is_named(fed_through):
     model, (u, y) = fed_through
     with warnings.catch_warnings():

@@ -381,6 +381,7 @@ def test_maximum_likelihood_without_noise():
     assert match.noise_std_.max() < 1e-12
 
 
+@pytest.mark.slow
 def test_maximum_likelihood_of_the_noisy_wing():
     """Harmonics chosen by the data; noise and deviations are those of the truth."""
     data = make_flapping_wing("ltp", n_periods=60, start=5, snr=20, random_state=1)

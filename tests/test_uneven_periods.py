@@ -70,6 +70,7 @@ def test_coefficients_of_a_periodic_signal_are_those_of_a_whole_number(samples, 
     np.testing.assert_allclose(analyzer.inverse_transform(frame)["u"], X["u"], atol=3e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [50.3, 64.0185])
 def test_the_model_is_that_of_a_whole_number_of_samples(wing, samples):
     whole = pipeline(wing.omega).fit(wing.inputs, wing.outputs)

@@ -142,6 +142,7 @@ def test_a_hammer_is_an_input(seed, weighting):
     assert model.eigenvalues_[0] == pytest.approx(0.9, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_record_of_one_window_is_no_obstacle(tmp_path):
     rng = np.random.default_rng(4)
     lengths, X, Y = (1600, 20, 1200), [], []
@@ -246,6 +247,7 @@ def alarms(slowest):
     return found
 
 
+@pytest.mark.slow
 def test_modes_that_noise_makes_grow_are_no_false_alarm():
     """What a period forgets is seen by noise alone from period to period."""
     assert alarms(slowest=-0.2) == []

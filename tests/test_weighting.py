@@ -51,6 +51,7 @@ def frames(u, y, step=0.01):
 # ---- closed loop ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the model is unstable")
 def test_in_closed_loop_only_the_predictor_is_not_biased():
     """An unstable plant held by feedback of its noisy output: error of the impulse response,
@@ -273,6 +274,7 @@ def test_one_step_errors_are_the_innovations(rng, weighting):
     assert errors[-1] == pytest.approx(np.mean((Y - simulated).to_numpy() ** 2), rel=0.02)
 
 
+@pytest.mark.slow
 def test_predictions_hold_for_unstable_plants_where_simulation_does_not(rng):
     system, feedback = in_closed_loop()
     u, y, e = system.simulate(rng, 20_000, feedback=feedback)

@@ -218,6 +218,7 @@ def test_floquet_exponents_of_the_turbine_are_the_multiblade_eigenvalues(wind_sp
     assert farthest(exponents, poles, data.omega) < 1e-10
 
 
+@pytest.mark.slow
 def test_multipliers_of_the_turbine_are_those_of_the_multiblade_model():
     """Bir (2008), as above, for the 30 states at 3 m/s."""
     data = load_wind_turbine(3)
@@ -283,6 +284,7 @@ def test_what_averaging_leaves_out_is_of_second_order(wind_speed):
     np.testing.assert_allclose(twice / once, 4.0, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_three_azimuths_do_not_make_a_series_of_blade_matrices():
     """F(ψ) of blades on a tower has two harmonics, five coefficients. One harmonic through
     three azimuths of the turbine at 3 m/s invents an instability, of +0.99 1/s: 5000 times a
@@ -300,6 +302,7 @@ def test_three_azimuths_do_not_make_a_series_of_blade_matrices():
 # ---- the turbine identified ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_modes_of_the_turbine_come_back_from_a_noisy_record():
     """The 5 MW turbine's periodic model (OpenFAST), 300 turns, one percent of noise, read turn

@@ -111,6 +111,7 @@ def test_slopes_are_those_of_the_likelihood_with_all_else_at_its_optimum(rng, co
     )
 
 
+@pytest.mark.slow
 def test_without_noise_the_machine_is_found(rng):
     (A, B, C, _), u, y = innovations(rng, 3, 2, 200, noise=0.0)
     start = whole(0.9 * A + 0.02, B, C)
@@ -144,6 +145,7 @@ def test_nothing_moves_the_cost_of_the_truth_much_and_the_optimum_is_below_it(rn
     assert np.allclose(fit.result.spread, 0.01 * root @ root.T, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_records_may_be_cut_where_states_are_known(rng):
     """Units of signals and the number of records do not change what is found."""
     (A, B, C, K), u, y = innovations(rng, 2, 2, 2000)

@@ -77,6 +77,7 @@ def left_of(problem, point):
     return left, np.concatenate([record.present for record in problem.records])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [False, True])
 @pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("sigma", [None, (0.2, 0.15)])
@@ -173,6 +174,7 @@ def test_a_step_promises_what_it_keeps(fitted, rng, missing, free_x0):
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.max(np.abs(expected)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [False, True])
 def test_the_best_inputs_are_the_optimum_of_what_is_linear(fitted, correlated):
     """The gradient by G, Q and initial states is zero; F, P and the gain stay."""
@@ -211,6 +213,7 @@ def test_initial_states_that_are_given_stay(fitted):
 # ---- the search ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_periodic_innovations_model_is_found_within_its_deviations(rng):
     structure, theta = oscillator()
     form = Form(structure, OMEGA, 8)
@@ -232,6 +235,7 @@ def test_a_periodic_innovations_model_is_found_within_its_deviations(rng):
     assert result.aic == pytest.approx(2 * (result.n_parameters + result.cost))
 
 
+@pytest.mark.slow
 def test_its_deviations_are_those_of_many_records(rng):
     """Twelve short fits of four parameters: rms of error over deviation is near one."""
     structure, theta = oscillator(varies="", steps=True)
@@ -251,6 +255,7 @@ def test_its_deviations_are_those_of_many_records(rng):
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n_records", "most"), [(4, 1), pytest.param(20, 4, marks=pytest.mark.slow)]
 )
@@ -265,6 +270,7 @@ def test_no_gain_where_no_noise_moves_the_states(n_records, most):
     assert taken <= most
 
 
+@pytest.mark.slow
 def test_a_gain_where_noise_moves_the_states():
     structure, theta = oscillator(varies="")
     form = Form(structure, OMEGA, 8)
@@ -313,6 +319,7 @@ def test_a_record_cut_in_two_tells_nearly_the_same(rng):
     np.testing.assert_allclose(cut.theta_std, whole.theta_std, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_given_is_one_to_start_from(rng):
     structure, theta = oscillator()
     form = Form(structure, OMEGA, 8)

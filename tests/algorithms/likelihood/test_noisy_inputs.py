@@ -105,6 +105,7 @@ def records(structure, rng, noise, input_noise, *, n_samples=800):
     return [(measured, y + noise * rng.standard_normal(y.shape), 0)], theta
 
 
+@pytest.mark.slow
 def test_exact_inputs_are_plain_output_error(structure, rng):
     segments, theta = records(structure, rng, 0.1, 0.0)
     options = {"sigma": [0.1, 0.2], "tol": 1e-14}

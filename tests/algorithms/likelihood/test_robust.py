@@ -87,6 +87,7 @@ def test_of_coloured_noise_the_one_from_blocks_is_right_and_the_other_too_small(
     assert plain / truth < 0.3
 
 
+@pytest.mark.slow
 def test_alike_parts_differ_as_often_as_chance_has_it():
     p = []
     for seed in range(80):

@@ -74,6 +74,7 @@ def disturbed_heave(size, random):
 # Exact matches
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed_form", [True, False], ids=["closed form", "search"])
 @pytest.mark.parametrize("name", list(SUBSYSTEMS))
 def test_twenty_random_changes_of_state_and_starts(name, closed_form):
@@ -181,6 +182,7 @@ def test_best_constant_for_a_lag_is_half_its_gain():
     assert result.converged
 
 
+@pytest.mark.slow
 def test_first_order_match_against_nelder_mead_and_the_hankel_bound():
     A = np.array([[-1.0, 0.0, 0.0], [0.0, -0.5, 3.0], [0.0, -3.0, -0.5]])
     B, C, D = np.array([[2.0], [0.3], [0.1]]), np.array([[1.0, 0.2, -0.3]]), np.zeros((1, 1))
@@ -209,6 +211,7 @@ def test_first_order_match_against_nelder_mead_and_the_hankel_bound():
     assert result.hinf_error >= hankel[-2]  # no first-order model comes nearer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.001, 0.01, 0.05])
 def test_disturbed_heave_reaches_one_optimum_from_any_start(size):
     structure, truth = subsystem("heave")
@@ -226,6 +229,7 @@ def test_disturbed_heave_reaches_one_optimum_from_any_start(size):
         assert linalg.eigvals(result.A).real.max() < 0
 
 
+@pytest.mark.slow
 def test_no_direction_lowers_the_norm_at_an_optimum():
     structure, truth = subsystem("heave")
     random = np.random.default_rng(12)
@@ -256,6 +260,7 @@ def test_a_unit_step_is_bounded_in_response_and_in_parameters():
         np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_history_falls_and_error_is_that_of_the_matrices():
     structure, truth = subsystem("heave")
     model = disturbed_heave(0.03, np.random.default_rng(13))
@@ -300,6 +305,7 @@ def test_several_inputs_and_outputs_against_random_descent():
     assert dual.hinf_error == pytest.approx(result.hinf_error, rel=NEAR)
 
 
+@pytest.mark.slow
 def test_wide_model_equals_its_transpose():
     structure, truth = subsystem("heave")
     A, B, C, D = disturbed_heave(0.02, np.random.default_rng(15))
@@ -311,6 +317,7 @@ def test_wide_model_equals_its_transpose():
     assert wide.hinf_error == pytest.approx(tall.hinf_error, rel=NEAR)
 
 
+@pytest.mark.slow
 def test_weights_decide_which_output_is_matched():
     structure, truth = subsystem("heave")
     model = disturbed_heave(0.03, np.random.default_rng(16))
@@ -334,6 +341,7 @@ def test_feedthrough_that_the_structure_cannot_have_is_a_floor():
     assert match_structure(A, B, C, [[0.0]], structure, theta0=truth).feedthrough_floor == 0.0
 
 
+@pytest.mark.slow
 def test_structure_of_another_order():
     structure, truth = spring_chain(1, 1)
     larger, parameters = spring_chain(2, 1)
@@ -454,6 +462,7 @@ def test_bad_weights_are_refused(weights):
         match_structure(*structure.matrices(truth), structure, output_weights=weights)
 
 
+@pytest.mark.slow
 def test_a_direction_that_fades_on_the_way_does_not_hold_up_the_others():
     """One channel of four states: the best pair of poles ends double on the real axis."""
     random = np.random.default_rng(502)

@@ -30,6 +30,7 @@ def match(criterion="hinf", model=OSCILLATORS, structure=SECOND_ORDER, **options
 # Bounds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_bounds_far_away_change_nothing(criterion):
     free = match(criterion)
@@ -38,6 +39,7 @@ def test_bounds_far_away_change_nothing(criterion):
     assert held.hinf_error == pytest.approx(free.hinf_error, rel=NEAR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_a_bound_that_is_met_is_as_good_as_the_parameter_fixed_there(criterion):
     free = match(criterion)
@@ -73,6 +75,7 @@ def test_bounds_of_wrong_length_or_order_are_refused():
         match(bounds=(START, START))
 
 
+@pytest.mark.slow
 def test_each_criterion_is_best_in_its_own_norm():
     results = {criterion: match(criterion) for criterion in CRITERIA}
     assert all(result.converged for result in results.values())
@@ -85,6 +88,7 @@ def test_each_criterion_is_best_in_its_own_norm():
 # What it leaves behind
 
 
+@pytest.mark.slow
 def test_certificate_is_a_convex_combination_of_gradients_that_vanishes():
     result = match()
     certificate = result.certificate
@@ -107,6 +111,7 @@ def test_certificate_is_a_convex_combination_of_gradients_that_vanishes():
     assert linalg.norm(combination) < 1e-3 * linalg.norm(gradients, axis=1).max()
 
 
+@pytest.mark.slow
 def test_a_search_that_is_cut_short_is_not_called_converged():
     starts = [START * np.random.default_rng(seed).uniform(0.7, 1.3, 5) for seed in range(10)]
     short = [match(theta0=start, max_iter=1, n_starts=0) for start in starts]

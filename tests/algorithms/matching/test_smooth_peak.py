@@ -163,6 +163,7 @@ def test_parameters_without_effect_leave_nothing_to_descend():
     assert len(descent.history) == 1
 
 
+@pytest.mark.slow
 def test_a_descent_goes_on_where_another_was_cut_short():
     problem = problem_of()
     whole = smooth_descent(problem, START, gap=1e-6)

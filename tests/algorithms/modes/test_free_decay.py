@@ -89,6 +89,7 @@ def test_states_are_those_of_the_map():
     np.testing.assert_allclose(x[1:], x[:-1] @ found.Phi.T, atol=1e-8 * np.abs(x).max())
 
 
+@pytest.mark.slow
 def test_deviations_hold_under_noise():
     """Exponents are off by their deviation: root mean square, 60 records."""
     truth, z = np.log([0.8, 0.4]), []
@@ -99,6 +100,7 @@ def test_deviations_hold_under_noise():
     assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
+@pytest.mark.slow
 def test_the_order_under_noise():
     orders = [
         len(free_decay(decays_of([0.8, 0.4], noise=0.02, seed=s)).multipliers) for s in range(20)
@@ -159,6 +161,7 @@ def test_smooth_parts_keep_the_motion_and_few_columns():
     assert smooth_parts([]) == []
 
 
+@pytest.mark.slow
 def test_smooth_parts_tell_modes_that_all_samples_do_not():
     """The second mode is there for two periods: 10 seeds, noise of a third of its size."""
     found = {"all": 0, "smooth": 0}
@@ -169,6 +172,7 @@ def test_smooth_parts_tell_modes_that_all_samples_do_not():
     assert found["smooth"] >= 9 > found["all"]
 
 
+@pytest.mark.slow
 def test_one_mode_for_two_says_that_it_moves():
     """Where noise hides the second, the first is off; without the first period it is elsewhere."""
     off, wide = [], []

@@ -196,6 +196,7 @@ def test_a_filter_is_that_of_the_riccati_equation():
     np.testing.assert_allclose(filtered.gain[0], A @ P @ C.T @ linalg.inv(E), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_filter_makes_any_predictor_stable():
     model = drawn()
     model = replace(model, gain=40.0 * model.gain)  # A − K C grows

@@ -53,6 +53,7 @@ def test_samples_are_the_transition_matrices(rng, n, K, n_phases):
     assert found.dOut is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "K", "n_phases"), [(1, 0, 8), (2, 4, 64), (3, 2, 8), (2, 1, 3)])
 def test_sensitivities_are_central_differences(rng, n, K, n_phases):
     structure = free_structure(rng, n, 2, 2, K, outputs=K)

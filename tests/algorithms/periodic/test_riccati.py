@@ -53,6 +53,7 @@ def relative_defect(A, B, Q, R, S, X):
     return np.max(np.linalg.norm(defect, axis=(1, 2)) / np.linalg.norm(X, axis=(1, 2)))
 
 
+@pytest.mark.slow
 def test_hundred_random_systems_satisfy_the_equation_and_are_stable():
     for seed in range(100, 200):  # 132 too: eleven states, one input, X of 2e10
         problem = random_problem(seed)

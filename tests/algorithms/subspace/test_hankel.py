@@ -90,6 +90,7 @@ def test_noise_makes_plain_sums_safe(noisy):
     np.testing.assert_allclose(R, reference, atol=1e-10 * np.abs(reference).max())
 
 
+@pytest.mark.slow
 def test_inputs_that_move_seldom_cost_exact_sums_nothing():
     """Doublets times harmonics: most directions of the inputs are nothing but rounding."""
     data = make_flapping_wing("ltp", n_records=4, random_state=1, width=7.3, snr=50)
@@ -177,6 +178,7 @@ def test_a_large_factor_takes_twice_its_own_size(rng):
     assert peak < 2 * (u.nbytes + y.nbytes + r_bytes)
 
 
+@pytest.mark.slow
 def test_blocks_lose_no_more_than_one_factorisation(hard):
     """Merged below the rows so far, not above them, they lost two to six times as much."""
     A, u, y = hard

@@ -142,6 +142,7 @@ def test_no_gain_holds_an_unstable_mode_that_is_not_seen():
         gain_of_covariances(np.array([[2.0]]), np.zeros((1, 1)), np.eye(2), np.ones(1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_inputs", [0, 1])
 @pytest.mark.parametrize("weighting", [*PROJECTIONS, "pbsid"])
 def test_gain_of_a_long_record_is_that_of_the_system(rng, weighting, n_inputs):
