@@ -117,14 +117,16 @@ def examples_that_use_it(app, what, name, obj, options, lines):
 
 
 IN_NUMBER = re.compile(r"(?<=\d)\s(?=\d{3}\b|%)")  # 2 000 and 5 %
+EXPONENT = re.compile(r"(?<=\de-)(?=\d)")  # 1e-5
 AS_WRITTEN = nodes.literal, nodes.FixedTextElement, nodes.math, nodes.math_block
 
 
 def keep_numbers_whole(app, doctree):
     """No line ends within a number, or between a number and its percent sign."""
     for text in list(doctree.findall(nodes.Text)):
-        if IN_NUMBER.search(text) and not isinstance(text.parent, AS_WRITTEN):
-            text.parent.replace(text, nodes.Text(IN_NUMBER.sub("\N{NO-BREAK SPACE}", text)))
+        whole = EXPONENT.sub("\N{WORD JOINER}", IN_NUMBER.sub("\N{NO-BREAK SPACE}", text))
+        if whole != text and not isinstance(text.parent, AS_WRITTEN):
+            text.parent.replace(text, nodes.Text(whole))
 
 
 def room_for_code(app, pagename, templatename, context, doctree):
