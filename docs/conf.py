@@ -1,11 +1,13 @@
 """Sphinx configuration: make -C docs html, or sphinx-build -W -b html docs docs/_build/html."""
 
+import re
 import sys
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib as mpl
+from docutils import nodes
 
 import sklearn_hd
 from sklearn_hd import exceptions
@@ -114,6 +116,19 @@ def examples_that_use_it(app, what, name, obj, options, lines):
         lines += ["", ".. rubric:: In the gallery", "", f".. minigallery:: {name}", ""]
 
 
+IN_NUMBER = re.compile(r"(?<=\d)\s(?=\d{3}\b|%)")  # 2 000 and 5 %
+EXPONENT = re.compile(r"(?<=\de-)(?=\d)")  # 1e-5
+AS_WRITTEN = nodes.literal, nodes.FixedTextElement, nodes.math, nodes.math_block
+
+
+def keep_numbers_whole(app, doctree):
+    """No line ends within a number, or between a number and its percent sign."""
+    for text in list(doctree.findall(nodes.Text)):
+        whole = EXPONENT.sub("\N{WORD JOINER}", IN_NUMBER.sub("\N{NO-BREAK SPACE}", text))
+        if whole != text and not isinstance(text.parent, AS_WRITTEN):
+            text.parent.replace(text, nodes.Text(whole))
+
+
 def room_for_code(app, pagename, templatename, context, doctree):
     """Examples have no column on the right: their lines are long."""
     if pagename.startswith("auto_examples/plot_"):
@@ -125,4 +140,5 @@ def setup(app):
     app.connect("autodoc-process-docstring", set_equations, priority=100)
     app.connect("autodoc-process-docstring", examples_that_use_it, priority=900)
     app.connect("autodoc-skip-member", only_ours)
+    app.connect("doctree-read", keep_numbers_whole)
     app.connect("html-page-context", room_for_code, priority=100)

@@ -77,6 +77,14 @@ def test_page_runs_and_prints_what_it_states(page, capsys, tmp_path, monkeypatch
         assert_allclose(found, truth, rtol=5e-3)
 
 
+def test_no_line_of_a_page_begins_within_a_number():
+    """A line that begins with % is a comment there, and is not shown."""
+    for path in (ROOT / "docs").rglob("*.md"):
+        prose = BLOCK.sub("", path.read_text(encoding="utf-8"))
+        cut = re.findall(r"^\s*%.*|\d\n\s*\d{3}\b.*", prose, re.MULTILINE)
+        assert not cut, f"{path.relative_to(ROOT)}: {cut}"
+
+
 def templates(node):
     """Texts in some code, … for what is filled in."""
     for part in ast.walk(node):

@@ -84,6 +84,18 @@ def test_harmonics_in_a_span():
         display.plot(span=(90.0, 91.0))
 
 
+@pytest.mark.parametrize("samples", [16.19, 50.3])
+@pytest.mark.filterwarnings("error")
+def test_a_turn_may_hold_any_number_of_samples_without_a_warning(samples):
+    t = pd.Index(np.arange(20 * int(samples)) / samples, name="time")
+    signal = pd.DataFrame({"y": 1 + np.cos(2 * np.pi * t)}, index=t)
+    display = HarmonicsDisplay.from_data(signal, 2 * np.pi)
+    np.testing.assert_array_equal(display.coefficient_lines_["y_0"].get_xdata(), t)
+    for name, size in [("y_0", 1.0), ("y_1c", 1.0), ("y_1s", 0.0)]:
+        found = display.coefficient_lines_[name].get_ydata()[3 * int(samples) :]
+        np.testing.assert_allclose(found, size, atol=1e-3)
+
+
 def test_samples_that_are_counted_are_called_so():
     signals = pd.DataFrame({"u": np.cos(np.arange(80) * np.pi / 8)})
     with pytest.warns(TimeBaseWarning, match="rows count as samples"):

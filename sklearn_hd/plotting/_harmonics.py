@@ -1,5 +1,6 @@
 """Signals and their harmonic coefficients over time."""
 
+import warnings
 from copy import copy
 from dataclasses import KW_ONLY, dataclass, replace
 
@@ -9,6 +10,7 @@ import pandas as pd
 from sklearn_hd._checks import check_output_names, signal_names
 from sklearn_hd._readings import coefficient_names
 from sklearn_hd._tables import as_container
+from sklearn_hd.exceptions import ResamplingWarning
 from sklearn_hd.harmonics import HarmonicAnalyzer
 from sklearn_hd.plotting._display import (
     GREY,
@@ -92,6 +94,9 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
     ):
         """Analyse signals and draw them.
 
+        A period need not hold a whole number of samples. The signals are then resampled, as
+        :class:`~sklearn_hd.HarmonicAnalyzer` does it, and no warning says so.
+
         Parameters
         ----------
         signals : DataFrame or Series, shape (n_samples, n_signals)
@@ -103,7 +108,10 @@ class HarmonicsDisplay(Display, axes="two Axes a signal, it and its coefficients
         **kw
             Further parameters of the analyzer (``window``, ``trim_span``, …).
         """
-        analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, **kw).fit(signals)
+        analyzer = HarmonicAnalyzer(omega, input_harmonics=harmonics, **kw)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResamplingWarning)  # it is about fits, and none follows
+            analyzer.fit(signals)
         return cls.from_estimator(analyzer, signals, record=record, span=span, ax=ax, units=units)
 
     @classmethod
