@@ -300,16 +300,15 @@ def dress(ax, *, x=None, y=None, title=None, small=False):
 
 
 def _beside(ax, words, **size):
-    """Label the y axis: in two lines, and in smaller letters, where the axis is shorter."""
+    """Label the y axis: the unit below, and in smaller letters, where the axis is shorter."""
     label = ax.set_ylabel(words, **size)
 
     def too_long():
         return label.get_window_extent().height > ax.bbox.height
 
-    spaces = [k for k, letter in enumerate(words) if letter == " "]
-    if too_long() and spaces:
-        k = min(spaces, key=lambda k: abs(2 * k - len(words)))
-        label.set_text(f"{words[:k]}\n{words[k + 1 :]}")
+    before, unit, rest = words.rpartition(" (")
+    if too_long() and unit:
+        label.set_text(f"{before}\n({rest}")
     while too_long() and label.get_fontsize() > SMALLEST:
         label.set_fontsize(label.get_fontsize() - 0.5)
 
