@@ -2,7 +2,6 @@
 
 import re
 import sys
-import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import matplotlib as mpl
 from docutils import nodes
 
 import sklearn_hd
-from sklearn_hd import exceptions
 
 sys.path.insert(0, str(Path(__file__).parent))
 from equations import latex
@@ -60,7 +58,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": r"^(?!plot_)",  # reproduce_paper.py is run by itself
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
-    "reset_modules": ("matplotlib", "gallery_style.apply"),
+    "reset_modules": ("matplotlib", "gallery_setup.before_each"),
     "matplotlib_animations": False,
     "image_srcset": ["2x"],
     "thumbnail_size": (400, 280),
@@ -76,9 +74,6 @@ sphinx_gallery_conf = {
 }
 
 mpl.use("agg")
-for category in vars(exceptions).values():  # an example that warns must say so itself
-    if isinstance(category, type) and issubclass(category, Warning):
-        warnings.simplefilter("error", category)
 
 
 def set_equations(app, what, name, obj, options, lines):

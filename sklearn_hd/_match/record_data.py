@@ -24,6 +24,7 @@ from sklearn_hd.algorithms.likelihood.search import (
 )
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels, sampled_harmonics
 from sklearn_hd.algorithms.signals.late_signals import turned
@@ -350,11 +351,8 @@ def _with_constant(inputs, n_inputs):
 
 
 def _coefficients(response):
-    """Fourier coefficients of [A B; C D](ψ) from the samples of a turn."""
-    parts = [
-        sampled_harmonics(M, (len(M) - 1) // 2) if len(M) > 1 else M
-        for M in (response.Psi, response.Out)
-    ]
+    """Fourier coefficients of [A B; C D](ψ) from the samples of a turn, without rounding."""
+    parts = [sampled_harmonics(M, tail_begins(M, 0.0)) for M in (response.Psi, response.Out)]
     whole = np.zeros(
         (max(map(len, parts)), parts[0].shape[1] + parts[1].shape[1], parts[0].shape[2])
     )

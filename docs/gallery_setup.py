@@ -1,13 +1,22 @@
-"""One look for the figures of the examples that draw their own: that of the displays."""
+"""What holds before each example: the look of its figures, and which warnings are errors."""
+
+import warnings
 
 import matplotlib as mpl
 from cycler import cycler
 
+from sklearn_hd import exceptions
 from sklearn_hd.plotting import _display as looks
 
 
-def apply(gallery_conf, fname):
-    """Before each example, after matplotlib was reset: colours, grid, letters, frame."""
+def before_each(gallery_conf, fname):
+    """After matplotlib was reset: colours, grid, letters and frame are those of the displays.
+
+    An example that warns must say so itself.
+    """
+    for category in vars(exceptions).values():
+        if isinstance(category, type) and issubclass(category, Warning):
+            warnings.simplefilter("error", category)
     mpl.rcParams.update(
         {
             "axes.prop_cycle": cycler(color=[style["color"] for style in looks.LINES]),
