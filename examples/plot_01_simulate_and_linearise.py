@@ -59,7 +59,7 @@ axes[0].figure.align_ylabels()
 # turns round.
 
 ltp = wing.linearize(trim)
-PeriodicMatrixDisplay.from_systems(ltp, "F")
+PeriodicMatrixDisplay.from_systems(ltp, "F", units=units)
 
 # %%
 # Linear, with constant matrices

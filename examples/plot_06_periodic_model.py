@@ -65,7 +65,7 @@ print("                         true:", wing.floquet_exponents().real)
 # %%
 # The result contains all of *F(ψ)*, including its kinks:
 
-PeriodicMatrixDisplay.from_estimator(clean, "F", true=wing)
+PeriodicMatrixDisplay.from_estimator(clean, "F", true=wing, units=units)
 
 # %%
 # With noise
@@ -77,7 +77,7 @@ PeriodicMatrixDisplay.from_estimator(clean, "F", true=wing)
 noisy = make_flapping_wing(**record, snr=20, random_state=0)
 structure = HarmonicStructure(F=4, G={"1c": [[0.0], ["gain"]]})
 pipe = identify(noisy, structure, "output_error")
-PeriodicMatrixDisplay.from_estimator(pipe, "F", true=wing)
+PeriodicMatrixDisplay.from_estimator(pipe, "F", true=wing, units=units)
 
 # %%
 # Four harmonics round off the kinks, and *F[w, w]* affects the outputs too little for a good

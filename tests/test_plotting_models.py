@@ -338,6 +338,22 @@ def test_modes_may_be_named():
         ParticipationDisplay.from_system(mathieu(), mode_names=["a", "b"])
 
 
+def test_entries_of_matrices_have_units():
+    units = {"y": "m", "v": "m/s", "u": "N"}
+    for matrix, expected in {
+        "F": ["1/s", "m/s per m/s", "(m/s)/s per m", "1/s"],
+        "G": ["m/s per N", "(m/s)/s per N"],
+        "P": ["", "m per m/s"],
+    }.items():
+        system = LTPSystem(
+            np.eye(2), [[0.0], [1.0]], [[1.0, 0.0]], omega=2.0,
+            state_names=["y", "v"], input_names=["u"], output_names=["y"],
+        )  # fmt: skip
+        display = PeriodicMatrixDisplay.from_systems(system, matrix, units=units)
+        assert [axis.get_ylabel().replace("\n", " ") for axis in display.axes_] == expected
+    assert display.plot(units={"y": "m"}).axes_[1].get_ylabel() == ""
+
+
 def test_matrices_are_drawn_entry_by_entry_whatever_the_order_of_states():
     system = mathieu()
 

@@ -19,6 +19,7 @@ from sklearn_hd.plotting._display import (
     periodic_system,
     places,
     step_of_samples,
+    unit_of,
 )
 
 OF_SYSTEMS = ("F", "G", "P", "Q")
@@ -208,7 +209,7 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
     reference: str | None = None
 
     @classmethod
-    def from_estimator(cls, estimator, matrix="F", *, true=None, ax=None):
+    def from_estimator(cls, estimator, matrix="F", *, true=None, units=None, ax=None):
         """Draw a matrix of an identified linear time-periodic system.
 
         Parameters
@@ -228,12 +229,12 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
             states, or it is given for a matrix from sample to sample.
         """
         if check_choice("matrix", matrix, OF_SYSTEMS + OF_SAMPLES) in OF_SAMPLES:
-            return cls._of_samples(estimator, matrix, true).plot(ax=ax)
+            return cls._of_samples(estimator, matrix, true).plot(ax=ax, units=units)
         system = periodic_system(estimator, cls.__name__)
-        return cls.from_systems({"identified": system}, matrix, true=true, ax=ax)
+        return cls.from_systems({"identified": system}, matrix, true=true, units=units, ax=ax)
 
     @classmethod
-    def from_systems(cls, systems, matrix="F", *, true=None, ax=None):
+    def from_systems(cls, systems, matrix="F", *, true=None, units=None, ax=None):
         """Draw a matrix of linear time-periodic systems.
 
         Parameters
@@ -268,7 +269,7 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
             matrix=matrix,
             reference=None if true is None else "true",
         )
-        return display.plot(ax=ax)
+        return display.plot(ax=ax, units=units)
 
     @classmethod
     def _of_samples(cls, estimator, matrix, true):
@@ -288,8 +289,14 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
         names = {"row_names": list(rows), "column_names": list(columns.get(matrix, states))}
         return cls(psi, {"identified": values}, matrix=matrix, **names)
 
-    def plot(self, ax=None):
-        """Draw, on a new figure by default."""
+    def plot(self, ax=None, *, units=None):
+        """Draw, on a new figure by default.
+
+        Parameters
+        ----------
+        units : dict, optional
+            Unit of each state and signal; entries between two that have one are labelled.
+        """
         shape = len(self.row_names), len(self.column_names)
         small = max(shape) >= 4
         wide, high = (min(1.7, 17.0 / shape[1]), 1.3) if small else (3.0, 2.2)
@@ -297,16 +304,27 @@ class PeriodicMatrixDisplay(Display, axes="one Axes an entry, row by row"):
         panels = self._panels(ax, size, list(np.ndindex(shape)), share_x="all")
         self.lines_, styles = {}, line_styles(self.values, self.reference)
         for (i, j), axis in zip(np.ndindex(shape), panels.axes, strict=True):
+            names = self.row_names[i], self.column_names[j]
             for label, M in self.values.items():
                 style = styles[label] | {"label": label}
-                place = label, self.row_names[i], self.column_names[j]
-                (self.lines_[place],) = axis.plot(np.degrees(self.psi), M[:, i, j], **style)
+                (self.lines_[label, *names],) = axis.plot(np.degrees(self.psi), M[:, i, j], **style)
             self._limit(axis, i, j)
-            title = f"{self.matrix}[{self.row_names[i]}, {self.column_names[j]}]"
-            dress(axis, title=title, small=small, x="ψ (deg)" if i == shape[0] - 1 else None)
+            title = f"{self.matrix}[{names[0]}, {names[1]}]"
+            unit = self._unit(*(unit_of(name, units) for name in names))
+            below = "ψ (deg)" if i == shape[0] - 1 else None
+            dress(axis, title=title, small=small, x=below, y=unit)
             axis.set(xlim=(0, 360), xticks=(0, 90, 180, 270, 360) if not small else (0, 180, 360))
         self.legend_ = panels.legend() if len(self.values) > 1 else None
         return self
+
+    def _unit(self, row, column):
+        """Unit of an entry; None where that of its row or column is not known."""
+        if row is None or column is None:
+            return None
+        rate = "/s" if self.matrix in "FG" else ""
+        if row == column:
+            return f"1{rate}" if rate else None
+        return f"({row}){rate} per {column}" if "/" in row and rate else f"{row}{rate} per {column}"
 
     def _limit(self, axis, i, j):
         """No magnifying: what hardly changes is drawn as what hardly changes.
