@@ -326,7 +326,7 @@ def test_nothing_is_spurious_in_samples():
 
 @pytest.mark.slow
 def test_figures_over_seeds():
-    """The table of the changelog: discrete models at 20 dB, rotors in gusts."""
+    """Discrete models at 20 dB, rotors in gusts."""
     vaf = []
     for seed in range(10):
         u, y, response, multipliers = machine(7000, noise=0.25, seed=seed)
