@@ -194,6 +194,8 @@ def test_eigenvalues_of_nothing():
         EigenvalueDisplay().plot()
     with pytest.raises(ValueError, match="level=2 must be a probability"):
         EigenvalueDisplay(true=[-1.0]).plot(level=2)
+    with pytest.raises(ValueError, match="with the columns eigenvalue and opinion"):
+        EigenvalueDisplay(model=[-1.0], doubts=pd.DataFrame({"eigenvalue": [-1.0]}))
 
 
 # ---- frequency responses ----------------------------------------------------------------------
@@ -352,6 +354,8 @@ def test_entries_of_matrices_have_units():
         display = PeriodicMatrixDisplay.from_systems(system, matrix, units=units)
         assert [axis.get_ylabel().replace("\n", " ") for axis in display.axes_] == expected
     assert display.plot(units={"y": "m"}).axes_[1].get_ylabel() == ""
+    with pytest.raises(TypeError, match="units='m' is not a dict"):
+        display.plot(units="m")
 
 
 def test_matrices_are_drawn_entry_by_entry_whatever_the_order_of_states():

@@ -135,6 +135,20 @@ def test_an_output_is_drawn_in_its_parts():
     assert display.axes_[2].get_title("left").startswith("std: loads 0.73, inputs 0.6")
 
 
+def test_models_about_different_trims_are_judged_each_by_its_own():
+    """A model of samples has loads in it, another reading subtracts the trim: errors are theirs."""
+    u, y = cases.periodic_record()
+    y = y + np.outer(2.0 * np.cos(2.0 * y.index.to_numpy()), [1.0, 0.5])
+    models = {"sampled": cases.sampled(), "synchronous": cases.periodic()}
+    models = {label: clone(model).fit(u, y) for label, model in models.items()}
+    both = ResponseDisplay.from_estimator(models, u, y)
+    assert both.fit_.to_numpy().min() > 90.0
+    for label, model in models.items():
+        t = both.simulated_lines_[label, "y"].get_xdata()
+        alone = ResponseDisplay.from_estimator(model, u.loc[: t[-1]], y.loc[: t[-1]])
+        np.testing.assert_allclose(both.fit_.loc[label], alone.fit_.loc["simulated"], atol=1.0)
+
+
 def test_loads_go_with_one_model():
     pipe = cases.sampled()
     with pytest.raises(ValueError, match="loads belong to one model, but 2 are drawn"):

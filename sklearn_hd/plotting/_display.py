@@ -321,6 +321,10 @@ def with_unit(name, units):
 
 def unit_of(name, units):
     """Unit of a signal, or of a coefficient of it; None where none was given."""
+    if units is not None and not isinstance(units, dict):
+        raise TypeError(
+            f"units={units!r} is not a dict; give the unit of each signal, as {{'w': 'm/s'}}"
+        )
     signal = str(name).rsplit("_", 1)[0]
     return (units or {}).get(name, (units or {}).get(signal))
 

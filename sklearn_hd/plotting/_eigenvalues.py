@@ -128,6 +128,11 @@ class EigenvalueDisplay(Display):
         zeros=None,
         doubts=None,
     ):
+        if doubts is not None and not {"eigenvalue", "opinion"} <= set(doubts):
+            raise ValueError(
+                f"doubts has {list(doubts)}; it must be a DataFrame with the columns eigenvalue "
+                f"and opinion (NaN where the second opinion has no value)"
+            )
         self.modes, self.doubts = modes, doubts
         named = {} if model is None else by_label(model, model_name)
         self._models = {label: _eigenvalue_table(z) for label, z in named.items()}

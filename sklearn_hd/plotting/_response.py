@@ -203,6 +203,7 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             for part in (1, 2, 3)
         )
         first = next(iter(runs))
+        measured = motion[first] + periodic[first]
         if loads:
             step_of_samples(estimators[first], cls.__name__)
         inputs = None
@@ -210,8 +211,8 @@ class ResponseDisplay(Display, axes="one Axes an input, then one an output, or t
             azimuth = step.basis_.timing.azimuth
             inputs = _table(X, "X", "x", whole).drop(columns=[azimuth], errors="ignore")
         display = cls(
-            motion[first] + periodic[first],
-            {label: table + periodic[label] for label, table in simulated.items()},
+            measured,  # about the first model's trim; what others leave is about their own
+            {label: measured - (motion[label] - table) for label, table in simulated.items()},
             inputs=inputs,
             segments=_runs(rows),
             validation_span=validation_span,

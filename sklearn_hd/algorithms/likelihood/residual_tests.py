@@ -87,7 +87,8 @@ def of_each_output(regressors, n_outputs):
 def span_of(columns):
     """A basis of some columns, of full rank, shape (n_rows, rank).
 
-    Orthonormal to the rounding of the Gram matrix over ``RANK``, 1e-5: no test feels that.
+    Orthonormal to the rounding of the Gram matrix over its least eigenvalue: 3e-7 on records of
+    the flapping wing, where a second pass changes no statistic by more than 4e-9 of it.
     """
     size = np.linalg.norm(columns, axis=0)
     columns = columns[:, size > 0.0] / size[size > 0.0]
