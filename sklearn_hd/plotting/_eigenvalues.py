@@ -98,6 +98,11 @@ class EigenvalueDisplay(Display):
         Eigenvalues in doubt, and what the second opinion has.
     legend_ : Legend or None
 
+    Raises
+    ------
+    ValueError
+        If ``doubts`` lacks one of its columns.
+
     References
     ----------
     Hayajnh, Saetti, Prasad (2024), Aerospace 11(11), 875, section 2.3 and Figs. 4 to 15.
