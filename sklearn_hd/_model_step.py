@@ -127,8 +127,8 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         return HarmonicFrame.attach(frame, self._own_basis(frame.basis), self.model_)
 
     def _own_basis(self, basis):
-        """A basis with the outputs' trim of this model, where the dynamics told it."""
-        if basis is None or basis.trim_known:
+        """A basis with the outputs' trim of this model, which the dynamics may have told."""
+        if basis is None or basis.output_trim is None:
             return basis
         return replace(basis, output_trim=self.basis_.output_trim)
 

@@ -21,7 +21,7 @@ from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import doubtful, warn_unconfirmed
-from sklearn_hd._records.delays import in_whole_samples
+from sklearn_hd._records.delays import as_measured, in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._upstream import upstream
@@ -272,7 +272,11 @@ class StructuredMatcher(ModelStep):
         match = match(model, experiment)
         _warn_of_moves(model, match, self._likely)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
-        return self._remember(match.model, experiment.basis, X, y, experiment)
+        basis = experiment.basis
+        if match.waveform is not None:
+            waveform = as_measured(match.waveform, match.model.delays, basis)
+            basis = replace(basis, output_trim=basis.output_trim + waveform)
+        return self._remember(match.model, basis, X, y, experiment)
 
     def _of_samples(self, model, experiment):
         """Match a model of samples at their azimuths."""

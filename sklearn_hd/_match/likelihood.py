@@ -83,7 +83,10 @@ def match_likelihood(match, structure, experiment, settings):
         refined = _periodic(match, fit, basis, trust)
     warn_refined(fit.result, settings)
     model = replace(refined.model, delays=delays)
-    return replace(refined, model=model, n_iter=fit.result.n_iter, sampled=sampled)
+    waveform = fit.result.problem.waveform(fit.result.point)
+    return replace(
+        refined, model=model, n_iter=fit.result.n_iter, sampled=sampled, waveform=waveform
+    )
 
 
 def _periodic(match, fit, basis, trust):

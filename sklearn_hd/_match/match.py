@@ -313,6 +313,8 @@ class Match:
         After maximum likelihood only.
     sampled : SampleModel or None
         Its samples and the forced response, of models of samples only.
+    waveform : ndarray, shape (n_phases, l), or None
+        What the trim that was subtracted is off by, after maximum likelihood.
     """
 
     model: LTIModel
@@ -325,6 +327,7 @@ class Match:
     n_iter: int = 1
     uncertainty: Uncertainty | None = None
     sampled: SampleModel | None = None
+    waveform: np.ndarray | None = None
 
     @property
     def in_mean_square(self):
@@ -340,7 +343,7 @@ class Match:
 
     def stored(self):
         """The same without what only maximum likelihood needs."""
-        return replace(self, structure=None)
+        return replace(self, structure=None, waveform=None)
 
     def by(self, found):
         """The same with what a search in a norm left."""

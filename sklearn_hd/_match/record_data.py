@@ -225,6 +225,8 @@ class RecordData:
 
     def _fit(self, structure, theta, settings, *, bounds, gain0, like, coarse, sigma=None):
         form, start = self._started(*self._with_loads(structure, theta, like))
+        if settings.input_noise is not None:  # total least squares take the trim for known
+            form = replace(form, waveform=False)
         n_late = form.n_model - form.structure.n_parameters
         if bounds is not None or n_late:
             own = (np.full(len(theta), -np.inf), np.full(len(theta), np.inf))
@@ -251,7 +253,8 @@ class RecordData:
         """A structure at the clock of the record."""
         between = any(np.ndim(where) for *_, where in self.segments)
         n_phases = self.n_phases if between else round(self.n_phases)
-        form = Form(structure, self.omega, n_phases, self.observe, self.discrete)
+        trim = self.start is None and self.experiment.basis.output_trim is not None
+        form = Form(structure, self.omega, n_phases, self.observe, self.discrete, waveform=trim)
         if between and self.discrete:  # products of two matrices have twice the harmonics
             return replace(form, n_points=4 * max(structure.n_harmonics, self.n_loads) + 1)
         return interpolating(form, theta) if between else form

@@ -52,6 +52,9 @@ class Form:
         Of a sample, of what is late; inputs are then given as the new ones, and the old ones.
     gauge : bool
         Whether coordinates are free, so that directions that move no output do not count.
+    waveform : bool
+        Whether each record has a waveform of the turn of its own, which is unknown: what a trim
+        that was subtracted is off by. Turns then hold whole samples.
     """
 
     structure: PeriodicStructure
@@ -63,6 +66,7 @@ class Form:
     n_points: int | None = None
     delays: Fractions | None = None
     gauge: bool = False
+    waveform: bool = False
 
     @property
     def n_states(self):

@@ -10,6 +10,11 @@ A step of Gauss and Newton minimises |[X J] [δx0; δθ] + r|², rows weighed by
 segment's δx0 is eliminated first: r and J without their projection on the range of X
 leave a small triangular system for δθ, and δx0 = −X⁺ (J δθ + r). Of [X J r] only the triangular
 factor is kept, so that digits last that JᵀJ would lose.
+
+A trim that was subtracted is off by a waveform c(ψ) that nobody knows. Of a simulation it is added
+to e, of a predictor its periodic answer is, beside initial states that are free: in both cases the
+most likely c takes the mean over the turns out of e at each phase. Steps get there turn by turn
+(Helmert, 1876), as pieces come: row k of a phase becomes (e_k − mean of those before) √((k−1)/k).
 """
 
 from dataclasses import dataclass, field, replace
@@ -186,6 +191,34 @@ class Patterns:
         return found
 
 
+class _AboutWaveform:
+    """Rows of a record about a waveform of the turn that is free: an orthogonal change of them."""
+
+    def __init__(self, n_phases, n_columns, n_outputs):
+        self.n_phases, self.begin = n_phases, 0
+        self.total = np.zeros((n_columns, 1, n_phases, n_outputs))
+        self.count = np.zeros((1, n_phases, n_outputs))
+
+    def rows(self, values, present):
+        """Those of the next piece, (n_columns, n_rows, l), zero where an output is missing."""
+        begin, n_rows = self.begin, len(present)
+        x, there = (by_turn(each, self.n_phases, begin) for each in (values, present))
+        count = self.count + np.cumsum(there, axis=0) - there
+        before = self.total + np.cumsum(x, axis=1) - x
+        self.total = self.total + x.sum(axis=1, keepdims=True)
+        self.count, self.begin = self.count + there.sum(axis=0), (begin + n_rows) % self.n_phases
+        x = np.where(there, x - before / np.maximum(count, 1.0), 0.0)
+        x *= np.sqrt(count / (count + 1.0))
+        return x.reshape(len(values), -1, values.shape[2])[:, begin : begin + n_rows]
+
+
+def by_turn(values, n_phases, begin=0):
+    """Rows (…, n_rows, l) as (…, n_turns, n_phases, l), from some phase on; zeros elsewhere."""
+    *batch, n_rows, n_outputs = values.shape
+    fill = [(0, 0)] * len(batch) + [(begin, -(begin + n_rows) % n_phases), (0, 0)]
+    return np.pad(values, fill).reshape(*batch, -1, n_phases, n_outputs)
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Form, records and what is known of the noise.
@@ -226,6 +259,41 @@ class Problem:
     @property
     def n_residuals(self):
         return int(self.counts.sum())
+
+    @property
+    def n_waveforms(self):
+        """Values of the waveforms that are free."""
+        return sum(int(np.sum(self._counts(r) > 0)) for r in self.records if self._turns(r))
+
+    def _turns(self, record):
+        """Whether the record has a waveform of its own: two turns are needed to tell one."""
+        return self.form.waveform and len(record.present) >= 2 * self.form.n_phases
+
+    def _counts(self, record):
+        return by_turn(record.present, self.form.n_phases).sum(axis=0)
+
+    def _about(self, record, left):
+        """What is left of a record about its waveform, and the waveform, from its first phase."""
+        mean = by_turn(left, self.form.n_phases).sum(axis=0) / np.maximum(self._counts(record), 1)
+        n_turns = -(-len(left) // self.form.n_phases)
+        about = left - np.tile(mean, (n_turns, 1))[: len(left)]
+        return np.where(record.present, about, 0.0), mean
+
+    def waveform(self, point):
+        """What a trim that was subtracted is off by, (n_phases, l) from ψ = 0; None if none is.
+
+        Of all records, each by the number of its turns.
+        """
+        response, total, counts = self.form.response(point.theta, sensitivities=False), 0.0, 0
+        for record, x0 in zip(self.records, point.x0, strict=True):
+            if self._turns(record):
+                mean = self._about(record, residuals(response, record, x0))[1]
+                own = self._counts(record)
+                total = total - np.roll(own * mean, record.first_phase, axis=0)
+                counts = counts + np.roll(own, record.first_phase, axis=0)
+        if np.ndim(counts) == 0:
+            return None
+        return _outputs_of(response, total / np.maximum(counts, 1))
 
     def spread(self, moments):
         """S: as given, or of largest likelihood."""
@@ -274,6 +342,10 @@ class Problem:
                 residuals(response, record, start)
                 for record, start in zip(self.records, x0, strict=True)
             ]
+            left = [
+                self._about(record, each)[0] if self._turns(record) else each
+                for record, each in zip(self.records, left, strict=True)
+            ]
             moments = self.patterns.moments(left)
         cost = self.cost(moments) if np.all(np.isfinite(moments)) else np.inf
         return Point(theta, x0, moments, cost, self.form.radius(response))
@@ -294,7 +366,11 @@ class Problem:
         for segment, (record, x0) in enumerate(zip(self.records, point.x0, strict=True)):
             which = self.patterns.which[segment]
             pieces = output_sensitivities(response, record, x0, free_x0=self.free_x0)
+            about = None
             for start, stop, dy in pieces:
+                if self._turns(record):
+                    about = about or _AboutWaveform(self.form.n_phases, len(dy), dy.shape[2])
+                    dy = about.rows(dy, record.present[start:stop])
                 if len(roots) == 1:
                     yield segment, start, dy @ roots[0].T
                 else:
@@ -336,6 +412,26 @@ class Problem:
             if not self.correlated or fall < LITTLE * self.n_residuals:
                 break
         return point
+
+
+def _outputs_of(response, errors):
+    """The periodic outputs of which a predictor makes errors of one turn, (n_phases, l)."""
+    if response.gain is None:
+        return errors
+    n = response.n_states
+    Phi, C, K = (
+        [M[k % len(M)] for k in range(len(errors))]
+        for M in (response.Psi[..., :n], response.Out[..., :n], response.gain)
+    )
+    moved = np.hstack([np.eye(n), np.zeros((n, 1))])  # states after a turn, of those at its start
+    for A, gain, e in zip(Phi, K, errors, strict=True):
+        moved = A @ moved
+        moved[:, -1] += gain @ e
+    x, outputs = linalg.solve(np.eye(n) - moved[:, :-1], moved[:, -1]), np.empty_like(errors)
+    for k, e in enumerate(errors):
+        outputs[k] = C[k] @ x + e
+        x = Phi[k] @ x + K[k] @ e
+    return outputs
 
 
 def _of_some(response, places):

@@ -46,7 +46,7 @@ class LikelihoodResult:
     n_residuals : int
         Values of outputs that were not missing.
     n_parameters : int
-        All that were estimated: θ, gain, initial states, noise levels.
+        All that were estimated: θ, gain, initial states, waveforms, noise levels.
     n_iter : int
         Jacobians taken.
     converged : bool
@@ -213,7 +213,7 @@ def result_of(problem, search):
     k, gauge = form.structure.n_parameters, form.discrete or form.gauge
     system = problem.linearise(point)
     n_theta = int(np.sum(system.kept)) if gauge else len(point.theta)  # no similarities
-    n_fitted = n_theta + (point.x0.size if problem.free_x0 else 0)
+    n_fitted = n_theta + problem.n_waveforms + (point.x0.size if problem.free_x0 else 0)
     covariance, unknown = system.covariance(gauge=gauge)
     spread, n_noises, correction = problem.spread(point.moments), 0, 1.0
     if problem.sigma is None:

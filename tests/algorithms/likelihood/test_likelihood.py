@@ -1,9 +1,21 @@
-"""Laws of what residuals are judged by."""
+"""Laws of what residuals are judged by, and of the waveform that they are taken about."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from predictor_cases import OMEGA, oscillator
 
-from sklearn_hd.algorithms.likelihood.likelihood import is_white
+from sklearn_hd._match.record_data import with_loads
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.likelihood import (
+    _AboutWaveform,
+    is_white,
+    likelihood_problem,
+)
+from sklearn_hd.algorithms.likelihood.search import result_of, search, start
+from sklearn_hd.algorithms.likelihood.uncertainty import exponent_slopes, propagate_std
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 
 
 def correlated(statistic, n, lag, scale=1.0):
@@ -36,3 +48,109 @@ def test_white_noise_is_called_white_and_what_is_nearly_so_is_not(rng):
     assert np.mean([is_white(row[:, None], 30) for row in noise]) >= 0.98
     moving = noise[:, 1:] + 0.2 * noise[:, :-1]
     assert np.mean([is_white(row[:, None], 30) for row in moving]) <= 0.2
+
+
+def about_waveforms(rng, gain, n_phases=7):
+    """A form of steps, its parameters, and two records of it, the second with outputs missing."""
+    structure, theta = oscillator(steps=True, varies="FG")
+    form = Form(structure, OMEGA, n_phases, discrete=True, gauge=True)
+    still = form.response(theta, sensitivities=False)
+    segments = []
+    for n_rows, first in ((400, 3), (40, 0)):
+        u = np.repeat(rng.standard_normal(n_rows // 5 + 1), 5)[:n_rows, None]
+        x, y, noise = np.zeros(2), np.empty((n_rows, 2)), 0.05 * rng.standard_normal((n_rows, 2))
+        for k in range(n_rows):
+            z, phase = np.append(x, u[k]), (first + k) % n_phases
+            y[k] = still.Out[phase % len(still.Out)] @ z + noise[k]
+            x = still.Psi[phase] @ z + (0.0 if gain is None else gain[0] @ noise[k])
+        segments.append((u, y, first))
+    segments[1][1][rng.random((40, 2)) < 0.2] = np.nan
+    if gain is None:
+        return form, theta, segments
+    return form.with_gain(0), np.concatenate([theta, gain.ravel()]), segments
+
+
+def fitted(form, segments, theta):
+    problem = likelihood_problem(form, segments, True, correlated=form.n_gain_harmonics is not None)
+    found = search(
+        problem, start(problem, theta), max_iter=40, tol=1e-13, keep_stable=True, bounds=None
+    )
+    return result_of(problem, found)
+
+
+GAINS = [None, np.array([[[0.5, 0.1], [-0.2, 0.4]]])]
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_a_free_waveform_is_a_fourier_series_of_outputs_with_all_harmonics(rng, gain):
+    """The same likelihood, exponents' deviations and criteria as with parameters for it."""
+    form, theta, segments = about_waveforms(rng, gain)
+    segments, k = segments[:1], form.structure.n_parameters
+    found = fitted(replace(form, waveform=True), segments, theta)
+    with_constant = [(np.column_stack([u, np.ones(len(u))]), y, first) for u, y, first in segments]
+    explicit = replace(form, structure=with_loads(form.structure, 3))
+    longer = np.concatenate([theta[:k], np.zeros(14), theta[k:]])
+    other = fitted(explicit, with_constant, longer)
+    assert found.converged
+    assert other.converged
+    assert found.cost == pytest.approx(other.cost, abs=1e-8)
+    np.testing.assert_allclose(found.spread, other.spread, rtol=1e-7)
+    assert found.n_parameters == other.n_parameters
+    assert found.aic == pytest.approx(other.aic, abs=1e-8)
+    slopes = [exponent_slopes(each.problem.form, each.point.theta) for each in (found, other)]
+    deviations = [
+        propagate_std(slope[:, :k], each.covariance[:k, :k])
+        for (_, slope), each in zip(slopes, (found, other), strict=True)
+    ]
+    np.testing.assert_allclose(*(exponents for exponents, _ in slopes), rtol=1e-6)
+    np.testing.assert_allclose(*deviations, rtol=1e-5)
+    series = other.theta[form.structure.n_parameters :].reshape(7, 2)
+    loads = evaluate_harmonics(series, 2.0 * np.pi * np.arange(7) / 7)
+    np.testing.assert_allclose(found.problem.waveform(found.point), loads, atol=1e-6)
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_each_record_may_have_any_waveform(rng, gain):
+    form, theta, segments = about_waveforms(rng, gain)
+    if gain is not None:  # what a predictor makes of outputs that are missing is no waveform
+        segments = [(u, np.where(np.isnan(y), 0.0, y), first) for u, y, first in segments[:1]]
+    form, moved = replace(form, waveform=True), []
+    for u, y, first in segments:
+        wave = 3.0 * rng.standard_normal((7, 2))
+        moved.append((u, y + wave[(first + np.arange(len(y))) % 7], first))
+    found, other = (fitted(form, each, theta) for each in (segments, moved))
+    assert found.cost == pytest.approx(other.cost, abs=1e-6)
+    np.testing.assert_allclose(found.sigma, other.sigma, rtol=1e-5)
+    np.testing.assert_allclose(
+        *(exponent_slopes(form, each.point.theta)[0] for each in (found, other)), rtol=1e-4
+    )
+
+
+def test_rows_about_a_waveform_are_the_same_in_pieces_of_any_length(rng):
+    values, present = rng.standard_normal((4, 50, 2)), rng.random((50, 2)) < 0.8
+    values = np.where(present, values, 0.0)
+    about = _AboutWaveform(7, 4, 2)
+    pieces = [about.rows(values[:, k : k + 11], present[k : k + 11]) for k in range(0, 50, 11)]
+    rows = np.concatenate(pieces, axis=1)
+    np.testing.assert_allclose(
+        rows, _AboutWaveform(7, 4, 2).rows(values, present), rtol=0.0, atol=1e-14
+    )
+    # products of two columns are those about the mean of each phase
+    mean = np.zeros_like(values)
+    for phase, output in np.ndindex(7, 2):
+        some = np.flatnonzero((np.arange(50) % 7 == phase) & present[:, output])
+        mean[:, some, output] = values[:, some, output].mean(axis=1, keepdims=True)
+    left = np.where(present, values - mean, 0.0).reshape(4, -1)
+    np.testing.assert_allclose(rows.reshape(4, -1) @ rows.reshape(4, -1).T, left @ left.T)
+
+
+def test_records_of_less_than_two_turns_keep_the_trim_that_was_subtracted(rng):
+    form, theta, segments = about_waveforms(rng, None)
+    u, y, first = segments[0]
+    short = [(u[:13], y[:13], first)]
+    problem = likelihood_problem(replace(form, waveform=True), short, True)
+    own = likelihood_problem(form, short, True)
+    x0 = np.zeros((1, 2))
+    assert problem.point(theta, x0).cost == own.point(theta, x0).cost
+    assert problem.n_waveforms == 0
+    assert problem.waveform(own.point(theta, x0)) is None
