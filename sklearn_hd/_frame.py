@@ -32,6 +32,8 @@ class Lifted:
     D : ndarray, shape (samples_per_period * n_outputs, r + 1)
     directions : ndarray, shape (samples_per_period * n_inputs, r)
         Directions in which the inputs moved at fit. Others have no effect.
+    left : float
+        Share of the record's energy that it leaves, each output in parts of its scale.
     """
 
     A: np.ndarray
@@ -39,6 +41,7 @@ class Lifted:
     C: np.ndarray
     D: np.ndarray
     directions: np.ndarray
+    left: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,7 +66,8 @@ class StructuredMatcher(ModelStep):
     for unstable machines measured in closed loop, because their simulation diverges;
     ``predict_ahead`` then predicts. Samples may be missing. Models of samples
     (``reading="sample"``) accept both likelihoods, which also estimate their forced periodic
-    response.
+    response. Of other readings both estimate what a trim that was subtracted is off by: a waveform
+    of the turn, one for each record (not with ``input_noise``).
 
     Parameters
     ----------

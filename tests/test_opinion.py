@@ -1,11 +1,16 @@
 """Second opinions: what confirms exponents, and what leaves them in doubt."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor
+from sklearn_hd._match.periodic import realize, warn_realized
 from sklearn_hd._opinion import Opinion, doubtful, more_doubtful, of_halves
+from sklearn_hd._records.data import read_experiment
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
 
@@ -98,3 +103,28 @@ def test_a_model_that_is_known_is_not_in_doubt():
     np.testing.assert_allclose(
         np.sort_complex(found.eigenvalues_), np.sort_complex(multipliers), atol=2e-3
     )
+
+
+@pytest.mark.parametrize(("left", "known", "told"), [(7e-3, 2.4e-3, True), (4e-3, 2.4e-3, False)])
+@pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
+def test_a_periodic_model_that_loses_what_its_map_knew_is_told(left, known, told):
+    """Too few states move within the turn as no record shows; noise alone makes no difference."""
+    u, y, _ = record(0.001)
+    frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
+    model = MOESPRegressor(2).fit(frame, y).model_
+    model = replace(model, lifted=replace(model.lifted, left=known))
+    found = realize(model, read_experiment(frame, y), HarmonicStructure())
+    found = replace(found, r2=1.0 - left)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        warn_realized(found, model)
+    words = [str(w.message) for w in said]
+    assert [("but the map of whole periods" in each) for each in words] == [True] * told
+
+
+@pytest.mark.filterwarnings("ignore:.* in doubt")
+def test_what_the_map_of_whole_periods_leaves_is_noise():
+    u, y, _ = record(0.05)
+    frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
+    model = MOESPRegressor(2).fit(frame, y).model_
+    assert model.lifted.left == pytest.approx(0.05**2, rel=0.15)

@@ -34,7 +34,7 @@ from sklearn_hd._opinion import (
 )
 from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import free_decay, offsets, smooth_parts
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -160,6 +160,7 @@ def _lifted(model, data, experiment, known, forced):
     sights = response_to_states(states, W, outputs)[0]
     W, outputs, states = map(np.vstack, (W, outputs, states))
     D = linalg.lstsq(W, outputs - states @ sights.T)[0].T
+    left = np.sum((outputs - states @ sights.T - W @ D.T) ** 2) / max(np.sum(outputs**2), TINY)
     u = np.vstack(lifted_periods(experiment, experiment.inputs))
     if not constant:
         W, B, D = (np.pad(M, ((0, 0), (0, 1))) for M in (W, B, D))
@@ -167,7 +168,7 @@ def _lifted(model, data, experiment, known, forced):
     size = np.tile(np.where(size > 0.0, size, 1.0), u.shape[1])
     directions = linalg.lstsq(u.reshape(len(u), -1) / size, W[:, :-1])[0] / size[:, None]
     scale = np.tile(output_scale(experiment), basis.samples_per_period)[:, None]
-    return replace(model, lifted=Lifted(A, B, scale * sights, scale * D, directions))
+    return replace(model, lifted=Lifted(A, B, scale * sights, scale * D, directions, float(left)))
 
 
 def _excitation(experiment, settings):

@@ -33,6 +33,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.signals.trim import NOTABLE
 from sklearn_hd.algorithms.subspace.innovations import predicted_states
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
@@ -40,6 +41,7 @@ NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
+TWICE = 2.0  # what the map leaves: more than what has been fitted to noise, which is less than half
 MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 
@@ -63,7 +65,7 @@ def match_periodic(model, experiment, structure, simulated=True):
     found = realize(model, experiment, structure)
     warn_coordinates(found.model)
     if simulated:  # what it is refined to is tested by itself
-        warn_realized(found)
+        warn_realized(found, model)
         warn_growing(found.model, model, experiment)
     return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
@@ -336,8 +338,9 @@ def _seen(experiment):
     return [Y / unit for Y in seen], unit
 
 
-def warn_realized(found):
-    """Of a periodic model in closed form."""
+def warn_realized(found, model):
+    """Of a periodic model in closed form, made of a map that was identified."""
+    left, known = 1.0 - found.r2, np.inf if model.lifted is None else model.lifted.left
     if found.r2 < POOR_FIT:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
@@ -350,6 +353,14 @@ def warn_realized(found):
             f"the periodic model leaves {found.systematic:.2g} of the record's variance in "
             f"residuals that are not noise (neighbouring samples are alike); check order, omega, "
             f"the harmonics that the structure allows, and whether the response is linear",
+            IdentifiabilityWarning,
+        )
+    elif left > TWICE * known and left - known > NOTABLE:
+        warn(
+            f"the periodic model leaves {left:.2g} of the record's energy, but the map of whole "
+            f"periods that it was made from {known:.2g}: with {found.model.n_states} state(s) no "
+            f"periodic system moves within the turn as the record shows; raise order=, or allow "
+            f"more harmonics in the structure",
             IdentifiabilityWarning,
         )
     if found.unidentified:

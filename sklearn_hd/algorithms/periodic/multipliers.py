@@ -115,7 +115,8 @@ def without_noise_growth(Phi, directions, lifted):
 def multiplier_deviations(Phi, directions, lifted):
     """Multipliers of a map, and the standard deviations of their logarithms, refined or not.
 
-    Those of white noise as large as what is left of the lifted outputs.
+    Those of white noise as large as what is left of the lifted outputs. Of z² − s z + p an error
+    e = z δs − δp moves a root by δz, δz² + (2 z − s) δz = e: by √e where the root is double.
 
     Parameters
     ----------
@@ -139,11 +140,11 @@ def multiplier_deviations(Phi, directions, lifted):
     found = []
     for own, rows in zip(coefficients, np.split(spread, edges), strict=True):
         for z in np.roots(np.append([1.0, -own[0]], own[1:])).astype(complex):
-            slope, gap = (
-                (np.array([1.0]), 1.0) if len(own) == 1 else (np.array([z, -1.0]), 2.0 * z - own[0])
-            )
-            unknown = abs(z * gap) <= TINY  # nothing is left of it, or it is double
-            found.append((z, np.inf if unknown else np.linalg.norm(slope @ rows) / abs(z * gap)))
+            moved = np.linalg.norm(np.array([1.0] if len(own) == 1 else [z, -1.0]) @ rows)
+            if len(own) == 2:
+                gap = abs(2.0 * z - own[0])
+                moved = 2.0 * moved / max(gap + np.sqrt(gap**2 + 4.0 * moved), TINY)
+            found.append((z, moved / abs(z) if abs(z) > TINY else np.inf))
     multipliers, deviations = zip(*found, strict=True)
     return np.array(multipliers), np.array(deviations)
 

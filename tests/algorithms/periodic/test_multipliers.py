@@ -10,6 +10,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     _Elimination,
     characteristic,
     invariant_blocks,
+    multiplier_deviations,
     with_characteristic,
     without_noise_growth,
 )
@@ -159,3 +160,16 @@ def test_the_strongest_direction_of_white_noise_has_the_law_of_tracy_and_widom(
         monkeypatch.setattr(multipliers, "TRACY_WIDOM", quantile)
         found = np.mean([multipliers.is_noise(rest, *shape) for rest in draws])
         assert least <= found <= most
+
+
+@pytest.mark.parametrize(("apart", "power"), [(0.0, 0.5), (0.4, 1.0)])
+def test_a_double_multiplier_is_known_to_the_square_root_of_the_noise(rng, apart, power):
+    """An error e of the polynomial moves single roots by a multiple of e, double ones by √e."""
+    Phi = np.array([[0.6 + 0.5 * apart, 1.0], [0.0, 0.6 - 0.5 * apart]])
+    states = [np.array([0.3, 1.0])]
+    for _ in range(30):
+        states.append(Phi @ states[-1])
+    clean = np.array(states) @ rng.standard_normal((2, 6))
+    noise, none = rng.standard_normal(clean.shape), [np.zeros((31, 0))]
+    found = [multiplier_deviations(Phi, none, [clean + level * noise])[1] for level in (1e-8, 1e-4)]
+    np.testing.assert_allclose(np.log(found[1] / found[0]) / np.log(1e4), power, atol=0.02)
