@@ -12,6 +12,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import TimeBaseWarning
 
 OMEGA = 2.0 * np.pi
@@ -210,3 +211,13 @@ def test_nothing_but_omega_is_chosen(moves, harmonics):
     assert pipe.score(*record(not moves, n_turns=80)) > 0.95  # a record of the other kind
     exponents = pipe[-1].ltp_.floquet_exponents()
     assert np.min(np.abs(exponents - SPP * np.log(0.97))) < 0.02
+
+
+@pytest.mark.parametrize("options", [{"samples_per_period": 48}, {"width": 1}])
+def test_second_order_responses_are_no_states(options):
+    """Without noise 2 λ₁, λ₁ + λ₂ and more of the nonlinear wing stand out from rounding."""
+    data = make_flapping_wing("nltp", **{"n_periods": 60, "start": 8, "width": 10, **options})
+    frame = HarmonicAnalyzer(data.omega).fit_transform(data.inputs, data.outputs)
+    found = MOESPRegressor().fit(frame, data.outputs)  # warnings are errors here
+    exact = np.exp(data.ltp.floquet_exponents() * 2.0 * np.pi / data.omega)
+    np.testing.assert_allclose(np.sort(found.eigenvalues_.real), np.sort(exact.real), rtol=3e-3)

@@ -26,6 +26,8 @@ from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, 
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._opinion import (
+    DOUBT,
+    LASTING,
     decays_at_rest,
     more_doubtful,
     of_free_decays,
@@ -36,7 +38,13 @@ from sklearn_hd._records.data import lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.modes.free_decay import free_decay, offsets, smooth_parts
+from sklearn_hd.algorithms.modes.free_decay import (
+    apart,
+    free_decay,
+    is_product,
+    offsets,
+    smooth_parts,
+)
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
     is_possible,
@@ -226,7 +234,8 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
     """The machine's map and what is seen of its states: of the whole record, or at rest.
 
     Where one linear map does not explain the whole record except for noise, inputs have held a
-    nonlinear machine away from its orbit: its own map is that of its free decays.
+    nonlinear machine away from its orbit: its own map is that of its free decays. So it is where
+    the map of the whole has products of their multipliers besides.
     """
     Phi = _refined(A, C, experiment, data, unit, settings.stable)
     raw, stretches = decays_at_rest(experiment)
@@ -234,7 +243,7 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
     still = free_decay(decays, None if settings.order == "auto" else settings.order)
     if still is None or noise is not None or (settings.stable and _grows(still.Phi, experiment)):
         return Phi, C, still, False
-    if _linear(Phi, still, decays, experiment, data):
+    if _linear(Phi, still, decays, experiment, data) and not _of_second_order(Phi, still, decays):
         return Phi, C, still, False
     return still.Phi, _sight(still, stretches, data, unit), still, True
 
@@ -278,6 +287,19 @@ def _linear(Phi, still, decays, experiment, data):
     least = EXACT**2 * np.sum(target**2)
     ratio = n_free * np.log(max(left, least) / max(own, least))
     return ratio <= chi2.isf(LEVEL, max(len(Phi), len(still.Phi)))
+
+
+def _of_second_order(Phi, still, decays):
+    """Whether a map has the modes of free decays and besides them only products of these.
+
+    Or one that outlasts the decays: what the trim is off by. What a period forgets is not judged.
+    """
+    own, known = (np.log(linalg.eigvals(M).astype(complex)) for M in (Phi, still.Phi))
+    own = own[own.real >= np.log(LASTING)]
+    beside = own[apart(own, known).min(axis=1) > DOUBT * np.abs(own.real)]
+    found = is_product(beside, known, DOUBT * np.abs(beside.real))
+    found |= np.abs(beside.real) * max(map(len, decays)) < 1.0
+    return len(beside) > 0 and bool(found.all())
 
 
 def _sight(still, stretches, data, unit):

@@ -17,7 +17,6 @@ from scipy.fft import dct
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
-    invariant_blocks,
     is_noise,
     left_by,
     multiplier_deviations,
@@ -27,7 +26,15 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 from sklearn_hd.algorithms.signals.rest import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 
-__all__ = ["FreeDecay", "free_decay", "offsets", "periods_at_rest", "smooth_parts"]
+__all__ = [
+    "FreeDecay",
+    "apart",
+    "free_decay",
+    "is_product",
+    "offsets",
+    "periods_at_rest",
+    "smooth_parts",
+]
 
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12
@@ -179,46 +186,102 @@ def free_decay(decays, order=None, compare=True):
     if n == most < MOST_STATES and order is None and not noise:
         return None  # there may be more
     found = FreeDecay(Phi, states, *multiplier_deviations(Phi, ones, decays))
-    found = _without_products(found)
+    if not compare:
+        return found
     later = [y[1:] for y in decays if len(y) > 2]
-    smaller = free_decay(later, n, False) if compare and later else None
-    if smaller is None:
+    smaller = free_decay(later, n, False) if later else None
+    if smaller is not None:
+        allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
+        gaps = apart(_logs(found.multipliers), _logs(smaller.multipliers))
+        moved = np.min(np.maximum(gaps - allowed, 0.0), axis=1)
+        found = replace(found, deviations=np.hypot(found.deviations, moved))
+    return _without_products(found, ones, stacked)
+
+
+def is_product(logs, factors, tolerance):
+    """Which multipliers are products of two or three others, as second-order responses have them.
+
+    Parameters
+    ----------
+    logs : complex ndarray, shape (n,)
+        Logarithms of multipliers.
+    factors : complex ndarray, shape (k,)
+        Logarithms of those others.
+    tolerance : ndarray, shape (n,)
+        How far from a sum a logarithm may be, apart from multiples of 2πj.
+
+    Returns
+    -------
+    product : ndarray of bool, shape (n,)
+
+    Examples
+    --------
+    >>> is_product(np.array([-0.6, -0.8 + 1j, -0.5]), np.array([-0.3, -0.5 + 1j]), 1e-9).tolist()
+    [True, True, False]
+    """
+    two = (factors[:, None] + factors).ravel()
+    sums = np.concatenate([two, (two[:, None] + factors).ravel()])
+    return apart(logs, sums).min(axis=1, initial=np.inf) <= tolerance
+
+
+def apart(logs, others):
+    """Distances (n, k) of logarithms of multipliers, apart from multiples of 2πj."""
+    gaps = np.atleast_1d(logs)[:, None] - others
+    return np.abs(gaps.real + 1j * ((gaps.imag + np.pi) % (2.0 * np.pi) - np.pi))
+
+
+def _without_products(found, ones, stacked):
+    """The modes without weak ones that are products of others, as second-order ones are.
+
+    Weak are those without which the others leave little of the decays. Where one is a product
+    for sure, so are those that are products within their errors.
+    """
+    sure, known = _products(found, ALIKE), np.vstack(ones)
+    if not np.any(sure & (found.deviations <= ALIKE * np.abs(_logs(found.multipliers).real))):
         return found
-    own, other = (
-        np.log(np.where(z == 0.0, TINY, z)) for z in (found.multipliers, smaller.multipliers)
-    )
-    apart = own[:, None] - other
-    apart = np.abs(apart.real + 1j * ((apart.imag + np.pi) % (2.0 * np.pi) - np.pi))
-    allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
-    moved = np.min(np.maximum(apart - allowed, 0.0), axis=1)
-    return replace(found, deviations=np.hypot(found.deviations, moved))
+    least = np.sum((stacked - known @ linalg.lstsq(known, stacked)[0]) ** 2)
+    least *= MOST_OF_SECOND_ORDER**2
+    at = 0
+    while at < len(found.multipliers):  # the fastest first
+        order = np.argsort(np.abs(found.multipliers))
+        i, z = order[at], found.multipliers
+        few = _without(found, [i, np.abs(z - z[i].conj()).argmin()])
+        drop = len(few.Phi) and _products(found, ALIKE, SURE)[i]
+        if drop and np.sum(left_by(few.Phi, ones, stacked) ** 2) <= least:
+            found, at = few, 0
+        else:
+            at += 1
+    return found
 
 
-def _without_products(found):
-    """The modes without weak ones that are products of two others, as second-order ones are."""
-    z, logs = found.multipliers, np.log(np.where(found.multipliers == 0.0, TINY, found.multipliers))
+def _logs(multipliers):
+    return np.log(np.where(multipliers == 0.0, TINY, multipliers))
+
+
+def _products(found, share, n_deviations=0.0):
+    """Which modes are products of others, within a share of their rate or some deviations."""
+    logs = _logs(found.multipliers)
+    within = np.maximum(share * np.abs(logs.real), n_deviations * found.deviations)
+    each = enumerate(zip(logs, within, strict=True))
+    return np.array([is_product(own, np.delete(logs, i), some)[0] for i, (own, some) in each])
+
+
+def _without(found, dropped):
+    """The modes without some of them."""
     values, V = linalg.eig(found.Phi)
-    parts = np.vstack(found.states) @ linalg.inv(V).T
-    own = np.abs(values[:, None] - z).argmin(axis=0)  # of the same order as the multipliers
-    size = (np.linalg.norm(V, axis=0) * np.linalg.norm(parts, axis=0))[own]
-    kept = size > MOST_OF_SECOND_ORDER * size.max()
-    sums = (logs[kept][:, None] + logs[kept]).ravel()
-    gaps = logs[:, None] - sums
-    gaps = np.abs(gaps.real + 1j * ((gaps.imag + np.pi) % (2.0 * np.pi) - np.pi))
-    near = gaps.min(axis=1, initial=np.inf) <= ALIKE * np.abs(logs.real)
-    product = near & ~kept & (found.deviations <= ALIKE * np.abs(logs.real))
-    product &= np.isin(z.conj(), z[product]) | (z.imag == 0.0)  # pairs stay together
-    if not product.any():
-        return found
-    basis, blocks = invariant_blocks(found.Phi)
-    dropped = [
-        np.isin(np.round(linalg.eigvals(b), 12), np.round(z[product], 12)).all() for b in blocks
+    stays = ~np.isin(np.abs(values[:, None] - found.multipliers).argmin(axis=1), dropped)
+    first = values.imag >= 0.0  # of each pair
+    spans = [
+        np.stack([v.real, v.imag][: 1 + (w > 0.0)], axis=1)
+        for v, w in zip(V.T[first], values[first].imag, strict=True)
     ]
-    columns = np.repeat([not d for d in dropped], [len(b) for b in blocks])
-    to_modal = linalg.inv(basis).T
-    states = [(x @ to_modal)[:, columns] for x in found.states]
-    Phi = linalg.block_diag(*[b for b, d in zip(blocks, dropped, strict=True) if not d])
-    return FreeDecay(Phi, states, z[~product], found.deviations[~product])
+    columns = np.repeat(stays[first], [span.shape[1] for span in spans])
+    basis = np.hstack(spans)
+    to_modal = linalg.inv(basis)
+    Phi = (to_modal @ found.Phi @ basis)[np.ix_(columns, columns)]
+    states = [x @ to_modal.T[:, columns] for x in found.states]
+    rest = [np.delete(each, dropped) for each in (found.multipliers, found.deviations)]
+    return FreeDecay(Phi, states, *rest)
 
 
 def _possible(Phi):
