@@ -24,7 +24,6 @@ from sklearn_hd._opinion import doubtful, warn_unconfirmed
 from sklearn_hd._records.delays import in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
-from sklearn_hd._upstream import upstream
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
@@ -266,7 +265,7 @@ class StructuredMatcher(ModelStep):
             Fitted.
         """
         self._check_settings()
-        experiment, model = upstream(self, X, y)
+        experiment, model = self._upstream(X, y)
         of_samples = isinstance(model, SampleModel)
         match = self._of_samples if of_samples else self._of_rows
         match = match(model, experiment)
