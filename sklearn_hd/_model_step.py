@@ -32,7 +32,6 @@ from sklearn_hd._records.data import (
     read_signals,
 )
 from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
-from sklearn_hd._records.states import initial_states, states_by_record
 from sklearn_hd._residuals import LEVEL, left_of, scored
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._scoring import compared, power_of_two, score_rows
@@ -41,8 +40,10 @@ from sklearn_hd._simulators import (
     SegmentSimulator,
     as_seen,
     fit_initial_state,
+    initial_states,
     predicted_ahead,
     sample_simulators,
+    states_by_record,
 )
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn

@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     span_of,
     times,
 )
-from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -34,8 +34,6 @@ LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 LEVEL = 0.001
-OVERFLOW = 1e150  # squares of anything larger overflow
-PRECISION = 1e-9  # of an output's size: less is rounding
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,13 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._fit_checks import DUST
 from sklearn_hd._guards import extremes
 from sklearn_hd._records.delays import leads
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._simulators import as_seen, fit_initial_state, predicted_ahead
 from sklearn_hd._tables import without_inputs
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
@@ -121,7 +121,7 @@ def compared(step, X, y, sample_weight=None, horizon=None):
 
 def _meet_at_rest(truth, simulated, measured):
     """Treat outputs that rest, to rounding, as met if the simulation rests, too."""
-    dust = DUST * np.max(np.abs(extremes(measured)), axis=0)
+    dust = EXACT * np.max(np.abs(extremes(measured)), axis=0)
     for j in np.flatnonzero(np.ptp(truth, axis=0) <= dust):
         if np.max(np.abs(simulated[:, j] - truth[:, j])) <= dust[j]:
             simulated[:, j] = truth[:, j]

@@ -15,6 +15,7 @@ from sklearn_hd.exceptions import ExcitationWarning
 __all__ = [
     "DEFAULT_BLOCK_ROWS",
     "MOST_PREDICTOR_ROWS",
+    "NOTABLE",
     "PREDICTOR",
     "allowed_block_rows",
     "check_rank_bound",
@@ -26,6 +27,7 @@ __all__ = [
 DEFAULT_BLOCK_ROWS = 15
 PREDICTOR = "pbsid"
 MOST_PREDICTOR_ROWS = 60
+NOTABLE = 0.01  # share of the innovations that is worth a warning
 COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
 ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)

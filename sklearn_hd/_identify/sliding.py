@@ -23,13 +23,13 @@ from sklearn_hd._identify.stages import decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import rows_read
+from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
 LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
-EXACT_FLOOR = 1e-9  # share of the largest singular value: what an exact model may leave
 
 
 def read(experiment, settings):
@@ -181,7 +181,7 @@ def _is_exact(decomposition, data):
     room = order <= (i - 2) * data.n_outputs
     left = n_hankel_columns(data.lengths, i) - i * data.n_inputs >= order + i
     floor, largest = decomposition.noise_floor, decomposition.singular_values[0]
-    return room and left and floor <= EXACT_FLOOR * largest
+    return room and left and floor <= PRECISION * largest
 
 
 def _fits(data, block_rows):

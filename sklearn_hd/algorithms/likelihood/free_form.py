@@ -28,6 +28,7 @@ from sklearn_hd.algorithms.likelihood.likelihood import (
 from sklearn_hd.algorithms.likelihood.local_coordinates import AllEntries, OutputNormal
 from sklearn_hd.algorithms.likelihood.predictor import output_sensitivities
 from sklearn_hd.algorithms.likelihood.search import (
+    DAMPING_LIMIT,
     FIRST_DAMPING,
     LikelihoodResult,
     Search,
@@ -42,7 +43,6 @@ from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 MOST_TURNS = 50  # of S and inputs in turn
 SETTLED = 1e-11  # fall of the cost, a row, that another turn is worth
-MOST_DAMPING = 1e8  # of the largest curvature: steps have become rounding
 LEAST_DAMPING = 1e-12
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
@@ -336,7 +336,7 @@ class FreeForm:
     def _damped(self, model, quadratic, damping):
         """The next model, damping and step, and whether little came of it; None if none pays."""
         growth = 2.0
-        while damping < MOST_DAMPING:
+        while damping < DAMPING_LIMIT:
             step, expected = quadratic.step(damping)
             step = step * min(1.0, 1.0 / max(linalg.norm(step), EPS))
             trial = self.model(model.chart.moved(step), model)

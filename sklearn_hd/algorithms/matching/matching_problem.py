@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import UNKNOWN
 from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
@@ -24,7 +25,6 @@ __all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
-_NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
@@ -315,7 +315,7 @@ class MatchingProblem:
         _, singular, adjoint = linalg.svd(triangle(jacobian / column_sizes(jacobian)))
         singular = np.pad(singular, (0, len(adjoint) - len(singular)))
         null = adjoint[numerical_rank(singular) :]
-        undetermined = np.flatnonzero(np.any(np.abs(null) > _NULL, axis=0))
+        undetermined = np.flatnonzero(np.any(np.abs(null) > UNKNOWN, axis=0))
         return singular, tuple(self.structure.parameter_names[k] for k in undetermined)
 
     def feedthrough_floor(self):

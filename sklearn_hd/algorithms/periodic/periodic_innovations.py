@@ -15,16 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions, sampled_harmonics
 
-__all__ = ["OVERFLOW", "PeriodicInnovations", "Rows", "propagate_varying"]
+__all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
-WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
-OVERFLOW = 1e150  # squares of anything larger overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +132,12 @@ class PeriodicInnovations:
             [A B a] of steps of 2π/q.
         outputs : ndarray, shape (q, l, n + m + 1)
         """
-        q = max(1, int(np.floor(self.samples_per_period * (1.0 + WHOLE))))
+        q = max(1, int(np.floor(self.samples_per_period * (1.0 + RESOLVED))))
         longer = self.samples_per_period / q - 1.0
         psi = self.start + 2.0 * np.pi * np.arange(q) / q
         rows = self.rows(psi)
         states = rows.states
-        if abs(longer) > WHOLE:
+        if abs(longer) > RESOLVED:
             n = self.n_states
             rest = _power(self.rows(psi + np.pi / q).states, longer)
             states = rest[..., :n] @ states

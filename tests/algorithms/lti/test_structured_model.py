@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.lti.resolvent import TriangularForm, triangular_form
+from sklearn_hd.algorithms.lti.structured_model import TriangularForm, triangular_form
 
 POINTS = np.array([0.0, 0.3j, 1j, 2.0 + 30j, complex(0.0, np.inf), -4.0 + 1j])
 
