@@ -23,12 +23,12 @@ from sklearn_hd._exported import contents
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
-from sklearn_hd._records.amplitudes import read_for_fit
 from sklearn_hd._records.data import (
     as_frame,
     check_features,
     is_decomposed,
     read_experiment,
+    read_for_fit,
     read_signals,
 )
 from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
@@ -123,7 +123,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         frame = self._upstream_frame(check_features(self, X, reset=False))
         if not frame.is_analysed:
-            read_signals(frame, "x", "X")  # finite numbers on increasing times
+            read_signals(frame)  # finite numbers on increasing times
         return HarmonicFrame.attach(frame, self._own_basis(frame.basis), self.model_)
 
     def _own_basis(self, basis):

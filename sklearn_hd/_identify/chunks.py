@@ -15,7 +15,7 @@ import pandas as pd
 from sklearn_hd._checks import FIRST, RAISE, at
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
 from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
-from sklearn_hd._identify.modulation import (
+from sklearn_hd._identify.sliding import (
     largest_changes,
     modulated,
     n_modulating_harmonics,

@@ -226,17 +226,17 @@ class TriangularForm:
 
     def driven(self, B, s):
         """(sI − A)⁻¹ B, shape (n, n_points, m); 0 at s = ∞."""
-        return self._answers(B, s, self._A, self._into, self._out_of, self._upwards)
+        return self._answers(B, s, self._A, self._into, self._out_of, True)
 
     def seen(self, C, s):
         """(C (sI − A)⁻¹)ᵀ, shape (n, n_points, l); 0 at s = ∞."""
-        return self._answers(C.T, s, self._A.T, self._out_of.T, self._into.T, self._downwards)
+        return self._answers(C.T, s, self._A.T, self._out_of.T, self._into.T, False)
 
-    def _answers(self, forces, s, A, into, out_of, solve):
+    def _answers(self, forces, s, A, into, out_of, upwards):
         """States x of s x = A x + forces."""
         decay, drive = self._decay(s), into @ forces
         shape = len(A), len(s), forces.shape[1]
-        states = solve(drive[:, None], decay, shape)
+        states = self._solved(drive[:, None], decay, shape, upwards)
         answers = (out_of @ states.reshape(shape[0], shape[1] * shape[2])).reshape(shape)
         growth = self._rounding * _largest_ratio(states, drive)
         error, finite = growth, np.where(np.isfinite(s), s, 0.0)[:, None]  # elsewhere decay is 0
@@ -244,27 +244,19 @@ class TriangularForm:
             if not 1e-10 < error < 1.0:  # unseen, or corrections may not shrink
                 break
             left = forces[:, None] - finite * answers + np.tensordot(A, answers, 1)
-            states = solve(np.tensordot(into, left, 1), decay, shape)
+            states = self._solved(np.tensordot(into, left, 1), decay, shape, upwards)
             answers += np.tensordot(out_of, states, 1)
             error *= growth
         return answers
 
-    def _upwards(self, drive, decay, shape):
-        """(sI − T)⁻¹ drive, from the last state to the first."""
-        states = np.empty(shape, dtype=complex)
+    def _solved(self, drive, decay, shape, upwards):
+        """(sI − T)⁻¹ drive, from the last state to the first; (sI − Tᵀ)⁻¹ drive from the first."""
+        states, T = np.empty(shape, dtype=complex), self._T
         flat = states.reshape(shape[0], shape[1] * shape[2])
-        for i in reversed(range(len(decay))):
-            from_others = (self._T[i, i + 1 :] @ flat[i + 1 :]).reshape(shape[1:])
-            np.multiply(from_others + drive[i], decay[i][:, None], out=states[i])
-        return states
-
-    def _downwards(self, drive, decay, shape):
-        """(sI − Tᵀ)⁻¹ drive, from the first state to the last."""
-        states = np.empty(shape, dtype=complex)
-        flat = states.reshape(shape[0], shape[1] * shape[2])
-        for i in range(len(decay)):
-            from_others = (self._T[:i, i] @ flat[:i]).reshape(shape[1:])
-            np.multiply(from_others + drive[i], decay[i][:, None], out=states[i])
+        for i in reversed(range(len(T))) if upwards else range(len(T)):
+            from_others = T[i, i + 1 :] @ flat[i + 1 :] if upwards else T[:i, i] @ flat[:i]
+            forces = from_others.reshape(shape[1:]) + drive[i]
+            np.multiply(forces, decay[i][:, None], out=states[i])
         return states
 
     def _decay(self, s):

@@ -17,7 +17,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions, sampled_harmonics
 
 __all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
@@ -97,12 +97,9 @@ class PeriodicInnovations:
         u, y = evaluate_harmonics(input_mean, psi), evaluate_harmonics(output_mean, psi)
         values[:, :, -1] -= np.einsum("tij,tj->ti", values[:, :, n:-1], u)
         values[:, n:, -1] += y
-        whole = np.zeros((2 * H + 1, *self.coefficients.shape[1:]))
-        whole[: len(self.coefficients)] = self.coefficients
+        whole = resize_harmonics(self.coefficients, H)
         whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
-        gain = np.zeros((2 * H + 1, *self.gain.shape[1:]))
-        gain[: len(self.gain)] = self.gain
-        return replace(self, coefficients=whole, gain=gain)
+        return replace(self, coefficients=whole, gain=resize_harmonics(self.gain, H))
 
     def in_units(self, u_scale, y_scale):
         """The model between signals that were divided by some scales."""
@@ -246,8 +243,7 @@ class PeriodicInnovations:
         now, later = (evaluate_harmonics(orbit, psi + d) for d in (0.0, self.step))
         values[:, :, -1] += np.einsum("tij,tj->ti", values[:, :, :n], now)
         values[:, :n, -1] -= later
-        whole = np.zeros((2 * H + 1, *self.coefficients.shape[1:]))
-        whole[: len(self.coefficients)] = self.coefficients
+        whole = resize_harmonics(self.coefficients, H)
         whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
         return replace(self, coefficients=whole)
 
