@@ -5,8 +5,6 @@ import re
 import numpy as np
 import pandas as pd
 
-__all__ = ["check_no_clock", "check_no_records", "from_elsewhere", "is_pandas", "is_partitioned"]
-
 Table = pd.DataFrame | pd.Series
 CLOCK = re.compile(
     r"(t|(?i:time|timestamp|datetime|date))([ _]?[\[(](?P<unit>.*)[\])]|[ _](?P<tail>\w+))?"

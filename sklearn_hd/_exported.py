@@ -5,8 +5,6 @@ import numpy as np
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.systems.export import lti_contents, ltp_contents
 
-__all__ = ["contents"]
-
 
 def contents(step, n_phases):
     """All that a file has of a fitted step, by name."""

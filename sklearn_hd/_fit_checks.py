@@ -16,19 +16,6 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 
-__all__ = [
-    "check_motion",
-    "growth_rate",
-    "lasting_hop",
-    "longest_span",
-    "motion_kept",
-    "warn_of_growing_data",
-    "warn_of_growth",
-    "warn_of_mismatch",
-    "warn_of_offset",
-    "warn_of_thinning",
-]
-
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in

@@ -24,7 +24,6 @@ from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["LEVEL", "Remainder", "left_of", "remainder", "scored"]
 ROWS_TESTED = 20_000  # from the start of a longer record
 ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
 MOST_LAGS = 20

@@ -13,8 +13,6 @@ from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
-__all__ = ["compared", "power_of_two", "score_rows", "scored_simulation", "weights_of"]
-
 WARMUP_SHARE = 0.25  # of a segment, at most
 MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 

@@ -12,17 +12,6 @@ from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propaga
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = [
-    "LiftedSimulator",
-    "SegmentSimulator",
-    "as_seen",
-    "fit_initial_state",
-    "initial_states",
-    "predicted_ahead",
-    "sample_simulators",
-    "states_by_record",
-]
-
 
 class SegmentSimulator:
     """Free simulation of a model over one segment, linear in its initial state.

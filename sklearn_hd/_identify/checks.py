@@ -12,18 +12,6 @@ from sklearn_hd.algorithms.subspace.predictor_subspace import rows_remembered
 from sklearn_hd.algorithms.subspace.projections import PROJECTIONS
 from sklearn_hd.exceptions import ExcitationWarning
 
-__all__ = [
-    "DEFAULT_BLOCK_ROWS",
-    "MOST_PREDICTOR_ROWS",
-    "NOTABLE",
-    "PREDICTOR",
-    "allowed_block_rows",
-    "check_rank_bound",
-    "checked",
-    "fewer_block_rows",
-    "rows_of_predictor",
-]
-
 DEFAULT_BLOCK_ROWS = 15
 PREDICTOR = "pbsid"
 MOST_PREDICTOR_ROWS = 60

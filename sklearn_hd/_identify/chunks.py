@@ -30,8 +30,6 @@ from sklearn_hd.algorithms.subspace.forgetting import Forgetting
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
-__all__ = ["Stream", "model_so_far", "read_chunk", "with_chunk"]
-
 MOST_BYTES = 2**33  # of one matrix of the sums
 MOST_REST = 10.0  # half-lives, after which motion weighs 2⁻¹⁰: deviations have grown 32 times
 

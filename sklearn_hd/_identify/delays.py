@@ -31,8 +31,6 @@ from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["without_delays"]
-
 HARMONICS = 1  # of the regression, where the machine turns
 MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
 

@@ -26,8 +26,6 @@ from sklearn_hd._readings import PlainReading, first_difference
 from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
 from sklearn_hd._tables import STEP_TOLERANCE, read_time, resolution
 
-__all__ = ["Partitions"]
-
 FAN_IN = 8  # neighbours merged at a time
 
 

@@ -27,8 +27,6 @@ from sklearn_hd.algorithms.subspace.order import (
 from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
-__all__ = ["asked_block_rows", "identify", "read"]
-
 
 def read(experiment, settings):
     """Data of an experiment: its rows as they are."""

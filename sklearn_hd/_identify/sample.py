@@ -44,8 +44,6 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
 
-__all__ = ["asked_block_rows", "identify", "read"]
-
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's

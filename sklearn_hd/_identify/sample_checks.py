@@ -14,19 +14,6 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 
-__all__ = [
-    "ROWS_PER_COLUMN",
-    "check_outputs_move",
-    "check_told_from_loads",
-    "check_turns",
-    "or_hop",
-    "root_mean_square",
-    "warn_of_drift",
-    "warn_of_growth",
-    "warn_of_little",
-    "warn_of_rest",
-]
-
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 

@@ -36,19 +36,6 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
-__all__ = [
-    "asked_block_rows",
-    "changes_at_one_phase",
-    "identify",
-    "inputs_by_phase",
-    "largest_changes",
-    "modulated",
-    "modulated_inputs",
-    "n_modulating_harmonics",
-    "read",
-    "steps_at_one_phase",
-]
-
 STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
 LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
 

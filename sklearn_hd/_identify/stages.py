@@ -18,16 +18,6 @@ from sklearn_hd.algorithms.subspace.order import Simulated, order_by_gap
 from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
 from sklearn_hd.algorithms.subspace.projections import Projection, release_idle_directions
 
-__all__ = [
-    "Decomposition",
-    "Settings",
-    "SubspaceFit",
-    "by_gap",
-    "decompose",
-    "fit_matrices",
-    "subspace_fit",
-]
-
 
 @dataclass(frozen=True)
 class Settings:

@@ -32,8 +32,6 @@ from sklearn_hd.algorithms.subspace.sums import (
     row_sums,
 )
 
-__all__ = ["REMEMBERING", "Channels", "Facts", "Records", "Statistics", "Summed", "ends_of"]
-
 REMEMBERING = Forgetting()
 FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
 

@@ -18,8 +18,6 @@ from sklearn_hd.algorithms.signals.amplitudes import (
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["small_signal"]
-
 NOISE_GAIN = 10.0  # noise of a twentieth of the signal becomes half of it
 
 

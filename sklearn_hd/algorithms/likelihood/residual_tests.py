@@ -20,18 +20,6 @@ from scipy import linalg, stats
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
 
-__all__ = [
-    "Score",
-    "autoregression",
-    "filtered",
-    "lagged",
-    "of_each_output",
-    "score_test",
-    "sensitivities",
-    "span_of",
-    "times",
-]
-
 TOLD = 1e-3  # share of a regressor beside the span: of less, errors of second order make more
 
 

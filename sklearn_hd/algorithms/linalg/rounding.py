@@ -5,8 +5,6 @@ Whoever asks "is this zero?" asks for one of these.
 
 import numpy as np
 
-__all__ = ["DEPENDENT", "EPS", "EXACT", "HALF", "OVERFLOW", "PRECISION", "RANK", "TINY", "UNKNOWN"]
-
 EPS = np.finfo(float).eps  # 2.2e-16 of a number, by rounding it
 TINY = np.finfo(float).tiny  # the smallest of full precision: has a logarithm and an inverse
 EXACT = 2**9 * EPS  # 1e-13 of some data: what is left of what a model explains exactly

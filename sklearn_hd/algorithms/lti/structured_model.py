@@ -26,8 +26,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy import linalg
 
-__all__ = ["AffineStructure", "TriangularForm", "triangular_form"]
-
 _PIECE = 100_000  # entries of second derivatives that are summed together
 
 

@@ -20,8 +20,6 @@ from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
-
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted

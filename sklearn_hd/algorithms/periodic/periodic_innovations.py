@@ -20,8 +20,6 @@ from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions, sampled_harmonics
 
-__all__ = ["PeriodicInnovations", "Rows", "propagate_varying"]
-
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
 
 

@@ -18,8 +18,6 @@ each record becomes ‖w‖ times as large (0.71 for a pair).
 
 import numpy as np
 
-__all__ = ["extrapolation_weights", "n_distinct", "odd_weights", "same_waveform"]
-
 SAME_WAVEFORM = 0.1  # share of an input that may be no multiple: noise of 1/20 on both gives 0.07
 SAME_SIZE = 0.05  # share by which two amplitudes differ that were meant to be alike
 
