@@ -45,7 +45,7 @@ from sklearn_hd._simulators import (
     sample_simulators,
     states_by_record,
 )
-from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
+from sklearn_hd._tables import STANDARD_ERRORS, STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -147,8 +147,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_outputs_given(y)
         self._check_warmup()
         if self.estimator is None:
-            name = type(self).__name__
-            frame = as_frame(X)
+            frame, name = as_frame(X), type(self).__name__
             problem = (
                 f"{name} found no model on X; put it behind MOESPRegressor in a Pipeline (without "
                 f"a step between them that rebuilds the frame), or give it one: "
@@ -402,7 +401,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         """Raise ValueError if plain rows are another step apart than those of a discrete model."""
         dt, found = self.model_.dt, base.sample_time
         told = dt > 0.0 and len(base.time) > 1
-        if told and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * base.uncertainty:
+        if told and abs(dt - found) > STEP_TOLERANCE * dt + STANDARD_ERRORS * base.uncertainty:
             raise ValueError(
                 f"the model was identified at a sample time of {dt:.6g} s, but X has {found:.6g} "
                 f"s; resample X, or bring the model to continuous time with SpuriousModeReducer"
@@ -670,7 +669,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         return delays.outputs / experiment.base.sample_time
 
     def _compared(self, experiment):
-        """The same, outputs in the machine's own time, where only what is known is left."""
+        """An experiment with outputs in the machine's own time, as far as they are known there."""
         delays = self.model_.delays
         return experiment if delays is None else in_machine_time(experiment.origin, delays)
 
