@@ -22,6 +22,7 @@ SIDE_BY_SIDE = (
     *STEPS,
     "_model_step",
     "_simulators",
+    "_scoring",
     "_identify",
     "_reduce",
     "_match",

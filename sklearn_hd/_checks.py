@@ -389,14 +389,13 @@ def check_output_names(names, expected, where):
         )
 
 
-def check_period(omega, sample_time, highest_harmonic, uncertainty=0.0, counted=False):
+def check_period(omega, sample_time, highest_harmonic, counted=False):
     """Samples in a period, a whole number and enough for the harmonics kept.
 
-    ``uncertainty`` of the sample time, in seconds, widens what counts as whole;
     ``counted`` says that there were no times.
     """
     lost = NO_TIMES if counted else ""
-    samples, whole = _samples(omega, sample_time, highest_harmonic, uncertainty, lost)
+    samples, whole = _samples(omega, sample_time, highest_harmonic, 0.0, lost)
     if not whole:
         step = 2.0 * np.pi / omega / round(samples)
         raise ValueError(

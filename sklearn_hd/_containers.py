@@ -5,8 +5,6 @@ import re
 import numpy as np
 import pandas as pd
 
-__all__ = ["check_no_clock", "check_no_records", "from_elsewhere", "is_pandas"]
-
 Table = pd.DataFrame | pd.Series
 CLOCK = re.compile(
     r"(t|(?i:time|timestamp|datetime|date))([ _]?[\[(](?P<unit>.*)[\])]|[ _](?P<tail>\w+))?"
@@ -18,6 +16,11 @@ RECORD = 8  # rows, at least, between the restarts of a clock
 def is_pandas(data):
     """Whether it is a frame or a Series of pandas."""
     return isinstance(data, Table)
+
+
+def is_partitioned(data):
+    """Whether it is a collection of dask's, told without importing dask."""
+    return hasattr(data, "__dask_graph__") and not hasattr(data, "dims")  # xarray's has both
 
 
 def from_elsewhere(data, what):

@@ -6,7 +6,7 @@ from sklearn_hd._checks import SMALLEST
 from sklearn_hd._guards import searching
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
@@ -16,25 +16,9 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 
-__all__ = [
-    "DUST",
-    "check_motion",
-    "growth_rate",
-    "lasting_hop",
-    "longest_span",
-    "motion_kept",
-    "warn_of_growing_data",
-    "warn_of_growth",
-    "warn_of_mismatch",
-    "warn_of_offset",
-    "warn_of_thinning",
-]
-
-DUST = 1e-13  # share of a signal's size that is rounding
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
-DEVIATIONS = 4.0  # standard errors within which a mean is zero
 CALM = 1e6  # times growth that leaves most of them
 
 
@@ -109,7 +93,7 @@ def warn_of_offset(experiment):
     ]
     trim = experiment.basis.input_trim
     trim = 0.0 if trim is None else np.max(np.abs(trim), axis=0)  # which leaves rounding
-    off = [np.abs(rest) > DUST * (size + trim) for rest, size, _ in rests]
+    off = [np.abs(rest) > EXACT * (size + trim) for rest, size, _ in rests]
     if not rests or not np.any(off) or not all(_is_zero(y) for _, _, y in rests):
         return
     names = experiment.basis.input_signals or experiment.basis.drive_labels
@@ -137,7 +121,7 @@ def _is_zero(outputs):
     """Whether some rows are zero, or noise about it: neighbours are not alike."""
     n, size = len(outputs), np.maximum(np.std(outputs, axis=0), np.finfo(float).tiny)
     mean, alike = outputs.mean(axis=0), np.mean(outputs[1:] * outputs[:-1], axis=0)
-    within = DEVIATIONS / np.sqrt(n)
+    within = STANDARD_ERRORS / np.sqrt(n)
     noise = (np.abs(mean) <= within * size) & (np.abs(alike / size) <= within * size)
     return bool(np.all(noise | ~outputs.any(axis=0)))
 

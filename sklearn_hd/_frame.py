@@ -10,8 +10,6 @@ from sklearn.base import TransformerMixin
 
 from sklearn_hd.algorithms.linalg.rounding import TINY
 
-__all__ = ["FrameTransformer", "HarmonicFrame", "LTIModel", "Lifted"]
-
 
 @dataclass(frozen=True, eq=False)
 class Lifted:

@@ -4,22 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import (
     check_count,
+    check_fraction,
     check_output_names,
     check_outputs_given,
     check_positive,
     signal_names,
 )
 from sklearn_hd._containers import from_elsewhere, is_pandas
-from sklearn_hd._delayed import Delayed
 from sklearn_hd._excitation import Excitation
-from sklearn_hd._exported import Exported
+from sklearn_hd._exported import contents
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
@@ -28,28 +28,28 @@ from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
     read_experiment,
+    read_for_fit,
     read_signals,
 )
-from sklearn_hd._records.delays import leads, with_delayed_inputs
-from sklearn_hd._records.sampling import joined
-from sklearn_hd._records.states import initial_states, states_by_record
-from sklearn_hd._residuals import ResidualTests
+from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
+from sklearn_hd._residuals import LEVEL, left_of, scored
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd._scoring import compared, meet_at_rest, power_of_two
+from sklearn_hd._scoring import compared, power_of_two, score_rows
 from sklearn_hd._simulators import (
     LiftedSimulator,
     SegmentSimulator,
     as_seen,
     fit_initial_state,
+    initial_states,
     predicted_ahead,
     sample_simulators,
+    states_by_record,
 )
-from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
+from sklearn_hd._tables import STANDARD_ERRORS, STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
-
-WARMUP_SHARE = 0.25
+from sklearn_hd.systems.export import write
 
 
 def _has_gain(step):
@@ -57,7 +57,7 @@ def _has_gain(step):
     return step._predicts_ahead()
 
 
-class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMixin, BaseEstimator):
+class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
     """A step that owns a model: it passes the frame on with it, and simulates it."""
 
     def __sklearn_is_fitted__(self):
@@ -123,7 +123,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         check_is_fitted(self)
         frame = self._upstream_frame(check_features(self, X, reset=False))
         if not frame.is_analysed:
-            read_signals(frame, "x", "X")  # finite numbers on increasing times
+            read_signals(frame)  # finite numbers on increasing times
         return HarmonicFrame.attach(frame, self._own_basis(frame.basis), self.model_)
 
     def _own_basis(self, basis):
@@ -137,6 +137,36 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         if getattr(self, "estimator", None) is None:
             return as_frame(X)
         return as_frame(self.estimator_.transform(X))
+
+    def _upstream(self, X, y):
+        """The experiment of a fit, in the machine's own time, and the model that it starts from.
+
+        X carries the model, or it is that of ``estimator``, a clone of which is fitted here
+        (``estimator_``).
+        """
+        check_outputs_given(y)
+        self._check_warmup()
+        if self.estimator is None:
+            frame, name = as_frame(X), type(self).__name__
+            problem = (
+                f"{name} found no model on X; put it behind MOESPRegressor in a Pipeline (without "
+                f"a step between them that rebuilds the frame), or give it one: "
+                f"{name}(estimator=...)"
+            )
+        else:
+            problem = (
+                f"estimator={self.estimator!r} does not make a model; give a MOESPRegressor or "
+                f"SpuriousModeReducer, or a Pipeline that ends in one"
+            )
+            made = all(hasattr(self.estimator, name) for name in ("get_params", "transform"))
+            if isinstance(self.estimator, type) or not made:
+                raise ValueError(problem)
+            self.estimator_ = clone(self.estimator).fit(X, y)
+            frame = self._upstream_frame(X)
+        if frame.model is None:
+            raise ValueError(problem)
+        experiment, delays = read_for_fit(frame, y), frame.model.delays
+        return experiment if delays is None else in_machine_time(experiment, delays), frame.model
 
     def get_feature_names_out(self, input_features=None):
         """Names of the columns of ``transform``: those of the input.
@@ -330,7 +360,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         samples, unread = self._samples_late(experiment), leads(experiment)[1]
         for simulator, outputs in zip(simulators, experiment.outputs, strict=True):
             measured = advanced(outputs, samples)
-            warm, counted = self._score_rows(simulator, experiment)
+            warm, counted = score_rows(self, simulator, experiment)
             if counted.start >= counted.stop:
                 short.append(len(measured))
                 warm = slice(0, max(1, len(measured) - unread))
@@ -344,84 +374,6 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
             )
         named = states_by_record(states, experiment.base, simulators[0].model.state_names)
         return named if is_pandas(from_elsewhere(X, "X")) else named.to_numpy()
-
-    def _fitted_simulation(self, X, y, horizon=None):
-        """Measured and simulated (or predicted) outputs on the rows that count, and those rows.
-
-        Both without the forced periodic response, which comes last.
-        """
-        experiment = self._experiment(without_inputs(y) if X is None else X, y)
-        trim, sampling = experiment.output_trim(), experiment.sampling
-        truth, simulated, rows, forced = [], [], [], []
-        simulators = self._simulators(experiment)
-        self._warn_of_inputs(experiment, simulators)
-        samples = (self._samples_late if horizon is None else self._samples_ahead)(experiment)
-        parts = zip(simulators, experiment.outputs, sampling.pieces, strict=True)
-        for i, (simulator, y_segment, piece) in enumerate(parts):
-            y_segment = advanced(y_segment, samples)
-            warm, counted = self._score_rows(simulator, experiment)
-            if counted.start >= counted.stop:
-                continue
-            within = piece.rows_between(counted.start, counted.stop)
-            measured = experiment.measured[piece.rows][within]
-            own = np.arange(within.start, within.stop)
-            if experiment.has_gaps:  # rows that were bridged do not count
-                kept = np.isfinite(measured).all(axis=1)
-                measured, own = measured[kept], own[kept]
-                within = own
-            seen = as_seen(simulator, y_segment)
-            outputs = self._fitted_outputs(simulator, seen, warm, horizon)
-            loads = np.broadcast_to(simulator.forced(), outputs.shape)
-            if seen is y_segment:
-                outputs, loads = (late(each, samples) for each in (outputs, loads))
-                known = loads if trim is None else trim[i] + loads
-                truth.append(measured - piece.back(known)[within])
-            else:
-                truth.append(piece.back(seen - loads)[within])
-            simulated.append(piece.back(outputs - loads)[within])
-            forced.append(piece.back(loads)[within])
-            rows.append(own + piece.rows.start)
-        if not truth:
-            raise ValueError(
-                f"no rows are left to score in {experiment.span()}: every segment is shorter than "
-                f"one analysis window and the warm-up; give longer records or a smaller warmup"
-            )
-        truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
-        rows, forced = joined(rows), joined(forced)  # by columns, which are quick to sum
-        meet_at_rest(truth, simulated, experiment.measured[rows])
-        return truth, simulated, rows, forced
-
-    def _fitted_outputs(self, simulator, outputs, rows, horizon):
-        """Outputs from the initial state that fits best over some rows."""
-        if horizon is None:
-            return simulator.outputs(fit_initial_state(simulator, outputs, rows))
-        if not _has_gain(self):
-            raise ValueError(
-                f"horizon={horizon!r} asks for predictions from measured outputs, but this "
-                f"{type(self).__name__} has no Kalman gain; use "
-                f"MOESPRegressor(disturbance_model=True) or "
-                f"StructuredMatcher(criterion='prediction_error') as the last step, or horizon=None"
-            )
-        recompose = not self.predicts_harmonics_
-        return predicted_ahead(simulator, outputs, horizon, rows=rows, recompose=recompose)
-
-    def _predicts_ahead(self):
-        """Whether a Kalman gain was, or will be, identified."""
-        return False
-
-    def _score_rows(self, simulator, experiment):
-        """Rows of one segment that the initial state is fitted on, and those scored."""
-        first, last = experiment.basis.scored_rows(simulator.time)
-        unknown, unread = leads(experiment)
-        first += unknown
-        warm = self._warmup_samples(experiment)
-        warm = max(1, min(warm, int(WARMUP_SHARE * (last - first - 2 * unread))))
-        return slice(first, first + warm), slice(first + warm + unread, last - unread)
-
-    def _warmup_samples(self, experiment):
-        if self._check_warmup() is None:
-            return experiment.basis.warmup_samples
-        return round(self.warmup / experiment.base.sample_time)
 
     def _check_warmup(self):
         if self.warmup is None:
@@ -449,7 +401,7 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         """Raise ValueError if plain rows are another step apart than those of a discrete model."""
         dt, found = self.model_.dt, base.sample_time
         told = dt > 0.0 and len(base.time) > 1
-        if told and abs(dt - found) > STEP_TOLERANCE * dt + 4.0 * base.uncertainty:
+        if told and abs(dt - found) > STEP_TOLERANCE * dt + STANDARD_ERRORS * base.uncertainty:
             raise ValueError(
                 f"the model was identified at a sample time of {dt:.6g} s, but X has {found:.6g} "
                 f"s; resample X, or bring the model to continuous time with SpuriousModeReducer"
@@ -573,11 +525,164 @@ class ModelStep(FrameTransformer, ResidualTests, Exported, Delayed, RegressorMix
         ]
         return self._mirror(self._with_trim(outputs, experiment), X)
 
+    @one_blas_thread
+    @within_range
+    def residual_tests(self, X, y, *, lags=None, level=LEVEL):
+        """Test whether the residuals of a record are noise, with one row per test.
+
+        Residuals are the errors of one-step predictions if the model has a Kalman gain, otherwise
+        those of simulations. They are noise if they correlate with nothing known beforehand,
+        beyond what a small change of the parameters would remove (score tests, which account for
+        fitted parameters and the colour of the inputs):
+
+        - *autocorrelation*: residuals of earlier rows. For simulations this test requires more
+          than a correct effect of the inputs: the noise must be white and on the outputs.
+        - *inputs*: those of the same row and of earlier rows.
+        - *nonlinearity*: squares (also times the first harmonic of the turn) and cubes of
+          predictions and inputs about their periodic means. A wrong order may fail it, too.
+        - *mean*, or *loads* of a machine that turns: a constant, or harmonics of the turn (not
+          if a trim was subtracted).
+        - *autocorrelation by phase*, *inputs by phase*: the first two, times the first two
+          harmonics of the turn.
+
+        The variance of residuals may depend on time and azimuth.
+
+        Parameters
+        ----------
+        X : DataFrame or ndarray, shape (n_samples, n_features), or None
+            Inputs as at fit; None if there were none. Only the first 20 000 rows are used.
+        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
+            Measured outputs on the rows of X.
+        lags : int, optional
+            Number of earlier rows in the tests; by default 20, or fewer with several outputs or
+            few rows.
+        level : float, default=0.001
+            Share of correct models that fail one of the tests; it is divided among the tests.
+
+        Returns
+        -------
+        tests : DataFrame, shape (n_tests, 5)
+            By test: ``statistic``; ``degrees`` of freedom of its χ² distribution (0 if nothing is
+            left to test, because the model has parameters for it); ``p_value``; ``share`` of the
+            residuals' variance that is not noise; ``passed``.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        UnstableModelError
+            If a simulation overflows.
+        ValueError
+            If the model is one of whole windows or periods, there are too few rows for its
+            parameters, or X, y, ``lags`` or ``level`` do not fit.
+
+        References
+        ----------
+        Ljung (1999), System Identification, section 16.6.
+        Godfrey (1978), Econometrica 46(6), 1293-1301 (autocorrelation).
+        Neyman (1959), C(α) tests, which allow for fitted parameters.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_hd import MOESPRegressor
+        >>> rng = np.random.default_rng(0)
+        >>> u, e, y = rng.standard_normal((3, 2000))
+        >>> y[:2] = 0.0
+        >>> for k in range(2, 2000):
+        ...     y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + e[k]
+        >>> right = MOESPRegressor(order=2, disturbance_model=True).fit(u[:, None], y)
+        >>> bool(right.residual_tests(u[:, None], y)["passed"].all())
+        True
+        >>> wrong = MOESPRegressor(order=1, disturbance_model=True).fit(u[:, None], y)
+        >>> wrong.residual_tests(u[:, None], y)["passed"].to_dict()
+        {'autocorrelation': False, 'inputs': False, 'nonlinearity': False, 'mean': True}
+        """
+        level = check_fraction("level", level, "it is a probability, such as 0.001")
+        if lags is not None:
+            check_count("lags", lags, 1, "20 is usual")
+        return scored(left_of(self, X, y), lags, level)
+
+    def export(self, path, *, n_phases=64):
+        """Write the model to a file for MATLAB (.mat) or any program (.json).
+
+        The file has the periodic system, where there is one, and the time-invariant matrices A,
+        B, C, D of ``system_``; names and units as in the record; exponents with their standard
+        deviations; waveforms of the trim, and the forced periodic response; delays in seconds.
+        :func:`~sklearn_hd.systems.load_model` reads JSON back.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Ends in ``.json`` or ``.mat``; a file that is there is replaced.
+        n_phases : int, default=64
+            Azimuths in a period at which periodic matrices are tabulated, too.
+
+        Raises
+        ------
+        NotFittedError
+            Before ``fit``.
+        ValueError
+            If the suffix is another, or a number is not finite.
+        OSError
+            If the file cannot be written.
+        """
+        check_is_fitted(self)
+        write(contents(self, n_phases), path)
+
     @property
     def system_(self):
         """The model as a control.StateSpace with named signals."""
         check_is_fitted(self)
         return self.model_.to_control()
+
+    @property
+    def delays_(self):
+        """Delay of each input and output, seconds, as a Series."""
+        return self._delays("seconds", 0.0, "delay")
+
+    @property
+    def delay_std_(self):
+        """Standard deviation of each delay, as a Series; NaN if it was given."""
+        return self._delays("std", np.nan, "delay_std")
+
+    def _delays(self, what, none, name):
+        check_is_fitted(self)
+        delays = self.model_.delays
+        if delays is None:
+            names = [*self.basis_.input_signals, *self.target_names_]
+            return pd.Series(none, names, name=name)
+        return delays.table(what).rename(name)
+
+    # ---- delays, which the matrices do not include -------------------------------------------
+
+    def _samples_late(self, experiment):
+        """Samples by which each output is measured after the simulators have it."""
+        delays = self.model_.delays
+        if delays is None:
+            return np.zeros(1)
+        if self.predicts_harmonics_ and delays.outputs.any():
+            raise ValueError(
+                "y was given as a HarmonicFrame of coefficients, and coefficients cannot be "
+                "shifted in time; give y in time at fit, or use output_delay=0"
+            )
+        return delays.outputs / experiment.base.sample_time
+
+    def _compared(self, experiment):
+        """An experiment with outputs in the machine's own time, as far as they are known there."""
+        delays = self.model_.delays
+        return experiment if delays is None else in_machine_time(experiment.origin, delays)
+
+    def _samples_ahead(self, experiment):
+        """Samples by which outputs are late, which have to be alike where they tell the state."""
+        samples = self._samples_late(experiment)
+        if np.ptp(samples) > 0.0:
+            raise ValueError(
+                f"the outputs have different delays ({self.model_.delays.outputs.tolist()} s), so "
+                f"a prediction ahead would use values measured later; give one output_delay for "
+                f"all outputs, or simulate (predict, horizon=None)"
+            )
+        return samples
 
 
 def _float_types(y, n_outputs):

@@ -7,8 +7,7 @@ import pandas as pd
 from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._checks import check_count, check_fraction, check_outputs_given
-from sklearn_hd._guards import one_blas_thread, within_range
+from sklearn_hd._checks import check_outputs_given
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.algorithms.likelihood.residual_tests import (
     Score,
@@ -21,11 +20,10 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     span_of,
     times,
 )
-from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["LEVEL", "Remainder", "ResidualTests", "left_of", "remainder", "scored"]
 ROWS_TESTED = 20_000  # from the start of a longer record
 ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
 MOST_LAGS = 20
@@ -35,8 +33,6 @@ LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 LEVEL = 0.001
-OVERFLOW = 1e150  # squares of anything larger overflow
-PRECISION = 1e-9  # of an output's size: less is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,88 +300,6 @@ def _prepared(left, own, W, Phi):
         columns.append(filtered(np.concatenate(parts, axis=-1), Phi))
     residuals = np.vstack([filtered(e[..., None], Phi)[..., 0] for e in own])
     return residuals, span_of(np.concatenate(columns).reshape(residuals.size, -1))
-
-
-class ResidualTests:
-    """Residual tests of a model step."""
-
-    @one_blas_thread
-    @within_range
-    def residual_tests(self, X, y, *, lags=None, level=LEVEL):
-        """Test whether the residuals of a record are noise, with one row per test.
-
-        Residuals are the errors of one-step predictions if the model has a Kalman gain, otherwise
-        those of simulations. They are noise if they correlate with nothing known beforehand,
-        beyond what a small change of the parameters would remove (score tests, which account for
-        fitted parameters and the colour of the inputs):
-
-        - *autocorrelation*: residuals of earlier rows. For simulations this test requires more
-          than a correct effect of the inputs: the noise must be white and on the outputs.
-        - *inputs*: those of the same row and of earlier rows.
-        - *nonlinearity*: squares (also times the first harmonic of the turn) and cubes of
-          predictions and inputs about their periodic means. A wrong order may fail it, too.
-        - *mean*, or *loads* of a machine that turns: a constant, or harmonics of the turn (not
-          if a trim was subtracted).
-        - *autocorrelation by phase*, *inputs by phase*: the first two, times the first two
-          harmonics of the turn.
-
-        The variance of residuals may depend on time and azimuth.
-
-        Parameters
-        ----------
-        X : DataFrame or ndarray, shape (n_samples, n_features), or None
-            Inputs as at fit; None if there were none. Only the first 20 000 rows are used.
-        y : DataFrame, Series or ndarray, shape (n_samples, n_outputs)
-            Measured outputs on the rows of X.
-        lags : int, optional
-            Number of earlier rows in the tests; by default 20, or fewer with several outputs or
-            few rows.
-        level : float, default=0.001
-            Share of correct models that fail one of the tests; it is divided among the tests.
-
-        Returns
-        -------
-        tests : DataFrame, shape (n_tests, 5)
-            By test: ``statistic``; ``degrees`` of freedom of its χ² distribution (0 if nothing is
-            left to test, because the model has parameters for it); ``p_value``; ``share`` of the
-            residuals' variance that is not noise; ``passed``.
-
-        Raises
-        ------
-        NotFittedError
-            Before ``fit``.
-        UnstableModelError
-            If a simulation overflows.
-        ValueError
-            If the model is one of whole windows or periods, there are too few rows for its
-            parameters, or X, y, ``lags`` or ``level`` do not fit.
-
-        References
-        ----------
-        Ljung (1999), System Identification, section 16.6.
-        Godfrey (1978), Econometrica 46(6), 1293-1301 (autocorrelation).
-        Neyman (1959), C(α) tests, which allow for fitted parameters.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from sklearn_hd import MOESPRegressor
-        >>> rng = np.random.default_rng(0)
-        >>> u, e, y = rng.standard_normal((3, 2000))
-        >>> y[:2] = 0.0
-        >>> for k in range(2, 2000):
-        ...     y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + e[k]
-        >>> right = MOESPRegressor(order=2, disturbance_model=True).fit(u[:, None], y)
-        >>> bool(right.residual_tests(u[:, None], y)["passed"].all())
-        True
-        >>> wrong = MOESPRegressor(order=1, disturbance_model=True).fit(u[:, None], y)
-        >>> wrong.residual_tests(u[:, None], y)["passed"].to_dict()
-        {'autocorrelation': False, 'inputs': False, 'nonlinearity': False, 'mean': True}
-        """
-        level = check_fraction("level", level, "it is a probability, such as 0.001")
-        if lags is not None:
-            check_count("lags", lags, 1, "20 is usual")
-        return scored(left_of(self, X, y), lags, level)
 
 
 def left_of(step, X, y):

@@ -11,8 +11,6 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, Period
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
 
-__all__ = ["AtSamples", "SampleModel", "SampleSimulator"]
-
 
 @dataclass(frozen=True, eq=False)
 class AtSamples:

@@ -3,13 +3,17 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_hd._fit_checks import DUST
 from sklearn_hd._guards import extremes
+from sklearn_hd._records.delays import leads
+from sklearn_hd._records.sampling import joined
+from sklearn_hd._simulators import as_seen, fit_initial_state, predicted_ahead
+from sklearn_hd._tables import without_inputs
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.signals.late_signals import advanced, late
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
-__all__ = ["compared", "meet_at_rest", "power_of_two", "scored_simulation", "weights_of"]
-
+WARMUP_SHARE = 0.25  # of a segment, at most
 MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 
 
@@ -20,7 +24,73 @@ def scored_simulation(step, X, y, horizon=None):
     samples, which both are without.
     """
     check_is_fitted(step)
-    return step._fitted_simulation(X, y, horizon)
+    experiment = step._experiment(without_inputs(y) if X is None else X, y)
+    trim, sampling = experiment.output_trim(), experiment.sampling
+    truth, simulated, rows, forced = [], [], [], []
+    simulators = step._simulators(experiment)
+    step._warn_of_inputs(experiment, simulators)
+    samples = (step._samples_late if horizon is None else step._samples_ahead)(experiment)
+    parts = zip(simulators, experiment.outputs, sampling.pieces, strict=True)
+    for i, (simulator, y_segment, piece) in enumerate(parts):
+        y_segment = advanced(y_segment, samples)
+        warm, counted = score_rows(step, simulator, experiment)
+        if counted.start >= counted.stop:
+            continue
+        within = piece.rows_between(counted.start, counted.stop)
+        measured = experiment.measured[piece.rows][within]
+        own = np.arange(within.start, within.stop)
+        if experiment.has_gaps:  # rows that were bridged do not count
+            kept = np.isfinite(measured).all(axis=1)
+            measured, own = measured[kept], own[kept]
+            within = own
+        seen = as_seen(simulator, y_segment)
+        outputs = _fitted_outputs(step, simulator, seen, warm, horizon)
+        loads = np.broadcast_to(simulator.forced(), outputs.shape)
+        if seen is y_segment:
+            outputs, loads = (late(each, samples) for each in (outputs, loads))
+            known = loads if trim is None else trim[i] + loads
+            truth.append(measured - piece.back(known)[within])
+        else:
+            truth.append(piece.back(seen - loads)[within])
+        simulated.append(piece.back(outputs - loads)[within])
+        forced.append(piece.back(loads)[within])
+        rows.append(own + piece.rows.start)
+    if not truth:
+        raise ValueError(
+            f"no rows are left to score in {experiment.span()}: every segment is shorter than "
+            f"one analysis window and the warm-up; give longer records or a smaller warmup"
+        )
+    truth, simulated = (np.asfortranarray(joined(parts)) for parts in (truth, simulated))
+    rows, forced = joined(rows), joined(forced)  # by columns, which are quick to sum
+    _meet_at_rest(truth, simulated, experiment.measured[rows])
+    return truth, simulated, rows, forced
+
+
+def score_rows(step, simulator, experiment):
+    """Rows of one segment that the initial state is fitted on, and those scored."""
+    first, last = experiment.basis.scored_rows(simulator.time)
+    unknown, unread = leads(experiment)
+    first += unknown
+    seconds = step._check_warmup()
+    warm = experiment.basis.warmup_samples
+    if seconds is not None:
+        warm = round(seconds / experiment.base.sample_time)
+    warm = max(1, min(warm, int(WARMUP_SHARE * (last - first - 2 * unread))))
+    return slice(first, first + warm), slice(first + warm + unread, last - unread)
+
+
+def _fitted_outputs(step, simulator, outputs, rows, horizon):
+    """Outputs from the initial state that fits best over some rows."""
+    if horizon is None:
+        return simulator.outputs(fit_initial_state(simulator, outputs, rows))
+    if not step._predicts_ahead():
+        raise ValueError(
+            f"horizon={horizon!r} asks for predictions from measured outputs, but this "
+            f"{type(step).__name__} has no Kalman gain; use MOESPRegressor(disturbance_model=True) "
+            f"or StructuredMatcher(criterion='prediction_error') as the last step, or horizon=None"
+        )
+    recompose = not step.predicts_harmonics_
+    return predicted_ahead(simulator, outputs, horizon, rows=rows, recompose=recompose)
 
 
 def compared(step, X, y, sample_weight=None, horizon=None):
@@ -47,9 +117,9 @@ def compared(step, X, y, sample_weight=None, horizon=None):
     return None
 
 
-def meet_at_rest(truth, simulated, measured):
+def _meet_at_rest(truth, simulated, measured):
     """Treat outputs that rest, to rounding, as met if the simulation rests, too."""
-    dust = DUST * np.max(np.abs(extremes(measured)), axis=0)
+    dust = EXACT * np.max(np.abs(extremes(measured)), axis=0)
     for j in np.flatnonzero(np.ptp(truth, axis=0) <= dust):
         if np.max(np.abs(simulated[:, j] - truth[:, j])) <= dust[j]:
             simulated[:, j] = truth[:, j]

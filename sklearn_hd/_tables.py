@@ -173,7 +173,7 @@ def _culprit(data):
 
 STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
 ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
-STANDARD_ERRORS = 4.0  # by which a sample time may be off
+STANDARD_ERRORS = 4.0  # by which chance does not move what is estimated
 REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off

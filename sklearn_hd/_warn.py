@@ -8,8 +8,6 @@ from pathlib import Path
 import joblib
 import sklearn
 
-__all__ = ["warn"]
-
 BETWEEN = tuple(
     str(Path(file).parent) + os.sep for file in (__file__, sklearn.__file__, joblib.__file__)
 )

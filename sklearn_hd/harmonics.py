@@ -258,7 +258,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         _check_raw(X)
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
-        inputs = read_signals(X, "x", "X", timing)
+        inputs = read_signals(X, timing)
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
@@ -311,7 +311,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         check_is_fitted(self)
         basis = self.basis_
         X = check_features(self, X, reset=False)
-        signals = read_signals(X, "x", "X", basis.timing)
+        signals = read_signals(X, basis.timing)
         sampling, inputs, _ = sample(signals, basis)
         shortest = min(len(piece.grid) for piece in sampling.pieces)
         if shortest < len(basis.weights):
@@ -381,7 +381,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             raise ValueError(
                 f"X lacks the azimuth column {azimuth[0]!r}; give a frame as transform returns it"
             )
-        given = read_signals(X[[*basis.drive_labels, *azimuth]], "x", "X", basis.timing)
+        given = read_signals(X[[*basis.drive_labels, *azimuth]], basis.timing)
         places = given.places(basis.omega, basis.sample_time)
         trim = 0.0
         if basis.input_trim is not None:

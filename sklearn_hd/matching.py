@@ -12,7 +12,6 @@ from sklearn_hd._checks import check_choice, check_count, check_fraction, check_
 from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, searching, within_range
 from sklearn_hd._match.affine import NormSettings, match_affine
-from sklearn_hd._match.exclusions import LIKELIHOODS, checked_together
 from sklearn_hd._match.free import match_free
 from sklearn_hd._match.likelihood import match_likelihood, warn_closed_loop
 from sklearn_hd._match.match import PeriodicSimulator
@@ -24,12 +23,12 @@ from sklearn_hd._opinion import doubtful, warn_unconfirmed
 from sklearn_hd._records.delays import as_measured, in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
-from sklearn_hd._upstream import upstream
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
+LIKELIHOODS = ("output_error", "prediction_error")
 CRITERIA = ("hinf", "least_squares", *LIKELIHOODS)
 
 
@@ -267,7 +266,7 @@ class StructuredMatcher(ModelStep):
             Fitted.
         """
         self._check_settings()
-        experiment, model = upstream(self, X, y)
+        experiment, model = self._upstream(X, y)
         of_samples = isinstance(model, SampleModel)
         match = self._of_samples if of_samples else self._of_rows
         match = match(model, experiment)
@@ -282,7 +281,7 @@ class StructuredMatcher(ModelStep):
     def _of_samples(self, model, experiment):
         """Match a model of samples at their azimuths."""
         periodic = isinstance(self.structure, HarmonicStructure) or not model.time_invariant
-        noise = checked_together(self, experiment.basis, periodic, periodic)
+        noise = _checked_together(self, experiment.basis, periodic, periodic)
         if not self._likely:
             return match_samples(model, experiment, self.structure, self._norm_settings())
         settings = self._likelihood_settings(noise)
@@ -299,7 +298,7 @@ class StructuredMatcher(ModelStep):
         structure = HarmonicStructure() if lifted and self.structure is None else self.structure
         periodic = isinstance(structure, HarmonicStructure)
         settings = self._likelihood_settings(
-            checked_together(self, experiment.basis, lifted, periodic)
+            _checked_together(self, experiment.basis, lifted, periodic)
         )
         if self._likely and structure is None and not experiment.basis.harmonic:
             return match_free(model, experiment, settings)
@@ -595,6 +594,60 @@ class StructuredMatcher(ModelStep):
                 f"criterion='hinf' or 'least_squares'"
             )
         return self.match_.found.singular_values
+
+
+def _checked_together(step, basis, lifted, periodic):
+    """Refuse parameters that exclude each other; the noise of each input, or None."""
+    if step.output_weights is not None or step.input_weights is not None:
+        if step._likely:
+            raise ValueError(
+                f"criterion={step.criterion!r} weights each output by its noise; output_weights "
+                f"and input_weights belong to a norm, so leave them None, or use criterion='hinf' "
+                f"or 'least_squares'"
+            )
+        if lifted and periodic:
+            raise ValueError(
+                "this model is brought to periodic form in closed form, which uses no weights; "
+                "leave output_weights and input_weights None, or, with reading='period', use "
+                "criterion='output_error', which weights each output by its noise"
+            )
+    given = step.input_noise
+    if given is None:
+        return None
+    if not step._likely:
+        raise ValueError(
+            f"input_noise={given!r} needs maximum likelihood; fit with criterion='output_error', "
+            f"or leave input_noise=None"
+        )
+    if step.criterion == "prediction_error":
+        raise ValueError(
+            f"input_noise={given!r} needs simulations, but criterion='prediction_error' predicts; "
+            f"fit with criterion='output_error', or leave input_noise=None, where noise on the "
+            f"inputs counts as gusts"
+        )
+    if step.structure is None and not basis.harmonic:
+        raise ValueError(
+            f"input_noise={given!r} needs the parameters of a structure, but structure=None leaves "
+            f"every entry free; give a MatrixStructure, or leave input_noise=None"
+        )
+    if basis.reading == "sample":
+        raise ValueError(
+            f"input_noise={given!r} cannot be separated from the loads that a model of samples "
+            f"has; use HarmonicAnalyzer(reading='period'), or leave input_noise=None"
+        )
+    if not periodic and not np.all(basis.held):
+        raise ValueError(
+            "input_noise is the noise of the measured inputs, but this model is driven by their "
+            "harmonics; keep only harmonic 0 of the inputs, or use a HarmonicStructure"
+        )
+    names = basis.input_signals
+    values = given if isinstance(given, Mapping) else dict.fromkeys(names, given)
+    if set(values) != set(names):
+        raise ValueError(
+            f"input_noise={given!r} must give a standard deviation for each of the inputs "
+            f"{list(names)}"
+        )
+    return np.array([float(values[name]) for name in names])
 
 
 def _warn_of_moves(model, match, likely):

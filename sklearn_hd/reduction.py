@@ -7,7 +7,6 @@ from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._reduce.choice import mode_table
 from sklearn_hd._reduce.reduction import reduced
-from sklearn_hd._upstream import upstream
 
 __all__ = ["SpuriousModeReducer"]
 
@@ -133,7 +132,7 @@ class SpuriousModeReducer(ModelStep):
         method = check_choice("method", self.method, METHODS)
         if self.n_states is not None:
             check_count("n_states", self.n_states, 1, "None decides by the data")
-        experiment, model = upstream(self, X, y)
+        experiment, model = self._upstream(X, y)
         found = reduced(model, experiment, method, self.n_states)
         self._modes, self.n_states_ = found.modes, found.model.n_states
         self.r2_, self.left_out_ = found.r2, found.left_out

@@ -1,27 +1,30 @@
 """Step 3: subspace identification of a discrete-time state-space model."""
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pandas as pd
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_outputs_given
+from sklearn_hd._containers import is_partitioned
 from sklearn_hd._guards import one_blas_thread, within_range
-from sklearn_hd._identify import Settings, identify, identify_record, most_block_rows
-from sklearn_hd._identify.checks import PREDICTOR, checked
+from sklearn_hd._identify import (
+    PREDICTOR,
+    Settings,
+    checked,
+    identify,
+    identify_record,
+    most_block_rows,
+)
 from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
-from sklearn_hd._identify.delays import without_delays
-from sklearn_hd._identify.partitions import Partitions, is_partitioned
+from sklearn_hd._identify.partitions import Partitions
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._records.amplitudes import read_for_fit
-from sklearn_hd._records.data import check_features
-from sklearn_hd._records.delays import as_measured, asked_delays
+from sklearn_hd._records.data import check_features, read_for_fit
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.algorithms.subspace.order import Simulated
 
 __all__ = ["MOESPRegressor"]
 
@@ -277,16 +280,8 @@ class MOESPRegressor(ModelStep):
             data = Partitions(X, y, lambda basis: most_block_rows(basis, settings))
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
-        experiment = read_for_fit(X, y)
-        delays = asked_delays(self.input_delay, self.output_delay, experiment)
-        if delays is None:
-            found = identify_record(experiment, settings)
-        else:
-            found, experiment = without_delays(experiment, delays, settings, identify_record)
-        basis = experiment.basis
-        if found.forced is not None:
-            forced = as_measured(found.forced, found.model.delays, basis)
-            basis = replace(basis, output_trim=basis.output_trim + forced)
+        delays = self.input_delay, self.output_delay
+        found, experiment, basis = identify_record(read_for_fit(X, y), settings, *delays)
         return self._store(found, basis, X, y, experiment)
 
     @one_blas_thread
@@ -402,8 +397,7 @@ class MOESPRegressor(ModelStep):
         self.order_, self.block_rows_, self.x0_ = found.order, found.block_rows, found.x0
         self.singular_values_, self.noise_floor_ = found.singular_values, found.noise_floor
         self.feedthrough_reason_ = found.feedthrough_reason
-        names = [f.name for f in fields(Simulated)]
-        self.order_search_ = {n: np.array([getattr(m, n) for m in found.tried]) for n in names}
+        self.order_search_ = found.order_search
         return self._remember(found.model, basis, X, y, experiment)
 
     @property

@@ -19,7 +19,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd._exported import _contents
+from sklearn_hd._exported import contents
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import mathieu
 
@@ -137,9 +137,9 @@ def test_files_have_the_delays_and_so_has_the_start_of_a_record():
     u, y = plain_record((0.15, 0.4), (0.0, 0.1))
     asked = {"input_delay": {"u0": 0.15, "u1": 0.4}, "output_delay": {"y1": 0.1}}
     model = MOESPRegressor(3, block_rows=8, **asked).fit(u, y)
-    contents = _contents(model, 8)
-    np.testing.assert_allclose(contents["input_delay"], [0.15, 0.4])
-    np.testing.assert_allclose(contents["output_delay"], [0.0, 0.1])
+    found = contents(model, 8)
+    np.testing.assert_allclose(found["input_delay"], [0.15, 0.4])
+    np.testing.assert_allclose(found["output_delay"], [0.0, 0.1])
     later, known = u.iloc[60:], y.iloc[60:]
     x0 = model.initial_state(later, known)  # which stands for inputs that are not known, too
     np.testing.assert_allclose(model.predict(later, x0=x0).iloc[12:], known.iloc[12:], atol=1e-7)

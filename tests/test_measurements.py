@@ -423,7 +423,7 @@ def test_even_rows_pass_unchanged(steady, rng):
         again = HarmonicAnalyzer(OMEGA, input_harmonics=1, missing=missing).fit_transform(X)
         np.testing.assert_array_equal(again, frame)
         assert again.basis.timing.missing == missing
-    sampling, inputs, _ = sample(read_signals(X, "x", "X", frame.basis.timing), frame.basis)
+    sampling, inputs, _ = sample(read_signals(X, frame.basis.timing), frame.basis)
     assert all(piece.is_grid for piece in sampling.pieces)
     np.testing.assert_array_equal(np.vstack(inputs), X)
     np.testing.assert_array_equal(sampling.back(inputs), X)

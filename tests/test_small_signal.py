@@ -13,7 +13,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
-from sklearn_hd._records.amplitudes import read_for_fit
+from sklearn_hd._records.data import read_for_fit
 from sklearn_hd.algorithms.signals.amplitudes import (
     extrapolation_weights,
     n_distinct,

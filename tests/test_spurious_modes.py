@@ -12,8 +12,8 @@ import reducer_thresholds as thresholds
 import spurious_modes_study as study
 
 from sklearn_hd import HarmonicAnalyzer
-from sklearn_hd._identify.modulation import inputs_by_phase
-from sklearn_hd._records.amplitudes import read_for_fit
+from sklearn_hd._identify.sliding import inputs_by_phase
+from sklearn_hd._records.data import read_for_fit
 from sklearn_hd._reduce.choice import without_trifles
 
 FIRST = {  # the first seed of each kind and excitation

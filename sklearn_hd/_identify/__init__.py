@@ -9,16 +9,20 @@ from dataclasses import replace
 
 from sklearn_hd._guards import searching
 from sklearn_hd._identify import period, plain, sample, sliding
-from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, PREDICTOR, checked
+from sklearn_hd._identify.delays import without_delays
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._opinion import decays_at_rest, of_free_decays
 from sklearn_hd._readings import SampleBasis
+from sklearn_hd._records.delays import as_measured, asked_delays
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts
 
 __all__ = [
+    "PREDICTOR",
     "Settings",
     "SubspaceFit",
     "asked_block_rows",
+    "checked",
     "identify",
     "identify_record",
     "most_block_rows",
@@ -28,8 +32,31 @@ MOST_ROWS = 20_000  # of samples read for a second opinion: some tenths of a sec
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
 
 
-def identify_record(experiment, settings):
-    """Identify a model from an experiment in memory, as its reading says."""
+def identify_record(experiment, settings, input_delay=0.0, output_delay=0.0):
+    """Identify a model from an experiment in memory, as its reading says.
+
+    Returns
+    -------
+    fit : SubspaceFit
+    experiment : Experiment
+        That the fit is of: in the machine's own time.
+    basis : HarmonicBasis or PlainReading
+        With the trim that was identified together with the dynamics.
+    """
+    delays = asked_delays(input_delay, output_delay, experiment)
+    if delays is None:
+        fit = _of_record(experiment, settings)
+    else:
+        fit, experiment = without_delays(experiment, delays, settings, _of_record)
+    basis = experiment.basis
+    if fit.forced is not None:
+        forced = as_measured(fit.forced, fit.model.delays, basis)
+        basis = replace(basis, output_trim=basis.output_trim + forced)
+    return fit, experiment, basis
+
+
+def _of_record(experiment, settings):
+    """The fit of an experiment in the machine's own time, with a second opinion."""
     module = MODULES[experiment.basis.reading]
     fit = module.identify(module.read(experiment, settings), settings, experiment)
     if module is not sliding or searching():

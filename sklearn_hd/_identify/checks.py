@@ -12,20 +12,10 @@ from sklearn_hd.algorithms.subspace.predictor_subspace import rows_remembered
 from sklearn_hd.algorithms.subspace.projections import PROJECTIONS
 from sklearn_hd.exceptions import ExcitationWarning
 
-__all__ = [
-    "DEFAULT_BLOCK_ROWS",
-    "MOST_PREDICTOR_ROWS",
-    "PREDICTOR",
-    "allowed_block_rows",
-    "check_rank_bound",
-    "checked",
-    "fewer_block_rows",
-    "rows_of_predictor",
-]
-
 DEFAULT_BLOCK_ROWS = 15
 PREDICTOR = "pbsid"
 MOST_PREDICTOR_ROWS = 60
+NOTABLE = 0.01  # share of the innovations that is worth a warning
 COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
 ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)

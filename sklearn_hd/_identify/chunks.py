@@ -15,7 +15,7 @@ import pandas as pd
 from sklearn_hd._checks import FIRST, RAISE, at
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
 from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
-from sklearn_hd._identify.modulation import (
+from sklearn_hd._identify.sliding import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
@@ -29,8 +29,6 @@ from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.forgetting import Forgetting
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
-
-__all__ = ["Stream", "model_so_far", "read_chunk", "with_chunk"]
 
 MOST_BYTES = 2**33  # of one matrix of the sums
 MOST_REST = 10.0  # half-lives, after which motion weighs 2⁻¹⁰: deviations have grown 32 times

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from sklearn_hd._continuous import output_scale
+from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS
 from sklearn_hd._records.delays import (
     in_machine_time,
     in_whole_samples,
@@ -30,9 +31,6 @@ from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["without_delays"]
-
-OWN_PAST = 15  # rows, as many as block rows by default
 HARMONICS = 1  # of the regression, where the machine turns
 MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
 
@@ -77,7 +75,7 @@ def _searched(experiment, delays):
         raise ValueError("a delay 'auto' is found from inputs, and there are none; give seconds")
     most, count = most_samples(experiment), HARMONICS if basis.harmonic else 0
     segments = list(zip(experiment.inputs, experiment.outputs, experiment.phases, strict=True))
-    lags = first_answers(segments, most, OWN_PAST, count)
+    lags = first_answers(segments, most, DEFAULT_BLOCK_ROWS, count)
     samples, told = delays.seconds / dt, np.isfinite(lags)
     names = np.array(delays.names)
     silent = np.concatenate([~told.any(axis=0), ~told.any(axis=1)]) & delays.free

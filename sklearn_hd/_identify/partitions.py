@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, at
+from sklearn_hd._containers import is_partitioned
 from sklearn_hd._guards import one_blas_thread
-from sklearn_hd._identify.modulation import (
+from sklearn_hd._identify.sliding import (
     largest_changes,
     modulated,
     n_modulating_harmonics,
@@ -25,14 +26,7 @@ from sklearn_hd._readings import PlainReading, first_difference
 from sklearn_hd._records.data import as_frame, is_decomposed, read_experiment, rows_read
 from sklearn_hd._tables import STEP_TOLERANCE, read_time, resolution
 
-__all__ = ["Partitions", "is_partitioned"]
-
 FAN_IN = 8  # neighbours merged at a time
-
-
-def is_partitioned(data):
-    """Whether it is a collection of dask's, told without importing dask."""
-    return hasattr(data, "__dask_graph__") and not hasattr(data, "dims")  # xarray's has both
 
 
 class Partitions:

@@ -8,6 +8,7 @@ from sklearn_hd._fit_checks import check_motion, warn_of_offset, warn_of_unstabl
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import (
     DEFAULT_BLOCK_ROWS,
+    NOTABLE,
     allowed_block_rows,
     fewer_block_rows,
     rows_of_predictor,
@@ -25,10 +26,6 @@ from sklearn_hd.algorithms.subspace.order import (
 )
 from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
-
-__all__ = ["asked_block_rows", "identify", "read"]
-
-NOTABLE = 0.01  # share of the innovations, beyond which a missing feedthrough is warned of
 
 
 def read(experiment, settings):

@@ -21,8 +21,6 @@ from sklearn_hd.algorithms.subspace.lag_products import lag_products
 from sklearn_hd.algorithms.subspace.sums import correlations, input_matrices_of_sums
 from sklearn_hd.exceptions import CacheWarning
 
-__all__ = ["KeptSums"]
-
 LAYOUT = 4  # of what is stored, raised with it: files of another one are not found
 LEAST_LAGS = 64  # that are kept: 32 block rows of the past, and of the future
 MOST_LAGS = 256  # more are not kept

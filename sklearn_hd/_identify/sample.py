@@ -13,6 +13,7 @@ from scipy import linalg
 
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import searching
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
 from sklearn_hd._identify.sample_checks import (
     ROWS_PER_COLUMN,
     check_outputs_move,
@@ -43,9 +44,6 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
 
-__all__ = ["asked_block_rows", "identify", "read"]
-
-MOST_LAGS = 60
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
@@ -112,7 +110,7 @@ def _compared_rows(segments):
 
 def asked_block_rows(basis, settings):
     """Lags given, or the most tried."""
-    return MOST_LAGS if settings.block_rows is None else int(settings.block_rows)
+    return MOST_PREDICTOR_ROWS if settings.block_rows is None else int(settings.block_rows)
 
 
 def read(experiment, settings):
@@ -287,10 +285,11 @@ def _most(data, settings, basis):
             f"order={settings.order} exceeds the {asked * data.n_outputs} that block_rows={asked} "
             f"with {data.n_outputs} output(s) tell; lower order, or raise block_rows"
         )
-    if asked is None and shortest > MOST_LAGS:
+    if asked is None and shortest > MOST_PREDICTOR_ROWS:
         raise ValueError(
             f"order={settings.order} with {data.n_outputs} output(s) takes {shortest} lags, and "
-            f"{MOST_LAGS} are tried at most; lower order, or give block_rows={shortest} or more"
+            f"{MOST_PREDICTOR_ROWS} are tried at most; lower order, or give block_rows={shortest} "
+            f"or more"
         )
     given = basis.n_harmonics
     most = min(MOST_HARMONICS if given is None else given, basis.most_harmonics)
@@ -298,7 +297,9 @@ def _most(data, settings, basis):
     for count in range(most, -1 if given is None else most - 1, -1):
         per_lag = (data.n_inputs + data.n_outputs) * (2 * count + 1)
         first = 2 * basis.most_loads + 1
-        lags = min(MOST_LAGS, max((MOST_COLUMNS - first) // per_lag, shortest), longest // 3)
+        lags = min(
+            MOST_PREDICTOR_ROWS, max((MOST_COLUMNS - first) // per_lag, shortest), longest // 3
+        )
         while lags > shortest and _told(data, lags) < ROWS_PER_COLUMN * (first + lags * per_lag):
             lags -= 1
         lags = lags if asked is None else asked

@@ -4,6 +4,8 @@ import numpy as np
 
 from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._guards import searching
+from sklearn_hd._identify.checks import NOTABLE
+from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE, azimuth_drift
 from sklearn_hd.exceptions import (
@@ -12,22 +14,7 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 
-__all__ = [
-    "ROWS_PER_COLUMN",
-    "check_outputs_move",
-    "check_told_from_loads",
-    "check_turns",
-    "or_hop",
-    "root_mean_square",
-    "warn_of_drift",
-    "warn_of_growth",
-    "warn_of_little",
-    "warn_of_rest",
-]
-
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
-DRIFTS = 4.0  # standard errors, beyond which omega is off
-NOTABLE = 0.01  # share of the innovations that another omega has to explain
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 
 
@@ -116,7 +103,7 @@ def warn_of_drift(data, predictor, experiment, most_rows):
     means = tuple(mean / scale for mean, scale in zip(data.means, data.scales, strict=True))
     segments = [tuple(z[:most_rows] for z in segment) for segment in data.segments]
     drift, t, n_rows = azimuth_drift(segments, means, predictor)
-    if abs(t) > DRIFTS and t**2 > NOTABLE * n_rows:
+    if abs(t) > STANDARD_ERRORS and t**2 > NOTABLE * n_rows:
         turns = data.longest * data.step / (2.0 * np.pi)
         warn(
             f"omega={basis.omega:.9g} does not fit: predictions one sample ahead indicate about "

@@ -7,26 +7,16 @@
 5. The noise: K and the covariance of the innovations, if requested: ``fit_matrices``.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import PREDICTOR, warn_excitation
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
-from sklearn_hd.algorithms.subspace.order import order_by_gap
+from sklearn_hd.algorithms.subspace.order import Simulated, order_by_gap
 from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
 from sklearn_hd.algorithms.subspace.projections import Projection, release_idle_directions
-
-__all__ = [
-    "Decomposition",
-    "Settings",
-    "SubspaceFit",
-    "by_gap",
-    "decompose",
-    "fit_matrices",
-    "subspace_fit",
-]
 
 
 @dataclass(frozen=True)
@@ -88,6 +78,12 @@ class SubspaceFit:
     feedthrough_reason: str = ""
     tried: tuple = ()
     forced: np.ndarray | None = None
+
+    @property
+    def order_search(self):
+        """What the models tried leave, an array of each figure by its name."""
+        names = [f.name for f in fields(Simulated)]
+        return {name: np.array([getattr(model, name) for model in self.tried]) for name in names}
 
 
 @dataclass(frozen=True)

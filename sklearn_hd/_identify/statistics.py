@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import COMMON
-from sklearn_hd._fit_checks import DUST
 from sklearn_hd._guards import extremes, square_sums
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._tables import why_short
+from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.signals.lifting import InputDirections
 from sklearn_hd.algorithms.subspace.forgetting import Forgetting
 from sklearn_hd.algorithms.subspace.hankel import (
@@ -31,8 +31,6 @@ from sklearn_hd.algorithms.subspace.sums import (
     input_matrices_of_sums,
     row_sums,
 )
-
-__all__ = ["REMEMBERING", "Channels", "Facts", "Records", "Statistics", "Summed", "ends_of"]
 
 REMEMBERING = Forgetting()
 FIRST_ROWS = 512  # which tell, mostly, whether a signal moves
@@ -87,7 +85,7 @@ class Facts:
             # what has no mean over any period may move within it all the same
             seen, signals = _moving(experiment.inputs), experiment.basis.input_signals
         size = np.sqrt(square_sums(experiment.measured))
-        outputs_move = outputs_off = _spread(experiment.outputs[0][:FIRST_ROWS]) > DUST * size
+        outputs_move = outputs_off = _spread(experiment.outputs[0][:FIRST_ROWS]) > EXACT * size
         if not outputs_move.all():  # no value is larger than the length of its column
             size = np.array([np.fmax.reduce(np.abs(column)) for column in experiment.measured.T])
             ends = np.array([extremes(y) for y in experiment.outputs])
@@ -159,10 +157,10 @@ def _still(signals, moving):
 
 
 def _output_motion(ends, size):
-    """Which outputs move, and which are other than zero, beside their size: DUST is rounding."""
+    """Which outputs move, and which are other than zero, beside their size: EXACT is rounding."""
     low, high = ends[:, 0], ends[:, 1]
-    moves = np.any(high - low > DUST * size, axis=0)
-    return moves, np.any((np.maximum(high, -low) > DUST * size) & (high >= low), axis=0)
+    moves = np.any(high - low > EXACT * size, axis=0)
+    return moves, np.any((np.maximum(high, -low) > EXACT * size) & (high >= low), axis=0)
 
 
 # ---- arrays in memory ----------------------------------------------------------------------
@@ -380,7 +378,7 @@ class Statistics:
             s: max(d for d, o in zip(moved, signals, strict=True) if o == s) for s in signals
         }
         moving = np.array(
-            [d > DUST * largest[s] for d, s in zip(moved, signals, strict=True)], bool
+            [d > EXACT * largest[s] for d, s in zip(moved, signals, strict=True)], bool
         )
         return Facts(
             basis,

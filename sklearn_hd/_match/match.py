@@ -9,6 +9,7 @@ from sklearn_hd._frame import LTIModel
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._sample_model import AtSamples, SampleModel
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.lti.simulation import step_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import MatchResult
@@ -18,8 +19,6 @@ from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure,
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
-
-OVERFLOW = 1e150  # squares of anything larger overflow
 
 
 @dataclass(frozen=True, eq=False)

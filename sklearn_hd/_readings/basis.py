@@ -12,8 +12,6 @@ from sklearn_hd.algorithms.signals.fourier import (
     windowed_coefficients,
 )
 
-__all__ = ["HarmonicBasis", "Timing", "coefficient_names", "first_difference", "highest_harmonic"]
-
 DUST = 1e-12  # share of a signal, or of the trim that was subtracted, that is rounding
 HALF = 1e-6  # of a sample, so that rows halfway between two phases all go to the same side
 WARMUP_PERIODS = 5

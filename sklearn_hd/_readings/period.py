@@ -10,8 +10,6 @@ import numpy as np
 from sklearn_hd._readings.basis import HarmonicBasis
 from sklearn_hd.algorithms.signals.fourier import window_weights
 
-__all__ = ["PeriodBasis"]
-
 
 @dataclass(frozen=True, eq=False)
 class PeriodBasis(HarmonicBasis):

@@ -9,8 +9,6 @@ import numpy as np
 
 from sklearn_hd._readings.basis import Timing
 
-__all__ = ["EveryRow", "PlainReading"]
-
 WARMUP_SAMPLES = 50  # three times the default block rows
 
 

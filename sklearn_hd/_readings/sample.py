@@ -14,8 +14,6 @@ from sklearn_hd._readings.plain import EveryRow
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-__all__ = ["SampleBasis"]
-
 _SIGNALS = ("inputs", "outputs")
 MOST_LOADS = 12  # harmonics of the forced response, where the samples tell more
 

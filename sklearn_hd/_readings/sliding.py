@@ -10,8 +10,6 @@ import numpy as np
 from sklearn_hd._readings.basis import HarmonicBasis
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, window_weights
 
-__all__ = ["SlidingBasis"]
-
 
 @dataclass(frozen=True, eq=False)
 class SlidingBasis(HarmonicBasis):

@@ -8,9 +8,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from sklearn_hd._records.data import read_experiment
 from sklearn_hd._records.sampling import Piece, Sampling
-from sklearn_hd._tables import check_upright
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.amplitudes import (
     extrapolation_weights,
@@ -20,25 +18,10 @@ from sklearn_hd.algorithms.signals.amplitudes import (
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["read_for_fit"]
-
 NOISE_GAIN = 10.0  # noise of a twentieth of the signal becomes half of it
 
 
-def read_for_fit(X, y):
-    """Segments of inputs and outputs that a model is fitted to.
-
-    As :func:`~sklearn_hd._records.data.read_experiment`, with records at several
-    amplitudes combined where the analyzer was asked to.
-    """
-    check_upright(X, "X")
-    check_upright(y, "y")
-    experiment = read_experiment(X, y)
-    how = experiment.basis.small_signal
-    return experiment if how is None else _small_signal(experiment, how)
-
-
-def _small_signal(experiment, how):
+def small_signal(experiment, how):
     """The experiment whose segments are the small-signal part of groups of records."""
     records = _segments_by_record(experiment)
     labels = list(records)

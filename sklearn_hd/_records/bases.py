@@ -22,8 +22,6 @@ from sklearn_hd._readings import READINGS
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.signals.rest import inputs_rest, moved_directions
 
-__all__ = ["AUTO", "chosen_reading", "record_basis"]
-
 AUTO = "auto"
 FEW_DIRECTIONS = 4  # of one input within the turn: a doublet, its three edges anywhere
 NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer

@@ -20,10 +20,12 @@ from sklearn_hd._checks import (
 from sklearn_hd._containers import is_pandas
 from sklearn_hd._frame import HarmonicFrame
 from sklearn_hd._readings import HarmonicBasis, PlainReading, first_difference
+from sklearn_hd._records.amplitudes import small_signal
 from sklearn_hd._records.sampling import Sampling, lay_grid
 from sklearn_hd._tables import (
     TimeBase,
     as_container,
+    check_upright,
     read_time,
     straightened,
     to_float,
@@ -96,16 +98,15 @@ class Signals:
         return self.data[:, keep], tuple(self.names[i] for i in keep)
 
 
-def read_signals(data, prefix, what, timing=PLAIN.timing):
+def read_signals(X, timing=PLAIN.timing):
     """Float values, names and time base of a frame, Series or array.
 
     The column that ``timing`` names as the azimuth is set apart.
     """
-    data = as_container(data, what)
-    names = signal_names(data, prefix)
-    base = read_time(data, timing.sample_time, timing.time_origin)
-    values = to_float(data, what)
-    values = check_values(values, names, base.time, what, timing.missing)
+    X = as_container(X, "X")
+    names = signal_names(X, "x")
+    base = read_time(X, timing.sample_time, timing.time_origin)
+    values = check_values(to_float(X, "X"), names, base.time, "X", timing.missing)
     signals = Signals(values, names, base)
     return signals if timing.azimuth is None else _set_azimuth_apart(signals, timing)
 
@@ -338,6 +339,19 @@ def is_decomposed(y):
     return isinstance(y, HarmonicFrame) and y.is_analysed
 
 
+def read_for_fit(X, y):
+    """Segments of inputs and outputs that a model is fitted to.
+
+    As :func:`read_experiment`, with records at several amplitudes combined where the analyzer was
+    asked to.
+    """
+    check_upright(X, "X")
+    check_upright(y, "y")
+    experiment = read_experiment(X, y)
+    how = experiment.basis.small_signal
+    return experiment if how is None else small_signal(experiment, how)
+
+
 def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
     """Segments of inputs and outputs that a model step fits or simulates.
 
@@ -353,7 +367,7 @@ def read_experiment(X, y=None, decomposition=None, plain=PLAIN):
         y = pd.DataFrame(y)[list(y.basis.input_signals)]
     if decomposition is not None:
         basis = _with_outputs_of(basis, decomposition)
-    signals = read_signals(basis.select(X), "x", "X", basis.timing)
+    signals = read_signals(basis.select(X), basis.timing)
     measured, output_names = None, ()
     if y is not None:
         indexed = isinstance(y, pd.DataFrame | pd.Series)

@@ -26,18 +26,6 @@ from sklearn_hd.algorithms.signals.late_signals import advanced, arriving, lagge
 from sklearn_hd.algorithms.signals.resampling import ON_GRID
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = [
-    "Delays",
-    "as_measured",
-    "asked_delays",
-    "in_machine_time",
-    "in_whole_samples",
-    "leads",
-    "most_samples",
-    "warn_of_doubt",
-    "with_delayed_inputs",
-]
-
 MOST_SAMPLES = 50  # of a delay that is looked for in plain data
 MOST_OF_A_TURN = 0.5  # elsewhere
 STEADY = 4  # samples: rows are left out by multiples, so that fits near each other share theirs

@@ -33,8 +33,6 @@ from sklearn_hd.algorithms.signals.resampling import (
 )
 from sklearn_hd.exceptions import ResamplingWarning
 
-__all__ = ["Sampling", "joined", "lay_grid", "warn_of_resampling"]
-
 
 @dataclass(frozen=True, eq=False)
 class Piece:

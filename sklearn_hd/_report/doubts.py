@@ -8,8 +8,6 @@ import pandas as pd
 from sklearn_hd._opinion import DOUBT
 from sklearn_hd._report.page import digits
 
-__all__ = ["doubts", "doubts_box"]
-
 HARMLESS = ("TimeBaseWarning", "JitterWarning", "ResamplingWarning")  # of how rows were read
 ANCHORS = {  # of the section that shows what a warning is about
     "ExcitationWarning": "data",

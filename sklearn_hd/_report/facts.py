@@ -27,8 +27,6 @@ from sklearn_hd.plotting._display import find_step, steps_of
 from sklearn_hd.reduction import SpuriousModeReducer
 from sklearn_hd.subspace import MOESPRegressor
 
-__all__ = ["LEVEL", "Fitted", "Run", "exponents_of", "motion_table", "read_fitted", "words_of"]
-
 LEVEL = 0.95
 REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
 

@@ -16,8 +16,6 @@ from sklearn_hd.plotting import (
     SingularValueDisplay,
 )
 
-__all__ = ["model_section", "modes_section", "order_section"]
-
 MOST_ROWS = 60  # of a table of parameters
 MOST_STATES = 20  # whose matrices are shown
 MOST_PAIRS = 6  # of an input and an output, in one picture of frequency responses

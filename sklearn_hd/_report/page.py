@@ -13,21 +13,6 @@ import numpy as np
 
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = [
-    "REFUSALS",
-    "attempt",
-    "checked_path",
-    "closed_figures",
-    "digits",
-    "facts_table",
-    "figure",
-    "line",
-    "page",
-    "section",
-    "table",
-    "with_reach",
-]
-
 DOTS = 144  # an inch of a figure
 PIXELS = 96  # an inch on the screen
 REFUSALS = (ValueError, TypeError, AttributeError, UnstableModelError, np.linalg.LinAlgError)

@@ -32,8 +32,6 @@ from sklearn_hd.plotting import (
 )
 from sklearn_hd.plotting._display import Record
 
-__all__ = ["whole_page"]
-
 READINGS = {
     "sliding": "sliding: Fourier coefficients through a window that slides over the record",
     "period": "period: whole periods, one after another",

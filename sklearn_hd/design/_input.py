@@ -25,8 +25,6 @@ from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.structures import HarmonicStructure
 from sklearn_hd.systems import LTPSystem
 
-__all__ = ["InputDesign", "design_input"]
-
 KINDS = {"steps": Steps, "multisine": Multisines}
 LEAST_ROWS = 16  # a period in the search: edges lie on these
 SAMPLES = 64  # a period, of a system that has none of its own

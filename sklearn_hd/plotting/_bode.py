@@ -11,7 +11,7 @@ from sklearn_hd.plotting._display import (
     Display,
     between_same_signals,
     by_label,
-    chosen,
+    chosen_pairs,
     dress,
     has_confidence,
     invariant_steps,
@@ -163,12 +163,7 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
         ValueError
             If a signal asked for is not there.
         """
-        pairs = [
-            (o, i)
-            for i in chosen(inputs, self.input_names, "inputs")
-            for o in chosen(outputs, self.output_names, "outputs")
-        ]
-        columns = min(len(pairs), 3 if len(pairs) <= 6 else 4)
+        pairs, columns = chosen_pairs(inputs, outputs, self)
         rows = -(-len(pairs) // columns)
         cells = [
             (2 * (k // columns) + half, k % columns) for k in range(len(pairs)) for half in (0, 1)
@@ -185,9 +180,9 @@ class BodeDisplay(Display, axes="two Axes for each pair of signals, magnitude an
             if k % columns == 0:
                 panels.axes[2 * k].set_ylabel(panels.axes[2 * k].get_ylabel() or "magnitude")
                 panels.axes[2 * k + 1].set_ylabel("phase (deg)")
-        if self.bands_:
-            self.figure_.draw_without_rendering()  # how wide a band is, depends on the layout
-            name_confidence(next(iter(self.bands_.values()))[0], self._edges)
+        name_confidence(
+            self.figure_, [band for bands in self.bands_.values() for band in bands], self._edges
+        )
         self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
         return self
 

@@ -481,6 +481,16 @@ def chosen(wanted, names, what):
     return [names.index(name) for name in wanted]
 
 
+def chosen_pairs(inputs, outputs, display):
+    """Places of (output, input) of the panels asked for, and how many stand side by side."""
+    pairs = [
+        (o, i)
+        for i in chosen(inputs, display.input_names, "inputs")
+        for o in chosen(outputs, display.output_names, "outputs")
+    ]
+    return pairs, min(len(pairs), 3 if len(pairs) <= 6 else 4)
+
+
 def periodic_system(estimator, display):
     """The linear time-periodic system that a fitted estimator has identified."""
     step = find_step(estimator, (StructuredMatcher, MOESPRegressor))
@@ -572,14 +582,17 @@ def sample_time(system):
     return 0.0 if system.dt is None else float(system.dt)
 
 
-def name_confidence(band, edges):
-    """Name a band for the legend, which says so where no band is as wide as a line.
+def name_confidence(figure, bands, edges):
+    """Name the first band for the legend, which says so where no band is as wide as a line.
 
     ``edges`` holds the Axes of each band, with its lower and upper values.
     """
+    if not bands:
+        return
+    figure.draw_without_rendering()  # how wide a band is, depends on the layout
     widest = 0.0
     for axis, *sides in edges:
         x = np.full(len(sides[0]), np.mean(axis.get_xlim()))
         low, high = (axis.transData.transform(np.column_stack([x, y]))[:, 1] for y in sides)
         widest = max(widest, np.nanmax(high - low) * 72.0 / axis.figure.dpi)
-    band.set_label(CONFIDENCE if widest > NARROW else f"{CONFIDENCE}, narrower than the line")
+    bands[0].set_label(CONFIDENCE if widest > NARROW else f"{CONFIDENCE}, narrower than the line")

@@ -13,7 +13,7 @@ from sklearn_hd.plotting._display import (
     Display,
     between_same_signals,
     by_label,
-    chosen,
+    chosen_pairs,
     dress,
     has_confidence,
     invariant_steps,
@@ -189,12 +189,7 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
         ValueError
             If a signal asked for is not there.
         """
-        pairs = [
-            (o, i)
-            for i in chosen(inputs, self.input_names, "inputs")
-            for o in chosen(outputs, self.output_names, "outputs")
-        ]
-        columns = min(len(pairs), 3 if len(pairs) <= 6 else 4)
+        pairs, columns = chosen_pairs(inputs, outputs, self)
         cells = places(len(pairs), columns)
         rows = cells[-1][0] + 1
         size = max(5.0, 3.4 * columns), 0.8 + 2.4 * rows
@@ -209,9 +204,7 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
             axis.axhline(0.0, color=BLACK, lw=0.6, zorder=0.5)
             if k + columns >= len(pairs):
                 axis.set_xlabel(TIME)
-        if self.bands_:
-            self.figure_.draw_without_rendering()  # how wide a band is, depends on the layout
-            name_confidence(next(iter(self.bands_.values())), self._edges)
+        name_confidence(self.figure_, list(self.bands_.values()), self._edges)
         self.legend_ = panels.legend() if len(self.responses) > 1 or self.std else None
         return self
 

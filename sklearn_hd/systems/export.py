@@ -23,13 +23,13 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._checks import check_count
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.systems.arguments import FourierMatrix, matrix_coefficients, precision
 
 FORMAT, SCHEMA = "sklearn_hd model", 1
 SERIES = (4, 8, 16, 32, 64)  # harmonics tried of matrices that are no Fourier series
-EXACT_SERIES = 1e-9  # of a matrix, that its series may leave without a word
 MAY_BE_NULL = ("exponents", "exponents_std")
 
 
@@ -172,7 +172,7 @@ def _series(name, matrix):
     for K in SERIES:
         coefficients = matrix_coefficients(matrix, K)
         left = np.max(np.abs(evaluate_harmonics(coefficients, psi) - values), initial=0.0)
-        if left <= EXACT_SERIES * size:
+        if left <= PRECISION * size:
             return coefficients
     warn(
         f"{name}(psi) has kinks or jumps, so its Fourier series of {K} harmonics errs by up to "

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from sklearn_hd._checks import check_fraction, check_positive, real_array
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.rounding import EXACT, PRECISION
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     derivative_matrix,
     toeplitz_coefficients,
@@ -22,7 +22,6 @@ from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.arguments import check_names
 
-ROUNDING = 1e-9  # misfit that sums over some hundred states in double precision may leave
 _NAME = re.compile(r"(?P<signal>.+)_(?P<label>0|[1-9]\d*[cs])")
 
 
@@ -172,7 +171,7 @@ def _misfit(name, left, sizes, scale):
 def _check_misfits(misfits, tolerance):
     """Refuse matrices that are not multiplications by Fourier series, or warn of them."""
     name = max(misfits, key=misfits.get)
-    if misfits[name] <= ROUNDING:
+    if misfits[name] <= PRECISION:
         return
     figures = ", ".join(f"{each} {misfit:.2g}" for each, misfit in misfits.items())
     words = (

@@ -21,10 +21,9 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT
 from sklearn_hd.algorithms.periodic.delayed_response import Fractions
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions
 from sklearn_hd.algorithms.signals.late_signals import first_lag
 
-AT_BOUND = 1e-9  # of a sample
 MOST_CELLS = 60  # that a search goes through
 FIRST_PLACES = 16  # of a delay, at which a scan begins
 MOST_SWEEPS = 2  # through all delays
@@ -86,8 +85,8 @@ class Cells:
     def beyond(self):
         """Cells beyond the bounds at which parameters are: all at once, then one after another."""
         free, values = self.fractions.free, self.fractions.start
-        step = np.where(values >= 1.0 - AT_BOUND, 1, 0)
-        step = np.where((values <= AT_BOUND) & (self.lags[free] > 0), -1, step)
+        step = np.where(values >= 1.0 - RESOLVED, 1, 0)
+        step = np.where((values <= RESOLVED) & (self.lags[free] > 0), -1, step)
         single = [np.where(np.arange(len(step)) == k, step, 0) for k in np.flatnonzero(step)]
         return [self._moved(each) for each in ([step] if len(single) > 1 else []) + single]
 

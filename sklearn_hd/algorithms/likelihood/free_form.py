@@ -28,6 +28,7 @@ from sklearn_hd.algorithms.likelihood.likelihood import (
 from sklearn_hd.algorithms.likelihood.local_coordinates import AllEntries, OutputNormal
 from sklearn_hd.algorithms.likelihood.predictor import output_sensitivities
 from sklearn_hd.algorithms.likelihood.search import (
+    DAMPING_LIMIT,
     FIRST_DAMPING,
     LikelihoodResult,
     Search,
@@ -36,13 +37,12 @@ from sklearn_hd.algorithms.likelihood.search import (
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 MOST_TURNS = 50  # of S and inputs in turn
 SETTLED = 1e-11  # fall of the cost, a row, that another turn is worth
-MOST_DAMPING = 1e8  # of the largest curvature: steps have become rounding
 LEAST_DAMPING = 1e-12
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
@@ -212,7 +212,7 @@ def _in_innovations_form(model, search, size, predicts):
         gain = now[:, :n, n + m :] / size
         fed = product(gain, now[:, n:, : n + m])
         slopes = np.array([_opened(each, now, n, m, size) for each in slopes])
-        now = _wider(now[..., : n + m], len(fed))
+        now = resize_harmonics(now[..., : n + m], len(fed) // 2)
         now[:, :n] += fed
         gain = gain[: 2 * highest(gain) + 1]
     most = 2 * max(highest(now), highest(slopes.swapaxes(0, 1))) + 1
@@ -227,14 +227,9 @@ def _opened(change, now, n, m, size):
     """How [A + K C, B + K D; C, D](ψ) changes with [A B K; C D ·](ψ)."""
     fed = product(change[:, :n, n + m :] / size, now[:, n:, : n + m])
     fed += product(now[:, :n, n + m :] / size, change[:, n:, : n + m])
-    opened = _wider(change[..., : n + m], len(fed))
+    opened = resize_harmonics(change[..., : n + m], len(fed) // 2)
     opened[:, :n] += fed
     return opened
-
-
-def _wider(coefficients, count):
-    """With zeros for further harmonics."""
-    return np.pad(coefficients, [(0, count - len(coefficients)), (0, 0), (0, 0)])
 
 
 def highest(coefficients):
@@ -336,7 +331,7 @@ class FreeForm:
     def _damped(self, model, quadratic, damping):
         """The next model, damping and step, and whether little came of it; None if none pays."""
         growth = 2.0
-        while damping < MOST_DAMPING:
+        while damping < DAMPING_LIMIT:
             step, expected = quadratic.step(damping)
             step = step * min(1.0, 1.0 / max(linalg.norm(step), EPS))
             trial = self.model(model.chart.moved(step), model)

@@ -33,8 +33,6 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
 )
 from sklearn_hd.algorithms.linalg.rounding import EPS
 
-__all__ = ["ExponentBound", "Multisines", "Steps", "exchange"]
-
 WIDTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # periods, of the steps to start from
 STEPS_3211 = (1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0)
 BANDS = (0.25, 0.5, 1.0, 2.0)  # cycles a period, up to which spectra to start from are flat

@@ -22,7 +22,7 @@ from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, result_of, search, start
 from sklearn_hd.algorithms.linalg.rounding import HALF
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.periodic.periodic_structure import functions_of_turn
 
 RATIOS = 10.0 ** np.arange(-8, 3, 2)  # of noise in states and outputs, in parts of their size
 MOST_HARMONICS = 4  # of K
@@ -119,7 +119,7 @@ def first_gain(form, segments, theta0, gain0=None):
     coefficients = [] if gain0 is None else [gain0[: 2 * highest + 1]]
     for gain in gains:
         most = min(highest, (len(gain) - 1) // 2)
-        functions = _functions(len(gain), form.n_phases, most)
+        functions = functions_of_turn(len(gain), form.n_phases, most)
         coefficients.append(np.tensordot(np.linalg.pinv(functions), gain, 1))
     for gain in coefficients:
         for count in range(len(gain) // 2 + 1):
@@ -129,12 +129,6 @@ def first_gain(form, segments, theta0, gain0=None):
             if best is None or point.cost + some.size < best[0]:
                 best = point.cost + some.size, count, some
     return best[1:]
-
-
-def _functions(count, n_phases, n_harmonics):
-    """1, cos ψ, sin ψ, … at the samples of a turn."""
-    psi = 2.0 * np.pi * np.arange(count) / n_phases
-    return harmonic_functions(psi, range(n_harmonics + 1))
 
 
 def _filter_gains(form, response, size, ratio):

@@ -17,22 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, stats
 
+from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
 
-__all__ = [
-    "Score",
-    "autoregression",
-    "filtered",
-    "lagged",
-    "of_each_output",
-    "score_test",
-    "sensitivities",
-    "span_of",
-    "times",
-]
-
 TOLD = 1e-3  # share of a regressor beside the span: of less, errors of second order make more
-RANK = 1e-10  # of the largest eigenvalue of a Gram matrix: below it, directions are rounding
 
 
 @dataclass(frozen=True)

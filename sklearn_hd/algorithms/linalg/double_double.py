@@ -14,8 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 
-__all__ = ["Pair", "add", "all_slices", "cholesky", "product", "slices", "sum_of_slices", "two_sum"]
-
 SLICE_BITS = 18
 N_SLICES = 3  # of a double: 54 bits
 PAIR_SLICES = 6  # of a pair: 108 bits

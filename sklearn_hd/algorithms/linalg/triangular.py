@@ -5,8 +5,6 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 
-__all__ = ["all_above", "safe_cholesky", "solve_within_rank", "triangle"]
-
 STRIP = 192  # columns of an inverse, found together
 TOLERATED_LOSS = 1e-7  # far below what noise does, 1/√n, to as many rows as fit anywhere
 

@@ -180,7 +180,7 @@ def tops_between(frequencies, gains):
 _APART = 1e-9  # distance of frequencies, relative, of two points
 
 
-def check_stable(A, dt=None, what="the model"):
+def check_stable(A, dt=None):
     """Raise unless every eigenvalue of A is strictly inside the stability region.
 
     Parameters
@@ -188,8 +188,6 @@ def check_stable(A, dt=None, what="the model"):
     A : ndarray, shape (n, n)
     dt : float, True or None
         Sample time; None or 0: the left half plane, else the unit disc.
-    what : str
-        Who is spoken of in the error.
 
     Raises
     ------
@@ -206,7 +204,7 @@ def check_stable(A, dt=None, what="the model"):
         )
         region = "left half plane" if continuous else "unit disc"
         raise UnstableModelError(
-            f"{what} has a pole at {text}, outside the open {region}, so its response is not "
+            f"the model has a pole at {text}, outside the open {region}, so its response is not "
             f"bounded and has no norm; drop or stabilise that mode first"
         )
 

@@ -16,8 +16,6 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, TINY
 
-__all__ = ["GROWN", "growth", "is_stable", "nearest_stable"]
-
 GROWN = 1.0  # e-folds over a segment; fewer may be the error of an integrator's pole
 ON_THE_CIRCLE = 1.0 + DEPENDENT  # of an integrator, to within rounding
 

@@ -5,8 +5,6 @@ from scipy import linalg, optimize
 
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
-__all__ = ["BoundedSteps"]
-
 _LEAST_DAMPING = 1e-14  # of a step that counts as free of damping
 _WIDTH = 1e-300  # between a bound and a parameter on it: the routine wants an interval
 

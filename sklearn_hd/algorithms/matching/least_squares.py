@@ -18,8 +18,6 @@ from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.matching.bounded_steps import BoundedSteps
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["GridFit", "Start", "levenberg_marquardt", "local_fits"]
-
 _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become rounding
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
 _NOTHING_LEFT = 1e-31  # sum of squares, relative to that of G_c

@@ -19,8 +19,6 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-__all__ = ["BoundSlopes", "LogDetBound", "log_det_value"]
-
 
 class LogDetBound:
     """f_μ of matrices E_i, and of what they become when they move.

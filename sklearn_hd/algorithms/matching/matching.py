@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.least_squares import (
     GridFit,
     Start,
@@ -31,8 +30,6 @@ from sklearn_hd.algorithms.matching.similarity import (
     solve_similarity,
 )
 from sklearn_hd.algorithms.matching.smooth_peak import GAP, Certificate, smooth_descent
-
-__all__ = ["AffineStructure", "MatchResult", "match_structure"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +177,7 @@ def match_structure(
     --------
     A model in other coordinates returns to those of its states:
 
+    >>> from sklearn_hd.algorithms.lti.structured_model import AffineStructure
     >>> entries = np.array([[-1.0, 2.0, 0.0], [-2.0, -3.0, 1.0]])
     >>> stacked = np.vstack([entries, np.eye(2, 3)])
     >>> basis = np.zeros((4, 4, 3))

@@ -14,22 +14,19 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import RANK, UNKNOWN
 from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["MatchingProblem", "channel_scales", "matching_grid", "numerical_rank"]
-
 _POINTS_PER_SWEEP = 70  # of the logarithmic grid
 _MARGIN = 30.0  # how far the grid reaches past the slowest and the fastest pole
 _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel is lifted
-_NULL = 1e-6  # share of a parameter, its column of length one, in what is not determined
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
 _POLE_DIGITS = 1e-13  # of a pole, relative to the largest
-_RANK = 1e-10  # singular value, relative to the largest, that counts as zero; regular
 # structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
 
 
@@ -300,7 +297,7 @@ class MatchingProblem:
     def _step_directions(self, theta, residual, jacobian):
         size, length = column_sizes(jacobian), linalg.norm(residual)
         _, singular, adjoint = linalg.svd(triangle(jacobian / size), full_matrices=False)
-        kept = singular > _RANK * singular.max(initial=0.0)
+        kept = singular > RANK * singular.max(initial=0.0)
         if length == 0.0 or not kept.any():
             return np.zeros((len(theta), np.sum(kept)))
         reach = _FARTHEST * np.maximum(size * np.abs(theta), length)
@@ -315,7 +312,7 @@ class MatchingProblem:
         _, singular, adjoint = linalg.svd(triangle(jacobian / column_sizes(jacobian)))
         singular = np.pad(singular, (0, len(adjoint) - len(singular)))
         null = adjoint[numerical_rank(singular) :]
-        undetermined = np.flatnonzero(np.any(np.abs(null) > _NULL, axis=0))
+        undetermined = np.flatnonzero(np.any(np.abs(null) > UNKNOWN, axis=0))
         return singular, tuple(self.structure.parameter_names[k] for k in undetermined)
 
     def feedthrough_floor(self):
@@ -332,7 +329,7 @@ class MatchingProblem:
 
 def numerical_rank(singular_values):
     """Number of singular values, largest first, that do not count as zero."""
-    return int(np.sum(singular_values > _RANK * max(np.max(singular_values, initial=0.0), 1e-300)))
+    return int(np.sum(singular_values > RANK * max(np.max(singular_values, initial=0.0), 1e-300)))
 
 
 def line(frequencies, shift=0.0):

@@ -15,13 +15,6 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
-__all__ = [
-    "draw_transformation",
-    "output_transformation",
-    "project_transformed",
-    "solve_similarity",
-]
-
 _NOTHING = np.empty(0)  # the parameters of G_c
 
 

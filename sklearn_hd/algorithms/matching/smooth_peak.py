@@ -25,8 +25,6 @@ from scipy import optimize
 from sklearn_hd.algorithms.lti.hinf import tops_between
 from sklearn_hd.algorithms.matching.log_det_bound import BoundSlopes, LogDetBound, log_det_value
 
-__all__ = ["Certificate", "SmoothDescent", "smooth_descent"]
-
 GAP = 2e-5  # of t from the norm: its minima then lie within 1e-4 or so of the least norm
 _FALL = 0.2  # of μ from one round to the next
 _SETTLED = 1e-2  # decrease of f, in units of μ, that a Newton step must promise; certificates

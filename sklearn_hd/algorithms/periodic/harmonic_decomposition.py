@@ -98,8 +98,8 @@ def toeplitz_matrix(coefficients, n_row_harmonics, n_column_harmonics):
     spectrum = _complex_spectrum(coefficients, Ny + Nx)
     shift = np.arange(-Ny, Ny + 1)[:, None] - np.arange(-Nx, Nx + 1)
     T = spectrum[shift + Ny + Nx]  # (2 Ny + 1, 2 Nx + 1, rows, columns)
-    T = _real_rows(T, Ny)
-    T = np.swapaxes(_real_columns(np.swapaxes(T, 0, 1), Nx), 0, 1)
+    T = _real_parts(T, Ny, 1.0, 1j)
+    T = np.swapaxes(_real_parts(np.swapaxes(T, 0, 1), Nx, 0.5, -0.5j), 0, 1)
     return T.real.transpose(0, 2, 1, 3).reshape((2 * Ny + 1) * rows, (2 * Nx + 1) * columns)
 
 
@@ -296,20 +296,10 @@ def _complex_spectrum(coefficients, n_harmonics):
     return spectrum
 
 
-def _real_rows(T, n_harmonics):
-    """Rows S_{−N} … S_N turned into s_0, s_1c, s_1s, …."""
-    rows = np.empty_like(T)
+def _real_parts(T, n_harmonics, cosine, sine):
+    """Parts S_{−N} … S_N of the first axis turned into those of s_0, s_1c, s_1s, …."""
+    parts = np.empty_like(T)
     positive, negative = T[n_harmonics + 1 :], T[:n_harmonics][::-1]
-    rows[0] = T[n_harmonics]
-    rows[1::2], rows[2::2] = positive + negative, 1j * (positive - negative)
-    return rows
-
-
-def _real_columns(T, n_harmonics):
-    """Columns that multiply S_{−N} … S_N turned into those of s_0, s_1c, s_1s, …."""
-    columns = np.empty_like(T)
-    positive, negative = T[n_harmonics + 1 :], T[:n_harmonics][::-1]
-    columns[0] = T[n_harmonics]
-    columns[1::2] = 0.5 * (positive + negative)
-    columns[2::2] = -0.5j * (positive - negative)
-    return columns
+    parts[0] = T[n_harmonics]
+    parts[1::2], parts[2::2] = cosine * (positive + negative), sine * (positive - negative)
+    return parts

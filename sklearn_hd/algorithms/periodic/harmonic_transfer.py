@@ -20,11 +20,10 @@ import numpy as np
 import slycot
 from scipy import signal
 
+from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.signals.fourier import complex_transformation
-
-UNEXCITED = 1e-10  # input power in some direction, beside the largest, that is none
 
 
 def harmonic_transfer_blocks(
@@ -304,8 +303,8 @@ def _regress(spectra, n_averages, N, m, l):  # noqa: E741 (the field's letter)
 def _inverse(S):
     """Pseudo-inverse of Hermitian matrices, and which unknowns they determine."""
     size = np.sqrt(np.real(np.einsum("fii->fi", S)))
-    scale = np.where(size > np.sqrt(UNEXCITED) * np.max(size, initial=0.0), size, np.inf)
+    scale = np.where(size > np.sqrt(RANK) * np.max(size, initial=0.0), size, np.inf)
     scaled = S / scale[:, :, None] / scale[:, None, :]
-    inverse = np.linalg.pinv(scaled, rcond=UNEXCITED, hermitian=True)
+    inverse = np.linalg.pinv(scaled, rcond=RANK, hermitian=True)
     resolved = np.real(np.einsum("fij,fji->fi", inverse, scaled))
     return inverse / scale[:, :, None] / scale[:, None, :], resolved > 1.0 - 1e-6

@@ -15,16 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
-
-__all__ = ["OVERFLOW", "PeriodicInnovations", "Rows", "propagate_varying"]
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
+from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions, sampled_harmonics
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
-WHOLE = 1e-9  # of a sample, by which a turn may miss a whole number
-OVERFLOW = 1e150  # squares of anything larger overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +95,9 @@ class PeriodicInnovations:
         u, y = evaluate_harmonics(input_mean, psi), evaluate_harmonics(output_mean, psi)
         values[:, :, -1] -= np.einsum("tij,tj->ti", values[:, :, n:-1], u)
         values[:, n:, -1] += y
-        whole = np.zeros((2 * H + 1, *self.coefficients.shape[1:]))
-        whole[: len(self.coefficients)] = self.coefficients
+        whole = resize_harmonics(self.coefficients, H)
         whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
-        gain = np.zeros((2 * H + 1, *self.gain.shape[1:]))
-        gain[: len(self.gain)] = self.gain
-        return replace(self, coefficients=whole, gain=gain)
+        return replace(self, coefficients=whole, gain=resize_harmonics(self.gain, H))
 
     def in_units(self, u_scale, y_scale):
         """The model between signals that were divided by some scales."""
@@ -134,12 +127,12 @@ class PeriodicInnovations:
             [A B a] of steps of 2π/q.
         outputs : ndarray, shape (q, l, n + m + 1)
         """
-        q = max(1, int(np.floor(self.samples_per_period * (1.0 + WHOLE))))
+        q = max(1, int(np.floor(self.samples_per_period * (1.0 + RESOLVED))))
         longer = self.samples_per_period / q - 1.0
         psi = self.start + 2.0 * np.pi * np.arange(q) / q
         rows = self.rows(psi)
         states = rows.states
-        if abs(longer) > WHOLE:
+        if abs(longer) > RESOLVED:
             n = self.n_states
             rest = _power(self.rows(psi + np.pi / q).states, longer)
             states = rest[..., :n] @ states
@@ -248,8 +241,7 @@ class PeriodicInnovations:
         now, later = (evaluate_harmonics(orbit, psi + d) for d in (0.0, self.step))
         values[:, :, -1] += np.einsum("tij,tj->ti", values[:, :, :n], now)
         values[:, :n, -1] -= later
-        whole = np.zeros((2 * H + 1, *self.coefficients.shape[1:]))
-        whole[: len(self.coefficients)] = self.coefficients
+        whole = resize_harmonics(self.coefficients, H)
         whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
         return replace(self, coefficients=whole)
 

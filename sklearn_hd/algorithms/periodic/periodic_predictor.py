@@ -36,17 +36,6 @@ from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-__all__ = [
-    "SENSOR_NOISE",
-    "LagSums",
-    "Layout",
-    "Predictor",
-    "StateSums",
-    "azimuth_drift",
-    "forced_mean",
-    "futures_known",
-]
-
 CHUNK = 2**21  # numbers held at once of the regressors
 SENSOR_NOISE = 3e-3  # of an output's motion, which lagged outputs are taken to hold at least
 MOVED = 1e-4  # rad, by which azimuths are moved to see what that changes

@@ -37,7 +37,6 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_ha
 
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
-LEAST_TAIL = 1e-13  # in parts of F, where there is no noise
 SWEEPS = 20
 
 
@@ -429,7 +428,7 @@ def tail_begins(values, noise):
     coefficients = sampled_harmonics(values, highest)
     sizes = np.sum(coefficients**2, axis=(1, 2))
     beyond = np.sqrt(np.cumsum(sizes[::-1])[::-1])[1::2]  # from harmonic 1, 2, … on
-    counts = np.flatnonzero(beyond > max(TAIL * noise, LEAST_TAIL) * np.sqrt(np.sum(sizes)))
+    counts = np.flatnonzero(beyond > max(TAIL * noise, EXACT) * np.sqrt(np.sum(sizes)))
     return int(counts[-1]) + 1 if len(counts) else 0
 
 

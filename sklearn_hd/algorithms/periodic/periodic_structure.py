@@ -30,7 +30,7 @@ from sklearn_hd.algorithms.periodic.floquet import (
     product_of,
     state_units,
 )
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 LONGEST_STEP = 1.0  # |F| h and K ω h of one collocation step; at 1 it errs by 1e-15
@@ -126,9 +126,7 @@ class PeriodicStructure:
 
     def nearest(self, coefficients):
         """Parameters that bring the coefficients nearest to some given ones of any number."""
-        gap = np.zeros(self.constant.shape)
-        gap[: len(coefficients)] = coefficients[: len(gap)]
-        gap -= self.constant
+        gap = resize_harmonics(coefficients, len(self.constant) // 2) - self.constant
         gram = (self.basis @ self.basis.T).toarray()
         if not len(gram):
             return np.zeros(0)
@@ -257,7 +255,7 @@ def evaluated_response(structure, theta, n_points, *, sensitivities=True):
     own = (slice(0, n), structure.varies[0], structure.dynamic_entries)
     seen = (slice(n, rows), structure.varies[1], structure.output_entries)
     for which, varies, entries in (own, seen):
-        functions = _functions(n_points if varies else 1, n_points, structure.n_harmonics)
+        functions = functions_of_turn(n_points if varies else 1, n_points, structure.n_harmonics)
         values = np.tensordot(functions, coefficients[:, which], 1)
         slopes = _moved(entries, functions, values.shape) if sensitivities else None
         parts.append((values, slopes))
@@ -445,7 +443,9 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
             f"observe has shape {observe.shape}; with {n_phases} phases and {n_outputs} outputs "
             f"of the model it must be ({n_phases}, n_measured, {n_outputs})"
         )
-    functions = _functions(n_phases if structure.varies[1] else 1, n_phases, structure.n_harmonics)
+    functions = functions_of_turn(
+        n_phases if structure.varies[1] else 1, n_phases, structure.n_harmonics
+    )
     Out = observe @ np.tensordot(functions, structure.coefficients(theta)[:, n:], 1)
     if not sensitivities:
         return Out, None
@@ -456,7 +456,7 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
     return Out, by_parameter(rates, moved)
 
 
-def _functions(n_points, n_phases, n_harmonics):
+def functions_of_turn(n_points, n_phases, n_harmonics):
     """1, cos ψ, sin ψ, … at the first of some equally spaced azimuths."""
     psi = 2.0 * np.pi * np.arange(n_points) / n_phases
     return harmonic_functions(psi, range(n_harmonics + 1))

@@ -18,13 +18,11 @@ each record becomes ‖w‖ times as large (0.71 for a pair).
 
 import numpy as np
 
-__all__ = ["extrapolation_weights", "n_distinct", "odd_weights", "same_waveform"]
-
 SAME_WAVEFORM = 0.1  # share of an input that may be no multiple: noise of 1/20 on both gives 0.07
 SAME_SIZE = 0.05  # share by which two amplitudes differ that were meant to be alike
 
 
-def same_waveform(inputs, tolerance=SAME_WAVEFORM):
+def same_waveform(inputs):
     """Records whose inputs are multiples of one waveform, and the multiples.
 
     Parameters
@@ -32,8 +30,6 @@ def same_waveform(inputs, tolerance=SAME_WAVEFORM):
     inputs : list of ndarray, shapes (n_samples_r, n_inputs)
         One a record, on the same grid from the first row on. Lengths may
         differ: the rows that two records share are compared.
-    tolerance : float
-        Share of an input's norm that may be no multiple of the waveform.
 
     Returns
     -------
@@ -58,7 +54,7 @@ def same_waveform(inputs, tolerance=SAME_WAVEFORM):
             n = min(len(waveform), len(inputs[r]))
             u, v = inputs[r][:n], waveform[:n]
             a = float(np.vdot(v, u) / (np.vdot(v, v) or 1.0))
-            if r == left[0] or np.linalg.norm(u - a * v) <= tolerance * np.linalg.norm(u):
+            if r == left[0] or np.linalg.norm(u - a * v) <= SAME_WAVEFORM * np.linalg.norm(u):
                 members.append(r)
                 amplitudes.append(a)
         moving = np.array(amplitudes) != 0.0  # zero is a multiple of anything

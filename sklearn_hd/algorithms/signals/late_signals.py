@@ -19,8 +19,6 @@ import numpy as np
 
 from sklearn_hd.algorithms.signals.resampling import ON_GRID, interpolate
 
-__all__ = ["advanced", "arriving", "first_lag", "lagged", "late", "turned"]
-
 
 def first_lag(samples):
     """Whole samples of some delays, and what is left of them, between 0 and 1.

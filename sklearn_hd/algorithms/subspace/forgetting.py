@@ -26,8 +26,6 @@ import numpy as np
 
 from sklearn_hd.algorithms.linalg.rounding import EPS
 
-__all__ = ["Forgetting"]
-
 
 @dataclass(frozen=True)
 class Forgetting:

@@ -27,8 +27,6 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.linalg.triangular import all_above, safe_cholesky, triangle
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
 
-__all__ = ["block_order", "factor_of_products", "hankel_factor", "n_excited", "n_hankel_columns"]
-
 FEW_COLUMNS = 32  # times rows: fewer are faster by orthogonal transformations than exactly
 
 

@@ -19,15 +19,12 @@ from itertools import product
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, PRECISION
 from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 
-__all__ = ["InnovationForm", "gain_of_covariances", "kalman_gain", "predicted_states"]
-
 REACH = 4096  # rows over which states are followed
-PRECISION = 1e-9  # of an output's size: that of the best measurements
 WHITE = (0.0, 1e-12, 1e-10, 1e-8)  # more noise of the outputs, where theirs is that of fewer
 
 

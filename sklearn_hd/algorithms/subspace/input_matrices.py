@@ -48,8 +48,6 @@ from sklearn_hd.algorithms.subspace.responses import (
     split,
 )
 
-__all__ = ["alike_states", "input_matrices", "pieces_of", "response_regressors"]
-
 MAX_GROWTH = 20.0  # e-folds over which an unstable model is simulated in one piece
 CONVOLVED_ORDER = 40  # from which on responses are convolved, in less time than by recursion
 CHUNK_BYTES = 2**22  # of equations at a time; three times as much stands beside them

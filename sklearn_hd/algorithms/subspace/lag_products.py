@@ -55,8 +55,6 @@ from sklearn_hd.algorithms.linalg.double_double import (
     sum_of_slices,
 )
 
-__all__ = ["LagProducts", "Stretch", "lag_products", "stretch"]
-
 CHUNK = 6144  # pairs of rows, which fit into a cache; sums of their slices' products: 51 bits
 LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
 MOST_EXPONENT = 300  # of two

@@ -23,16 +23,6 @@ from sklearn_hd.algorithms.lti.simulation import simulate
 from sklearn_hd.algorithms.lti.stability import GROWN, growth
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
 
-__all__ = [
-    "Comparison",
-    "Simulated",
-    "best_of",
-    "differ",
-    "order_by_gap",
-    "order_by_wide_gap",
-    "runs_away",
-]
-
 GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie
 CLEAR_GAP = 2.0  # below which ratios scatter by noise
 WIDE_GAP = 1e3  # that decides by itself

@@ -23,8 +23,6 @@ from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.stability import is_stable, nearest_stable
 from sklearn_hd.algorithms.subspace.innovations import gain_of_covariances
 
-__all__ = ["PredictorSubspace", "rows_remembered", "share_at_once"]
-
 DRAWS = 20  # of coefficients that are noise
 
 

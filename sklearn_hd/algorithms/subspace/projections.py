@@ -28,15 +28,6 @@ from sklearn_hd.algorithms.linalg.triangular import (
 from sklearn_hd.algorithms.lti.stability import nearest_stable
 from sklearn_hd.algorithms.subspace.innovations import kalman_gain
 
-__all__ = [
-    "PROJECTIONS",
-    "Projection",
-    "noise_floor",
-    "observability_subspace",
-    "release_idle_directions",
-    "state_matrices",
-]
-
 
 def observability_subspace(R, block_rows, n_inputs):
     """Left singular vectors and singular values of the projected future outputs.

@@ -37,19 +37,6 @@ from scipy import linalg
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.linalg.triangular import triangle
 
-__all__ = [
-    "OutputNormal",
-    "ResponseBasis",
-    "ResponseProducts",
-    "normal_equations",
-    "output_normal",
-    "pulses",
-    "response_basis",
-    "response_products",
-    "run",
-    "split",
-]
-
 STEPS = 16  # of the recursion one by one; 8 and 32 are as fast, 64 takes twice as long
 CONDITION = 1e6  # of the block diagonal coordinates: what is squared loses 12 of 16 digits
 LARGEST_BLOCK = 6  # eigenvalues; powers of more are too much alike

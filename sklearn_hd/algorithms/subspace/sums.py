@@ -39,18 +39,6 @@ from sklearn_hd.algorithms.subspace.responses import (
     split,
 )
 
-__all__ = [
-    "RecordEnds",
-    "RowSums",
-    "Sums",
-    "correlations",
-    "initial_states_of_heads",
-    "input_matrices_of_factor",
-    "input_matrices_of_heads",
-    "input_matrices_of_sums",
-    "row_sums",
-]
-
 ROUND = 16384  # rows added up at a time: with K before them, a Fourier transform of 5 · 2¹²
 FIRST_ROWS = 256  # that a slow model's initial state is found from
 

@@ -9,7 +9,7 @@ from conftest import random_stable
 from scipy import linalg, optimize, signal
 
 from sklearn_hd import HarmonicAnalyzer
-from sklearn_hd._identify.modulation import modulated_inputs
+from sklearn_hd._identify.sliding import modulated_inputs
 from sklearn_hd._records.data import read_experiment, rows_read
 from sklearn_hd.algorithms.linalg import triangular
 from sklearn_hd.algorithms.lti.simulation import propagate

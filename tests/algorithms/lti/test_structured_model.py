@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.lti.resolvent import TriangularForm, triangular_form
+from sklearn_hd.algorithms.lti.structured_model import TriangularForm, triangular_form
 
 POINTS = np.array([0.0, 0.3j, 1j, 2.0 + 30j, complex(0.0, np.inf), -4.0 + 1j])
 
@@ -55,7 +55,7 @@ def test_slow_states_beside_a_fast_one_are_seen_to_the_last_digits():
     B, C = np.array([[1.0], [0.5], [0.0]]), np.array([[1.0, -0.5, 0.0]])
     s = np.array([0.0, 1e-3, 2.0, np.inf], dtype=complex)
     form = TriangularForm(A)
-    rounded = form._upwards((form._into @ B)[:, None], form._decay(s), (3, len(s), 1))
+    rounded = form._solved((form._into @ B)[:, None], form._decay(s), (3, len(s), 1), upwards=True)
     rounded = np.tensordot(form._out_of, rounded, 1)
     exact = np.array([exact_solution(at.real * np.eye(3) - A, B[:, 0]) for at in s[:-1]]).T
     size = np.abs(exact).max(axis=0)
