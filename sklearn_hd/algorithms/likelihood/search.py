@@ -172,6 +172,14 @@ def start(problem, theta0, x0=None):
     return point
 
 
+def cost_of_start(problem, theta0):
+    """Cost of the point that a search would start from; infinite where it overflows."""
+    try:
+        return start(problem, theta0).cost
+    except OverflowingStartError:
+        return np.inf
+
+
 def cost_of_best_inputs(form, segments, theta0, sigma):
     """Cost of the F and P given with the best G, Q and initial states; infinite where it overflows.
 
