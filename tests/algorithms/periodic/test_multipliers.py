@@ -10,6 +10,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     _Elimination,
     characteristic,
     invariant_blocks,
+    turned_back,
     with_characteristic,
     without_noise_growth,
 )
@@ -159,3 +160,16 @@ def test_the_strongest_direction_of_white_noise_has_the_law_of_tracy_and_widom(
         monkeypatch.setattr(multipliers, "TRACY_WIDOM", quantile)
         found = np.mean([multipliers.is_noise(rest, *shape) for rest in draws])
         assert least <= found <= most
+
+
+@pytest.mark.parametrize("values", [[-0.3], [0.6, -0.01], [-0.5, -0.2, -0.001], [0.5, 0.2]])
+def test_a_map_turned_back_keeps_all_but_one_sign(rng, values):
+    V = rng.standard_normal((len(values), len(values)))
+    Phi, turned = turned_back(V @ np.diag(values) @ np.linalg.inv(V))
+    wanted = np.array(values)
+    if np.prod(wanted) < 0.0:
+        assert np.isclose(turned, max(v for v in values if v < 0.0))
+        wanted[wanted == max(v for v in values if v < 0.0)] *= -1.0
+    else:
+        assert turned == 0.0
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(Phi)), np.sort(wanted), rtol=1e-9)
