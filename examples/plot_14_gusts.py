@@ -77,9 +77,9 @@ for criterion in CRITERIA:
     print(criterion, pipes[criterion]["match"].covariance_type_, *told, sep=" | ")
 
 # %%
-# The first fit warns that the residuals are not white noise. The standard deviations then come
-# from comparing blocks of the record (``covariance_type_`` is ``"robust"``). The second gives no
-# warning.
+# The residuals of the first fit are not white noise (``residual_tests_``). The standard deviations
+# then come from comparing blocks of the record (``covariance_type_`` is ``"robust"``). A warning
+# follows if they leave the exponents in doubt.
 # :class:`~sklearn_hd.plotting.ResidualDisplay` shows the residuals of the simulation: the machine
 # rings on after each gust.
 
@@ -133,8 +133,8 @@ figure.legend(loc="outside upper center", ncols=3)
 # %%
 # What was learned
 # ----------------
-# - If gusts move the machine, the residuals of a simulation are not white noise. The fit warns,
-#   and its standard deviations are robust.
+# - If gusts move the machine, the residuals of a simulation are not white noise, and the
+#   standard deviations are robust.
 # - ``criterion="prediction_error"`` of :class:`~sklearn_hd.StructuredMatcher` also estimates the
 #   Kalman gain. Its residuals are white, and its intervals shorter.
 # - Which likelihood for which record: :doc:`the user guide </guide/5_matching>`; the equations:

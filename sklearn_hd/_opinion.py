@@ -22,6 +22,7 @@ __all__ = [
     "Opinion",
     "decays_at_rest",
     "doubtful",
+    "lasting",
     "more_doubtful",
     "of_free_decays",
     "of_halves",
@@ -99,7 +100,8 @@ def _rates(exponents, omega):
     return np.maximum(np.abs(exponents.real), LEAST_RATE * omega / (2.0 * np.pi))
 
 
-def _lasting(exponents, omega):
+def lasting(exponents, omega):
+    """Which exponents are judged: a period leaves something of their motion."""
     return exponents.real * 2.0 * np.pi / omega >= np.log(LASTING)
 
 
@@ -159,7 +161,7 @@ def doubtful(exponents, opinion, counted=False):
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
         if counted:
             vague |= _too_many(exponents, apart, opinion)
-    return vague & _lasting(exponents, opinion.omega)
+    return vague & lasting(exponents, opinion.omega)
 
 
 def more_doubtful(exponents, *opinions):

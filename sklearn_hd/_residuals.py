@@ -94,6 +94,20 @@ class Remainder:
         """Rows of all segments."""
         return sum(len(s.psi) for s in self.segments)
 
+    def part_of_motion(self):
+        """Variance of the residuals in parts of that of the motion, the largest of all outputs.
+
+        The motion is that about the periodic mean that was fitted.
+        """
+        psi = np.concatenate([s.psi for s in self.segments])
+        turn = span_of(harmonic_functions(psi, range(max(self.n_loads, 0) + 1)))
+        e = np.vstack([s.residuals for s in self.segments])
+        y = e + np.vstack([s.predicted for s in self.segments])
+        motion = np.sum((y - turn @ (turn.T @ y)) ** 2, axis=0)
+        return float(
+            np.max(np.sum(e**2, axis=0) / np.where(motion > 0.0, motion, 1.0), initial=0.0)
+        )
+
     def white(self):
         """Residuals of unit covariance, one array a segment, and the matrix that made them so."""
         e = np.vstack([s.residuals for s in self.segments])

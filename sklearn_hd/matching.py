@@ -179,16 +179,20 @@ class StructuredMatcher(ModelStep):
         structure differ in order and match poorly; if the outputs do not determine the state of a
         periodic system, which is then in Floquet coordinates; if a structure behind samples leaves
         more than a hundredth of the response's variance. After a likelihood: if the residuals are
-        not white noise, so that deviations are robust; if parts of the record (small and large
-        motions, one side and the other) put an exponent at different places, so that its deviation
-        is widened; if a record with process noise lasts fewer than 50 time constants of the
-        slowest mode; if ``"output_error"`` follows ``weighting="pbsid"``.
+        not white noise, or parts of the record (small and large motions, one side and the other)
+        put an exponent at different places, or a record with process noise lasts fewer than 50
+        time constants of the slowest mode, and besides an exponent is not known to a tenth of its
+        rate, the second opinion contradicts it or is missing, or what a simulation leaves and is
+        no noise has a hundredth of the motion's variance; if ``"output_error"`` follows
+        ``weighting="pbsid"``.
     InstabilityWarning
         If the closed form for models of whole periods, or a structure behind samples, makes a
         stable model unstable.
     ConvergenceWarning
-        If the search stopped before it met its tolerance: 1e-8 of the sum of squares, 2e-5 between
-        the H∞ norm and the smooth bound that is minimised.
+        If a likelihood's search stopped where another step would move an exponent by more than its
+        standard deviation, or explain a hundredth of the motion's variance; if that of a norm
+        stopped before it met its tolerance, 2e-5 between the H∞ norm and the smooth bound that is
+        minimised.
 
     References
     ----------
@@ -288,7 +292,7 @@ class StructuredMatcher(ModelStep):
         if self.structure is None:
             return match_free(model, experiment, settings)
         match = match_samples(model, experiment, self.structure, self._norm_settings())
-        return match_likelihood(match, self.structure, experiment, settings)
+        return match_likelihood(match, self.structure, experiment, settings, model.opinion)
 
     def _of_rows(self, model, experiment):
         """Match a time-invariant model of rows, harmonics or whole periods."""
@@ -302,6 +306,7 @@ class StructuredMatcher(ModelStep):
         )
         if self._likely and structure is None and not experiment.basis.harmonic:
             return match_free(model, experiment, settings)
+        opinion = model.opinion
         if lifted:
             simulated = not (periodic and self._likely)
             route = structure if periodic else HarmonicStructure()
@@ -311,7 +316,7 @@ class StructuredMatcher(ModelStep):
             model = to_continuous(model, experiment)
             match = match_affine(model, experiment, structure, self._norm_settings())
         if self._likely:
-            match = match_likelihood(match, structure, experiment, settings)
+            match = match_likelihood(match, structure, experiment, settings, opinion)
         return match
 
     @property

@@ -111,7 +111,7 @@ def answers_to_a_step(Phi, rng, *, noise, n_columns=64, faint=1.0):
     """A step, each of its edges a direction of its own, and what n_columns samples see."""
     w, z, rows = np.zeros((160, 3)), np.zeros(len(Phi)), []
     w[20:90, 0] = w[20, 1] = w[90, 2] = 1.0
-    B = np.array([[1.0, 0.0], [1.0, faint], [1.0, -faint]])
+    B = np.array([[1.0, 0.0, 0.5], [1.0, faint, -0.2], [1.0, -faint, 0.3]])[:, : len(Phi)]
     sight, D = rng.standard_normal((n_columns, len(Phi))), rng.standard_normal((n_columns, 3))
     for w_k in w:
         rows.append(sight @ z + D @ w_k)
@@ -143,6 +143,14 @@ def test_candidates_that_outgrow_numbers_are_passed_over(rng):
     candidates = [np.diag([0.6, 0.3, 400.0, 2.0][:n]) for n in range(1, 5)]
     with np.errstate(all="raise", under="ignore"):
         assert len(order_by_residual(candidates, directions, lifted)) == 2
+
+
+def test_orders_that_no_periodic_system_has_do_not_end_the_search(rng):
+    """Two of them in a row, each with one negative multiplier."""
+    true = [-0.8, 0.4, -0.6]
+    directions, lifted = answers_to_a_step(np.diag(true), rng, noise=1e-2)
+    candidates = [np.diag(true[:n]) for n in range(1, 4)]
+    assert len(order_by_residual(candidates, directions, lifted)) == 3
 
 
 def test_no_start_outgrows_numbers(rng):

@@ -47,13 +47,13 @@ from sklearn_hd.algorithms.modes.free_decay import (
 )
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
-    is_possible,
     leaves_white_noise,
     left_by,
     multiplier_deviations,
     order_by_residual,
     outgrows_numbers,
     refine_multipliers,
+    turned_back,
     without_noise_growth,
 )
 from sklearn_hd.algorithms.periodic.periodic_realization import (
@@ -65,7 +65,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
 from sklearn_hd.algorithms.signals.lifting import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 __all__ = ["asked_block_rows", "identify", "read"]
 
@@ -231,42 +231,61 @@ def _raw_periods(experiment):
 
 
 def _own_map(A, C, noise, experiment, data, unit, settings):
-    """The machine's map and what is seen of its states: of the whole record, or at rest.
+    """The machine's map, what is seen of its states, free decays, and whether it is theirs.
 
     Where one linear map does not explain the whole record except for noise, inputs have held a
     nonlinear machine away from its orbit: its own map is that of its free decays. So it is where
     the map of the whole has products of their multipliers besides.
     """
-    Phi = _refined(A, C, experiment, data, unit, settings.stable)
+    Phi, turned = _refined(A, C, experiment, data, unit, settings.stable)
     raw, stretches = decays_at_rest(experiment)
     decays = smooth_parts(raw)
     still = free_decay(decays, None if settings.order == "auto" else settings.order)
-    if still is None or noise is not None or (settings.stable and _grows(still.Phi, experiment)):
+    less = still is None or noise is not None
+    less = less or (settings.stable and _grows(still.Phi, experiment))
+    linear = less or _linear(Phi, still, decays, experiment, data)
+    if less or (linear and not _of_second_order(Phi, still, decays)):
+        _warn_of_turned(turned)
         return Phi, C, still, False
-    if _linear(Phi, still, decays, experiment, data) and not _of_second_order(Phi, still, decays):
-        return Phi, C, still, False
+    _warn_of_turned(still.turned)
     return still.Phi, _sight(still, stretches, data, unit), still, True
 
 
+def _warn_of_turned(multiplier):
+    """Warn of a negative multiplier that was turned back, if a period leaves some of its motion."""
+    if abs(multiplier) < LASTING or searching():
+        return
+    warn(
+        f"an odd number of multipliers came out negative, which no periodic system has (their "
+        f"product is positive): noise, or a wrong order, has turned the sign of the smallest, and "
+        f"the model has {-multiplier:.3g} instead of {multiplier:.3g}; do not rely on that mode: "
+        f"try another order, or use a longer record",
+        IdentifiabilityWarning,
+    )
+
+
 def _refined(A, C, experiment, data, unit, stable):
-    """The map of largest likelihood for the raw periods, or that identified if it leaves less."""
+    """The map of largest likelihood for the raw periods, or that identified if it leaves less,
+    and the negative multiplier that was turned back."""
     directions, lifted = data.excitation, _raw_periods(experiment)
     if _grows(A, experiment):
         refined = without_noise_growth(A, directions, lifted)
     else:
         refined = refine_multipliers(A, directions, lifted, 1.0 if stable else None)
     seen = [Y / unit for Y in data.outputs]
-    return unless_it_leaves_less(refined, A, C, directions, lifted, seen)
+    (refined, turned), (identified, own) = turned_back(refined), turned_back(A)
+    kept = unless_it_leaves_less(refined, identified, C, directions, lifted, seen)
+    return kept, own if kept is identified else turned
 
 
 def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
-    """The refined map, or a possible one identified that leaves a tenth less of the record.
+    """The refined map, or that identified if it leaves a tenth less of the record.
 
     Multipliers are refined with every mode free to answer in its own way to each direction of
     the inputs. Many modes that last but a period or two can then stand for each other, and noise
     decides; with one B for all that is seen they cannot.
     """
-    if not is_possible(identified, max(map(len, lifted))):
+    if outgrows_numbers(identified, max(map(len, lifted))):
         return refined
     left, others = (
         np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)

@@ -10,13 +10,12 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from sklearn_hd._match.likelihood import uncertainty_of, warn_refined
+from sklearn_hd._match.likelihood import uncertainty_of
 from sklearn_hd._match.match import Match
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -43,8 +42,7 @@ def match_free(model, experiment, settings):
     data = RecordData.of(experiment, True, model if of_samples else None, discrete=True)
     complete = all(np.all(np.isfinite(outputs)) for _, outputs, _ in data.segments)
     fit, sampled = (_free if complete else _near)(start, data, settings)
-    warn_refined(fit.result, settings, named=False)
-    trust = trusted(fit, experiment, sample_simulators(sampled, experiment), fit.theta)
+    trust = trusted(fit, experiment, sampled, fit.theta, settings, model.opinion)
     warn_of_slow(fit, trust, experiment)
     uncertainty, structure = uncertainty_of(fit, trust, None, None), fit.structure
     if of_samples:

@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._match.match import Uncertainty, periodic_match
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.samples import decomposed_basis
 from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._records.delays import warn_of_doubt
-from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.search import (
     OverflowingStartError,
@@ -29,7 +27,7 @@ FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterw
 PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 
 
-def match_likelihood(match, structure, experiment, settings):
+def match_likelihood(match, structure, experiment, settings, opinion):
     """A match refined to the largest likelihood of the record, in the same structure.
 
     Parameters
@@ -40,6 +38,8 @@ def match_likelihood(match, structure, experiment, settings):
         As asked for; numbers of harmonics that it leaves open are chosen here.
     experiment : Experiment
     settings : LikelihoodSettings
+    opinion : Opinion or None
+        The second opinion of the record.
 
     Returns
     -------
@@ -69,8 +69,7 @@ def match_likelihood(match, structure, experiment, settings):
         fit = data.fit(given, match.theta, settings, bounds=bounds)
     data, delays = fit.data, fit.data.delays_of(fit, delays)
     experiment, sampled = data.experiment, data.sampled(fit, match)
-    simulators = sample_simulators(sampled, experiment)
-    trust = trusted(fit, experiment, simulators, fit.result.point.theta)
+    trust = trusted(fit, experiment, sampled, fit.result.point.theta, settings, opinion)
     warn_of_slow(fit, trust, experiment)
     if data.cells is not None:
         delays = data.deviations(delays, trust.covariance[fit.structure.n_parameters :])
@@ -81,7 +80,7 @@ def match_likelihood(match, structure, experiment, settings):
     else:
         basis = experiment.basis if match.sampled is None else decomposed_basis(match, experiment)
         refined = _periodic(match, fit, basis, trust)
-    warn_refined(fit.result, settings)
+    warn_unidentified(fit.result)
     model = replace(refined.model, delays=delays)
     waveform = fit.result.problem.waveform(fit.result.point)
     return replace(
@@ -130,6 +129,7 @@ def uncertainty_of(fit, trust, affine, seen):
         seen,
         kind=trust.kind,
         tests=trust.tests,
+        doubt=trust.doubt,
     )
 
 
@@ -266,25 +266,12 @@ def warn_closed_loop():
     )
 
 
-def warn_refined(result, settings, *, named=True):
-    """Of a fit by maximum likelihood."""
-    if named and result.unidentified:
+def warn_unidentified(result):
+    """Of parameters that a fit by maximum likelihood leaves open."""
+    if result.unidentified:
         warn(
             f"the record does not determine {', '.join(result.unidentified)} (only some "
             f"combinations of them): their standard deviation is infinite; fix some, share a name, "
             f"or use a richer record",
             IdentifiabilityWarning,
-        )
-    if not result.converged:
-        way = "raise max_iter"
-        if result.n_iter < settings.max_iter:
-            way = (
-                "the start may have the wrong order or be unstable, or the record does not "
-                "determine the parameters: change the order, or give numbers of harmonics, "
-                "HarmonicStructure(F=..., G=...)"
-            )
-        warn(
-            f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
-            f"lower the sum of squares by a share of {result.relative_decrease:.2g}; {way}",
-            ConvergenceWarning,
         )

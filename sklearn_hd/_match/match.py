@@ -247,6 +247,8 @@ class Uncertainty:
         What the covariance is made of.
     tests : dict of list, or None
         Columns of the residual tests of the record fitted.
+    doubt : str or None
+        What of the model does not stand; None if it stands, whatever its residuals are.
     """
 
     covariance: np.ndarray
@@ -260,6 +262,7 @@ class Uncertainty:
     dt: float = 0.0
     kind: str = "information"
     tests: object = None
+    doubt: str | None = None
 
     def frequency_response(self, theta, frequencies):
         """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""

@@ -16,6 +16,7 @@ from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import growth_rate, longest_span
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
 from sklearn_hd._match.match import periodic_match
+from sklearn_hd._match.trust import MOST_SYSTEMATIC
 from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
@@ -42,7 +43,6 @@ CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 TWICE = 2.0  # what the map leaves: more than what has been fitted to noise, which is less than half
-MOST_SYSTEMATIC = 1e-2  # of the record's variance, in what noise alone would leave
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 
 

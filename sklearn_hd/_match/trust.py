@@ -1,10 +1,19 @@
-"""Checks of the standard deviations of a fit: residual tests, and parts of the record."""
+"""Checks of the standard deviations of a fit: residual tests, and parts of the record.
 
-from dataclasses import dataclass
+What a nonlinear machine leaves is never white. Robust deviations, widened by what parts of the
+record disagree on, allow for that. A model is in doubt only where an exponent is then not known,
+the second opinion contradicts it, or what is left beside noise is a part of the motion.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._opinion import DOUBT, SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
+from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
 from sklearn_hd.algorithms.likelihood.predictor import simulate
@@ -24,6 +33,7 @@ WORDS = {
     "record": "from the first record to the last",
 }
 ALARM = 1e-4  # level of the tests at fit: a tenth of that of residual_tests, which are asked for
+MOST_SYSTEMATIC = 1e-2  # of the motion's variance, in what noise alone would leave
 ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
 
@@ -40,6 +50,8 @@ class Trust:
     kind : {"information", "robust"}
     tests : dict of list, or None
         Columns of the residual tests; None where a simulation overflows, or rows are few.
+    doubt : str or None
+        What of the model does not stand; None if it stands, whatever its residuals are.
     """
 
     covariance: np.ndarray
@@ -47,6 +59,7 @@ class Trust:
     exponents_std: np.ndarray
     kind: str
     tests: dict | None
+    doubt: str | None = None
 
     @property
     def coloured(self):
@@ -58,17 +71,20 @@ class Trust:
         )
 
 
-def trusted(fit, experiment, simulators, parameters):
+def trusted(fit, experiment, sampled, parameters, settings, opinion):
     """Standard deviations of a fit that hold even if its residuals are not white noise.
 
     Parameters
     ----------
     fit : Fit
     experiment : Experiment
-    simulators : list
-        Of the fitted model, one a segment.
+    sampled : SampleModel
+        The fitted model.
     parameters : ndarray
         All of the form.
+    settings : LikelihoodSettings
+    opinion : Opinion or None
+        The second opinion of the record.
 
     Returns
     -------
@@ -79,16 +95,19 @@ def trusted(fit, experiment, simulators, parameters):
     k, n, own = len(places), len(slopes), fit.structure.n_parameters
     slopes = np.pad(slopes[:, :own], [(0, 0), (0, k - own)])
     plain = propagate_std(slopes, fit.covariance)
+    into = np.eye(result.step.size)[places] if fit.into is None else fit.into
+    gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
+    moves = gradients[k:] @ result.step
+    stopped = partial(_warn_of_steps, result, settings, exponents, moves, omega=fit.form.omega)
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
+        stopped(plain, 0.0)
         return Trust(fit.covariance, exponents, plain, "information", None)
-    tests = _tests(experiment, simulators)
+    tests, part = _tests(experiment, sampled)
     divisions = _divisions(result)
     parts = part_scores(result.problem, result.point, divisions)
     white = whole_covariance(result)
     robust = tests is not None and not tests["passed"].all()
     found = parts["time"].sandwich(white) if robust else white
-    into = np.eye(len(white))[places] if fit.into is None else fit.into
-    gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
     own, by_noise = (
         np.maximum(np.einsum("rk,kj,rj->r", gradients, C, gradients), 0.0) for C in (found, white)
     )
@@ -101,31 +120,111 @@ def trusted(fit, experiment, simulators, parameters):
         more = np.maximum(more, np.where(differ, comparison.variance, 0.0))
         apart[name] = comparison.offsets[k:], differ[k:]
     kind = "robust" if robust else "information"
-    _warn_of_tests(tests, kind, result.gain is None)
-    _warn_of_parts(exponents, apart, own[k:], more[k:])
     covariance = into @ found @ into.T
     variance = np.diag(covariance)
     wider = np.sqrt((own + more)[:k] / np.where(variance > 0.0, variance, np.inf))
     covariance = covariance * wider[:, None] * wider
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
+    stopped(std, part)
+    systematic = _systematic(tests, part, experiment, sampled) if robust else 0.0
+    doubt = _doubt(exponents, std, opinion, systematic)
+    if doubt and robust and np.all(more[k:] <= own[k:]):
+        _warn_of_tests(tests, result.gain is None, doubt)
+    elif doubt:
+        _warn_of_parts(exponents, apart, own[k:], more[k:], doubt)
     known = np.isfinite(fit.covariance)
     covariance = np.where(known, covariance, fit.covariance)
     stored = None if tests is None else tests.reset_index().to_dict("list")
-    return Trust(covariance, exponents, std, kind, stored)
+    return Trust(covariance, exponents, std, kind, stored, doubt)
 
 
-def _tests(experiment, simulators):
-    """Residual tests; None where there is nothing to test."""
+def _tests(experiment, sampled):
+    """Residual tests, and the residuals' variance in parts of the motion's; None, and nothing,
+    where there is nothing to test."""
     try:
-        return scored(remainder(experiment, simulators), None, ALARM)
+        left = remainder(experiment, sample_simulators(sampled, experiment))
+        return scored(left, None, ALARM), left.part_of_motion()
     except (UnstableModelError, ValueError) as reason:  # it overflows, or rows are too few
         warn(
             f"the residuals of the fit could not be tested: {reason}; the standard deviations hold "
             f"only if the residuals are white noise",
             IdentifiabilityWarning,
         )
-        return None
+        return None, 0.0
+
+
+def _systematic(tests, part, experiment, sampled):
+    """What a simulation leaves and is no noise, in parts of the motion's variance.
+
+    A predictor follows a machine that its model does not explain, so a model with a gain is
+    simulated without it. What colours its residuals then is noise that moves the machine.
+    """
+    own = sampled.innovations
+    if own.gain.any():
+        still = replace(sampled, innovations=replace(own, gain=np.zeros_like(own.gain)))
+        try:
+            left = remainder(experiment, sample_simulators(still, experiment))
+        except UnstableModelError:  # feedback holds it
+            return 0.0
+        tests, part = scored(left, None, ALARM), left.part_of_motion()
+        tests = tests[~tests.index.str.startswith("autocorrelation")]
+    return part * tests["share"].where(~tests["passed"], 0.0).max()
+
+
+def _doubt(exponents, std, opinion, systematic):
+    """What of a model does not stand, whatever its residuals are, in words; None if it stands."""
+    if systematic > MOST_SYSTEMATIC:
+        return f"what is left and is no noise has {systematic:.3g} of the motion's variance"
+    if opinion is None:
+        return "no second opinion confirms the exponents"
+    own = replace(opinion, exponents=exponents, deviations=np.abs(std), own=True)
+    other = replace(opinion, own=False)
+    spread, vague = own.about(exponents)[2], doubtful(exponents, own)
+    if vague.any():
+        k = np.argmax(np.where(vague, spread, 0.0))
+        known = f"the exponent {exponents[k]:.4g} 1/s is known to"
+        return f"{known} {SURE * spread[k]:.3g} of its rate, {SURE:.0f} standard deviations"
+    nearest, gap, error = other.about(exponents)
+    elsewhere = (SURE * error <= DOUBT) & (gap + SURE * error > DOUBT)  # by one that is known
+    apart = doubtful(exponents, other) | (elsewhere & lasting(exponents, opinion.omega))
+    if apart.any():
+        k = np.argmax(np.where(apart, gap, -1.0))
+        return f"{opinion.way} {nearest[k]:.4g} 1/s, not {exponents[k]:.4g} 1/s"
+    return None
+
+
+def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
+    """Warn of a search that stopped where another step would change the model."""
+    n, steps = len(exponents), np.zeros(0)
+    if result.converged:
+        return
+    deviations = np.concatenate([std.real, std.imag])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
+    steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)
+    more = result.relative_decrease * part
+    if np.all(steps <= 1.0) and more <= MOST_SYSTEMATIC:
+        return
+    words = f"explain another {more:.2g} of the motion's variance"
+    if not np.all(steps <= 1.0):
+        r = int(np.argmax(steps))
+        words = (
+            f"move the exponent {exponents[r % n]:.4g} 1/s by {abs(moves[r]):.2g} 1/s, "
+            f"{steps[r]:.2g} of its standard deviations"
+        )
+    way = "raise max_iter"
+    if result.n_iter < settings.max_iter:
+        way = (
+            "the start may have the wrong order or be unstable, or the record does not "
+            "determine the parameters: change the order, or give numbers of harmonics, "
+            "HarmonicStructure(F=..., G=...)"
+        )
+    warn(
+        f"maximum likelihood stopped after {result.n_iter} iterations; another step would "
+        f"{words}; {way}",
+        ConvergenceWarning,
+    )
 
 
 def _divisions(result):
@@ -144,10 +243,8 @@ def _divisions(result):
     }
 
 
-def _warn_of_tests(tests, kind, simulated):
-    """Warn of residuals that are not noise, with the figure that shows it."""
-    if kind == "information":
-        return
+def _warn_of_tests(tests, simulated, doubt):
+    """Warn of residuals that are not noise, with the figure that shows it, and what it leaves."""
     failed = tests[~tests["passed"]].sort_values("share", ascending=False)
     name, worst = failed.index[0], failed.iloc[0]
     way = (
@@ -159,8 +256,9 @@ def _warn_of_tests(tests, kind, simulated):
     warn(
         f"the residuals of the fit are not white noise: the test {name!r} gives "
         f"{worst['statistic']:.4g} instead of {worst['degrees']:.0f} for noise, "
-        f"{worst['share']:.2g} of the residuals' variance; standard deviations come from comparing "
-        f"blocks of the record (robust), and miss errors that all blocks share; {way}",
+        f"{worst['share']:.2g} of the residuals' variance, and {doubt}; standard deviations come "
+        f"from comparing blocks of the record (robust), and miss errors that all blocks share; "
+        f"{way}",
         IdentifiabilityWarning,
     )
 
@@ -170,8 +268,8 @@ def _coloured(failed):
     return all(name.startswith("autocorrelation") for name in failed)
 
 
-def _warn_of_parts(exponents, apart, own, more):
-    """Warn of parts of the record that put an exponent elsewhere."""
+def _warn_of_parts(exponents, apart, own, more, doubt):
+    """Warn of parts of the record that put an exponent elsewhere, and what that leaves."""
     n, told = len(exponents), None
     for name, (offsets, differ) in apart.items():
         for r in np.flatnonzero(differ):
@@ -188,8 +286,8 @@ def _warn_of_parts(exponents, apart, own, more):
         f"parts of the record disagree: {WORDS[name]} the {what} part of the exponent {value:.4g} "
         f"goes from {centre + offsets[0]:.5g} to {centre + offsets[-1]:.5g} 1/s (standard "
         f"deviation {np.sqrt(own[r]):.2g}), so the response is not that of one linear system; its "
-        f"standard deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; use smaller motions, "
-        f"or fit the parts separately",
+        f"standard deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; {doubt}; use smaller "
+        f"motions, or fit the parts separately",
         IdentifiabilityWarning,
     )
 
@@ -211,8 +309,8 @@ def warn_of_slow(fit, trust, experiment):
             IdentifiabilityWarning,
         )
         return
-    total = -slowest * sum(spans)
-    if (fit.result.gain is not None or trust.coloured) and 0.0 < total < TIME_CONSTANTS:
+    total, excited = -slowest * sum(spans), fit.result.gain is not None or trust.coloured
+    if trust.doubt and excited and 0.0 < total < TIME_CONSTANTS:
         warn(
             f"the record lasts only {total:.0f} time constants of the slowest mode ({slowest:.3g} "
             f"1/s), which noise excites: intervals assume a long record and cover less than "

@@ -34,18 +34,7 @@ def doubts(fitted, validation):
     ]
     found += _of_modes(fitted.reducer)
     found += _of_match(fitted.matcher)
-    tests = fitted.tests
-    if not isinstance(tests, str) and not tests["passed"].all():
-        failed = tests[~tests["passed"]]
-        worst = failed["share"].idxmax()
-        found.append(
-            (
-                f"The residuals are not white noise: {len(failed)} of {len(tests)} tests fail "
-                f"({', '.join(failed.index)}). The test '{worst}' finds "
-                f"{digits(100.0 * failed['share'][worst], 2)} % of their variance to be no noise.",
-                "residuals",
-            )
-        )
+    found += _of_residuals(fitted)
     for run, what, anchor in (
         (validation, "the validation record", "validation"),
         (fitted.run, "the record of the fit", "validation"),
@@ -75,6 +64,29 @@ def _of_modes(reducer):
         (f"The mode at {digits(mode.eigenvalue)} 1/s is {mode.verdict}: {mode.reason}.", "modes")
         for mode in unsure.itertuples()
     ]
+
+
+def _of_residuals(fitted):
+    """Residuals that are no noise, unless the likelihood's deviations allow for them."""
+    tests = fitted.tests
+    if isinstance(tests, str) or tests["passed"].all() or stands(fitted.matcher):
+        return []
+    failed = tests[~tests["passed"]]
+    worst = failed["share"].idxmax()
+    return [
+        (
+            f"The residuals are not white noise: {len(failed)} of {len(tests)} tests fail "
+            f"({', '.join(failed.index)}). The test '{worst}' finds "
+            f"{digits(100.0 * failed['share'][worst], 2)} % of their variance to be no noise.",
+            "residuals",
+        )
+    ]
+
+
+def stands(matcher):
+    """Whether a likelihood knows its model's exponents, whatever its residuals are."""
+    found = None if matcher is None else matcher.match_.uncertainty
+    return found is not None and found.tests is not None and found.doubt is None
 
 
 def _of_match(matcher):

@@ -13,7 +13,7 @@ import pandas as pd
 
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._report import models
-from sklearn_hd._report.doubts import doubts, doubts_box
+from sklearn_hd._report.doubts import doubts, doubts_box, stands
 from sklearn_hd._report.facts import (
     REACH,
     Run,
@@ -332,8 +332,15 @@ def _residuals(fitted):
         "share": "no noise (% of variance)",
         "passed": "passed",
     }
+    text = (
+        "If the model is linear and right, what it leaves of the record is noise, and every test "
+    )
+    text += "passes."
+    if stands(fitted.matcher) and not tests["passed"].all():
+        text += " Some fail, as of a nonlinear machine. Standard deviations come from comparing "
+        text += "blocks and parts of the record; they leave no exponent in doubt."
     return (
-        line("If the model is right, what it leaves of the record is noise, and every test passes.")
+        line(text)
         + table(tests.rename(columns=names))
         + figure(
             lambda: fitted.residuals,

@@ -20,7 +20,14 @@ import numpy as np
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.search import LikelihoodResult, result_of, search, start
+from sklearn_hd.algorithms.likelihood.search import (
+    LikelihoodResult,
+    OverflowingStartError,
+    cost_of_start,
+    result_of,
+    search,
+    start,
+)
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.periodic_structure import functions_of_turn
 
@@ -78,10 +85,17 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
     for counts in (range(first + 1, most_harmonics(form) + 1), range(first - 1, -1, -1)):
         for count in counts:
             theta, gain = best.result.without_gain, best.result.gain
-            found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
+            if count < first:
+                gain = first_gain(form, segments, theta, gain, [count])[1]
+            try:
+                found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
+            except OverflowingStartError:
+                break  # no gain of so few harmonics has a stable predictor
             if found.result.aic >= best.result.aic or not found.result.converged:
                 break
             best = found
+        if best.form.n_gain_harmonics > first:
+            break
     return best
 
 
@@ -107,27 +121,28 @@ def most_harmonics(form):
     return min(MOST_HARMONICS, int(np.ceil(form.n_phases / 2.0)) - 1)
 
 
-def first_gain(form, segments, theta0, gain0=None):
+def first_gain(form, segments, theta0, gain0=None, counts=None):
     """Number of harmonics and coefficients of K: of several Kalman filters', the most likely.
 
-    Akaike's criterion decides between them.
+    Akaike's criterion decides between them. Of a gain that is cut to fewer harmonics the predictor
+    may be unstable: where it overflows, it is the least likely.
     """
     own = form.with_gain(None).response(theta0, sensitivities=False)
     problem = likelihood_problem(form.with_gain(0), segments, True, correlated=True)
-    gains = [_filter_gains(form, own, problem.size, ratio) for ratio in RATIOS]
-    highest, best = most_harmonics(form), None
-    coefficients = [] if gain0 is None else [gain0[: 2 * highest + 1]]
-    for gain in gains:
+    highest, best = most_harmonics(form), (np.inf, None, None)
+    counts = range(highest + 1) if counts is None else counts
+    coefficients = [] if gain0 is None else [gain0]
+    for ratio in RATIOS:
+        gain = _filter_gains(form, own, problem.size, ratio)
         most = min(highest, (len(gain) - 1) // 2)
         functions = functions_of_turn(len(gain), form.n_phases, most)
         coefficients.append(np.tensordot(np.linalg.pinv(functions), gain, 1))
     for gain in coefficients:
-        for count in range(len(gain) // 2 + 1):
+        for count in [count for count in counts if 2 * count < len(gain)]:
             problem = replace(problem, form=form.with_gain(count))
             some = gain[: 2 * count + 1]
-            point = start(problem, np.concatenate([theta0, some.ravel()]))
-            if best is None or point.cost + some.size < best[0]:
-                best = point.cost + some.size, count, some
+            cost = cost_of_start(problem, np.concatenate([theta0, some.ravel()])) + some.size
+            best = min(best, (cost, count, some), key=lambda one: one[0])
     return best[1:]
 
 

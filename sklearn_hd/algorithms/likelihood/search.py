@@ -52,6 +52,8 @@ class LikelihoodResult:
     converged : bool
     relative_decrease : float
         Fall of the weighted sum of squares, relative to it, that another step promises.
+    step : ndarray
+        That step, of all parameters of the form.
     unidentified : tuple of str
         Parameters that the data do not determine.
     fit_percent : ndarray, shape (l,)
@@ -75,6 +77,7 @@ class LikelihoodResult:
     n_iter: int
     converged: bool
     relative_decrease: float
+    step: np.ndarray
     unidentified: tuple
     fit_percent: np.ndarray
     problem: Problem
@@ -172,6 +175,14 @@ def start(problem, theta0, x0=None):
     return point
 
 
+def cost_of_start(problem, theta0):
+    """Cost of the point that a search would start from; infinite where it overflows."""
+    try:
+        return start(problem, theta0).cost
+    except OverflowingStartError:
+        return np.inf
+
+
 def cost_of_best_inputs(form, segments, theta0, sigma):
     """Cost of the F and P given with the best G, Q and initial states; infinite where it overflows.
 
@@ -234,6 +245,7 @@ def result_of(problem, search):
         n_iter=search.n_iter,
         converged=search.converged,
         relative_decrease=system.promised / n_residuals,
+        step=system.step(0.0),
         unidentified=tuple(np.array(form.structure.parameter_names, dtype=object)[unknown[:k]]),
         fit_percent=fit_percent(problem, point.rss),
         problem=problem,

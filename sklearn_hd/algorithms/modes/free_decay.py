@@ -22,6 +22,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     multiplier_deviations,
     outgrows_numbers,
     refine_multipliers,
+    turned_back,
 )
 from sklearn_hd.algorithms.signals.rest import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
@@ -59,12 +60,15 @@ class FreeDecay:
         Standard deviations of their logarithms. What they change by without the first period of
         each decay, whose motion is the largest, counts too: all of it where more than noise is
         left, else what is beyond the errors of the rest.
+    turned : float
+        A negative multiplier that was turned back, 0 if none was.
     """
 
     Phi: np.ndarray
     states: list
     multipliers: np.ndarray
     deviations: np.ndarray
+    turned: float = 0.0
 
 
 def periods_at_rest(inputs):
@@ -165,19 +169,19 @@ def free_decay(decays, order=None, compare=True):
     best = None
     for n in orders:
         states = np.split(stacked @ V[:n].T, edges)
-        Phi = _possible(refine_multipliers(_steps(states, ones), ones, decays))
+        Phi, turned = turned_back(refine_multipliers(_steps(states, ones), ones, decays))
         if outgrows_numbers(Phi, max(len(y) for y in decays)):
             continue  # no free decay
         left = left_by(Phi, ones, stacked)
         rss = max(float(np.sum(left**2)), EXACT**2 * float(np.sum(stacked**2)))
         bic = n_free * np.log(rss / n_free) + n * price
         if best is None or bic < best[0]:
-            best = bic, n, Phi, states, left
+            best = bic, n, Phi, states, left, turned
         elif n >= best[1] + PATIENCE:
             break
     if best is None:
         return None
-    _, n, Phi, states, left = best
+    _, n, Phi, states, left, turned = best
     told = int(np.sum(values > WEAK * values[0]))
     sizes = n_rows - len(decays) - n, left.shape[1]
     noise = wide is not None or is_noise(left, *sizes)
@@ -185,7 +189,7 @@ def free_decay(decays, order=None, compare=True):
         return free_decay(decays, told, compare)
     if n == most < MOST_STATES and order is None and not noise:
         return None  # there may be more
-    found = FreeDecay(Phi, states, *multiplier_deviations(Phi, ones, decays))
+    found = FreeDecay(Phi, states, *multiplier_deviations(Phi, ones, decays), turned)
     if not compare:
         return found
     later = [y[1:] for y in decays if len(y) > 2]
@@ -281,22 +285,7 @@ def _without(found, dropped):
     Phi = (to_modal @ found.Phi @ basis)[np.ix_(columns, columns)]
     states = [x @ to_modal.T[:, columns] for x in found.states]
     rest = [np.delete(each, dropped) for each in (found.multipliers, found.deviations)]
-    return FreeDecay(Phi, states, *rest)
-
-
-def _possible(Phi):
-    """A map that a periodic system may have: negative real multipliers are even in number.
-
-    det Φ = e^{∫ tr F dt} > 0 (Liouville). Noise turns the sign of what a period forgets: of an odd
-    number the smallest is turned back.
-    """
-    values, V = linalg.eig(Phi)
-    negative = np.flatnonzero((values.imag == 0.0) & (values.real < 0.0))
-    if len(negative) % 2 == 0:
-        return Phi
-    k = negative[np.argmin(np.abs(values[negative]))]
-    values[k] = -values[k]
-    return np.real(V @ np.diag(values) @ linalg.inv(V))
+    return FreeDecay(Phi, states, *rest, found.turned)
 
 
 def _steps(states, ones):

@@ -414,11 +414,11 @@ def order_by_residual(candidates, directions, lifted):
         refined = refine_multipliers(Phi, directions, lifted)
         left.append(left[-1])
         bic.append(np.inf)
-        if is_possible(refined, max(map(len, lifted))):
+        if not turned_back(refined)[1] and not outgrows_numbers(refined, max(map(len, lifted))):
             left[-1] = left_by(refined, directions, target)
             rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
             bic[-1] = n_free * np.log(rss / n_free) + len(Phi) * price
-        if len(bic) > BIC_PATIENCE and np.argmin(bic) < len(bic) - BIC_PATIENCE:
+        if min(bic) < np.inf and np.argmin(bic) < len(bic) - BIC_PATIENCE:
             break
     best = int(np.argmin(bic))
     for n in range(max(best, 1), len(left)):
@@ -439,13 +439,35 @@ def cost_of_a_state(directions, lifted):
     return n_free, (n_columns + r + len(lifted)) * np.log(n_free)
 
 
-def is_possible(Phi, n_periods):
-    """Whether a periodic system may have this map: its determinant is e^{∫ tr F dt} (Liouville),
-    and what outgrows numbers within a record was not recorded."""
-    multipliers = linalg.eigvals(Phi)
-    if np.sum((multipliers.imag == 0.0) & (multipliers.real < 0.0)) % 2:
-        return False
-    return not outgrows_numbers(Phi, n_periods)
+def turned_back(Phi):
+    """A map that a periodic system may have: negative real multipliers are even in number.
+
+    det Φ = e^{∫ tr F dt} > 0 (Liouville). Noise turns the sign of what a period forgets: of an odd
+    number the smallest is turned back.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+
+    Returns
+    -------
+    Phi : ndarray, shape (n, n)
+    turned : float
+        The negative multiplier, 0 if none was turned.
+
+    Examples
+    --------
+    >>> Phi, turned = turned_back(np.diag([0.5, -0.01]))
+    >>> Phi.round(12).tolist(), round(turned, 12)
+    ([[0.5, 0.0], [0.0, 0.01]], -0.01)
+    """
+    values, V = linalg.eig(Phi)
+    negative = np.flatnonzero((values.imag == 0.0) & (values.real < 0.0))
+    if len(negative) % 2 == 0:
+        return Phi, 0.0
+    k = negative[np.argmin(np.abs(values[negative]))]
+    values[k] = -values[k]
+    return np.real(V @ np.diag(values) @ linalg.inv(V)), -float(values[k].real)
 
 
 def outgrows_numbers(Phi, n_periods):

@@ -336,6 +336,18 @@ def test_a_gain_that_is_given_is_one_to_start_from(rng):
     np.testing.assert_array_equal(wrong, by_itself)
 
 
+def test_a_gain_whose_predictor_overflows_is_none_to_start_from(rng):
+    """As that of a gain that has been cut to fewer harmonics than its model needs."""
+    structure, theta = oscillator()
+    form = Form(structure, OMEGA, 8)
+    segments = [simulated(form, theta, np.full((1, 2, 2), 0.2), rng, 3000)]
+    wild = np.full((1, 2, 2), 50.0)
+    for counts in (None, [0]):
+        _, found = first_gain(form, segments, theta, wild, counts)
+        _, by_itself = first_gain(form, segments, theta, counts=counts)
+        np.testing.assert_array_equal(found, by_itself)
+
+
 def test_the_first_gain_is_that_of_a_kalman_filter(rng):
     """Of noise in the states and on the outputs: that of the Riccati equation, for some ratio."""
     structure, theta = oscillator(varies="")

@@ -11,6 +11,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     characteristic,
     invariant_blocks,
     multiplier_deviations,
+    turned_back,
     with_characteristic,
     without_noise_growth,
 )
@@ -173,3 +174,16 @@ def test_a_double_multiplier_is_known_to_the_square_root_of_the_noise(rng, apart
     noise, none = rng.standard_normal(clean.shape), [np.zeros((31, 0))]
     found = [multiplier_deviations(Phi, none, [clean + level * noise])[1] for level in (1e-8, 1e-4)]
     np.testing.assert_allclose(np.log(found[1] / found[0]) / np.log(1e4), power, atol=0.02)
+
+
+@pytest.mark.parametrize("values", [[-0.3], [0.6, -0.01], [-0.5, -0.2, -0.001], [0.5, 0.2]])
+def test_a_map_turned_back_keeps_all_but_one_sign(rng, values):
+    V = rng.standard_normal((len(values), len(values)))
+    Phi, turned = turned_back(V @ np.diag(values) @ np.linalg.inv(V))
+    wanted = np.array(values)
+    if np.prod(wanted) < 0.0:
+        assert np.isclose(turned, max(v for v in values if v < 0.0))
+        wanted[wanted == max(v for v in values if v < 0.0)] *= -1.0
+    else:
+        assert turned == 0.0
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(Phi)), np.sort(wanted), rtol=1e-9)
