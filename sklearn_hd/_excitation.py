@@ -93,8 +93,8 @@ class Excitation:
             if doubt > max(NOTABLE, self.information.left):
                 warn(
                     f"the inputs {self._most(each)} move at phases of the period, or in "
-                    f"directions, in which the record of the fit shows little of their effect: the "
-                    f"standard deviation of the predicted motion is "
+                    f"directions, in which the record of the fit shows little of their effect: by "
+                    f"the record alone, the standard deviation of the predicted motion is "
                     f"{f'{doubt:.2g}' if doubt < 1.0 else 'more than all'} of that motion, while "
                     f"the fit left {self.information.left:.2g}; record inputs that change at these "
                     f"phases, too, each by itself, or allow G fewer harmonics",

@@ -25,6 +25,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import (
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.lifting import InputDirections
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.systems import duffing
 
 SPP, TRIM = 32, 8  # samples a period of 2π; periods at rest before the inputs
 PSI = 2.0 * np.pi * (np.arange(SPP) + 0.5) / SPP
@@ -269,3 +270,37 @@ def test_inputs_that_are_sums_of_others_are_told_from_those_that_are_not(rng):
     u = np.stack([a, c, b, 1e3 * a - b], axis=1)[:, None]
     assert InputDirections.of([u]).together.tolist() == [0, 2, 3]
     assert InputDirections.of([u[..., :3]]).together.tolist() == []
+
+
+# ---- a machine that is not linear ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_of_inputs_at_one_phase_the_smoothest_input_matrix_is_good_at_another(noise):
+    """Position alone leaves G open; what the linear model leaves is not white."""
+    system = duffing()
+    orbit = system.trim()
+
+    def flown(n_periods, width, size, offset=0):
+        u = doublet(n_periods, width, size, offset)
+        time = pd.Index(system.period / SPP * np.arange(len(u)), name="time")
+        y = system.simulate(u, time, orbit.initial_state, rtol=1e-9, atol=1e-11)[:, [0]]
+        motion = y - np.tile(y[:SPP], (n_periods, 1))
+        return pd.DataFrame(u, time, ["u"]), pd.DataFrame(y, time, ["x"]), motion
+
+    u, y, motion = flown(60, 6, 0.05)
+    y += noise * motion.std() * np.random.default_rng(0).standard_normal(y.shape)
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(system.omega, trim_span=(0.0, TRIM * system.period))),
+            ("identify", MOESPRegressor()),
+            ("reduce", SpuriousModeReducer()),
+            ("match", StructuredMatcher(structure=HarmonicStructure())),
+        ]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Floquet coordinates, and of these inputs
+        pipe.fit(u, y)
+        u, y, motion = flown(40, 3, -0.035, offset=5 * SPP // 16)
+        off = pipe.predict(u).to_numpy() - y.to_numpy()
+    assert np.sum(off**2) < 0.1 * np.sum(motion**2)

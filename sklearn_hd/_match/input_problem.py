@@ -1,12 +1,29 @@
-"""Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record."""
+"""Realizations of known F(ψ) and P(ψ): G(ψ) and Q(ψ) by linear least squares on the raw record.
+
+Inputs that change at few phases of the period leave combinations of G's harmonics open, or nearly
+so. Of all G that explain the record, the one wanted changes least over the period: its entries are
+smoothing splines,
+
+    min Σ |y − ŷ(G, Q, x0)|² + σ²/τ² Σ_ij s_ij² ∫ (dG_ij/dψ)² dψ/π,
+
+s_ij being the size of what a constant push makes of the record. Coefficients of harmonic k so have
+the prior N(0, τ²/(k s_ij)²); constants, Q and x0 are free. σ²/τ² and the number of harmonics
+maximise the marginal likelihood (Wahba 1985), in which as many rows count as what no G explains
+has independent ones. Where the record determines G, exact data give it exactly: σ² is rounding.
+
+G. Wahba, "A comparison of GCV and GML for choosing the smoothing parameter in the generalized
+spline smoothing problem", Annals of Statistics 13 (1985), 1378-1402.
+C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992), 473-483.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import fft, linalg, sparse
 
 from sklearn_hd._match.match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
+from sklearn_hd.algorithms.linalg.rounding import EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.combined_periods import (
     CombinedPeriods,
@@ -24,7 +41,6 @@ from sklearn_hd.algorithms.signals.lifting import InputDirections
 
 MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-LEAST_SQUARE = 1e-28  # of a row of outputs of unit size: what rounding leaves
 RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 
@@ -65,10 +81,10 @@ class Realization:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Least squares with some number of harmonics of G."""
+    """The smoothest fit with some number of harmonics of G."""
 
     count: int
-    bic: float
+    misfit: float
     gains: np.ndarray
     unknown: np.ndarray
     n_unknown: int
@@ -89,14 +105,12 @@ class InputProblem:
         self.omega = basis.omega
         self.names = states, tuple(s for s, _ in basis.inputs), tuple(s for s, _ in basis.outputs)
         self.experiment, self.scale, self.starts = experiment, scale, starts
-        self.n_rows = sum(map(len, experiment.outputs))
         moved = InputDirections.of([u[:, None] for u in experiment.inputs]).moved
         self.n_idle = len(states) * (moved.shape[0] - moved.shape[1])
-        self.beyond = np.zeros(len(scale))  # left whatever G and Q are, sum of squares
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
 
     def solve(self, n_harmonics, physical):
-        """The realization with as many harmonics of G as the data show (Schwarz's criterion).
+        """The realization with the smoothest G, and as many harmonics of it as the data show.
 
         And as they determine: inputs that change at a few phases of the period tell more
         harmonics apart only where the outputs are the states.
@@ -107,23 +121,30 @@ class InputProblem:
         response, n = self._sampled(linear), linear.n_states
         self.parts = self._segments(response) if self.starts is None else self._periods()
         counts = [first] if asked is not None else self._counts()
+        theta, spp = np.zeros(linear.n_parameters), len(response.Psi)
+        pushes = held_pushes(linear, theta, self.omega, spp, counts[-1])
+        unit = np.eye(linear.n_inputs)
+
+        def pushed(some):  # columns of each harmonic, of each state, by each input
+            gains = np.einsum("hpba,jc->hajpbc", pushes[some], unit)
+            return self._columns(response, gains.reshape(-1, spp, n, len(unit)))[0]
+
         forced, left, free = self._columns(response, response.dPsi[..., n:], response.dOut[..., n:])
-        fit = NestedLeastSquares(left)
+        fit, sizes = NestedLeastSquares(left), column_sizes(pushed(slice(1))).reshape(n, -1)
         fit.extend(np.hstack([free, forced]))
-        if len(counts) > 1:
-            theta, spp = np.zeros(linear.n_parameters), len(response.Psi)
-            pushes = held_pushes(linear, theta, self.omega, spp, counts[-1])
-            unit = np.eye(linear.n_inputs)
+        weights = np.zeros(linear.constant.shape)
+        weights[:, :n, n:] = np.multiply.outer((np.arange(len(weights)) + 1) // 2, sizes)
+        stiffness = np.append(np.zeros(free.shape[1]), weights.ravel()[_places(linear)])
         best, worse = None, 0
         for before, count in zip([None, *counts], counts, strict=False):
             if before is not None:
-                new = pushes[2 * before + 1 : 2 * count + 1]  # of each state, by each input
-                gains = np.einsum("hpba,jc->hajpbc", new, unit).reshape(-1, spp, n, len(unit))
-                fit.extend(self._columns(response, gains)[0])
-            found = self._judged(fit, count)
+                later = np.arange(2 * before + 1, 2 * count + 1)
+                fit.extend(pushed(later))
+                stiffness = np.append(stiffness, np.multiply.outer((later + 1) // 2, sizes))
+            found = self._judged(fit, count, stiffness)
             if best is not None and found.n_unknown > best.n_unknown:
                 break
-            worse = 0 if best is None or found.bic < best.bic else worse + 1
+            worse = 0 if best is None or found.misfit < best.misfit else worse + 1
             best = found if worse == 0 else best
             if worse == 2:
                 break
@@ -174,7 +195,8 @@ class InputProblem:
             own[s] = np.eye(n)
             parts.append(replace(part, starts=part.starts @ np.hstack(own)))
             self.folded.append((combinations, rest / self.scale, len(y)))
-        self.beyond = sum(np.sum(rest**2, axis=(0, 1)) for _, rest, _ in self.folded)
+        rests = [rest.reshape(-1, len(self.scale))[:length] for _, rest, length in self.folded]
+        self.beyond = np.concatenate(rests)
         return parts
 
     def _periods(self):
@@ -200,7 +222,7 @@ class InputProblem:
         flat = outputs.reshape(len(outputs), -1)
         seen = U.T @ flat
         left = (flat - U @ seen).reshape(outputs.shape) / self.scale
-        self.n_rows, self.beyond = left[..., 0].size, np.sum(left**2, axis=(0, 1))
+        self.beyond = left.reshape(-1, len(self.scale))
         self.total = float(np.sum((outputs / self.scale) ** 2))
         d, n = len(few), states.shape[1]
         return [
@@ -239,17 +261,18 @@ class InputProblem:
         each = [part.columns(response, gains, direct, self.scale) for part in self.parts]
         return [np.concatenate(blocks) for blocks in zip(*each, strict=True)]
 
-    def _judged(self, fit, count):
-        """Least squares with some number of harmonics of G, and Schwarz's criterion."""
-        solution, left, unknown = fit.solve()
-        n_unknown = fit.n_unknown - self.n_idle * (2 * count + 1)  # but for inputs that never part
-        n_starts = self.parts[0].starts.shape[2]
-        n_rows, n_outputs = self.n_rows, len(self.scale)
-        rss = np.sum(left.reshape(-1, n_outputs) ** 2, axis=0) + self.beyond
-        likelihood = n_rows * float(np.sum(np.log(np.maximum(rss, LEAST_SQUARE * n_rows))))
-        bic = likelihood + np.log(n_rows * n_outputs) * (len(solution) - n_starts)
-        solution, unknown, rest = solution[n_starts:], unknown[n_starts:], float(np.sum(rss))
-        return _Fit(count, bic, solution, unknown, n_unknown, rest, left)
+    def _judged(self, fit, count, stiffness):
+        """The smoothest fit with some number of harmonics of G, and its marginal likelihood."""
+        n_starts, beyond = self.parts[0].starts.shape[2], float(np.sum(self.beyond**2))
+        n_rows = self.beyond.size
+        if beyond > EXACT**2 * self.total:  # not rounding
+            n_rows = n_independent(self.beyond) * len(self.scale)
+        solution, left, misfit = fit.solve(stiffness, beyond, n_rows)
+        open_ = fit.undetermined
+        unknown = np.linalg.norm(open_, axis=0)[n_starts:] > UNKNOWN
+        n_unknown = len(open_) - self.n_idle * (2 * count + 1)  # but for inputs that never part
+        rss = float(np.sum(left**2)) + beyond
+        return _Fit(count, misfit, solution[n_starts:], unknown, n_unknown, rss, left)
 
     def _systematic(self, left):
         """Covariance of what is left of neighbouring samples, or of neighbouring periods, summed.
@@ -274,7 +297,7 @@ class InputProblem:
         """What a fit found, harmonics of G beyond the first count taken for what they are."""
         full = self._resolved(n_harmonics, fit.count)
         linear, basis = self._known_states(full), self.experiment.basis
-        places = linear.basis.indices[linear.basis.indptr[:-1]]
+        places = _places(linear)
         harmonic, row, _ = np.unravel_index(places, linear.constant.shape)
         later = (harmonic > 2 * first) & (row < linear.n_states)
         order = np.lexsort((np.where(later, places, 0), later))  # as in the columns
@@ -288,3 +311,33 @@ class InputProblem:
         names = tuple(np.array(linear.parameter_names, dtype=object)[unknown])
         shares = 1.0 - fit.rss / self.total, self._systematic(fit.left) / self.total
         return Realization(model, full, theta, physical, *shares, names)
+
+
+def _places(structure):
+    """Where each parameter's first entry stands among all coefficients."""
+    return structure.basis.indices[structure.basis.indptr[:-1]]
+
+
+def n_independent(rows):
+    """Number of rows over 1 + 2 Σ ρ_k, ρ their autocorrelation while it lasts (Geyer 1992).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n_rows, l)
+
+    Returns
+    -------
+    n_independent : float
+        As many independent rows would give a mean of the same variance.
+
+    Examples
+    --------
+    >>> rows = np.random.default_rng(0).standard_normal((400, 1))
+    >>> bool(350 < n_independent(np.repeat(rows, 5, axis=0)) < 450)
+    True
+    """
+    spectrum = np.abs(fft.rfft(rows, 2 * len(rows), axis=0)) ** 2
+    covariance = fft.irfft(spectrum.sum(axis=1))[: len(rows) // 2 * 2]
+    pairs = covariance.reshape(-1, 2).sum(axis=1) / covariance[0]
+    lasting = np.argmax(pairs <= 0.0) or len(pairs)
+    return len(rows) / max(1.0, 2.0 * pairs[:lasting].sum() - 1.0)

@@ -4,7 +4,7 @@
    state give the mode shapes P(ψ) and R = log(Φ)/T.
 2. F(ψ) = (P′ + P R) P⁻¹ if the outputs determine the state; otherwise Floquet coordinates,
    in which F = R and the outputs are P(ψ) x.
-3. G(ψ) and Q(ψ) by linear least squares on the raw record.
+3. The smoothest G(ψ), and Q(ψ), by linear least squares on the raw record.
 """
 
 from itertools import combinations
@@ -366,7 +366,7 @@ def warn_realized(found, model):
     if found.unidentified:
         warn(
             f"the record does not determine {', '.join(found.unidentified)} (only some "
-            f"combinations of them): of all values that fit, the smallest are taken; record inputs "
+            f"combinations of them): of all that fit, the smoothest G(ψ) is taken; record inputs "
             f"that change at more phases of the period, or give G and Q fewer harmonics",
             IdentifiabilityWarning,
         )

@@ -15,10 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
+
+LEAST_SQUARE = 1e-28  # of the sum of squares: what rounding leaves
+RATIOS = 2.0 ** np.arange(-104, 11)  # of variances, from rounding to nothing but noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,15 +233,25 @@ class NestedLeastSquares:
         self.base = np.hstack([self.base, Q])
 
     @property
-    def n_unknown(self):
-        """Directions of b that y does not determine."""
-        return self.columns.shape[1] - self._rank(linalg.svdvals(self.factor))
+    def undetermined(self):
+        """Directions of b that y leaves open, in orthonormal rows, columns being of one length."""
+        _, values, Vt = np.linalg.svd(self.factor)
+        return Vt[_rank(values) :]
 
-    def _rank(self, values):
-        return int(np.sum(values > DEPENDENT * np.max(values, initial=0.0)))
+    def solve(self, stiffness=None, beyond=0.0, n_rows=None):
+        """The smoothest solution that explains y: stiffness_j b_j is white noise of variance τ².
 
-    def solve(self):
-        """The shortest solution, columns counted as of one length.
+        b_j is free where its stiffness is zero: the shortest solution, columns counted as of one
+        length. Of y − X b, of variance σ², and of τ, the marginal likelihood is greatest.
+
+        Parameters
+        ----------
+        stiffness : ndarray, shape (k,), optional
+            Zero by default: plain least squares.
+        beyond : float, default=0.0
+            Sum of squares of rows that are in no column.
+        n_rows : float, optional
+            Independent rows, of all; ``n_rows`` of y by default.
 
         Returns
         -------
@@ -246,11 +259,40 @@ class NestedLeastSquares:
             b.
         left : ndarray, shape (n_rows,)
             y − X b.
-        unknown : ndarray of bool, shape (k,)
-            What y does not determine.
+        misfit : float
+            −2 log of the marginal likelihood, but for a constant, and log n_rows for τ (Schwarz).
         """
-        U, values, Vt = np.linalg.svd(self.factor)
-        rank = self._rank(values)
-        solution = Vt[:rank].T @ (U[:, :rank].T @ self.seen / values[:rank]) / self.size
-        left = self.target - self.columns @ solution
-        return solution, left, np.linalg.norm(Vt[rank:], axis=0) > UNKNOWN
+        stiffness = np.zeros(len(self.size)) if stiffness is None else stiffness
+        n_rows = len(self.target) if n_rows is None else n_rows
+        stiff = stiffness > 0.0
+        free, held = self.factor[:, ~stiff], self.factor[:, stiff]
+        held = held * (self.size[stiff] / stiffness[stiff])
+        U, values, Vt = _svd(free)
+        off = [each - U @ (U.T @ each) for each in (held, self.seen)]
+        V, sizes, Wt = _svd(off[0])
+        shown = V.T @ off[1]
+        open_ = self.target - self.base @ self.seen, off[1] - V @ shown
+        rest = beyond + sum(np.sum(each**2) for each in open_)
+        ratio = np.max(sizes, initial=0.0) ** 2 * RATIOS[:, None]  # σ²/τ²
+        squares = rest + np.sum(shown**2 * ratio / (sizes**2 + ratio), axis=1)
+        least = LEAST_SQUARE * (np.sum(self.target**2) + beyond)
+        misfit = n_rows * np.log(np.maximum(squares, max(least, TINY)))
+        misfit += np.sum(np.log1p(sizes**2 / ratio), axis=1)
+        best = np.argmin(misfit)
+        solution = np.zeros(len(stiff))
+        solution[stiff] = Wt.T @ (sizes * shown / (sizes**2 + ratio[best]))
+        solution[~stiff] = Vt.T @ (U.T @ (self.seen - held @ solution[stiff]) / values)
+        solution /= np.where(stiff, stiffness, self.size)
+        misfit = misfit[best] + np.log(n_rows) * stiff.any()  # τ is a parameter
+        return solution, self.target - self.columns @ solution, misfit
+
+
+def _svd(matrix):
+    """Singular vectors and values, but for those that are rounding."""
+    U, values, Vt = np.linalg.svd(matrix, full_matrices=False)
+    rank = _rank(values)
+    return U[:, :rank], values[:rank], Vt[:rank]
+
+
+def _rank(values):
+    return int(np.sum(values > DEPENDENT * np.max(values, initial=0.0)))
