@@ -1,11 +1,21 @@
 """Second opinions: what confirms exponents, and what leaves them in doubt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._opinion import Opinion, doubtful, more_doubtful, of_halves
+from sklearn_hd._opinion import (
+    Opinion,
+    contradictions,
+    doubtful,
+    missing,
+    more_doubtful,
+    of_halves,
+    of_second_order,
+)
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
 
@@ -41,7 +51,39 @@ def test_modes_that_are_more_than_another_way_has_are_counted():
     )  # the last is the first's copy
     vague = opinion([-0.21], 0.1)
     assert not doubtful(several, vague).any()
-    assert doubtful(several, vague, counted=True).tolist() == [False, True, True, False]
+    counted = replace(vague, counted=True)
+    assert doubtful(several, counted).tolist() == [False, True, True, False]
+
+
+def counting(exponents, deviation=1e-3):
+    return replace(opinion(exponents, deviation), counted=True)
+
+
+def test_a_mode_that_another_way_has_is_missed():
+    has = counting([*PAIR, -0.05])
+    assert missing(PAIR, has).tolist() == [False, False, True]
+    assert not missing(np.append(PAIR, -0.05 + 3j), has).any()
+    assert not missing(PAIR, replace(has, counted=False)).any()
+    words = contradictions(PAIR, has)
+    assert words.startswith("the model lacks 1 of 3 exponents: they have -0.05+0j ± 0.002 1/s, the")
+
+
+@pytest.mark.parametrize("kept", ["vague", "forgotten", "second-order"])
+def test_what_is_vague_or_forgotten_or_of_second_order_is_not_missed(kept):
+    other = {"vague": -0.05, "forgotten": -3.0, "second-order": 2 * PAIR[0].real}[kept]
+    has = counting([*PAIR, other], 0.01 if kept == "vague" else 1e-3)
+    assert contradictions(PAIR, has) == ""
+
+
+def test_a_wrong_exponent_is_not_named_twice():
+    words = contradictions(1.5 * PAIR, counting(PAIR))
+    assert words.startswith("2 of 2 exponents are in doubt")
+    assert "lacks" not in words
+
+
+def test_the_square_of_a_motion_is_known_by_its_exponent():
+    found = np.array([-0.4 + 0.8j, -0.4, -0.2 + 0.8j])
+    assert of_second_order(found, PAIR, opinion(PAIR, 1e-3)).tolist() == [True, True, False]
 
 
 def test_what_a_turn_forgets_is_not_judged():
