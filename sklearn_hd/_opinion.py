@@ -59,8 +59,10 @@ class Opinion:
         Whether they are the model's, too: then their deviations are its own.
     duration : float
         Seconds of the longest segment.
-    counted : bool
-        Whether a model has to have as many modes, too: no copies of noise, and none missing.
+    needed : bool
+        Whether exponents that it does not confirm are in doubt, not just those it contradicts.
+    complete : bool
+        Whether exponents that it is sure of and a model has not are missing.
     """
 
     exponents: np.ndarray
@@ -69,7 +71,8 @@ class Opinion:
     way: str
     own: bool = False
     duration: float = np.inf
-    counted: bool = False
+    needed: bool = False
+    complete: bool = False
 
     def of(self, exponents, way):
         """The opinion that some exponents are, known as well as this one knows them."""
@@ -156,17 +159,15 @@ def of_halves(exponents, halves, omega):
 def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
-    Its own have to be known. It contradicts others where it is apart by more than it may err; what
-    it does not know itself is held against modes that outlast the record alone, and, where modes
-    are counted, against those that are more than it has.
+    It confirms what is off by no more than a doubt, its own error included. Its own have to be
+    known, and where it is needed all. Else it contradicts others where it is apart by more than it
+    may err; what it does not know itself is held against modes that outlast the record alone.
     """
     _, apart, spread = opinion.about(exponents)
-    vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
-    if not opinion.own:
+    vague = ~(apart + SURE * spread <= DOUBT)
+    if not (opinion.own or opinion.needed):
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
-        if opinion.counted:
-            vague |= _too_many(exponents, apart, opinion)
     return vague & _lasting(exponents, opinion.omega)
 
 
@@ -176,24 +177,9 @@ def more_doubtful(exponents, *opinions):
     return max(held, key=lambda opinion: np.sum(doubtful(exponents, opinion)), default=None)
 
 
-def _too_many(exponents, apart, opinion):
-    """Which exponents are more than the opinion has, those nearest to it counted first.
-
-    Copies of one family, a multiple of jω apart, count once; each may be off by a doubt.
-    """
-    rates, counted, beyond = _rates(exponents, opinion.omega), [], np.zeros(len(exponents), bool)
-    for i in np.argsort(apart):
-        gap = exponents[counted] - exponents[i]
-        gap = gap - 1j * opinion.omega * np.round(gap.imag / opinion.omega)
-        if np.all(np.abs(gap) > 2.0 * DOUBT * rates[i]):
-            beyond[i] = len(counted) >= len(opinion.exponents)
-            counted += [] if beyond[i] else [i]
-    return beyond
-
-
 def missing(exponents, opinion):
     """Which of an opinion's exponents it is sure of, and no mode, nor the sum of two, is near."""
-    if not opinion.counted or opinion.own:
+    if not opinion.complete or opinion.own:
         return np.zeros(len(opinion.exponents), bool)
     has = opinion.of_identified(np.append(exponents, _sums(exponents)))
     its, spread = opinion.exponents, opinion.deviations / _rates(opinion.exponents, opinion.omega)

@@ -45,25 +45,28 @@ def test_another_way_contradicts_beyond_its_errors():
     assert not doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 0.03)).any()
 
 
-def test_modes_that_are_more_than_another_way_has_are_counted():
-    several = np.array(
-        [-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j]
-    )  # the last is the first's copy
-    vague = opinion([-0.21], 0.1)
-    assert not doubtful(several, vague).any()
-    counted = replace(vague, counted=True)
-    assert doubtful(several, counted).tolist() == [False, True, True, False]
+def needed(exponents, deviation=1e-3):
+    return replace(opinion(exponents, deviation), needed=True, complete=True)
 
 
-def counting(exponents, deviation=1e-3):
-    return replace(opinion(exponents, deviation), counted=True)
+def test_an_opinion_that_is_needed_doubts_all_that_it_does_not_confirm():
+    several = np.array([-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j])  # the last a copy
+    assert doubtful(several, needed([-0.2])).tolist() == [False, True, True, False]
+    assert not doubtful(several, opinion([-0.21], 0.1)).any()
+    assert doubtful(several, needed([-0.21], 0.1)).all()
+
+
+def test_distance_and_error_count_together():
+    near = 1.07 * PAIR.real + 1j * PAIR.imag
+    assert not doubtful(near, needed(PAIR, 0.002)).any()
+    assert doubtful(near, needed(PAIR, 0.005)).all()
 
 
 def test_a_mode_that_another_way_has_is_missed():
-    has = counting([*PAIR, -0.05])
+    has = needed([*PAIR, -0.05])
     assert missing(PAIR, has).tolist() == [False, False, True]
     assert not missing(np.append(PAIR, -0.05 + 3j), has).any()
-    assert not missing(PAIR, replace(has, counted=False)).any()
+    assert not missing(PAIR, replace(has, complete=False)).any()
     words = contradictions(PAIR, has)
     assert words.startswith("the model lacks 1 of 3 exponents: they have -0.05+0j ± 0.002 1/s, the")
 
@@ -71,12 +74,12 @@ def test_a_mode_that_another_way_has_is_missed():
 @pytest.mark.parametrize("kept", ["vague", "forgotten", "second-order"])
 def test_what_is_vague_or_forgotten_or_of_second_order_is_not_missed(kept):
     other = {"vague": -0.05, "forgotten": -3.0, "second-order": 2 * PAIR[0].real}[kept]
-    has = counting([*PAIR, other], 0.01 if kept == "vague" else 1e-3)
+    has = needed([*PAIR, other], 0.01 if kept == "vague" else 1e-3)
     assert contradictions(PAIR, has) == ""
 
 
 def test_a_wrong_exponent_is_not_named_twice():
-    words = contradictions(1.5 * PAIR, counting(PAIR))
+    words = contradictions(1.5 * PAIR, needed(PAIR))
     assert words.startswith("2 of 2 exponents are in doubt")
     assert "lacks" not in words
 
