@@ -62,7 +62,8 @@ class Opinion:
     needed : bool
         Whether exponents that it does not confirm are in doubt, not just those it contradicts.
     complete : bool
-        Whether exponents that it is sure of and a model has not are missing.
+        Whether it has every mode that lasts: more are too many, and those that it is sure of and a
+        model has not are missing.
     """
 
     exponents: np.ndarray
@@ -161,13 +162,16 @@ def doubtful(exponents, opinion):
 
     It confirms what is off by no more than a doubt, its own error included. Its own have to be
     known, and where it is needed all. Else it contradicts others where it is apart by more than it
-    may err; what it does not know itself is held against modes that outlast the record alone.
+    may err; what it does not know itself is held against modes that outlast the record, and those
+    that are more than a complete one has.
     """
     _, apart, spread = opinion.about(exponents)
     vague = ~(apart + SURE * spread <= DOUBT)
     if not (opinion.own or opinion.needed):
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
+    if opinion.complete and not opinion.own:
+        vague |= _too_many(exponents, apart, opinion)
     return vague & _lasting(exponents, opinion.omega)
 
 
@@ -175,6 +179,21 @@ def more_doubtful(exponents, *opinions):
     """Of several opinions that which doubts most of some exponents, the first of equals."""
     held = [opinion for opinion in opinions if opinion is not None]
     return max(held, key=lambda opinion: np.sum(doubtful(exponents, opinion)), default=None)
+
+
+def _too_many(exponents, apart, opinion):
+    """Which exponents are more than the opinion has, those nearest to it counted first.
+
+    Copies of one family, a multiple of jω apart, count once; each may be off by a doubt.
+    """
+    rates, counted, beyond = _rates(exponents, opinion.omega), [], np.zeros(len(exponents), bool)
+    for i in np.argsort(apart):
+        gap = exponents[counted] - exponents[i]
+        gap = gap - 1j * opinion.omega * np.round(gap.imag / opinion.omega)
+        if np.all(np.abs(gap) > 2.0 * DOUBT * rates[i]):
+            beyond[i] = len(counted) >= len(opinion.exponents)
+            counted += [] if beyond[i] else [i]
+    return beyond
 
 
 def missing(exponents, opinion):

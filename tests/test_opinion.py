@@ -1,12 +1,14 @@
 """Second opinions: what confirms exponents, and what leaves them in doubt."""
 
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd._opinion import (
     Opinion,
     contradictions,
@@ -52,8 +54,15 @@ def needed(exponents, deviation=1e-3):
 def test_an_opinion_that_is_needed_doubts_all_that_it_does_not_confirm():
     several = np.array([-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j])  # the last a copy
     assert doubtful(several, needed([-0.2])).tolist() == [False, True, True, False]
-    assert not doubtful(several, opinion([-0.21], 0.1)).any()
     assert doubtful(several, needed([-0.21], 0.1)).all()
+
+
+def test_modes_that_are_more_than_a_complete_opinion_has_are_too_many():
+    several = np.array([-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j])  # the last a copy
+    vague = opinion([-0.21], 0.1)
+    assert not doubtful(several, vague).any()
+    complete = replace(vague, complete=True)
+    assert doubtful(several, complete).tolist() == [False, True, True, False]
 
 
 def test_distance_and_error_count_together():
@@ -143,3 +152,29 @@ def test_a_model_that_is_known_is_not_in_doubt():
     np.testing.assert_allclose(
         np.sort_complex(found.eigenvalues_), np.sort_complex(multipliers), atol=2e-3
     )
+
+
+def reduced(noise, **options):
+    """A reducer fitted through a sliding window, and what it warns of."""
+    u, y, _ = record(noise)
+    analyzer = HarmonicAnalyzer(1.0, reading="sliding", output_harmonics=1)
+    frame = MOESPRegressor().fit_transform(analyzer.fit_transform(u, y), y)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        reducer = SpuriousModeReducer(**options).fit(frame, y)
+    told = [str(w.message) for w in caught if issubclass(w.category, IdentifiabilityWarning)]
+    return reducer, told
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.05, 0.2])
+def test_the_verdicts_and_the_warning_agree(noise):
+    reducer, told = reduced(noise)
+    doubted = reducer.modes_["verdict"].isin(["ambiguous", "second-order"]).any()
+    assert len(told) <= 1
+    assert any(re.search("in doubt|as well as the one kept", text) for text in told) == doubted
+
+
+def test_a_reducer_says_which_mode_its_model_lacks():
+    _, told = reduced(0.0, n_states=1)
+    (text,) = told
+    assert re.search("lacks 1 of 2 exponents: the free decays at rest have .*, the model has", text)

@@ -131,10 +131,10 @@ def _chosen(model, experiment, modes, method, n_states):
         feedthrough = True
     model, opinion = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough), model.opinion
     if opinion is not None:
-        # a record of which nothing is left, or white noise, speaks for itself; so do copies
-        explained = found is not None or 1.0 - r2 <= NEARLY_ALL**2
-        agreeing = np.all(modes.whole[kept] >= 0)
-        opinion = replace(opinion, needed=not (explained or agreeing), complete=not explained)
+        # a record of which nothing is left speaks for itself; so do white noise, and copies
+        something = 1.0 - r2 > NEARLY_ALL**2
+        agreeing = found is not None or np.all(modes.whole[kept] >= 0)
+        opinion = replace(opinion, needed=something and not agreeing, complete=something)
         model = replace(model, opinion=opinion)
     warn_of_doubt(modes, choice, opinion, n_states)
     table = modes.exponents, modes.families, *verdicts(modes, choice, opinion)
