@@ -160,14 +160,16 @@ def of_halves(exponents, halves, omega):
 def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
-    It confirms what is off by no more than a doubt, its own error included. Its own have to be
-    known, and where it is needed all. Else it contradicts others where it is apart by more than it
-    may err; what it does not know itself is held against modes that outlast the record, and those
-    that are more than a complete one has.
+    Its own have to be known. Where it is needed, others may be off by no more than a doubt, its
+    own error included. Else it contradicts others where it is apart by more than it may err; what
+    it does not know itself is held against modes that outlast the record, and those that are more
+    than a complete one has.
     """
     _, apart, spread = opinion.about(exponents)
-    vague = ~(apart + SURE * spread <= DOUBT)
-    if not (opinion.own or opinion.needed):
+    vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
+    if opinion.needed:
+        vague |= apart + SURE * spread > DOUBT
+    elif not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
     if opinion.complete and not opinion.own:
