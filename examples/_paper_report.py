@@ -19,7 +19,7 @@ Why the ways differ on LTP and NLTP data:
   members are the modes of the three-state decomposition, which is an approximation itself.
 - Others residualized. The copies have a static gain, which becomes a feedthrough D. The known
   form has D = 0. The matcher then weighs all frequencies alike, cannot meet D, and warns.
-- Free decay. It is not bound to one member of each family: it finds F(ψ) first.
+- Period by period. It is not bound to one member of each family: it finds F(ψ) first.
 """
 ORDER_NOTES = """\
 Order by the gap: {ours} where the paper has 3, 11, 7 and 9 (lti, lti-signal, ltp, nltp).

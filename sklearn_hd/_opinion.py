@@ -19,20 +19,25 @@ from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = [
+    "WAY_OUT",
     "Opinion",
+    "contradictions",
     "decays_at_rest",
     "doubtful",
     "lasting",
+    "missing",
     "more_doubtful",
     "of_free_decays",
     "of_halves",
     "of_multipliers",
+    "of_second_order",
     "warn_unconfirmed",
 ]
 
 DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has another answer beyond
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
+WAY_OUT = "use a longer record, smaller motions or less noise, or another order"
 SURE = 2.0  # standard deviations that an exponent may be off by
 CONTRADICTS = 4.0  # standard deviations that no two ways are apart by chance
 
@@ -55,6 +60,11 @@ class Opinion:
         Whether they are the model's, too: then their deviations are its own.
     duration : float
         Seconds of the longest segment.
+    needed : bool
+        Whether exponents that it does not confirm are in doubt, not just those it contradicts.
+    complete : bool
+        Whether it has every mode that lasts: more are too many, and those that it is sure of and a
+        model has not are missing.
     """
 
     exponents: np.ndarray
@@ -63,6 +73,8 @@ class Opinion:
     way: str
     own: bool = False
     duration: float = np.inf
+    needed: bool = False
+    complete: bool = False
 
     def of(self, exponents, way):
         """The opinion that some exponents are, known as well as this one knows them."""
@@ -147,20 +159,23 @@ def of_halves(exponents, halves, omega):
     return Opinion(exponents, spread, omega, way, True)
 
 
-def doubtful(exponents, opinion, counted=False):
+def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
-    Its own have to be known. It contradicts others where it is apart by more than it may err; what
-    it does not know itself is held against modes that outlast the record alone, and, ``counted``,
-    against those that are more than it has.
+    Its own have to be known. Where it is needed, others may be off by no more than a doubt, its
+    own error included. Else it contradicts others where it is apart by more than it may err; what
+    it does not know itself is held against modes that outlast the record, and those that are more
+    than a complete one has.
     """
     _, apart, spread = opinion.about(exponents)
     vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
-    if not opinion.own:
+    if opinion.needed:
+        vague |= apart + SURE * spread > DOUBT
+    elif not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
-        if counted:
-            vague |= _too_many(exponents, apart, opinion)
+    if opinion.complete and not opinion.own:
+        vague |= _too_many(exponents, apart, opinion)
     return vague & lasting(exponents, opinion.omega)
 
 
@@ -185,7 +200,58 @@ def _too_many(exponents, apart, opinion):
     return beyond
 
 
-def warn_unconfirmed(exponents, opinion, counted=False):
+def missing(exponents, opinion):
+    """Which of an opinion's exponents it is sure of, and no mode, nor the sum of two, is near."""
+    if not opinion.complete or opinion.own:
+        return np.zeros(len(opinion.exponents), bool)
+    has = opinion.of_identified(np.append(exponents, _sums(exponents)))
+    its, spread = opinion.exponents, opinion.deviations / _rates(opinion.exponents, opinion.omega)
+    known = lasting(its, opinion.omega) & (SURE * spread <= DOUBT)
+    return known & (has.about(its)[1] > np.maximum(DOUBT, CONTRADICTS * spread))
+
+
+def of_second_order(exponents, sure, opinion):
+    """Which exponents are the sum of two that are sure: the square of a motion, and no mode."""
+    return opinion.of_identified(_sums(sure)).about(exponents)[1] <= DOUBT
+
+
+def _sums(exponents):
+    return (exponents[:, None] + exponents).ravel()
+
+
+def contradictions(exponents, opinion):
+    """What a second opinion has against the exponents of a model: words, "" where it has nothing.
+
+    Of those in doubt, and of those missing beside what is next to them, the worst is named.
+    """
+    nearest, apart, spread = opinion.about(exponents)
+    doubt, words = doubtful(exponents, opinion), []
+    if doubt.any():
+        k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
+        error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]
+        words.append(
+            f"{int(doubt.sum())} of {len(exponents)} exponents are in doubt: the model has "
+            f"{exponents[k]:.4g} 1/s, {opinion.way} {_within(nearest[k], error)} 1/s next to it"
+        )
+    told = opinion.of_identified(nearest[doubt])
+    lacking = missing(exponents, opinion) & (told.about(opinion.exponents)[1] > DOUBT)
+    if lacking.any():
+        k = int(np.argmax(np.where(lacking, opinion.exponents.real, -np.inf)))
+        beside = opinion.of_identified(exponents).about(opinion.exponents)[0][k]
+        its = _within(opinion.exponents[k], SURE * opinion.deviations[k])
+        words.append(
+            f"the model lacks {int(lacking.sum())} of {len(lacking)} exponents: {opinion.way} "
+            f"{its} 1/s, the model has {beside:.4g} 1/s next to it"
+        )
+    return "; ".join(words)
+
+
+def _within(exponent, error):
+    """An exponent, and how far it may be off if it may."""
+    return f"{exponent:.4g} ± {error:.2g}" if error > 0.0 else f"{exponent:.4g}"
+
+
+def warn_unconfirmed(exponents, opinion):
     """Warn of exponents that the second opinion does not confirm.
 
     Parameters
@@ -193,21 +259,9 @@ def warn_unconfirmed(exponents, opinion, counted=False):
     exponents : complex ndarray, shape (n,)
         Of the model, 1/s.
     opinion : Opinion or None
-    counted : bool
-        Whether more modes than it has are in doubt: of a model that has copies of noise.
     """
     if opinion is None or searching():
         return
-    exponents = np.asarray(exponents, complex)
-    nearest, apart, spread = opinion.about(exponents)
-    doubt = doubtful(exponents, opinion, counted)
-    if doubt.any():
-        k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
-        error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]
-        within = f" ± {error:.2g}" if error > 0.0 else ""
-        warn(
-            f"{int(doubt.sum())} of {len(exponents)} exponents are in doubt: the model has "
-            f"{exponents[k]:.4g} 1/s, {opinion.way} {nearest[k]:.4g}{within} 1/s next to it; use a "
-            f"longer record, smaller motions or less noise, or another order",
-            IdentifiabilityWarning,
-        )
+    words = contradictions(np.asarray(exponents, complex), opinion)
+    if words:
+        warn(f"{words}; {WAY_OUT}", IdentifiabilityWarning)

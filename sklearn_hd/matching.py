@@ -19,7 +19,7 @@ from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._opinion import doubtful, warn_unconfirmed
+from sklearn_hd._opinion import contradictions, doubtful, warn_unconfirmed
 from sklearn_hd._records.delays import as_measured, in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
@@ -660,7 +660,7 @@ def _warn_of_moves(model, match, likely):
     opinion = model.opinion
     if opinion is None or searching():
         return
-    if not doubtful(model.exponents(), opinion).any():
+    if not contradictions(model.exponents(), opinion):
         periodic = match.periodic
         found = periodic.to_system().floquet_exponents() if periodic else match.model.exponents()
         warn_unconfirmed(found, opinion)

@@ -25,14 +25,17 @@ class SpuriousModeReducer(ModelStep):
        signals as well as all modes do (or the best set of ``n_states``), with no
        more modes than output coefficients unless more halve what is left
        unexplained. It calls the other members of their families copies;
-    4. refines the exponents on the raw free decay, if some families have as
-       many states as there are outputs and the inputs come to rest. The decay
-       gives the mode shapes P(ψ), these give F(ψ) = (P′ + P R) P⁻¹, and F gives
-       the harmonic decomposition. The choice within a family cannot bias it.
-       It replaces the modes of 3. if it explains the raw signals as well;
+    4. refines these modes on the raw record by maximum likelihood, if white noise
+       is all that they then leave;
     5. fits B, D and the initial states to the raw record through the exact
-       response of the kept modes, so no effect of the window remains. If another
-       set of modes explains the record as well, the verdict is ambiguous.
+       response of the kept modes, so no effect of the window remains;
+    6. compares them with the second opinion that the model carries. A mode is
+       ambiguous if that has another exponent, or if another set of modes explains
+       the record as well.
+
+    The modes of a window only approximate the harmonic decomposition of a time-periodic
+    machine: for the decomposition itself use the default pipeline, which reads period by
+    period (``HarmonicAnalyzer(reading="period")``) where inputs rest.
 
     Models of whole periods (``HarmonicAnalyzer(reading="period")``) and of samples
     (``reading="sample"``) use no window: they pass unchanged, and every mode is genuine.
@@ -64,8 +67,9 @@ class SpuriousModeReducer(ModelStep):
         samples with harmonics has none: use ``ltp_`` of :class:`MOESPRegressor` or
         :class:`StructuredMatcher`, the model in continuous time.
     modes_ : DataFrame
-        One row per identified mode: ``eigenvalue`` (rad/s, continuous), ``family``, ``verdict``
-        (genuine, copy, window, weak, ambiguous or second-order) and ``reason``.
+        One row per identified mode: ``eigenvalue`` (rad/s, continuous; of a kept mode that of the
+        model), ``family``, ``verdict`` (genuine, copy, window, weak, ambiguous or second-order)
+        and ``reason``.
     n_states_ : int
     r2_ : float
         R² of the fit to the raw record, with fitted initial states; NaN if nothing was refitted.
@@ -84,7 +88,9 @@ class SpuriousModeReducer(ModelStep):
     Warns
     -----
     IdentifiabilityWarning
-        If another set of modes explains the data as well.
+        If a kept mode is in doubt (ambiguous or second-order), naming it and what speaks against
+        it; if the second opinion has a mode that the model lacks; if the modes left out explain
+        most of what the others leave.
     InstabilityWarning
         If a kept mode grows, so that the periodic orbit is unstable.
 

@@ -206,6 +206,7 @@ def test_permutation_importance_through_a_pipeline(short, rng):
     assert abs(importance.importances_mean[1]) < 1e-4
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_frozen_models_are_not_fitted_again(short):
     u, y = short.inputs, short.outputs
     analyzer = HarmonicAnalyzer(short.omega, output_harmonics=KEPT, hop=8)

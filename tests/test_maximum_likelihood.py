@@ -246,6 +246,7 @@ def test_noise_on_the_inputs_is_for_maximum_likelihood():
         matched_lag(*lag_record(0), criterion="hinf", input_noise=0.1)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_noise_on_harmonics_of_the_inputs_is_not_that_of_the_inputs():
     data, sigma = noisy_inputs(0)
     structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 3), np.nan))

@@ -1,5 +1,6 @@
 """Second opinions: what confirms exponents, and what leaves them in doubt."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -7,9 +8,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd._match.periodic import realize, warn_realized
-from sklearn_hd._opinion import Opinion, doubtful, more_doubtful, of_halves
+from sklearn_hd._opinion import (
+    Opinion,
+    contradictions,
+    doubtful,
+    missing,
+    more_doubtful,
+    of_halves,
+    of_second_order,
+)
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
@@ -40,13 +49,55 @@ def test_another_way_contradicts_beyond_its_errors():
     assert not doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 0.03)).any()
 
 
-def test_modes_that_are_more_than_another_way_has_are_counted():
-    several = np.array(
-        [-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j]
-    )  # the last is the first's copy
+def needed(exponents, deviation=1e-3):
+    return replace(opinion(exponents, deviation), needed=True, complete=True)
+
+
+def test_an_opinion_that_is_needed_doubts_all_that_it_does_not_confirm():
+    several = np.array([-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j])  # the last a copy
+    assert doubtful(several, needed([-0.2])).tolist() == [False, True, True, False]
+    assert doubtful(several, needed([-0.21], 0.1)).all()
+
+
+def test_modes_that_are_more_than_a_complete_opinion_has_are_too_many():
+    several = np.array([-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j])  # the last a copy
     vague = opinion([-0.21], 0.1)
     assert not doubtful(several, vague).any()
-    assert doubtful(several, vague, counted=True).tolist() == [False, True, True, False]
+    complete = replace(vague, complete=True)
+    assert doubtful(several, complete).tolist() == [False, True, True, False]
+
+
+def test_distance_and_error_count_together():
+    near = 1.07 * PAIR.real + 1j * PAIR.imag
+    assert not doubtful(near, needed(PAIR, 0.002)).any()
+    assert doubtful(near, needed(PAIR, 0.005)).all()
+
+
+def test_a_mode_that_another_way_has_is_missed():
+    has = needed([*PAIR, -0.05])
+    assert missing(PAIR, has).tolist() == [False, False, True]
+    assert not missing(np.append(PAIR, -0.05 + 3j), has).any()
+    assert not missing(PAIR, replace(has, complete=False)).any()
+    words = contradictions(PAIR, has)
+    assert words.startswith("the model lacks 1 of 3 exponents: they have -0.05+0j ± 0.002 1/s, the")
+
+
+@pytest.mark.parametrize("kept", ["vague", "forgotten", "second-order"])
+def test_what_is_vague_or_forgotten_or_of_second_order_is_not_missed(kept):
+    other = {"vague": -0.05, "forgotten": -3.0, "second-order": 2 * PAIR[0].real}[kept]
+    has = needed([*PAIR, other], 0.01 if kept == "vague" else 1e-3)
+    assert contradictions(PAIR, has) == ""
+
+
+def test_a_wrong_exponent_is_not_named_twice():
+    words = contradictions(1.5 * PAIR, needed(PAIR))
+    assert words.startswith("2 of 2 exponents are in doubt")
+    assert "lacks" not in words
+
+
+def test_the_square_of_a_motion_is_known_by_its_exponent():
+    found = np.array([-0.4 + 0.8j, -0.4, -0.2 + 0.8j])
+    assert of_second_order(found, PAIR, opinion(PAIR, 1e-3)).tolist() == [True, True, False]
 
 
 def test_what_a_turn_forgets_is_not_judged():
@@ -128,3 +179,29 @@ def test_what_the_map_of_whole_periods_leaves_is_noise():
     frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
     model = MOESPRegressor(2).fit(frame, y).model_
     assert model.lifted.left == pytest.approx(0.05**2, rel=0.15)
+
+
+def reduced(noise, **options):
+    """A reducer fitted through a sliding window, and what it warns of."""
+    u, y, _ = record(noise)
+    analyzer = HarmonicAnalyzer(1.0, reading="sliding", output_harmonics=1)
+    frame = MOESPRegressor().fit_transform(analyzer.fit_transform(u, y), y)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        reducer = SpuriousModeReducer(**options).fit(frame, y)
+    told = [str(w.message) for w in caught if issubclass(w.category, IdentifiabilityWarning)]
+    return reducer, told
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.05, 0.2])
+def test_the_verdicts_and_the_warning_agree(noise):
+    reducer, told = reduced(noise)
+    doubted = reducer.modes_["verdict"].isin(["ambiguous", "second-order"]).any()
+    assert len(told) <= 1
+    assert any(re.search("in doubt|as well as the one kept", text) for text in told) == doubted
+
+
+def test_a_reducer_says_which_mode_its_model_lacks():
+    _, told = reduced(0.0, n_states=1)
+    (text,) = told
+    assert re.search("lacks 1 of 2 exponents: the free decays at rest have .*, the model has", text)

@@ -3,28 +3,25 @@
 import numpy as np
 import pytest
 
-from sklearn_hd._reduce.refinement import (
-    _decaying_shapes,
-    _refined_exponents,
-    most_likely,
-)
+from sklearn_hd._reduce.refinement import most_likely
 from sklearn_hd.algorithms.likelihood.likelihood import is_white
 from sklearn_hd.algorithms.modes.families import real_block
 from sklearn_hd.systems import LTPSystem
 
-OMEGA, SPP, N_HARMONICS = 2 * np.pi, 32, 2
+OMEGA, SPP = 2 * np.pi, 32
 DT = 1.0 / SPP
 EXPONENTS = np.array([-0.3, -0.6 + 1.1j])  # 1/s
+TURN = OMEGA * DT * np.arange(SPP)
+OBSERVE = np.zeros((SPP, 2, 3))  # the mean of one output, the first harmonic of another
+OBSERVE[:, 0, 0], OBSERVE[:, 1, 1], OBSERVE[:, 1, 2] = 1.0, np.cos(TURN), np.sin(TURN)
 
 
-# ---- likelihood of modes -----------------------------------------------------------------------
-
-
-def periodic_system(rng):
-    """In Floquet coordinates, with two harmonics in B and P."""
-    G = rng.standard_normal((2 * N_HARMONICS + 1, 3, 1))
-    P = rng.standard_normal((2 * N_HARMONICS + 1, 2, 3))
-    return LTPSystem(real_block(EXPONENTS), G, P, omega=OMEGA), P
+def modes(rng):
+    """A time-invariant system, and its coefficients C put together to signals."""
+    C = rng.standard_normal((3, 3))
+    P = np.zeros((3, 2, 3))
+    P[0, 0], P[1, 1], P[2, 1] = C
+    return LTPSystem(real_block(EXPONENTS), rng.standard_normal((3, 1)), P, omega=OMEGA), C
 
 
 def records(rng, system, noise=0.0):
@@ -39,81 +36,42 @@ def records(rng, system, noise=0.0):
     return segments
 
 
-def rough_start(rng, P, size):
-    return EXPONENTS * (1 + size), P * (1 + size * rng.standard_normal(P.shape))
+def likely(rng, segments, C, rough=0.1):
+    """From a rough start."""
+    near = C * (1 + rough * rng.standard_normal(C.shape))
+    return most_likely(segments, EXPONENTS * (1 + rough), near, OMEGA, SPP, OBSERVE)
 
 
-def test_a_periodic_system_comes_back_from_a_rough_start(rng):
-    system, P = periodic_system(rng)
+def exponents(A):
+    return np.array([A[0, 0], A[1, 1] + 1j * A[1, 2]])
+
+
+def test_modes_come_back_from_a_rough_start(rng):
+    system, C = modes(rng)
     segments = records(rng, system)
-    modes = most_likely(segments, *rough_start(rng, P, 0.1), OMEGA, SPP)
-    np.testing.assert_allclose(modes.exponents, EXPONENTS, rtol=1e-5)
-    assert np.sum(modes.left**2) < 1e-9 * sum(np.sum(y**2) for _, y, _ in segments)
+    A, found, left = likely(rng, segments, C)
+    np.testing.assert_allclose(exponents(A), EXPONENTS, rtol=1e-5)
+    assert np.sum(left**2) < 1e-9 * sum(np.sum(y**2) for _, y, _ in segments)
+    shape, true = found[:, 0] / found[0, 0], C[:, 0] / C[0, 0]
+    np.testing.assert_allclose(shape, true, rtol=1e-4)
 
 
 def test_what_is_left_under_noise_is_the_noise(rng):
-    system, P = periodic_system(rng)
-    segments = records(rng, system, noise=0.1)
-    modes = most_likely(segments, *rough_start(rng, P, 0.1), OMEGA, SPP)
-    assert np.mean(modes.left**2) == pytest.approx(0.01, rel=0.15)
-    assert is_white(modes.left, SPP)
-    np.testing.assert_allclose(modes.exponents, EXPONENTS, atol=0.1)
+    system, C = modes(rng)
+    A, _, left = likely(rng, records(rng, system, noise=0.1), C)
+    assert np.mean(left**2) == pytest.approx(0.01, rel=0.15)
+    assert is_white(left, SPP)
+    np.testing.assert_allclose(exponents(A), EXPONENTS, atol=0.1)
 
 
-def test_a_structure_that_is_wrong_leaves_more_than_noise(rng):
-    system, P = periodic_system(rng)
+def test_modes_that_are_too_few_leave_more_than_noise(rng):
+    system, C = modes(rng)
     segments = records(rng, system, noise=0.01)
-    modes = most_likely(segments, EXPONENTS[1:], P[:, :, 1:], OMEGA, SPP)
-    assert not is_white(modes.left, SPP)
-
-
-def test_more_harmonics_start_from_fewer(rng):
-    system, P = periodic_system(rng)
-    segments = records(rng, system)
-    few = most_likely(segments, EXPONENTS, P[:3], OMEGA, SPP)
-    start = np.concatenate([few.P, np.zeros((2, 2, 3))])
-    modes = most_likely(segments, few.exponents, start, OMEGA, SPP, start=few)
-    np.testing.assert_allclose(modes.exponents, EXPONENTS, rtol=1e-5)
-    assert modes.aic < few.aic
+    _, _, left = most_likely(segments, EXPONENTS[1:], C[:, 1:], OMEGA, SPP, OBSERVE)
+    assert not is_white(left, SPP)
 
 
 def test_whiteness_is_rarely_denied_to_noise_and_never_granted_to_zero():
     draws = np.random.default_rng(0).standard_normal((200, 500, 2))
     assert np.mean([is_white(noise, 32) for noise in draws]) > 0.97
     assert not is_white(np.zeros((50, 1)), 5)
-
-
-# ---- free decay ----------------------------------------------------------------------------------
-
-
-def free_decay(system, n, n_periods):
-    t = DT * np.arange(n_periods * SPP)
-    y = system.simulate(np.zeros((len(t), 1)), t, x0=np.ones(n))
-    return y.reshape(n_periods, -1)
-
-
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_state_matrix_comes_back_from_a_free_decay(rng, n):
-    F = 0.5 * rng.standard_normal((5, n, n))
-    F[0] -= 1.5 * np.eye(n)
-    system = LTPSystem(F, np.ones((n, 1)), omega=OMEGA)
-    exponents = np.asarray(system.floquet_exponents())
-    lead = exponents[exponents.imag >= 0]
-    decay = free_decay(system, n, 3 + 2 * n)
-    shapes, left = _decaying_shapes(decay, lead, OMEGA, SPP)
-    psi = 2 * np.pi * np.arange(SPP) / SPP
-    np.testing.assert_allclose(shapes.state_matrix(psi, OMEGA, range(n)), system.F(psi), atol=1e-6)
-    assert np.sum(left**2) < 1e-20 * np.sum(decay**2)
-    other = np.where(lead.imag != 0, lead + 1j * OMEGA, lead)  # a mode's shape takes it up
-    shapes, _ = _decaying_shapes(decay, other, OMEGA, SPP)
-    np.testing.assert_allclose(shapes.state_matrix(psi, OMEGA, range(n)), system.F(psi), atol=1e-6)
-
-
-@pytest.mark.parametrize("exponents", [[-0.4, -2.0], [-0.3 + 1.2j], [-0.1, -0.5 + 0.8j]])
-def test_exponents_are_refined_to_those_of_the_decay(rng, exponents):
-    """Whatever the mode shapes: they are eliminated."""
-    step, state = np.exp(exponents), np.ones(len(exponents))
-    shapes = rng.standard_normal((32, len(step))) + 1j * rng.standard_normal((32, len(step)))
-    decay = np.array([(shapes @ (step**k * state)).real for k in range(12)])
-    found = _refined_exponents(decay, np.array(exponents, dtype=complex) * 1.15)
-    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(exponents), rtol=1e-7)

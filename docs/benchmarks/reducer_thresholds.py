@@ -13,18 +13,14 @@ import numpy as np
 from sklearn.pipeline import Pipeline
 
 import sklearn_hd._reduce.choice as choice
-import sklearn_hd._reduce.reduction as reduction
-import sklearn_hd.algorithms.periodic.periodic_realization as periodic_realization
 import sklearn_hd.algorithms.subspace.order as gaps
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing
 
 THRESHOLDS = [
     (choice, "FAMILY_TOLERANCE"),
-    (reduction, "MULTIPLIER_ANGLE"),
     (choice, "WINDOW_DECAY"),
     (choice, "MATERIAL_SHARE"),
-    (periodic_realization, "SHAPE_CONDITION"),
     (gaps, "GAP_REACH"),
     (gaps, "CLEAR_GAP"),
     (gaps, "WIDE_GAP"),

@@ -291,9 +291,6 @@ def run(seed, noise):
         "true": len(trial.exponents if trial.hd is None else trial.hd),
         "ambiguous": doubted,
         "refused": "",
-        "route": "F(ψ)"
-        if reduce.modes_["reason"].str.contains("F(ψ)", regex=False).any()
-        else "modes",
         "order": pipe["identify"].order_,
         "r2": reduce.r2_,
         "seconds": time.perf_counter() - started,

@@ -4,13 +4,13 @@
 3. Choose the smallest set that explains the raw signals.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from sklearn_hd._continuous import input_scale, observations, output_scale, scaled_outputs
-from sklearn_hd._opinion import DOUBT, Opinion, doubtful
+from sklearn_hd._opinion import WAY_OUT, contradictions, doubtful, of_second_order
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
 from sklearn_hd.algorithms.modes.families import (
@@ -30,12 +30,10 @@ __all__ = [
     "IdentifiedModes",
     "ModeChoice",
     "choose_modes",
-    "confirmed",
     "identified_modes",
     "mode_table",
     "verdicts",
     "warn_of_doubt",
-    "with_those_behind",
     "without_trifles",
 ]
 
@@ -98,6 +96,15 @@ class IdentifiedModes:
         mask = np.zeros(len(self.z), dtype=bool)
         mask[[i for unit in units for i in unit]] = True
         return mask
+
+    def moved(self, units, A):
+        """The same with the exponents of some units as the real blocks of A have them."""
+        exponents, at = self.exponents.copy(), 0
+        for unit in units:
+            turn = A[at, at + 1] if len(unit) == 2 else 0.0
+            exponents[list(unit)] = A[at, at] + 1j * turn * np.array([1.0, -1.0])[: len(unit)]
+            at += len(unit)
+        return replace(self, exponents=exponents)
 
 
 @dataclass(frozen=True)
@@ -247,35 +254,50 @@ def without_trifles(rankings, nothing):
     return next((r for r in small if last[0][0] >= OWN_SHARE * r[0][0]), last)
 
 
-def warn_of_doubt(choice, n_states):
-    """Warn where the modes kept explain much less than all, or no better than others."""
-    kept = sum(map(len, choice.units))
-    if choice.left_out > DECISIVE_SHARE and n_states is None:
-        warn(
-            f"the {kept} modes kept explain much less than all modes do (the others explain "
-            f"{choice.left_out:.0%} of what they leave); give n_states, or change the order of the "
-            f"identified model",
-            IdentifiabilityWarning,
-        )
+def warn_of_doubt(modes, choice, opinion, n_states):
+    """One warning of the modes kept that are in doubt, those missing, and what they leave out."""
+    exponents, words = modes.exponents[modes.mask(choice.units)], []
+    against = "" if opinion is None else contradictions(exponents, opinion)
+    if against:
+        words.append(against)
     if choice.doubtful:
-        warn(
-            f"{len(choice.rivals)} other set(s) of {kept} modes explain the data as well "
-            f"as the one kept; see modes_, change n_states, or use a richer record",
-            IdentifiabilityWarning,
+        unit, instead = _instead(modes, choice)
+        words.append(
+            f"{len(choice.rivals)} other set(s) of {len(exponents)} modes explain the data as well "
+            f"as the one kept: the model has {modes.exponents[unit[0]]:.4g} 1/s, one of them "
+            f"{instead:.4g} 1/s instead"
         )
+    if choice.left_out > DECISIVE_SHARE and n_states is None:
+        words.append(
+            f"the {len(exponents)} modes kept explain much less than all modes do (the others "
+            f"explain {choice.left_out:.0%} of what they leave)"
+        )
+    if words:
+        warn(f"{'; '.join(words)}; see modes_; {WAY_OUT}, or n_states", IdentifiabilityWarning)
 
 
-def verdicts(modes, choice):
+def _instead(modes, choice):
+    """The slowest unit in doubt, and the exponent nearest to it of a rival without it."""
+    unit = max(choice.doubtful, key=lambda unit: modes.exponents[unit[0]].real)
+    rival = next(rival for rival in choice.rivals if unit not in rival)
+    new = [other for other in rival if other not in choice.units] or rival
+    others = modes.exponents[[other[0] for other in new]]
+    return unit, min(others, key=lambda other: abs(other - modes.exponents[unit[0]]))
+
+
+def verdicts(modes, choice, opinion=None):
     """Verdict and reason of each mode.
 
     Parameters
     ----------
     modes : IdentifiedModes
     choice : ModeChoice
+    opinion : Opinion, optional
+        Which confirms the modes kept, or leaves them in doubt.
 
     Returns
     -------
-    verdicts : list of {"window", "ambiguous", "genuine", "copy", "weak"}
+    verdicts : list of {"window", "ambiguous", "genuine", "second-order", "copy", "weak"}
     reasons : list of str
     """
     kept, doubt = modes.mask(choice.units), modes.mask(choice.doubtful)
@@ -300,48 +322,19 @@ def verdicts(modes, choice):
             verdict, reason = "weak", "adds nothing material to the raw signals"
         verdicts.append(verdict)
         reasons.append(reason)
+    if opinion is not None:
+        _judge(verdicts, reasons, exponents, np.flatnonzero(kept), opinion)
     return verdicts, reasons
 
 
-def confirmed(verdicts, reasons, exponents, opinion, replaced=False):
-    """Verdicts and reasons, genuine modes that a second opinion does not confirm in doubt.
-
-    Where the model is not made of the modes themselves, such modes are not in it.
-    """
-    doubt = doubtful(exponents, opinion, counted=True)
-    sure = exponents[~doubt & np.isin(verdicts, "genuine")]
-    nearest, _, _ = opinion.about(exponents)
-    sums = (sure[:, None] + sure).ravel()
-    sums = Opinion(sums, np.zeros(len(sums)), opinion.omega, "").about(exponents)[1]
-    verdicts, reasons = list(verdicts), list(reasons)
-    for i in np.flatnonzero(doubt & np.isin(verdicts, "genuine")):
-        verdicts[i] = "second-order" if sums[i] <= DOUBT else "weak" if replaced else "ambiguous"
-        beside = f"{opinion.way} {nearest[i]:.4g} rad/s next to it"
-        kept = "not in the model" if replaced else "kept, but in doubt"
-        reasons[i] = f"{'sum of two others' if sums[i] <= DOUBT else kept}: {beside}"
-    return verdicts, reasons
-
-
-def with_those_behind(table, model, opinion):
-    """A table of modes, and what a model has that is made of none of them: its free decays' modes.
-
-    Parameters
-    ----------
-    table : (exponents, families, verdicts, reasons)
-    model : LTIModel
-    opinion : Opinion
-    """
-    exponents, families, verdicts, reasons = table
-    shown = opinion.of_identified(exponents[np.isin(verdicts, "genuine")])
-    known = opinion.of_identified(model.exponents()).about(opinion.exponents)[1] <= DOUBT
-    more = opinion.exponents[known & ~(shown.about(opinion.exponents)[1] <= DOUBT)]
-    new = np.max(families, initial=-1) + 1 + np.arange(len(more))
-    return (
-        np.append(exponents, more),
-        np.append(families, new),
-        [*verdicts, *["genuine"] * len(more)],
-        [*reasons, *["from the free decays, which give the model"] * len(more)],
-    )
+def _judge(verdicts, reasons, exponents, kept, opinion):
+    """Change the verdicts of modes kept that a second opinion does not confirm."""
+    doubt, nearest = doubtful(exponents[kept], opinion), opinion.about(exponents[kept])[0]
+    second = of_second_order(exponents[kept], exponents[kept[~doubt]], opinion)
+    for k in np.flatnonzero(doubt):
+        i, known = kept[k], "sum of two others" if second[k] else "kept, but in doubt"
+        verdicts[i] = "second-order" if second[k] else "ambiguous"
+        reasons[i] = f"{known}: {opinion.way} {nearest[k]:.4g} rad/s next to it"
 
 
 def mode_table(exponents, families, verdicts, reasons):

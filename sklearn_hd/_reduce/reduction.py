@@ -2,8 +2,9 @@
 
 1. Split off the window's memory.      2. Group the other modes into families.
 3. Choose the smallest set of modes that explains the raw record.
-4. Refine it on the record, or find the F(ψ) that is behind it.
+4. Refine it on the record, where white noise is all that it leaves.
 5. Fit B, D and the initial states to the record through what is kept.
+6. Hold what is kept against the second opinion of the record.
 """
 
 from dataclasses import dataclass, replace
@@ -13,28 +14,23 @@ import numpy as np
 from sklearn_hd._continuous import refit_inputs, to_continuous
 from sklearn_hd._fit_checks import warn_of_growth
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._opinion import warn_unconfirmed
 from sklearn_hd._reduce.choice import (
     HALF_KNOWN,
-    MATERIAL_SHARE,
     NEARLY_ALL,
     choose_modes,
-    confirmed,
     identified_modes,
     verdicts,
     warn_of_doubt,
-    with_those_behind,
 )
-from sklearn_hd._reduce.refinement import harmonic_form, refined_modes
+from sklearn_hd._reduce.refinement import refined_modes
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.lti.residualization import residualize
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
-from sklearn_hd.algorithms.modes.families import family_exponents, invariant_pair
+from sklearn_hd.algorithms.modes.families import invariant_pair
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = ["Reduction", "reduced"]
 
-MULTIPLIER_ANGLE = 0.3  # rad; a multiplier turned by less may be a real one
 MOST_LEFT = 3.0  # times what a choice leaves, from which refinement may get below it
 MAX_REFINED = 4  # sets that are refined: seconds each
 
@@ -125,34 +121,23 @@ def _chosen(model, experiment, modes, method, n_states):
     """The modes that the raw record calls for, refined on it where they are only truncated."""
     choice, found = choose_modes(modes, experiment, n_states), None
     if method == "truncate" and modes.omega:
-        choice, found = _most_likely(choice, modes, experiment)
-    warn_of_doubt(choice, n_states)
-    judged, reasons = verdicts(modes, choice)
-    kept, behind = modes.mask(choice.units), False
-    if found is None and n_states is None and method == "truncate" and modes.omega:
-        found = _behind_families(model, experiment, modes, choice)
-        behind = found is not None
-        if behind:
-            shown = "its family's mode shape gives F(ψ), and F(ψ) the harmonic decomposition"
-            reasons = [shown if v == "genuine" else r for v, r in zip(judged, reasons, strict=True)]
-    feedthrough = model.feedthrough
-    if found is not None:
-        A, C = found
-        B, D, r2 = refit_inputs(A, C, experiment, feedthrough)
-    else:
-        fast = _to_residualize(method, kept, modes)
-        A, C = _modal_pair(model, modes.z, kept | fast)
-        B, D, r2 = refit_inputs(A, C, experiment, feedthrough)
-        if fast.any():
-            A, B, C, D = residualize(A, B, C, D, modes.exponents[kept], modes.exponents[fast])
-            feedthrough = True
-    model = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough)
-    if model.opinion is not None:
-        judged, reasons = confirmed(judged, reasons, modes.exponents, model.opinion, behind)
-        warn_unconfirmed(model.exponents(), model.opinion, counted=True)
-    table = modes.exponents, modes.families, judged, reasons
-    if model.opinion is not None and behind:
-        table = with_those_behind(table, model, model.opinion)
+        choice, modes, found = _most_likely(choice, modes, experiment)
+    kept, feedthrough = modes.mask(choice.units), model.feedthrough
+    fast = _to_residualize(method, kept, modes)
+    A, C = _modal_pair(model, modes.z, kept | fast) if found is None else found
+    B, D, r2 = refit_inputs(A, C, experiment, feedthrough)
+    if fast.any():
+        A, B, C, D = residualize(A, B, C, D, modes.exponents[kept], modes.exponents[fast])
+        feedthrough = True
+    model, opinion = model.in_continuous_time(A, B, C, D, feedthrough=feedthrough), model.opinion
+    if opinion is not None:
+        # a record of which nothing is left speaks for itself; so do white noise, and copies
+        something = 1.0 - r2 > NEARLY_ALL**2
+        agreeing = found is not None or np.all(modes.whole[kept] >= 0)
+        opinion = replace(opinion, needed=something and not agreeing, complete=something)
+        model = replace(model, opinion=opinion)
+    warn_of_doubt(modes, choice, opinion, n_states)
+    table = modes.exponents, modes.families, *verdicts(modes, choice, opinion)
     return Reduction(model, table, r2, choice.left_out)
 
 
@@ -165,14 +150,14 @@ def _modal_pair(model, z, kept):
 def _most_likely(choice, modes, experiment):
     """The smallest set of modes that explains all but white noise once refined, its A and C.
 
-    The choice given, and None, where none does. Also enough is what the choice leaves:
-    poles a little off are made up for by further ones.
+    The choice and the modes given, and None, where none does. Also enough is what the choice
+    leaves: poles a little off are made up for by further ones.
     """
     size = sum(map(len, choice.units))
     value = next((v for v, some in choice.tried if set(some) == set(choice.units)), 0.0)
     rounding, nothing = HALF_KNOWN * choice.total, NEARLY_ALL**2 * choice.total
     if value <= rounding or (choice.by_family and value > nothing):
-        return choice, None  # nothing to gain, or nothing white: copies agree to 0.1 %
+        return choice, modes, None  # nothing to gain, or nothing white: copies agree to 0.1 %
     limit, enough, tried = max(NEARLY_ALL * choice.total, MOST_LEFT * value), rounding, choice.tried
     if value <= nothing:  # as good as all: no more modes than these
         tried = [pair for pair in tried if sum(map(len, pair[1])) <= size]
@@ -184,34 +169,8 @@ def _most_likely(choice, modes, experiment):
         start = np.where(single, exponents.real, exponents)
         A, C = refined_modes(experiment, start, modes.shapes[first], enough)
         if A is not None:
-            return replace(choice, units=some, rivals=[]), (A, C)
-    return choice, None
-
-
-def _behind_families(model, experiment, modes, choice):
-    """A and C of the harmonic decomposition of the F(ψ) behind the families chosen.
-
-    None where the outputs do not show it, or where the modes themselves explain the raw
-    record materially better.
-    """
-    chosen = {
-        frozenset(modes.families[unit[0]].item() for unit in best) for _, best in choice.tried
-    }
-    rows, n = experiment.basis.rows_per_period, len(experiment.basis.outputs)
-    readings = [
-        reading
-        for some in chosen
-        for reading in family_exponents(
-            modes.z, modes.families, sorted(some), rows, n, MULTIPLIER_ANGLE
-        )
-    ]
-    A, C = harmonic_form(experiment, readings)
-    if A is None:
-        return None
-    _, _, r2 = refit_inputs(A, C, experiment, model.feedthrough)
-    own = _modal_pair(model, modes.z, modes.mask(choice.units))
-    _, _, r2_modes = refit_inputs(*own, experiment, model.feedthrough)
-    return (A, C) if (1.0 - r2) * (1.0 - MATERIAL_SHARE) <= 1.0 - r2_modes else None
+            return replace(choice, units=some, rivals=[]), modes.moved(some, A), (A, C)
+    return choice, modes, None
 
 
 def _to_residualize(method, kept, modes):

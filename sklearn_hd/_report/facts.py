@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._opinion import doubtful, warn_unconfirmed
+from sklearn_hd._opinion import contradictions, warn_unconfirmed
 from sklearn_hd._records.data import Experiment
 from sklearn_hd._report.page import REFUSALS, with_reach
 from sklearn_hd._scoring import scored_simulation
@@ -178,7 +178,7 @@ def _warn_again(pipe, X, y, analyzer, experiment, models):
     if opinion is not None:
         exponents = model.model_.exponents()
         warn_unconfirmed(exponents, opinion)
-        if matcher is not None and not doubtful(exponents, opinion).any():
+        if matcher is not None and not contradictions(exponents, opinion):
             warn_unconfirmed(exponents_of(matcher), opinion)
 
 

@@ -14,8 +14,6 @@ that groups the families. Which members stand for a family is decided by how
 well they explain the raw signals (:mod:`sklearn_hd.algorithms.modes.selection`).
 """
 
-import itertools
-
 import numpy as np
 from scipy import linalg
 
@@ -26,7 +24,6 @@ __all__ = [
     "complete_families",
     "conjugate_units",
     "expected_members",
-    "family_exponents",
     "floquet_families",
     "invariant_pair",
     "is_window_pole",
@@ -177,42 +174,6 @@ def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERAN
     families = floquet_families(z, rows_per_period, tolerance)
     n_members = expected_members(output_harmonics, rows_per_period)
     return complete_families(z, families, rows_per_period, n_members, tolerance)
-
-
-def family_exponents(z, families, chosen, rows_per_period, n_states, tolerance):
-    """Floquet exponents of some families that together make a given number of states.
-
-    Of each family the mean of ln z^r, for its members differ by multiples of 2πj
-    alone. An angle within the tolerance may be that of a real exponent that noise
-    has turned, or of a pair: all choices that give the number of states are returned.
-
-    Parameters
-    ----------
-    z : complex ndarray, shape (n,)
-    families : ndarray of int, shape (n,)
-        From :func:`floquet_families`.
-    chosen : sequence of int
-    rows_per_period : int
-    n_states : int
-    tolerance : float
-        Angle of a multiplier below which it may count as real.
-
-    Returns
-    -------
-    choices : list of complex ndarray
-        λT, real ones and one of each pair; none where a multiplier is negative, whose
-        real form spans two periods.
-    """
-    options = []
-    for family in chosen:
-        multipliers = z[families == family] ** rows_per_period
-        mean = np.mean(np.log(multipliers.real + 1j * np.abs(multipliers.imag)))
-        if np.pi - mean.imag <= tolerance:
-            return []
-        real, pair = complex(mean.real), complex(mean.real, max(mean.imag, tolerance / 10))
-        options.append([real, pair] if mean.imag <= tolerance else [pair])
-    choices = [np.array(choice) for choice in itertools.product(*options)]
-    return [choice for choice in choices if len(choice) + np.sum(choice.imag != 0) == n_states]
 
 
 def conjugate_units(z):

@@ -10,7 +10,6 @@ from sklearn_hd.algorithms.modes.families import (
     complete_families,
     conjugate_units,
     expected_members,
-    family_exponents,
     floquet_families,
     invariant_pair,
     is_window_pole,
@@ -128,35 +127,3 @@ def test_real_block_has_the_exponents_as_eigenvalues():
     exponents = [-1.0, -0.5 + 2.0j]
     assert same_poles(np.linalg.eigvals(real_block(exponents)), [-1, -0.5 + 2j, -0.5 - 2j], 1e-12)
     assert real_block([]).shape == (0, 0)
-
-
-def family(exponent, rows, seed):
-    """A mode, its copies and their conjugates, in no order."""
-    members = exponent + 2j * np.pi * np.arange(rows)
-    z = np.exp(np.concatenate([members, members.conj()] if exponent.imag else [members]) / rows)
-    return np.random.default_rng(seed).permutation(z)
-
-
-def test_exponents_come_back_from_a_mode_its_copies_and_their_conjugates():
-    rows, true = 8, [-0.2 + 2.0j, -0.7 + 0.0j, -1.5 + 0.4j]
-    z = np.concatenate([family(e, rows, seed) for seed, e in enumerate(true)])
-    families = np.repeat([0, 1, 2], [2 * rows, rows, 2 * rows])
-    (found,) = family_exponents(z, families, [0, 1, 2], rows, 5, 1e-3)
-    np.testing.assert_allclose(found, true, atol=1e-12)
-    (one,) = family_exponents(z, families, [2], rows, 2, 1e-3)
-    np.testing.assert_allclose(one, true[2:], atol=1e-12)
-    assert family_exponents(z, families, [0, 1, 2], rows, 4, 1e-3) == []
-
-
-def test_an_angle_within_the_tolerance_may_be_real_or_a_pair():
-    z = family(-0.5 + 0.02j, 8, 0)
-    own = np.zeros(16, dtype=int)
-    for n_states, expected in ((1, -0.5), (2, -0.5 + 0.02j)):
-        (found,) = family_exponents(z, own, [0], 8, n_states, 0.1)
-        np.testing.assert_allclose(found, [expected], atol=1e-12)
-    assert family_exponents(z, own, [0], 8, 1, 0.01) == []  # surely a pair
-
-
-def test_a_negative_multiplier_has_no_exponent_of_one_period():
-    z = family(-0.5 + 1j * np.pi, 8, 0)
-    assert family_exponents(z, np.zeros(16, dtype=int), [0], 8, 1, 1e-3) == []
