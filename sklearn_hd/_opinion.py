@@ -96,15 +96,19 @@ class Opinion:
             Shifted by a multiple of jω to the exponent's side.
         apart, spread : ndarray
         """
+        apart, deviations = self.beside(exponents)
+        size = _rates(exponents, self.omega)
+        return exponents + apart, np.abs(apart) / size, deviations / size
+
+    def beside(self, exponents):
+        """Where the nearest exponent to each of some is beside it, and its deviation, 1/s."""
         if not len(self.exponents):
             nowhere = np.full(len(exponents), np.inf)
-            return np.full(len(exponents), np.nan, complex), nowhere, nowhere
-        turns = np.round((exponents[:, None] - self.exponents).imag / self.omega)
-        shifted = self.exponents + 1j * self.omega * turns
-        gap = np.abs(shifted - exponents[:, None])
-        k, rows = gap.argmin(axis=1), np.arange(len(exponents))
-        size = _rates(exponents, self.omega)
-        return shifted[rows, k], gap[rows, k] / size, self.deviations[k] / size
+            return nowhere + 0j, nowhere
+        gap = self.exponents - np.asarray(exponents)[:, None]
+        gap = gap - 1j * self.omega * np.round(gap.imag / self.omega)
+        k, rows = np.abs(gap).argmin(axis=1), np.arange(len(exponents))
+        return gap[rows, k], self.deviations[k]
 
 
 def _rates(exponents, omega):

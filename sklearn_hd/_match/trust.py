@@ -1,8 +1,9 @@
 """Checks of the standard deviations of a fit: residual tests, and parts of the record.
 
 What a nonlinear machine leaves is never white. Robust deviations, widened by what parts of the
-record disagree on, allow for that. A model is in doubt only where an exponent is then not known,
-the second opinion contradicts it, or what is left beside noise is a part of the motion.
+record disagree on, and by what the second opinion is apart, allow for that. A model is in doubt
+only where an exponent is then not known, the second opinion contradicts it, or what is left beside
+noise is a part of the motion.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ from functools import partial
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._opinion import DOUBT, SURE, doubtful, lasting
+from sklearn_hd._opinion import CONTRADICTS, DOUBT, SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
@@ -126,6 +127,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     covariance = covariance * wider[:, None] * wider
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
+    std = _beside(std, exponents, opinion)
     stopped(std, part)
     systematic = _systematic(tests, part, experiment, sampled) if robust else 0.0
     doubt = _doubt(exponents, std, opinion, systematic)
@@ -137,6 +139,19 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     covariance = np.where(known, covariance, fit.covariance)
     stored = None if tests is None else tests.reset_index().to_dict("list")
     return Trust(covariance, exponents, std, kind, stored, doubt)
+
+
+def _beside(std, exponents, opinion):
+    """Deviations of exponents, wider by what a second opinion is apart by more than both may err.
+
+    A bias that all parts of a record share shows in no comparison of these.
+    """
+    if opinion is None:
+        return std
+    apart, deviations = opinion.beside(exponents)
+    told = np.abs(apart) > CONTRADICTS * np.hypot(np.abs(std), deviations)
+    more = np.where(told & lasting(exponents, opinion.omega), apart, 0.0)
+    return np.hypot(std.real, more.real) + 1j * np.hypot(std.imag, more.imag)
 
 
 def _tests(experiment, sampled):
@@ -309,8 +324,9 @@ def warn_of_slow(fit, trust, experiment):
             IdentifiabilityWarning,
         )
         return
-    total, excited = -slowest * sum(spans), fit.result.gain is not None or trust.coloured
-    if trust.doubt and excited and 0.0 < total < TIME_CONSTANTS:
+    excited = fit.result.gain is not None or (trust.doubt and trust.coloured)
+    total = -slowest * sum(spans)
+    if excited and 0.0 < total < TIME_CONSTANTS:
         warn(
             f"the record lasts only {total:.0f} time constants of the slowest mode ({slowest:.3g} "
             f"1/s), which noise excites: intervals assume a long record and cover less than "
