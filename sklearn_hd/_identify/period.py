@@ -28,6 +28,7 @@ from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._opinion import (
     DOUBT,
     LASTING,
+    SURE,
     decays_at_rest,
     more_doubtful,
     of_free_decays,
@@ -311,9 +312,13 @@ def _linear(Phi, still, decays, experiment, data):
 def _of_second_order(Phi, still, decays):
     """Whether a map has the modes of free decays and besides them only products of these.
 
-    Or one that outlasts the decays: what the trim is off by. What a period forgets is not judged.
+    Or one that outlasts the decays: what the trim is off by. What a period forgets is not judged,
+    and free decays that do not know their own modes judge nothing.
     """
     own, known = (np.log(linalg.eigvals(M).astype(complex)) for M in (Phi, still.Phi))
+    rates = np.abs(np.log(np.abs(still.multipliers)))
+    if np.any(SURE * still.deviations > DOUBT * rates):
+        return False
     own = own[own.real >= np.log(LASTING)]
     beside = own[apart(own, known).min(axis=1) > DOUBT * np.abs(own.real)]
     found = is_product(beside, known, DOUBT * np.abs(beside.real))
