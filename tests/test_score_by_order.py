@@ -52,6 +52,7 @@ def first_two(omega, order, **options):
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:an odd number of multipliers")  # of three states for two
 def test_a_map_is_scored_at_every_sample_of_the_period():
     """Coefficients held over the period gave 0.79 at the true order, and more above it."""
     u, y = record(mathieu(), 0, 0.02)

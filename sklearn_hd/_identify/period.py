@@ -267,16 +267,18 @@ def _warn_of_turned(multiplier):
 
 def _refined(A, C, experiment, data, unit, stable):
     """The map of largest likelihood for the raw periods, or that identified if it leaves less,
-    and the negative multiplier that was turned back."""
+    and the negative multiplier that was turned back: one whose sign the record does not tell."""
     directions, lifted = data.excitation, _raw_periods(experiment)
     if _grows(A, experiment):
         refined = without_noise_growth(A, directions, lifted)
     else:
         refined = refine_multipliers(A, directions, lifted, 1.0 if stable else None)
     seen = [Y / unit for Y in data.outputs]
-    (refined, turned), (identified, own) = turned_back(refined), turned_back(A)
-    kept = unless_it_leaves_less(refined, identified, C, directions, lifted, seen)
-    return kept, own if kept is identified else turned
+    kept = unless_it_leaves_less(refined, A, C, directions, lifted, seen)
+    possible, turned = turned_back(kept)
+    if turned and unless_it_leaves_less(possible, kept, C, directions, lifted, seen) is possible:
+        return possible, turned
+    return kept, 0.0
 
 
 def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):

@@ -104,8 +104,8 @@ class LinearSystem:
 
     def step(self, damping):
         """Change of θ, of least norm in scaled coordinates."""
-        weight = self.singular / (self.singular**2 + damping)
-        weight = np.where(self.kept, weight, 0.0)
+        known = np.where(self.kept, self.singular, 1.0)
+        weight = np.where(self.kept, known / (known**2 + damping), 0.0)
         return -(self.adjoint.T @ (weight * self.projected)) / self.size
 
     def left_at(self, step, x0_step):
