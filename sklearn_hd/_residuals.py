@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     span_of,
     times,
 )
-from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
+from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION, RANK
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -300,18 +300,51 @@ def _ends(segments):
     return np.cumsum([len(s.psi) for s in segments])
 
 
-def _prepared(left, own, W, Phi):
-    """Residuals in one array, and the span of what parameters, starts and trim could change."""
-    n_starts, first, columns = sum(s.start.shape[2] for s in left.segments), 0, []
+def next_step(left):
+    """A Gauss-Newton step of the coefficients that were fitted, and a root of its covariance.
+
+    Those of largest likelihood, initial states being free, if predictions were linear in them:
+    to first order the step takes away what other ways to estimate them are off by (Le Cam).
+
+    Returns
+    -------
+    step : ndarray, shape (n_parameters,)
+    root : ndarray, shape (n_parameters, r)
+        Its covariance is root rootᵀ. No part of coordinates, which are free.
+    """
+    own, W = left.white()
+    J = np.concatenate(_columns(left, W)).reshape(left.n_rows * len(W), -1)
+    size = np.linalg.norm(J, axis=0)
+    J /= np.where(size > 0.0, size, 1.0)
+    values, vectors = linalg.eigh(J.T @ J)
+    kept = values > RANK * values[-1]
+    root = vectors[:, kept] / np.sqrt(values[kept])
+    step = root @ (root.T @ (J.T @ np.concatenate(own).ravel()))
+    fitted = slice(left.segments[0].fitted.shape[2])
+    size = np.where(size > 0.0, size, np.inf)[fitted]
+    return step[fitted] / size, root[fitted] / size[:, None]
+
+
+def _columns(left, W):
+    """Sensitivities of white residuals to coefficients, and to each segment's initial state."""
+    n_starts, first, found = sum(s.start.shape[2] for s in left.segments), 0, []
     for s in left.segments:
         start = np.zeros((len(s.psi), len(W), n_starts))
         start[..., first : first + s.start.shape[2]] = s.start
         first += s.start.shape[2]
-        parts = [W @ s.fitted, W @ start]
+        found.append(np.concatenate([W @ s.fitted, W @ start], axis=-1))
+    return found
+
+
+def _prepared(left, own, W, Phi):
+    """Residuals in one array, and the span of what parameters, starts and trim could change."""
+    columns = []
+    for s, parts in zip(left.segments, _columns(left, W), strict=True):
         if left.trim:
             orders = range(int(left.samples_per_period) // 2 + 1)
-            parts.append(of_each_output(harmonic_functions(s.psi, orders), len(W)))
-        columns.append(filtered(np.concatenate(parts, axis=-1), Phi))
+            waveform = of_each_output(harmonic_functions(s.psi, orders), len(W))
+            parts = np.concatenate([parts, waveform], axis=-1)
+        columns.append(filtered(parts, Phi))
     residuals = np.vstack([filtered(e[..., None], Phi)[..., 0] for e in own])
     return residuals, span_of(np.concatenate(columns).reshape(residuals.size, -1))
 

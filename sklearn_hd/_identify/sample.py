@@ -28,8 +28,10 @@ from sklearn_hd._identify.sample_checks import (
 )
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
-from sklearn_hd._opinion import of_halves, warn_unconfirmed
+from sklearn_hd._opinion import Opinion, more_doubtful, of_halves, warn_unconfirmed
+from sklearn_hd._residuals import next_step, remainder
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -43,6 +45,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     futures_known,
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
+from sklearn_hd.exceptions import UnstableModelError
 
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
@@ -51,6 +54,7 @@ MOST_STATES = 20  # tried by order="auto"
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 PLACES = 8  # evenly over it, at which these lie
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
+STEP = 1e-6  # of A, over which exponents are differenced
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
@@ -182,8 +186,10 @@ def identify(data, settings, experiment):
     warn_of_drift(data, predictor, experiment, ROWS_COMPARED)
     warn_of_growth(model, best, data)
     if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
-        model = replace(model, opinion=_of_halves(model, data, layout, best, settings, basis))
-        warn_unconfirmed(model.exponents(), model.opinion)
+        halves = _of_halves(model, data, layout, best, settings, basis)
+        exponents, step = model.exponents(), _of_next_step(model, experiment)
+        model = replace(model, opinion=more_doubtful(exponents, halves, step))
+        warn_unconfirmed(exponents, model.opinion)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
     return SubspaceFit(
@@ -220,6 +226,46 @@ def _of_halves(model, data, layout, best, settings, basis):
         found = choice._model(choice.sums, best.order, best.n_harmonics)
         exponents.append(replace(model, innovations=found).exponents())
     return of_halves(model.exponents(), exponents, basis.omega)
+
+
+def _of_next_step(model, experiment):
+    """Where a step of its likelihood leads the exponents; None of too few rows.
+
+    Noise of sensors that outlasts the lags of the predictor biases both halves alike.
+    """
+    try:
+        left = remainder(experiment, sample_simulators(model, experiment))
+    except (UnstableModelError, ValueError):
+        return None
+    if not left.output_names:
+        return None
+    step, root = next_step(left)
+    slopes = _slopes_of_exponents(model, len(step))
+    deviations = np.sqrt(np.sum(np.abs(slopes @ root) ** 2, axis=1))
+    exponents = model.exponents() + slopes @ step
+    return Opinion(exponents, deviations, model.omega, "a step of its likelihood leads to")
+
+
+def _slopes_of_exponents(model, n_parameters):
+    """Derivatives of exponents by the coefficients of :func:`next_step`, (n, n_parameters).
+
+    These are, function by function of the turn, the rows of [A B K], then those of [C D].
+    """
+    own, exponents = model.innovations, model.exponents()
+    n, m, n_outputs = own.n_states, own.n_inputs, own.n_outputs
+    width = n + m + (n_outputs if own.gain.any() else 0)
+    block = n * width + n_outputs * (n + (m if model.feedthrough else 0))
+    n_functions, slopes = 2 * own.n_harmonics + 1, np.zeros((n, n_parameters), complex)
+    step = STEP * np.max(np.abs(own.coefficients[:, :n, :n]))
+    for h, i, j in np.ndindex(min(n_functions, len(own.coefficients)), n, n):
+        moved, ends = np.zeros_like(own.coefficients), []
+        moved[h, i, j] = step
+        for sign in (1.0, -1.0):
+            near = replace(own, coefficients=own.coefficients + sign * moved)
+            found = replace(model, innovations=near).exponents()
+            ends.append(Opinion(found, np.zeros(n), model.omega, "").beside(exponents)[0])
+        slopes[:, h * block + i * width + j] = (ends[0] - ends[1]) / (2.0 * step)
+    return slopes
 
 
 # ---- the predictor ---------------------------------------------------------------------------
