@@ -14,8 +14,7 @@ from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import searching
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.linalg.rounding import TINY
-from sklearn_hd.algorithms.modes.free_decay import periods_at_rest
+from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = [
@@ -38,7 +37,6 @@ DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has anoth
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 WAY_OUT = "use a longer record, smaller motions or less noise, or another order"
-SURE = 2.0  # standard deviations that an exponent may be off by
 CONTRADICTS = 4.0  # standard deviations that no two ways are apart by chance
 
 
@@ -144,9 +142,9 @@ def of_free_decays(found, experiment, own=False):
 
 def of_multipliers(multipliers, deviations, experiment, way, own):
     """The opinion that multipliers are, with the standard deviations of their logarithms."""
-    omega, z = experiment.basis.omega, np.where(multipliers == 0.0, TINY, multipliers)
+    omega, longest = experiment.basis.omega, longest_span(experiment)
     rate = omega / (2.0 * np.pi)
-    exponents, longest = np.log(z.astype(complex)) * rate, longest_span(experiment)
+    exponents = logarithms(multipliers) * rate
     return Opinion(exponents, deviations * rate, omega, way, own, longest)
 
 

@@ -97,13 +97,15 @@ class Remainder:
     def part_of_motion(self):
         """Variance of the residuals in parts of that of the motion, the largest of all outputs.
 
-        The motion is that about the periodic mean that was fitted.
+        The motion is that about the periodic mean that was fitted, or what a trim is off by.
         """
         psi = np.concatenate([s.psi for s in self.segments])
-        turn = span_of(harmonic_functions(psi, range(max(self.n_loads, 0) + 1)))
+        highest = int(self.samples_per_period) // 2 if self.trim else max(self.n_loads, 0)
+        turn = span_of(harmonic_functions(psi, range(highest + 1)))
         e = np.vstack([s.residuals for s in self.segments])
         y = e + np.vstack([s.predicted for s in self.segments])
         motion = np.sum((y - turn @ (turn.T @ y)) ** 2, axis=0)
+        e = e - turn @ (turn.T @ e) if self.trim else e
         return float(
             np.max(np.sum(e**2, axis=0) / np.where(motion > 0.0, motion, 1.0), initial=0.0)
         )

@@ -20,7 +20,7 @@ from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._match.samples import match_samples
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import contradictions, doubtful, warn_unconfirmed
-from sklearn_hd._records.delays import as_measured, in_whole_samples
+from sklearn_hd._records.delays import in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
@@ -278,8 +278,7 @@ class StructuredMatcher(ModelStep):
         self.match_, self.n_iter_ = match.stored(), match.n_iter
         basis = experiment.basis
         if match.waveform is not None:
-            waveform = as_measured(match.waveform, match.model.delays, basis)
-            basis = replace(basis, output_trim=basis.output_trim + waveform)
+            basis = replace(basis, output_trim=basis.output_trim + match.waveform)
         return self._remember(match.model, basis, X, y, experiment)
 
     def _of_samples(self, model, experiment):

@@ -14,6 +14,7 @@ from sklearn_hd import (
 )
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import TimeBaseWarning
+from sklearn_hd.systems import LTPSystem
 
 OMEGA = 2.0 * np.pi
 SPP = 16
@@ -221,3 +222,21 @@ def test_second_order_responses_are_no_states(options):
     found = MOESPRegressor().fit(frame, data.outputs)  # warnings are errors here
     exact = np.exp(data.ltp.floquet_exponents() * 2.0 * np.pi / data.omega)
     np.testing.assert_allclose(np.sort(found.eigenvalues_.real), np.sort(exact.real), rtol=3e-3)
+
+
+@pytest.mark.parametrize("order", ["auto", 2])
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_linear_machine_keeps_a_mode_whose_rate_is_twice_another(order, noise):
+    system = LTPSystem(
+        np.diag([-0.3, -0.6]), [[1.0], [1.0]], [[1.0, 0.05], [0.3, 0.05]], omega=OMEGA
+    )
+    t = np.arange(60 * SPP) / SPP
+    u = np.zeros((len(t), 1))
+    u[3 * SPP : 8 * SPP], u[20 * SPP : 26 * SPP] = 1.0, -0.7
+    y = system.simulate(u, t)
+    y = y + noise * y.std(axis=0) * np.random.default_rng(0).standard_normal(y.shape)
+    index = pd.Index(t, name="time")
+    u, y = pd.DataFrame(u, index, ["u"]), pd.DataFrame(y, index, ["a", "b"])
+    frame = HarmonicAnalyzer(OMEGA, reading="period").fit_transform(u, y)
+    found = MOESPRegressor(order).fit(frame, y).model_.exponents()
+    np.testing.assert_allclose(np.sort(found.real), [-0.6, -0.3], rtol=1e-2)

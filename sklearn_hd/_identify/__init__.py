@@ -15,7 +15,7 @@ from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._opinion import decays_at_rest, of_free_decays
 from sklearn_hd._readings import SampleBasis
 from sklearn_hd._records.delays import as_measured, asked_delays
-from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts
+from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 
 __all__ = [
     "PREDICTOR",
@@ -71,7 +71,9 @@ def _opinion(experiment):
     """
     decays, _ = decays_at_rest(experiment)
     if decays:
-        return of_free_decays(free_decay(smooth_parts(decays)), experiment)
+        parts = smooth_parts(decays)
+        found = free_decay(parts)
+        return of_free_decays(found and without_products(found, parts), experiment)
     if sum(map(len, experiment.outputs)) > MOST_ROWS:
         return None
     at_samples = replace(

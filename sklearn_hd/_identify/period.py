@@ -43,8 +43,10 @@ from sklearn_hd.algorithms.modes.free_decay import (
     apart,
     free_decay,
     is_product,
+    logarithms,
     offsets,
     smooth_parts,
+    without_products,
 )
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
@@ -235,8 +237,8 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
     """The machine's map, what is seen of its states, free decays, and whether it is theirs.
 
     Where one linear map does not explain the whole record except for noise, inputs have held a
-    nonlinear machine away from its orbit: its own map is that of its free decays. So it is where
-    the map of the whole has products of their multipliers besides.
+    nonlinear machine away from its orbit: its own map is that of its free decays, and products of
+    their multipliers are second-order responses. So are those that the whole record alone has.
     """
     Phi, turned = _refined(A, C, experiment, data, unit, settings.stable)
     raw, stretches = decays_at_rest(experiment)
@@ -244,10 +246,13 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
     still = free_decay(decays, None if settings.order == "auto" else settings.order)
     less = still is None or noise is not None
     less = less or (settings.stable and _grows(still.Phi, experiment))
+    auto = settings.order == "auto"
     linear = less or _linear(Phi, still, decays, experiment, data)
-    if less or (linear and not _of_second_order(Phi, still, decays)):
+    if less or (linear and not (auto and _of_second_order(Phi, still, decays))):
         _warn_of_turned(turned)
         return Phi, C, still, False
+    if auto:
+        still = without_products(still, decays)
     _warn_of_turned(still.turned)
     return still.Phi, _sight(still, stretches, data, unit), still, True
 
@@ -317,7 +322,7 @@ def _of_second_order(Phi, still, decays):
     Or one that outlasts the decays: what the trim is off by. What a period forgets is not judged,
     and free decays that do not know their own modes judge nothing.
     """
-    own, known = (np.log(linalg.eigvals(M).astype(complex)) for M in (Phi, still.Phi))
+    own, known = (logarithms(linalg.eigvals(M)) for M in (Phi, still.Phi))
     rates = np.abs(np.log(np.abs(still.multipliers)))
     if np.any(SURE * still.deviations > DOUBT * rates):
         return False

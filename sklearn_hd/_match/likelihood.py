@@ -10,11 +10,12 @@ from functools import partial
 
 import numpy as np
 
+from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._match.match import Uncertainty, periodic_match
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.samples import decomposed_basis
-from sklearn_hd._match.trust import trusted, warn_of_slow
-from sklearn_hd._records.delays import warn_of_doubt
+from sklearn_hd._match.trust import ONE_TIME_CONSTANT, trusted, warn_of_slow
+from sklearn_hd._records.delays import as_measured, warn_of_doubt
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.search import (
     OverflowingStartError,
@@ -82,10 +83,26 @@ def match_likelihood(match, structure, experiment, settings, opinion):
         refined = _periodic(match, fit, basis, trust)
     warn_unidentified(fit.result)
     model = replace(refined.model, delays=delays)
-    waveform = fit.result.problem.waveform(fit.result.point)
+    waveform = _trim_error(fit, trust, experiment, delays)
     return replace(
         refined, model=model, n_iter=fit.result.n_iter, sampled=sampled, waveform=waveform
     )
+
+
+def _trim_error(fit, trust, experiment, delays):
+    """What the trim that was subtracted is off by, at the rows where it was measured; or None.
+
+    A mode that lasts longer than the record is such a waveform itself: nothing parts them.
+    """
+    waveform = fit.result.problem.waveform(fit.result.point)
+    slowest, longest = np.max(trust.exponents.real, initial=-np.inf), longest_span(experiment)
+    if waveform is None or -slowest * longest < ONE_TIME_CONSTANT:
+        return None
+    cells = fit.data.cells
+    if cells is not None:  # of which the model holds the fractions
+        lags = np.concatenate([cells.input_lags, cells.output_lags])
+        delays = delays.at(lags * experiment.base.sample_time)
+    return as_measured(waveform, delays, experiment.basis)
 
 
 def _periodic(match, fit, basis, trust):

@@ -42,7 +42,7 @@ NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
 HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
-TWICE = 2.0  # what the map leaves: more than what has been fitted to noise, which is less than half
+LARGER_LEFT = 2.0  # times what the map leaves: beyond what fitting its freedom to noise explains
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 
 
@@ -355,7 +355,7 @@ def warn_realized(found, model):
             f"the harmonics that the structure allows, and whether the response is linear",
             IdentifiabilityWarning,
         )
-    elif left > TWICE * known and left - known > NOTABLE:
+    elif left > LARGER_LEFT * known and left - known > NOTABLE:
         warn(
             f"the periodic model leaves {left:.2g} of the record's energy, but the map of whole "
             f"periods that it was made from {known:.2g}: with {found.model.n_states} state(s) no "

@@ -293,7 +293,8 @@ class Problem:
                 counts = counts + np.roll(own, record.first_phase, axis=0)
         if np.ndim(counts) == 0:
             return None
-        return _outputs_of(response, total / np.maximum(counts, 1))
+        mean = _outputs_of(response, total / np.maximum(counts, 1))
+        return np.where(np.max(np.abs(mean), axis=0) > NOISELESS * self.size, mean, 0.0)
 
     def spread(self, moments):
         """S: as given, or of largest likelihood."""

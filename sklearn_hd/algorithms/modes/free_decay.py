@@ -32,15 +32,17 @@ __all__ = [
     "apart",
     "free_decay",
     "is_product",
+    "logarithms",
     "offsets",
     "periods_at_rest",
     "smooth_parts",
+    "without_products",
 ]
 
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12
 ALIKE = 0.01  # of a rate, by which a product may miss two others
-MOST_OF_SECOND_ORDER = 0.1  # of the strongest mode
+MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 PATIENCE = 2
 SURE = 2.0  # standard deviations that an estimate may be off by
@@ -196,10 +198,10 @@ def free_decay(decays, order=None, compare=True):
     smaller = free_decay(later, n, False) if later else None
     if smaller is not None:
         allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
-        gaps = apart(_logs(found.multipliers), _logs(smaller.multipliers))
+        gaps = apart(logarithms(found.multipliers), logarithms(smaller.multipliers))
         moved = np.min(np.maximum(gaps - allowed, 0.0), axis=1)
         found = replace(found, deviations=np.hypot(found.deviations, moved))
-    return _without_products(found, ones, stacked)
+    return found
 
 
 def is_product(logs, factors, tolerance):
@@ -234,14 +236,26 @@ def apart(logs, others):
     return np.abs(gaps.real + 1j * ((gaps.imag + np.pi) % (2.0 * np.pi) - np.pi))
 
 
-def _without_products(found, ones, stacked):
-    """The modes without weak ones that are products of others, as second-order ones are.
+def without_products(found, decays):
+    """The modes of free decays of a nonlinear machine, without its second-order responses.
 
-    Weak are those without which the others leave little of the decays. Where one is a product
-    for sure, so are those that are products within their errors.
+    These are products of two or three other modes, to 1 % of their rate, and weak: without one,
+    the others leave less than a hundredth of the decays' energy. If one is surely such a product,
+    others are that may be within two standard deviations.
+
+    Parameters
+    ----------
+    found : FreeDecay
+    decays : list of ndarray, shapes (n_periods_s, q)
+        As for :func:`free_decay`. Of a linear machine such modes would be its own.
+
+    Returns
+    -------
+    found : FreeDecay
     """
+    ones, stacked = offsets(decays), np.vstack(decays)
     sure, known = _products(found, ALIKE), np.vstack(ones)
-    if not np.any(sure & (found.deviations <= ALIKE * np.abs(_logs(found.multipliers).real))):
+    if not np.any(sure & (found.deviations <= ALIKE * np.abs(logarithms(found.multipliers).real))):
         return found
     least = np.sum((stacked - known @ linalg.lstsq(known, stacked)[0]) ** 2)
     least *= MOST_OF_SECOND_ORDER**2
@@ -258,13 +272,14 @@ def _without_products(found, ones, stacked):
     return found
 
 
-def _logs(multipliers):
-    return np.log(np.where(multipliers == 0.0, TINY, multipliers))
+def logarithms(multipliers):
+    """Logarithms, complex; those of zero are finite."""
+    return np.log(np.where(multipliers == 0.0, TINY, multipliers).astype(complex))
 
 
 def _products(found, share, n_deviations=0.0):
     """Which modes are products of others, within a share of their rate or some deviations."""
-    logs = _logs(found.multipliers)
+    logs = logarithms(found.multipliers)
     within = np.maximum(share * np.abs(logs.real), n_deviations * found.deviations)
     each = enumerate(zip(logs, within, strict=True))
     return np.array([is_product(own, np.delete(logs, i), some)[0] for i, (own, some) in each])
