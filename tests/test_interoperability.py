@@ -197,6 +197,7 @@ def test_permutation_importance_of_an_input_channel(rng):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_permutation_importance_through_a_pipeline(short, rng):
     """The command explains the outputs, a column of noise beside it nothing."""
     u = short.inputs.assign(noise=rng.standard_normal(len(short.inputs)))

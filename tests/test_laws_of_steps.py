@@ -271,6 +271,7 @@ def few_rows(divisors):
     st.integers(-40, 40),
 )
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the data repeat themselves")  # as a ringing mode may seem to
 def test_whole_periods_later_nothing_changes(system, sampling, seed, shift):
     """Of a system that answers from one row read to the next."""
     rng, spp = np.random.default_rng(seed), sampling.samples_per_period

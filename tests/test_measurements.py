@@ -18,6 +18,8 @@ from sklearn_hd.exceptions import JitterWarning
 OMEGA = 2 * np.pi * 5  # mean speed, rad/s
 SPP = 64
 DT = 2 * np.pi / OMEGA / SPP
+# few harmonics of a machine that turns unevenly, read at its mean speed, are in doubt, and are
+pytestmark = pytest.mark.filterwarnings("ignore:.*exponents")
 A = np.array([[-0.08, 0.05, 0.0], [0.0, -0.05, 0.3], [-0.04, -0.3, -0.06]])  # per radian
 B = np.array([1.0, 0.3, -0.2])
 POLES = np.linalg.eigvals(A)

@@ -37,26 +37,24 @@ def refined_modes(experiment, exponents, shapes, enough=0.0):
         structure is at fault, and likelihood would make the modes answer for it.
     """
     basis = experiment.basis
-    spp, u_scale, y_scale = (
-        basis.samples_per_period,
-        input_scale(experiment),
-        output_scale(experiment),
-    )
+    spp, u_scale = basis.samples_per_period, input_scale(experiment)
+    y_scale = output_scale(experiment)
     first = [int(basis.phase_index(time)[0]) for time in experiment.times()]
     segments = [
         (u / u_scale, y / y_scale, phase)
         for u, y, phase in zip(experiment.drive, experiment.outputs, first, strict=True)
     ]
-    spp = basis.samples_per_period
-    observe = basis.recomposition(2.0 * np.pi * np.arange(spp) / spp) / y_scale[:, None]
+    observe = basis.recomposition(2.0 * np.pi * np.arange(spp) / spp)
+    counts = [sum(2 if k else 1 for k in orders) for _, orders in basis.outputs]
+    units = np.repeat(y_scale, counts)[:, None]
     columns = []
     for exponent, shape in zip(exponents, shapes, strict=True):
         columns += [shape.real, -shape.imag] if exponent.imag else [shape.real]
-    C = np.stack(columns, axis=1)
+    C = np.stack(columns, axis=1) / units
     A, C, left = most_likely(segments, exponents, C, basis.omega, spp, observe)
     if np.sum(left**2) > enough and not is_white(left, spp):
         return None, None
-    return A, C
+    return A, units * C
 
 
 def most_likely(segments, exponents, C, omega, n_phases, observe=None):
