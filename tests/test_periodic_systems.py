@@ -214,6 +214,7 @@ def noisy_blade(seed, noise, n_periods=400, samples=16):
     return blade, u, y + noise * y.std().to_numpy() * rng.standard_normal(y.shape)
 
 
+@pytest.mark.filterwarnings("ignore:an odd number of multipliers")
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")  # MOESP's start
 @pytest.mark.parametrize(("seed", "noise"), [(0, 0.02), (0, 0.05), (2, 0.05)])

@@ -35,7 +35,11 @@ from threadpoolctl import threadpool_limits
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
 from sklearn_hd.algorithms.signals.fourier import recompose
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import (
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    InstabilityWarning,
+)
 from sklearn_hd.systems import LTPSystem
 
 KINDS = ("hd", "ltp, l = n", "ltp, l < n")
@@ -233,6 +237,7 @@ def identify(trial, noise, seed):
     pipe = Pipeline([*steps, ("reduce", SpuriousModeReducer())])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore", ExcitationWarning)
+        warnings.simplefilter("ignore", InstabilityWarning)  # the truth is known
         warnings.filterwarnings("always", category=IdentifiabilityWarning)
         pipe.fit(trial.u, y)
     return pipe, any(issubclass(w.category, IdentifiabilityWarning) for w in caught)

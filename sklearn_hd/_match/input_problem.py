@@ -135,20 +135,25 @@ class InputProblem:
         weights = np.zeros(linear.constant.shape)
         weights[:, :n, n:] = np.multiply.outer((np.arange(len(weights)) + 1) // 2, sizes)
         stiffness = np.append(np.zeros(free.shape[1]), weights.ravel()[_places(linear)])
-        best, worse = None, 0
+        tried, worse = [], 0
         for before, count in zip([None, *counts], counts, strict=False):
             if before is not None:
                 later = np.arange(2 * before + 1, 2 * count + 1)
                 fit.extend(pushed(later))
                 stiffness = np.append(stiffness, np.multiply.outer((later + 1) // 2, sizes))
             found = self._judged(fit, count, stiffness)
-            if best is not None and found.n_unknown > best.n_unknown:
+            if tried and found.n_unknown > tried[-1].n_unknown:
                 break
-            worse = 0 if best is None or found.misfit < best.misfit else worse + 1
-            best = found if worse == 0 else best
+            worse = (
+                0 if found.misfit < min((f.misfit for f in tried), default=np.inf) else worse + 1
+            )
+            tried.append(found)
             if worse == 2:
                 break
-        return self._realization(best, n_harmonics, counts[0], physical)
+        price = np.log(self.beyond.size)  # of a parameter: more harmonics have to be worth one
+        enough = min(each.misfit for each in tried) + price
+        fewest = next(each for each in tried if each.misfit <= enough)
+        return self._realization(fewest, n_harmonics, counts[0], physical)
 
     def _counts(self):
         """Numbers of harmonics of G to be tried."""
