@@ -136,6 +136,7 @@ def test_models_of_samples_at_their_azimuths():
     assert "loads" in failed(table(few, u, y))
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_a_fit_of_samples_warns_of_states_that_are_missing():
     u, y = service_record()
     little = pytest.warns(IdentifiabilityWarning, match="no model explains the outputs better")
