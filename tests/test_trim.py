@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import Pipeline
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.model_selection import PeriodBlockSplit
 
@@ -201,3 +201,31 @@ def test_the_score_is_a_share_of_the_motion(reading):
         scores.append(pipeline(reading=reading).fit(u, y).score(u, y))
     np.testing.assert_allclose(scores[1], scores[0], atol=1e-3)
     assert scores[0] < 0.999
+
+
+@pytest.mark.parametrize("criterion", ["output_error", "prediction_error"])
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")  # of the span
+def test_likelihoods_correct_a_trim_that_was_not_settled(criterion):
+    """The span holds a motion of the record: exponents and trim are those of the machine."""
+    u, y, wave = machine(60, [12, 30], noise=0.01, x0=(0.3, 0.0))
+    steps = [("m", StructuredMatcher(structure=HarmonicStructure(), criterion=criterion))]
+    pipe = Pipeline(pipeline(2, trim_span=(0.0, 3.0)).steps + steps).fit(u, y)
+    before, after = (
+        np.sqrt(np.mean((step.basis_.output_trim - wave) ** 2)) for step in (pipe[0], pipe[-1])
+    )
+    assert after < 0.2 * before
+    found = pipe[-1].ltp_.floquet_exponents()
+    np.testing.assert_allclose(found.real, -0.4, rtol=0.02)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")  # the order
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+def test_a_mode_that_outlasts_the_record_does_not_carry_the_trim_away():
+    """One state too many stands for a constant: trim and state could cancel at any size."""
+    u, y, _ = machine(40, [12], noise=0.01)
+    steps = [("m", StructuredMatcher(structure=HarmonicStructure(), criterion="output_error"))]
+    pipe = Pipeline(pipeline(3).steps + steps).fit(u, y)
+    largest = np.abs(pipe[0].basis_.output_trim).max()
+    assert np.abs(pipe[-1].basis_.output_trim).max() < 1.1 * largest
+    assert np.abs(pipe.predict(u).to_numpy()).max() < 3.0 * np.abs(y.to_numpy()).max()
