@@ -164,18 +164,19 @@ def of_halves(exponents, halves, omega):
 def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
-    Its own have to be known. Where it is needed, others may be off by no more than a doubt, its
-    own error included. Else it contradicts others where it is apart by more than it may err; what
-    it does not know itself is held against modes that outlast the record, and those that are more
-    than a complete one has.
+    Where it is their own, or needed, what it does not know is in doubt, too. Else it has to know:
+    then distance and error count together; or it contradicts by more than it may err, or the
+    mode outlasts the record. A complete one also doubts those that are more than it has.
     """
     _, apart, spread = opinion.about(exponents)
-    vague = ~((apart <= DOUBT) & (SURE * spread <= DOUBT))
+    error = SURE * spread
+    vague = ~((apart <= DOUBT) & (error <= DOUBT))
     if opinion.needed:
-        vague |= apart + SURE * spread > DOUBT
+        vague |= apart + error > DOUBT
     elif not opinion.own:
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
+        vague |= (error <= DOUBT) & (apart + error > DOUBT)
     if opinion.complete and not opinion.own:
         vague |= _too_many(exponents, apart, opinion)
     return vague & lasting(exponents, opinion.omega)

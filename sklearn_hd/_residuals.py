@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     span_of,
     times,
 )
-from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION, RANK
+from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -300,31 +300,6 @@ def _powers(segments, n_loads):
 def _ends(segments):
     """First row after each segment, of all in one array."""
     return np.cumsum([len(s.psi) for s in segments])
-
-
-def next_step(left):
-    """A Gauss-Newton step of the coefficients that were fitted, and a root of its covariance.
-
-    Those of largest likelihood, initial states being free, if predictions were linear in them:
-    to first order the step takes away what other ways to estimate them are off by (Le Cam).
-
-    Returns
-    -------
-    step : ndarray, shape (n_parameters,)
-    root : ndarray, shape (n_parameters, r)
-        Its covariance is root rootᵀ. No part of coordinates, which are free.
-    """
-    own, W = left.white()
-    J = np.concatenate(_columns(left, W)).reshape(left.n_rows * len(W), -1)
-    size = np.linalg.norm(J, axis=0)
-    J /= np.where(size > 0.0, size, 1.0)
-    values, vectors = linalg.eigh(J.T @ J)
-    kept = values > RANK * values[-1]
-    root = vectors[:, kept] / np.sqrt(values[kept])
-    step = root @ (root.T @ (J.T @ np.concatenate(own).ravel()))
-    fitted = slice(left.segments[0].fitted.shape[2])
-    size = np.where(size > 0.0, size, np.inf)[fitted]
-    return step[fitted] / size, root[fitted] / size[:, None]
 
 
 def _columns(left, W):

@@ -6,6 +6,12 @@ import numpy as np
 from conftest import random_stable
 from scipy import linalg
 
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+
+STEP = 2 * np.pi / 7.3  # of the periodic models
+N_STATES, N_INPUTS, N_OUTPUTS = 3, 2, 2
+
 
 @dataclass(frozen=True)
 class InnovationSystem:
@@ -59,3 +65,35 @@ def in_closed_loop():
     whole = np.block([[A, -B @ feedback], [C, np.zeros((1, 1))]])
     assert np.max(np.abs(np.linalg.eigvals(A))) > 1.0 > np.max(np.abs(np.linalg.eigvals(whole)))
     return system, feedback
+
+
+def drawn(seed=0, n_harmonics=1, size=0.5):
+    """A stable model with loads of one more harmonic."""
+    rng = np.random.default_rng(seed)
+    shape = (2 * n_harmonics + 3, N_STATES + N_OUTPUTS, N_STATES + N_INPUTS + 1)
+    coefficients = 0.3 * rng.standard_normal(shape)
+    coefficients[-2:, :, :-1] = 0.0
+    coefficients[:, :N_STATES, :N_STATES] *= 0.3
+    coefficients[0, :N_STATES, :N_STATES] += np.diag([size, -0.4, 0.2])
+    gain = 0.1 * rng.standard_normal((len(coefficients), N_STATES, N_OUTPUTS))
+    gain[-2:] = 0.0
+    return PeriodicInnovations(coefficients, gain, np.diag([0.04, 0.09]), STEP, 0.2)
+
+
+def record(model, n_rows=80, seed=1, noise=1.0, inputs=1.0):
+    """Inputs, outputs, azimuths and states, row by row."""
+    rng = np.random.default_rng(seed)
+    psi = model.start + model.step * np.arange(n_rows)
+    u = inputs * rng.standard_normal((n_rows, N_INPUTS))
+    e = noise * rng.standard_normal((n_rows, N_OUTPUTS)) @ np.sqrt(model.covariance)
+    values, K = evaluate_harmonics(model.coefficients, psi), evaluate_harmonics(model.gain, psi)
+    x, y, states = (
+        rng.standard_normal(N_STATES),
+        np.empty((n_rows, N_OUTPUTS)),
+        np.empty((n_rows, N_STATES)),
+    )
+    for k in range(n_rows):
+        states[k] = x
+        both = values[k] @ np.concatenate([x, u[k], [1.0]])
+        y[k], x = both[N_STATES:] + e[k], both[:N_STATES] + K[k] @ e[k]
+    return u, y, psi, states

@@ -20,6 +20,7 @@ from sklearn_hd._opinion import (
     of_second_order,
 )
 from sklearn_hd._records.data import read_experiment
+from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem
 
@@ -57,6 +58,13 @@ def test_an_opinion_that_is_needed_doubts_all_that_it_does_not_confirm():
     several = np.array([-0.2, -0.23 + 0.1j, -0.23 - 0.1j, -0.2 + 1j])  # the last a copy
     assert doubtful(several, needed([-0.2])).tolist() == [False, True, True, False]
     assert doubtful(several, needed([-0.21], 0.1)).all()
+
+
+@pytest.mark.parametrize(("deviation", "doubted"), [(0.002, False), (0.007, True), (0.02, False)])
+def test_a_vague_opinion_contradicts_less_than_one_that_knows(deviation, doubted):
+    """7 % apart: beyond 10 % with two deviations of 1.6 %; one of 4.5 % does not know itself."""
+    near = 1.07 * PAIR.real + 1j * PAIR.imag
+    assert doubtful(near, opinion(PAIR, deviation)).all() == doubted
 
 
 def test_modes_that_are_more_than_a_complete_opinion_has_are_too_many():
@@ -156,16 +164,25 @@ def test_a_model_that_is_known_is_not_in_doubt():
     )
 
 
-@pytest.mark.parametrize(("left", "known", "told"), [(7e-3, 2.4e-3, True), (4e-3, 2.4e-3, False)])
+@pytest.mark.parametrize(
+    ("left", "known", "harmonics", "told"),
+    [(7e-3, 2.4e-3, 24, True), (4e-3, 2.4e-3, 24, False), (7e-3, 2.4e-3, 2, False)],
+)
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
-def test_a_periodic_model_that_loses_what_its_map_knew_is_told(left, known, told):
-    """Too few states move within the turn as no record shows; noise alone makes no difference."""
+def test_a_periodic_model_that_loses_what_its_map_knew_is_told(left, known, harmonics, told):
+    """Too few states move within the turn as no record shows, and G makes up for them.
+
+    Noise alone makes no difference; nor does a machine that is not linear while inputs move it.
+    """
     u, y, _ = record(0.001)
     frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
     model = MOESPRegressor(2).fit(frame, y).model_
     model = replace(model, lifted=replace(model.lifted, left=known))
     found = realize(model, read_experiment(frame, y), HarmonicStructure())
-    found = replace(found, r2=1.0 - left)
+    coefficients = resize_harmonics(found.model.coefficients, 24)
+    coefficients[2 * harmonics, : model.n_states, model.n_states :] = 1.0
+    own = replace(found.model, coefficients=coefficients)
+    found = replace(found, model=own, r2=1.0 - left)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         warn_realized(found, model)

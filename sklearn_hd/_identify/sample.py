@@ -4,6 +4,7 @@
 2. A periodic predictor by ridge regression; its lags and harmonics by Akaike's criterion.
 3. States by one singular value decomposition of what it knows of the outputs to come.
 4. Matrices, K and loads by least squares; order and harmonics by simulation (Schwarz's criterion).
+5. Steps of the likelihood from there, which bring back what the lags have lost.
 """
 
 from dataclasses import dataclass, replace
@@ -29,9 +30,8 @@ from sklearn_hd._identify.sample_checks import (
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import Opinion, more_doubtful, of_halves, warn_unconfirmed
-from sklearn_hd._residuals import next_step, remainder
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd._simulators import sample_simulators
+from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -45,7 +45,6 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     futures_known,
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
-from sklearn_hd.exceptions import UnstableModelError
 
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
@@ -54,7 +53,6 @@ MOST_STATES = 20  # tried by order="auto"
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 PLACES = 8  # evenly over it, at which these lie
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
-STEP = 1e-6  # of A, over which exponents are differenced
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
@@ -170,6 +168,7 @@ def identify(data, settings, experiment):
     states = _States.of(data, predictor, settings)
     choice = _Choice(data, states, settings, basis, layout)
     best, innovations = choice.best()
+    innovations, ahead = choice.refined(innovations, best.stable)
     warn_of_rest(choice.simulated, innovations, predictor)
     innovations = innovations.in_units(*data.scales).about(*data.means).about_orbit()
     model = SampleModel(
@@ -187,8 +186,8 @@ def identify(data, settings, experiment):
     warn_of_growth(model, best, data)
     if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
         halves = _of_halves(model, data, layout, best, settings, basis)
-        exponents, step = model.exponents(), _of_next_step(model, experiment)
-        model = replace(model, opinion=more_doubtful(exponents, halves, step))
+        exponents, own = model.exponents(), _of_its_likelihood(ahead, basis.omega)
+        model = replace(model, opinion=more_doubtful(exponents, halves, own))
         warn_unconfirmed(exponents, model.opinion)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
@@ -223,49 +222,21 @@ def _of_halves(model, data, layout, best, settings, basis):
         fixed = replace(settings, order=best.order)
         states = _States.of(half, LagSums.of(segments, layout).predictor(), fixed)
         choice = _Choice(half, states, fixed, basis, layout)
-        found = choice._model(choice.sums, best.order, best.n_harmonics)
+        found = choice.model(choice.sums, best.order, best.n_harmonics)
+        found, _ = choice.refined(found, best.stable)
         exponents.append(replace(model, innovations=found).exponents())
     return of_halves(model.exponents(), exponents, basis.omega)
 
 
-def _of_next_step(model, experiment):
-    """Where a step of its likelihood leads the exponents; None of too few rows.
+def _of_its_likelihood(ahead, omega):
+    """Where a further step of its likelihood leads the exponents; None without such steps.
 
-    Noise of sensors that outlasts the lags of the predictor biases both halves alike.
+    Where steps have not come to an end, that is elsewhere.
     """
-    try:
-        left = remainder(experiment, sample_simulators(model, experiment))
-    except (UnstableModelError, ValueError):
+    if ahead is None:
         return None
-    if not left.output_names:
-        return None
-    step, root = next_step(left)
-    slopes = _slopes_of_exponents(model, len(step))
-    deviations = np.sqrt(np.sum(np.abs(slopes @ root) ** 2, axis=1))
-    exponents = model.exponents() + slopes @ step
-    return Opinion(exponents, deviations, model.omega, "a step of its likelihood leads to")
-
-
-def _slopes_of_exponents(model, n_parameters):
-    """Derivatives of exponents by the coefficients of :func:`next_step`, (n, n_parameters).
-
-    These are, function by function of the turn, the rows of [A B K], then those of [C D].
-    """
-    own, exponents = model.innovations, model.exponents()
-    n, m, n_outputs = own.n_states, own.n_inputs, own.n_outputs
-    width = n + m + (n_outputs if own.gain.any() else 0)
-    block = n * width + n_outputs * (n + (m if model.feedthrough else 0))
-    n_functions, slopes = 2 * own.n_harmonics + 1, np.zeros((n, n_parameters), complex)
-    step = STEP * np.max(np.abs(own.coefficients[:, :n, :n]))
-    for h, i, j in np.ndindex(min(n_functions, len(own.coefficients)), n, n):
-        moved, ends = np.zeros_like(own.coefficients), []
-        moved[h, i, j] = step
-        for sign in (1.0, -1.0):
-            near = replace(own, coefficients=own.coefficients + sign * moved)
-            found = replace(model, innovations=near).exponents()
-            ends.append(Opinion(found, np.zeros(n), model.omega, "").beside(exponents)[0])
-        slopes[:, h * block + i * width + j] = (ends[0] - ends[1]) / (2.0 * step)
-    return slopes
+    exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
+    return Opinion(exponents, deviations, omega, "a step of its likelihood leads to")
 
 
 # ---- the predictor ---------------------------------------------------------------------------
@@ -459,7 +430,7 @@ class _Choice:
         for order in orders:
             before = None
             for count in self._counts():
-                innovations = self._model(self.sums, order, count)
+                innovations = self.model(self.sums, order, count)
                 one = self._compared(order, count, innovations)
                 self.tried.append(one)
                 self.possible.append(innovations.is_possible())
@@ -477,8 +448,19 @@ class _Choice:
                 f"order, or fewer harmonics"
             )
         order, count = found.order, found.n_harmonics
-        innovations = self._model(self._sums(order, count, some=False), order, count)
-        return found, innovations.filtered(self._noise(innovations))
+        return found, self.model(self._sums(order, count, some=False), order, count)
+
+    def refined(self, innovations, stable):
+        """A model with the gain of its Kalman filter, after steps of its likelihood.
+
+        And where a further one leads the logarithms of its multipliers, with their deviations.
+        """
+        asked, count = self.basis.n_input_harmonics, innovations.n_harmonics
+        layout = replace(self.layout, n_input_harmonics=count if asked is None else asked)
+        most_growth = GROWN / self.data.longest if stable else np.inf
+        start = innovations.filtered(self._noise(innovations))
+        found = most_likely(start, self.data.segments, layout, SENSOR_NOISE, most_growth)
+        return (start, None) if found is None else found
 
     def _kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
@@ -505,7 +487,7 @@ class _Choice:
         first = self.layout.n_harmonics
         return sorted({first, *(min(k * first, self.most) for k in (2, 3)), self.most})
 
-    def _model(self, sums, order, count):
+    def model(self, sums, order, count):
         asked = self.basis.n_input_harmonics
         coefficients, gain = sums.matrices(
             order,

@@ -355,12 +355,13 @@ def warn_realized(found, model):
             f"the harmonics that the structure allows, and whether the response is linear",
             IdentifiabilityWarning,
         )
-    elif left > LARGER_LEFT * known and left - known > NOTABLE:
+    elif left > LARGER_LEFT * known and left - known > NOTABLE and _in_place_of_states(found.model):
         warn(
             f"the periodic model leaves {left:.2g} of the record's energy, but the map of whole "
-            f"periods that it was made from {known:.2g}: with {found.model.n_states} state(s) no "
-            f"periodic system moves within the turn as the record shows; raise order=, or allow "
-            f"more harmonics in the structure",
+            f"periods that it was made from {known:.2g}, and G has {found.model.highest('G')} "
+            f"harmonics, more than twice those of F and P: they stand for what "
+            f"{found.model.n_states} state(s) cannot do within the turn; raise order=, or use a "
+            f"longer record",
             IdentifiabilityWarning,
         )
     if found.unidentified:
@@ -370,6 +371,11 @@ def warn_realized(found, model):
             f"that change at more phases of the period, or give G and Q fewer harmonics",
             IdentifiabilityWarning,
         )
+
+
+def _in_place_of_states(model):
+    """Whether inputs act with more harmonics than the states move with: G = T⁻¹ B, P = C T."""
+    return model.highest("G") > 2 * max(model.highest("F"), model.highest("P"), 1)
 
 
 def warn_coordinates(periodic):

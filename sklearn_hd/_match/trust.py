@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._opinion import CONTRADICTS, DOUBT, SURE, doubtful, lasting
+from sklearn_hd._opinion import CONTRADICTS, SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd._warn import warn
@@ -200,9 +200,8 @@ def _doubt(exponents, std, opinion, systematic):
         k = np.argmax(np.where(vague, spread, 0.0))
         known = f"the exponent {exponents[k]:.4g} 1/s is known to"
         return f"{known} {SURE * spread[k]:.3g} of its rate, {SURE:.0f} standard deviations"
-    nearest, gap, error = other.about(exponents)
-    elsewhere = (SURE * error <= DOUBT) & (gap + SURE * error > DOUBT)  # by one that is known
-    apart = doubtful(exponents, other) | (elsewhere & lasting(exponents, opinion.omega))
+    nearest, gap, _ = other.about(exponents)
+    apart = doubtful(exponents, other)
     if apart.any():
         k = np.argmax(np.where(apart, gap, -1.0))
         return f"{opinion.way} {nearest[k]:.4g} 1/s, not {exponents[k]:.4g} 1/s"

@@ -145,6 +145,35 @@ class PeriodicInnovations:
         found = product_logarithms(states[..., : self.n_states])
         return found[np.lexsort((found.imag, -found.real))]
 
+    def multiplier_slopes(self):
+        """Logarithms of the multipliers known to half of their digits, and their slopes by A.
+
+            ∂ ln μ / ∂A_k = l[k+1] r[k]ᵀ / (μ l[0]ᵀ r[0])
+
+        r and l being right and left eigenvectors of the transition over a turn that begins at
+        ψ_k. A step made longer counts as one of its new length.
+
+        Returns
+        -------
+        logarithms : complex ndarray, shape (k,)
+        psi : ndarray, shape (q,)
+        slopes : complex ndarray, shape (k, q, n, n)
+        """
+        psi, states, _ = self.whole_turn()
+        n, q = self.n_states, len(psi)
+        right, left = np.empty((q + 1, n, n)), np.empty((q + 1, n, n))
+        right[0] = left[q] = np.eye(n)
+        for k in range(q):
+            right[k + 1] = states[k, :, :n] @ right[k]
+            left[q - 1 - k] = left[q - k] @ states[q - 1 - k, :, :n]
+        values, L, R = linalg.eig(right[q], left=True)
+        kept = np.abs(values) > HALF * np.max(np.abs(values))
+        values, L, R = values[kept], L[:, kept].conj(), R[:, kept]
+        size = values * np.einsum("ik,ik->k", L, R)
+        later, before = left[1:].swapaxes(1, 2) @ L, right[:q] @ R
+        slopes = np.einsum("tik,tjk->ktij", later / size, before)
+        return np.log(values), psi, slopes * (self.samples_per_period / q)
+
     def growth(self):
         """Of the fastest growing mode, e-folds a sample; −inf if every mode dies at once."""
         steps, scale = self.whole_turn()[1][..., : self.n_states], 0.0

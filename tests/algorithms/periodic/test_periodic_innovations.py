@@ -4,6 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from innovation_cases import N_INPUTS as M
+from innovation_cases import N_OUTPUTS as L
+from innovation_cases import N_STATES as N
+from innovation_cases import STEP, drawn, record
 from scipy import linalg
 
 from sklearn_hd.algorithms.periodic import floquet
@@ -13,37 +17,6 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import (
     propagate_varying,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
-
-STEP = 2 * np.pi / 7.3
-N, M, L = 3, 2, 2  # states, inputs, outputs
-
-
-def drawn(seed=0, n_harmonics=1, size=0.5):
-    """A stable model with loads of one more harmonic."""
-    rng = np.random.default_rng(seed)
-    shape = (2 * n_harmonics + 3, N + L, N + M + 1)
-    coefficients = 0.3 * rng.standard_normal(shape)
-    coefficients[-2:, :, :-1] = 0.0
-    coefficients[:, :N, :N] *= 0.3
-    coefficients[0, :N, :N] += np.diag([size, -0.4, 0.2])
-    gain = 0.1 * rng.standard_normal((len(coefficients), N, L))
-    gain[-2:] = 0.0
-    return PeriodicInnovations(coefficients, gain, np.diag([0.04, 0.09]), STEP, 0.2)
-
-
-def record(model, n_rows=80, seed=1, noise=1.0, inputs=1.0):
-    """Inputs, outputs, azimuths and states, row by row."""
-    rng = np.random.default_rng(seed)
-    psi = model.start + model.step * np.arange(n_rows)
-    u = inputs * rng.standard_normal((n_rows, M))
-    e = noise * rng.standard_normal((n_rows, L)) @ np.sqrt(model.covariance)
-    values, K = evaluate_harmonics(model.coefficients, psi), evaluate_harmonics(model.gain, psi)
-    x, y, states = rng.standard_normal(N), np.empty((n_rows, L)), np.empty((n_rows, N))
-    for k in range(n_rows):
-        states[k] = x
-        both = values[k] @ np.concatenate([x, u[k], [1.0]])
-        y[k], x = both[N:] + e[k], both[:N] + K[k] @ e[k]
-    return u, y, psi, states
 
 
 def test_states_of_pieces_are_those_of_one_step_after_another():
@@ -65,6 +38,26 @@ def test_simulation_is_that_of_one_row_after_another():
     free = np.einsum("ntl,n->tl", rows.free(), states[0])
     np.testing.assert_allclose(rows.simulated(u, np.zeros(N)) + free, y, atol=1e-11)
     np.testing.assert_allclose(rows.left(u, y), 0.0, atol=1e-9)
+
+
+def test_slopes_of_multipliers_are_those_of_differences():
+    """Of steps made longer, too, to first order in what they are longer by."""
+    model = drawn()
+    for n_rows, rtol in ((8.0, 1e-6), (8.02, 0.02)):
+        case = replace(model, step=2 * np.pi / n_rows)
+        logarithms, psi, slopes = case.multiplier_slopes()
+        functions = np.array([np.ones(len(psi)), np.cos(psi), np.sin(psi)])
+        for h, i, j in [(0, 0, 0), (1, 0, 2), (2, 2, 1)]:
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = case.coefficients.copy()
+                moved[h, i, j] += sign * 1e-6
+                own = replace(case, coefficients=moved).multiplier_logarithms()
+                nearest = np.abs(logarithms[:, None] - own).argmin(axis=1)
+                ends.append(own[nearest])
+            found = slopes[:, :, i, j] @ functions[h]
+            expected = (ends[0] - ends[1]) / 2e-6
+            np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol)
 
 
 def test_what_overflows_is_told_apart():

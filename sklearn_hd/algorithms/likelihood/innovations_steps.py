@@ -1,0 +1,226 @@
+"""Steps of a periodic innovations model to the largest likelihood of a record.
+
+    −log L = ½ N log det (Σ e eᵀ / N + σ² I) + const,   σ the least noise of a sensor
+
+Regressions on a few lags lose what noise hides in them. Gauss-Newton steps in all Fourier
+coefficients of A, B, C, D, K and the loads, damped while they do not pay (Levenberg, Marquardt),
+bring it back. Coordinates are free: damping holds them. Initial states are fitted at each step.
+
+The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
+
+Reference: L. Ljung, *System Identification*, 1999, sections 7.4 and 10.2.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.likelihood.residual_tests import sensitivities
+from sklearn_hd.algorithms.linalg.rounding import RANK
+from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+MOST_STEPS = 8  # of exact data, whose likelihood has no end
+MOST_NUMBERS = 2e7  # sensitivities of a record: a longer one tells enough without these steps
+ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
+FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
+DAMPING_LIMIT = 1e2
+
+
+def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf):
+    """A model after steps of its likelihood, as many as pay.
+
+    Parameters
+    ----------
+    innovations : PeriodicInnovations
+        To start from.
+    segments : list of (inputs, outputs, psi)
+    layout : Layout
+        Harmonics of the inputs' effect and of the loads, and whether D is free.
+    sensor_noise : float
+        σ.
+    most_growth : float
+        Of a simulation, e-folds a sample: no step leads beyond it, nor to multipliers that no
+        periodic system has.
+
+    Returns
+    -------
+    found : PeriodicInnovations, (ndarray, ndarray)
+        The model; the logarithms of its multipliers to which a further step would lead, and
+        their standard deviations, √(σ²_real + σ²_imag). None where the record is so long, or the
+        model so large, that steps would take minutes, and where the model overflows.
+    """
+    H = max(len(innovations.coefficients) // 2, layout.n_loads)
+    coefficients = resize_harmonics(innovations.coefficients, H)
+    innovations = replace(innovations, coefficients=coefficients)
+    form = _Form.of(innovations, layout)
+    n_numbers = len(form.places) * sum(y.size for _, y, _ in segments)
+    at = _fitted(innovations, segments, sensor_noise)
+    if n_numbers > MOST_NUMBERS or at is None:
+        return None
+    damping, system = FIRST_DAMPING, form.system(at)
+    for _ in range(MOST_STEPS):
+        trial = None
+        while trial is None and damping < DAMPING_LIMIT and system.promised > ENOUGH:
+            moved = form.moved(at.innovations, system.step(damping))
+            with np.errstate(over="ignore", invalid="ignore"):  # of a step too far
+                if moved.growth() < most_growth and moved.is_possible():
+                    trial = _fitted(moved, segments, sensor_noise, at.cost)
+            damping *= 10.0 if trial is None else 0.1
+        if trial is None:
+            break
+        fall, at = at.cost - trial.cost, trial
+        system = form.system(at)
+        if fall < ENOUGH:
+            break
+    logarithms, slopes = form.slopes(at.innovations)
+    deviations = at.left * np.sqrt(np.sum(np.abs(slopes @ system.root) ** 2, axis=1))
+    ahead = logarithms + slopes @ system.step(damping)
+    return replace(at.innovations, covariance=at.covariance), (ahead, deviations)
+
+
+@dataclass(frozen=True, eq=False)
+class _Form:
+    """Which coefficients are free: places in [A B a; C D c], then K, one after the other."""
+
+    n_harmonics: int
+    n_loads: int
+    feedthrough: bool
+    places: np.ndarray
+    kept: np.ndarray
+    of_states: np.ndarray
+
+    @classmethod
+    def of(cls, innovations, layout):
+        own, H, L = innovations, innovations.n_harmonics, layout.n_loads
+        n, size = own.n_states, own.coefficients.size
+        place, gain = np.arange(size).reshape(own.coefficients.shape), np.zeros(0, dtype=int)
+        if own.gain.any():
+            gain = size + np.arange(own.gain.size).reshape(own.gain.shape)
+        places, kept = [], []
+        for h in range(2 * H + 1):
+            driven = place[h, :n, :-1]
+            moved = np.hstack([driven, gain[h]]) if own.gain.any() else driven
+            seen = place[h, n:, : -1 if layout.feedthrough else n]
+            places += [moved.ravel(), seen.ravel()]
+            for block in (moved, seen):
+                free = np.ones(block.shape, dtype=bool)
+                free[:, n : n + own.n_inputs] = h <= 2 * layout.n_input_harmonics
+                kept.append(free.ravel())
+        loads = place[: 2 * L + 1, :, -1].T
+        places += [loads[:n].ravel(), loads[n:].ravel()]
+        kept.append(np.ones(loads.size, dtype=bool))
+        places, kept = np.concatenate(places), np.concatenate(kept)
+        return cls(H, L, layout.feedthrough, places[kept], kept, place[: 2 * H + 1, :n, :n])
+
+    def system(self, at):
+        """Normal equations of a step, initial states eliminated."""
+        W, k = at.weights, len(self.places)
+        gram, slope = np.zeros((k, k)), np.zeros(k)
+        for rows, u, x, e, psi in at.parts:
+            functions = harmonic_functions(psi, range(self.n_harmonics + 1))
+            loads = harmonic_functions(psi, range(self.n_loads + 1))
+            J = sensitivities(rows, u, x, e, functions, loads, feedthrough=self.feedthrough)
+            J = (W @ J[..., self.kept]).reshape(e.size, k)
+            start = linalg.qr((W @ rows.started()).reshape(e.size, -1), mode="economic")[0]
+            J, left = J - start @ (start.T @ J), (e @ W.T).ravel()
+            gram, slope = gram + J.T @ J, slope + J.T @ left
+        return _System.of(gram, slope)
+
+    def moved(self, innovations, step):
+        """The model a step further."""
+        coefficients, gain = innovations.coefficients.ravel(), innovations.gain.ravel()
+        values = np.concatenate([coefficients, gain])
+        values[self.places] += step
+        parts = np.split(values, [coefficients.size])
+        shapes = innovations.coefficients.shape, innovations.gain.shape
+        coefficients, gain = (v.reshape(shape) for v, shape in zip(parts, shapes, strict=True))
+        return replace(innovations, coefficients=coefficients, gain=gain)
+
+    def slopes(self, innovations):
+        """Logarithms of the multipliers, and their slopes by the free coefficients."""
+        logarithms, psi, by_steps = innovations.multiplier_slopes()
+        functions = harmonic_functions(psi, range(self.n_harmonics + 1))
+        size = innovations.coefficients.size + innovations.gain.size
+        slopes = np.zeros((len(logarithms), size), dtype=complex)
+        slopes[:, self.of_states] = np.einsum("tf,ktij->kfij", functions, by_steps)
+        return logarithms, slopes[:, self.places]
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Normal equations in parameters of like size, by the eigenvectors of their matrix."""
+
+    values: np.ndarray
+    vectors: np.ndarray
+    slope: np.ndarray
+    size: np.ndarray
+
+    @classmethod
+    def of(cls, gram, slope):
+        size = np.sqrt(np.diag(gram))
+        size = np.where(size > 0.0, size, np.inf)
+        values, vectors = linalg.eigh(gram / size / size[:, None])
+        return cls(np.maximum(values, 0.0), vectors, vectors.T @ (slope / size), size)
+
+    @property
+    def known(self):
+        """Directions that are no change of coordinates alone."""
+        return self.values > RANK * self.values[-1]
+
+    @cached_property
+    def promised(self):
+        """Fall of −log L that a whole step would bring if residuals were linear."""
+        return 0.5 * float(np.sum(self.slope[self.known] ** 2 / self.values[self.known]))
+
+    @cached_property
+    def root(self):
+        """Of the parameters' covariance, root rootᵀ."""
+        return self.vectors[:, self.known] / np.sqrt(self.values[self.known]) / self.size[:, None]
+
+    def step(self, damping):
+        """A step, damped by some part of the largest eigenvalue."""
+        return self.vectors @ (self.slope / (self.values + damping * self.values[-1])) / self.size
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A model, what it leaves of each segment, and the cost of that."""
+
+    innovations: PeriodicInnovations
+    parts: list
+    covariance: np.ndarray
+    weights: np.ndarray
+    cost: float
+
+    @property
+    def left(self):
+        """Size of the residuals, weighted: below one where they are less than a sensor's noise."""
+        weighted = self.weights @ self.covariance @ self.weights.T
+        return float(np.sqrt(np.trace(weighted) / len(weighted)))
+
+
+def _fitted(innovations, segments, sensor_noise, below=np.inf):
+    """A model with the initial states that fit best; None if it does not cost less."""
+    parts, outputs = [], np.vstack([y for _, y, _ in segments])
+    size = np.diag(np.mean(outputs**2, axis=0))
+    for u, y, psi in segments:
+        rows = innovations.rows(psi)
+        free, half = np.abs(rows.started()), len(psi) // 2
+        if half and not np.max(free[half:]) <= np.max(free[:half]):
+            return None  # no predictor that forgets
+        x, e = rows.innovations(u, y, rows.initial_state(u, y, size))
+        parts.append((rows, u, x, e, psi))
+    left = np.vstack([e for _, _, _, e, _ in parts])
+    if not np.isfinite(left).all():
+        return None
+    covariance = left.T @ left / len(left)
+    floor = covariance + sensor_noise**2 * np.eye(len(covariance))
+    root = linalg.cholesky(floor, lower=True)
+    cost = len(left) * float(np.sum(np.log(np.diag(root))))
+    if not cost < below:
+        return None
+    return _Fitted(innovations, parts, covariance, linalg.inv(root), cost)

@@ -1,0 +1,118 @@
+"""Steps of a periodic innovations model to the largest likelihood."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, record
+
+from sklearn_hd.algorithms.likelihood import innovations_steps
+from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
+from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
+
+LAYOUT = Layout(N_INPUTS, N_OUTPUTS, 2, 1, 1, 2, feedthrough=True)
+
+
+def moved(model, size=0.02, seed=5):
+    """Another model near to one."""
+    rng, own = np.random.default_rng(seed), model.coefficients
+    noise = size * rng.standard_normal(own.shape)
+    return replace(model, coefficients=own + np.where(own != 0.0, noise, 0.0))
+
+
+def segments(model, n_rows=400, n_segments=2, **options):
+    """Records of a model."""
+    return [record(model, n_rows, seed, **options)[:3] for seed in range(1, 1 + n_segments)]
+
+
+def cost(model, some, sensor_noise=1e-6):
+    """−log L by its definition, initial states of least squares."""
+    left, size = [], np.diag(np.mean(np.vstack([y for _, y, _ in some]) ** 2, axis=0))
+    for u, y, psi in some:
+        rows = model.rows(psi)
+        left.append(rows.innovations(u, y, rows.initial_state(u, y, size))[1])
+    left = np.vstack(left)
+    covariance = left.T @ left / len(left) + sensor_noise**2 * np.eye(N_OUTPUTS)
+    return 0.5 * len(left) * np.linalg.slogdet(covariance)[1]
+
+
+def multipliers(model):
+    return np.sort_complex(model.multiplier_logarithms())
+
+
+def test_from_nearby_the_truth_is_found_again():
+    """Without innovations a model is exact: what it leaves falls to the least noise."""
+    true = drawn()
+    some = segments(true, noise=1e-6)
+    start = moved(true)
+    found, _ = most_likely(start, some, LAYOUT, 1e-6)
+    assert np.max(np.abs(multipliers(start) - multipliers(true))) > 1e-2
+    np.testing.assert_allclose(multipliers(found), multipliers(true), atol=1e-4)
+
+
+def test_no_step_makes_a_record_less_likely():
+    true = drawn()
+    some = segments(true)
+    for size in (0.01, 0.1, 0.3):
+        start = moved(true, size)
+        found, _ = most_likely(start, some, LAYOUT, 1e-3)
+        assert cost(found, some, 1e-3) <= cost(start, some, 1e-3)
+    assert cost(found, some, 1e-3) < cost(start, some, 1e-3) - 10.0
+
+
+def test_at_the_end_another_step_leads_nowhere():
+    true = drawn()
+    found, (ahead, deviations) = most_likely(moved(true), segments(true), LAYOUT, 1e-3)
+    assert np.all(np.abs(np.sort_complex(ahead) - multipliers(found)) < deviations.min())
+
+
+def test_deviations_are_those_of_many_records():
+    true = drawn()
+    all_found, told = [], []
+    for seed in range(24):
+        some = [record(true, 500, 100 + seed)[:3]]
+        found, (_, deviations) = most_likely(true, some, LAYOUT, 1e-3)
+        own = found.multiplier_logarithms()
+        nearest = np.abs(true.multiplier_logarithms()[:, None] - own).argmin(axis=1)
+        all_found.append(own[nearest][0])  # the slowest, which is real
+        told.append(deviations[np.abs(own - own[nearest][0]).argmin()])
+    assert 0.7 < np.std(all_found) / np.median(told) < 1.4
+
+
+def test_harmonics_that_are_not_asked_for_stay_zero():
+    true = drawn()
+    own = true.coefficients.copy()
+    own[1:, :, N_STATES : N_STATES + N_INPUTS] = 0.0  # inputs act alike at all azimuths
+    own[:, N_STATES:, N_STATES : N_STATES + N_INPUTS] = 0.0
+    true = replace(true, coefficients=own)
+    layout = replace(LAYOUT, n_input_harmonics=0, feedthrough=False)
+    found, _ = most_likely(moved(true), segments(true), layout, 1e-3)
+    B, D = found.matrices()[1], found.matrices()[3]
+    assert np.all(B[1:] == 0.0)
+    assert np.all(D == 0.0)
+    assert not np.allclose(B[0], moved(true).matrices()[1][0], atol=1e-6)
+
+
+def test_no_step_leads_beyond_the_growth_allowed():
+    """A machine that grows, and a start that does not: it stays within."""
+    true = drawn(size=0.95)
+    start = replace(true, coefficients=true.coefficients.copy())
+    start.coefficients[0, 0, 0] -= 0.3
+    some = segments(true, 100, noise=0.1)
+    limit = 0.5 * (start.growth() + true.growth())
+    found, _ = most_likely(start, some, LAYOUT, 1e-3, limit)
+    assert found.growth() < limit < true.growth()
+    free, _ = most_likely(start, some, LAYOUT, 1e-3)
+    assert free.growth() > limit
+
+
+@pytest.mark.parametrize("why", ["long", "overflowing"])
+def test_steps_are_not_taken_where_they_lead_nowhere(monkeypatch, why):
+    true = drawn()
+    some = segments(true, 50)
+    if why == "long":
+        monkeypatch.setattr(innovations_steps, "MOST_NUMBERS", 10.0)
+        assert most_likely(true, some, LAYOUT, 1e-3) is None
+    else:
+        wild = replace(true, gain=1e3 * true.gain)  # its predictor forgets nothing
+        assert most_likely(wild, some, LAYOUT, 1e-3) is None
