@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovati
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 MOST_STEPS = 8  # of exact data, whose likelihood has no end
-MOST_NUMBERS = 2e7  # sensitivities of a record: a longer one tells enough without these steps
+MOST_NUMBERS = 5e6  # sensitivities of a record: of more, each step takes a second
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
@@ -51,15 +51,16 @@ def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf)
     found : PeriodicInnovations, (ndarray, ndarray)
         The model; the logarithms of its multipliers to which a further step would lead, and
         their standard deviations, √(σ²_real + σ²_imag). None where the record is so long, or the
-        model so large, that steps would take minutes, and where the model overflows.
+        model so large, that steps would take long, and where its predictor forgets nothing.
     """
     H = max(len(innovations.coefficients) // 2, layout.n_loads)
     coefficients = resize_harmonics(innovations.coefficients, H)
     innovations = replace(innovations, coefficients=coefficients)
     form = _Form.of(innovations, layout)
-    n_numbers = len(form.places) * sum(y.size for _, y, _ in segments)
+    if len(form.places) * sum(y.size for _, y, _ in segments) > MOST_NUMBERS:
+        return None
     at = _fitted(innovations, segments, sensor_noise)
-    if n_numbers > MOST_NUMBERS or at is None:
+    if at is None:
         return None
     damping, system = FIRST_DAMPING, form.system(at)
     for _ in range(MOST_STEPS):
@@ -84,7 +85,19 @@ def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf)
 
 @dataclass(frozen=True, eq=False)
 class _Form:
-    """Which coefficients are free: places in [A B a; C D c], then K, one after the other."""
+    """Which coefficients of a model are free.
+
+    Attributes
+    ----------
+    n_harmonics, n_loads : int
+    feedthrough : bool
+    places : ndarray of int, shape (k,)
+        Of the free ones, in [A B a; C D c] and then K, flattened.
+    kept : ndarray of bool
+        Which sensitivities are theirs.
+    of_states : ndarray of int, shape (2 H + 1, n, n)
+        Places of A.
+    """
 
     n_harmonics: int
     n_loads: int
@@ -152,7 +165,16 @@ class _Form:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Normal equations in parameters of like size, by the eigenvectors of their matrix."""
+    """Normal equations in parameters of like size, by the eigenvectors of their matrix.
+
+    Attributes
+    ----------
+    values, vectors : ndarray
+    slope : ndarray, shape (k,)
+        Of the likelihood, along the eigenvectors.
+    size : ndarray, shape (k,)
+        By which parameters were multiplied.
+    """
 
     values: np.ndarray
     vectors: np.ndarray
@@ -188,7 +210,17 @@ class _System:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A model, what it leaves of each segment, and the cost of that."""
+    """A model, what it leaves of each segment, and the cost of that.
+
+    Attributes
+    ----------
+    innovations : PeriodicInnovations
+    parts : list of (rows, inputs, states, residuals, psi)
+    covariance, weights : ndarray, shape (l, l)
+        Of the residuals, and what makes them white beside the least noise.
+    cost : float
+        −log L.
+    """
 
     innovations: PeriodicInnovations
     parts: list
