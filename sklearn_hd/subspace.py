@@ -44,8 +44,9 @@ class MOESPRegressor(ModelStep):
         x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k] + a(ψ_k) + K(ψ_k) e[k]
         y[k] = C(ψ_k) x[k] + D(ψ_k) u[k] + c(ψ_k) + e[k]
 
-    It is found from a predictor of each row by the rows before it (ridge regression); a and c
-    drive the forced periodic response.
+    It is found from a predictor of each row by the rows before it (ridge regression), and from
+    there by a few steps of the likelihood of one-step predictions; a and c drive the forced
+    periodic response.
 
     Parameters
     ----------
