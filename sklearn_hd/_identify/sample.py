@@ -206,12 +206,18 @@ def identify(data, settings, experiment):
 def _of_halves(model, data, layout, best, settings, basis):
     """Exponents of the two halves of a record, of the same order, lags and harmonics.
 
-    None where a half is too short for the predictor, or one turn does not tell exponents apart.
+    Each half has as much of the outputs' motion: of a record that is at rest for long, and of a
+    chirp, half of the rows may tell nothing. None where a half is too short for the predictor, or
+    one turn does not tell exponents apart.
     """
     ends = np.cumsum([len(y) for _, y, _ in data.segments])
+    motion = np.cumsum(np.concatenate([np.sum(y**2, axis=1) for _, y, _ in data.segments]))
+    least = layout.n_columns + len(ends) * layout.n_lags
+    middle = np.searchsorted(motion, 0.5 * motion[-1])
+    middle = int(np.clip(middle, min(least, ends[-1] // 2), max(ends[-1] - least, ends[-1] // 2)))
     halves, exponents = [[], []], []
     for segment, stop in zip(data.segments, ends, strict=True):
-        cut = int(np.clip(ends[-1] // 2 - (stop - len(segment[1])), 0, len(segment[1])))
+        cut = int(np.clip(middle - (stop - len(segment[1])), 0, len(segment[1])))
         for half, rows in zip(halves, (slice(0, cut), slice(cut, None)), strict=True):
             part = tuple(z[rows] for z in segment)
             half += [part] if len(part[1]) > 2 * layout.n_lags else []
