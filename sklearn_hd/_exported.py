@@ -29,8 +29,10 @@ def contents(step, n_phases):
     trims = {"input_trim": basis.input_trim, "output_trim": basis.output_trim}
     trims = {name: trim for name, trim in trims.items() if trim is not None}
     if trims:
-        count = basis.samples_per_period
-        found["trim_psi"] = 2.0 * np.pi * np.arange(count) / count
+        count = n_phases if basis.reading == "sample" else basis.samples_per_period
+        found["trim_psi"] = psi = 2.0 * np.pi * np.arange(count) / count
+        if basis.reading == "sample":  # which has their Fourier coefficients
+            trims = {n: basis.waveform(trim, psi / basis.omega) for n, trim in trims.items()}
         found |= trims
         found["trim_input_names"] = list(basis.input_signals)
         found["trim_output_names"] = [name for name, _ in basis.outputs]

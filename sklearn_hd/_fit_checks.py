@@ -22,6 +22,17 @@ MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
 
 
+def warn_of_data(experiment):
+    """Warn of what a record shows by itself: another frequency, an offset, growth.
+
+    Samples take an offset for a load, and growth for an unstable mode.
+    """
+    warn_of_mismatch(experiment)
+    if experiment.basis.reading != "sample":
+        warn_of_offset(experiment)
+        warn_of_growing_data(experiment)
+
+
 def warn_of_mismatch(experiment):
     """Warn if the data repeat themselves at another frequency than omega, and return whether.
 

@@ -214,6 +214,16 @@ class HarmonicFrame(pd.DataFrame):
         return frame
 
 
+def read_as(frame, reading):
+    """A frame that carries the basis of some reading, if it has that, and the columns of that."""
+    basis = frame.basis
+    if basis is None or basis.of_reading(reading) is basis:
+        return frame
+    basis = basis.of_reading(reading)
+    columns = [*basis.measured, *basis.coefficient_labels]
+    return HarmonicFrame.attach(frame[columns], basis, frame.model)
+
+
 def _tell_dask():
     """Let dask, if it is loaded, distinguish frames also by their basis and model.
 

@@ -20,7 +20,7 @@ from sklearn_hd._checks import (
 from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._excitation import Excitation
 from sklearn_hd._exported import contents
-from sklearn_hd._frame import FrameTransformer, HarmonicFrame
+from sklearn_hd._frame import FrameTransformer, HarmonicFrame, read_as
 from sklearn_hd._guards import one_blas_thread, within_range
 from sklearn_hd._readings import first_difference
 from sklearn_hd._records.data import (
@@ -44,6 +44,7 @@ from sklearn_hd._simulators import (
     predicted_ahead,
     sample_simulators,
     states_by_record,
+    steady,
 )
 from sklearn_hd._tables import STANDARD_ERRORS, STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd._warn import warn
@@ -124,13 +125,19 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         frame = self._upstream_frame(check_features(self, X, reset=False))
         if not frame.is_analysed:
             read_signals(frame)  # finite numbers on increasing times
-        return HarmonicFrame.attach(frame, self._own_basis(frame.basis), self.model_)
+        frame = self._as_read(frame)
+        return HarmonicFrame.attach(frame, frame.basis, self.model_)
 
-    def _own_basis(self, basis):
-        """A basis with the outputs' trim of this model, which the dynamics may have told."""
-        if basis is None or basis.output_trim is None:
-            return basis
-        return replace(basis, output_trim=self.basis_.output_trim)
+    def _as_read(self, frame):
+        """A frame with the basis of this model: its reading, of those the analyzer left open, and
+        the outputs' trim, which the dynamics may have told."""
+        if frame.basis is None:
+            return frame
+        frame = read_as(frame, self.basis_.reading)
+        basis = replace(frame.basis, alternative=None)
+        if basis.output_trim is not None:
+            basis = replace(basis, output_trim=self.basis_.output_trim)
+        return HarmonicFrame.attach(frame, basis, frame.model)
 
     def _upstream_frame(self, X):
         """X with the basis and the model of the steps before this one."""
@@ -239,7 +246,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             )
             for simulator, start in zip(simulators, starts, strict=True)
         ]
-        return self._mirror(self._with_trim(outputs, experiment), X)
+        return self._mirror(self._at_rows(outputs, simulators, experiment), X)
 
     def _warn_of_inputs(self, experiment, simulators):
         """Warn of inputs whose effect the record of the fit did not show."""
@@ -253,12 +260,21 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         model = self.model_ if model is None else model
         return initial_states(x0, experiment.base, model.n_states, model.state_names)
 
-    def _with_trim(self, outputs, experiment):
-        """Outputs on the grid, trim added, at the user's rows."""
-        trim = experiment.output_trim()
-        if trim is not None and not self.predicts_harmonics_:
-            outputs = [y + waveform for y, waveform in zip(outputs, trim, strict=True)]
-        return experiment.sampling.back(outputs)
+    def _at_rows(self, outputs, simulators, experiment):
+        """Outputs on the grid, trim added, at the user's rows.
+
+        Only what moves about the trim and the forced response is interpolated.
+        """
+        sampling = experiment.sampling
+        if self.predicts_harmonics_:
+            return sampling.back(outputs)
+        samples, trim = self._samples_late(experiment), experiment.output_trim_at_rows()
+        moving, known = [], []
+        for i, (y, *each) in enumerate(zip(outputs, simulators, sampling.pieces, strict=True)):
+            on_grid, at_rows = steady(*each, experiment.basis, y.shape[1], samples)
+            moving.append(y - on_grid)
+            known.append(at_rows if trim is None else at_rows + trim[i])
+        return sampling.back(moving, known)
 
     @one_blas_thread
     @within_range
@@ -387,7 +403,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         if getattr(self, "estimator", None) is not None:
             X = self._upstream_frame(X)
         if isinstance(X, HarmonicFrame):
-            X = HarmonicFrame.attach(X, self._own_basis(X.basis), X.model)
+            X = self._as_read(X)
         experiment = read_experiment(X, y, decomposition)
         self._check_basis(experiment.basis)
         if y is not None and not self.predicts_harmonics_:
@@ -523,7 +539,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             )
             for simulator, measured, start in parts
         ]
-        return self._mirror(self._with_trim(outputs, experiment), X)
+        return self._mirror(self._at_rows(outputs, simulators, experiment), X)
 
     @one_blas_thread
     @within_range

@@ -98,6 +98,16 @@ class Opinion:
         size = _rates(exponents, self.omega)
         return exponents + apart, np.abs(apart) / size, deviations / size
 
+    def doubt(self, exponents):
+        """How far the least certain of some exponents may be off, in parts of its rate.
+
+        Of those that last; 0 where none does.
+        """
+        exponents = np.asarray(exponents, complex)
+        _, apart, spread = self.about(exponents)
+        size = (apart + SURE * spread)[lasting(exponents, self.omega)]
+        return float(np.max(np.nan_to_num(size, nan=np.inf), initial=0.0))
+
     def beside(self, exponents):
         """Where the nearest exponent to each of some is beside it, and its deviation, 1/s."""
         if not len(self.exponents):

@@ -157,7 +157,7 @@ def remainder(experiment, simulators):
         at.predicts,
         basis.samples_per_period if basis.harmonic else None,
         at.n_loads,
-        basis.output_trim is not None,
+        basis.about_trim,
     )
 
 

@@ -6,7 +6,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._guards import extremes
 from sklearn_hd._records.delays import leads
 from sklearn_hd._records.sampling import joined
-from sklearn_hd._simulators import as_seen, fit_initial_state, predicted_ahead
+from sklearn_hd._simulators import as_seen, fit_initial_state, predicted_ahead, steady
 from sklearn_hd._tables import without_inputs
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT
@@ -25,7 +25,7 @@ def scored_simulation(step, X, y, horizon=None):
     """
     check_is_fitted(step)
     experiment = step._experiment(without_inputs(y) if X is None else X, y)
-    trim, sampling = experiment.output_trim(), experiment.sampling
+    trim, sampling = experiment.output_trim_at_rows(), experiment.sampling
     truth, simulated, rows, forced = [], [], [], []
     simulators = step._simulators(experiment)
     step._warn_of_inputs(experiment, simulators)
@@ -45,15 +45,16 @@ def scored_simulation(step, X, y, horizon=None):
             within = own
         seen = as_seen(simulator, y_segment)
         outputs = _fitted_outputs(step, simulator, seen, warm, horizon)
-        loads = np.broadcast_to(simulator.forced(), outputs.shape)
         if seen is y_segment:
-            outputs, loads = (late(each, samples) for each in (outputs, loads))
+            outputs = late(outputs, samples)
+            on_grid, loads = steady(simulator, piece, experiment.basis, outputs.shape[1], samples)
             known = loads if trim is None else trim[i] + loads
-            truth.append(measured - piece.back(known)[within])
+            truth.append(measured - known[within])
         else:
-            truth.append(piece.back(seen - loads)[within])
-        simulated.append(piece.back(outputs - loads)[within])
-        forced.append(piece.back(loads)[within])
+            on_grid, loads = steady(simulator, piece, experiment.basis, outputs.shape[1], 0.0)
+            truth.append(piece.back(seen - on_grid)[within])
+        simulated.append(piece.back(outputs - on_grid)[within])
+        forced.append(loads[within])
         rows.append(own + piece.rows.start)
     if not truth:
         raise ValueError(

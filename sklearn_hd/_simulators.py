@@ -9,6 +9,9 @@ from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.delays import both_values
 from sklearn_hd._sample_model import AtSamples, SampleSimulator
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.late_signals import late
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -175,6 +178,27 @@ def sample_simulators(model, experiment):
         inputs = [both_values(u, model.split[0]) for u in experiment.origin.inputs]
     parts = zip(inputs, experiment.times(), experiment.phases, strict=True)
     return [SampleSimulator(model, experiment.basis, *part) for part in parts]
+
+
+def steady(simulator, piece, basis, n_outputs, samples):
+    """What repeats itself of the outputs of a segment, trim aside, some samples late.
+
+    Returns
+    -------
+    on_grid : ndarray, shape (n_samples, n_outputs)
+    at_rows : ndarray, shape (n_rows, n_outputs)
+        At the user's rows, by Fourier series: splines would need more samples in a turn.
+    """
+    forced = np.broadcast_to(simulator.forced(), (len(piece.grid), n_outputs))
+    forced = late(forced, samples)
+    if piece.is_grid:
+        return forced, forced
+    psi, orders = basis.azimuth(piece.grid), range(1)
+    if forced.any():
+        orders = range(min(basis.most_harmonics, (len(psi) - 1) // 4) + 1)
+    coefficients = linalg.lstsq(harmonic_functions(psi, orders), forced)[0]
+    at = psi, basis.azimuth(piece.places)
+    return tuple(evaluate_harmonics(coefficients, each) for each in at)
 
 
 def as_seen(simulator, outputs):

@@ -3,6 +3,8 @@
 import os
 import sys
 import warnings
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import joblib
@@ -13,6 +15,24 @@ BETWEEN = tuple(
 )
 SEARCHES = "sklearn.model_selection"
 ONCE = ("default", "module", "once")
+_HELD = ContextVar("held", default=None)
+
+
+@contextmanager
+def held_back():
+    """Hold warnings back until it is known whether they are of the model that is kept.
+
+    Yields
+    ------
+    held : list of (message, category)
+        To be given, each, if it is.
+    """
+    held = []
+    token = _HELD.set(held)
+    try:
+        yield held
+    finally:
+        _HELD.reset(token)
 
 
 def warn(message, category):
@@ -28,6 +48,9 @@ def warn(message, category):
     category : type
         Of warning.
     """
+    if _HELD.get() is not None:
+        _HELD.get().append((message, category))
+        return
     frame, searched = sys._getframe(1), False
     while frame.f_back is not None and frame.f_code.co_filename.startswith(BETWEEN):
         searched = searched or frame.f_globals.get("__name__", "").startswith(SEARCHES)

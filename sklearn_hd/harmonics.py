@@ -17,7 +17,7 @@ from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
 from sklearn_hd._guards import within_range
 from sklearn_hd._readings import READINGS, Timing, coefficient_names
-from sklearn_hd._records.bases import AUTO, chosen_reading, record_basis
+from sklearn_hd._records.bases import AUTO, chosen_readings, record_basis
 from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
@@ -28,6 +28,7 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
+from sklearn_hd._records.speed import settled_omega
 from sklearn_hd._records.trim import with_trim
 from sklearn_hd._tables import check_has_signals, check_upright, why_short
 from sklearn_hd._warn import warn
@@ -263,12 +264,19 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
-        reading = chosen_reading(self, inputs, outputs)
-        basis = record_basis(self, reading, inputs, output_names, timing)
-        if reading == "sample" and self.hop is None and outputs is not None:
-            basis = _without_loss(basis, inputs, outputs)
-        self.basis_ = with_trim(basis, inputs, outputs, self.trim_span)
-        if basis.timing.resampled:
+        omega = settled_omega(self, inputs, outputs, timing)
+
+        def basis_of(reading):
+            basis = record_basis(self, reading, inputs, output_names, timing, omega)
+            if reading == "sample" and self.hop is None and outputs is not None:
+                basis = _without_loss(basis, inputs, outputs)
+            return with_trim(basis, inputs, outputs, self.trim_span)
+
+        first, *others = chosen_readings(self, inputs, outputs, omega)
+        self.basis_ = basis_of(first)
+        if others:
+            self.basis_ = replace(self.basis_, alternative=basis_of(*others))
+        if self.basis_.timing.resampled:
             warn_of_resampling(self.basis_, inputs, outputs)
         return self
 

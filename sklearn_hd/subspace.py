@@ -15,13 +15,13 @@ from sklearn_hd._identify import (
     Settings,
     checked,
     identify,
-    identify_record,
+    identify_frame,
     most_block_rows,
 )
 from sklearn_hd._identify.chunks import model_so_far, read_chunk, with_chunk
 from sklearn_hd._identify.partitions import Partitions
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._records.data import check_features, read_for_fit
+from sklearn_hd._records.data import check_features
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
@@ -282,7 +282,7 @@ class MOESPRegressor(ModelStep):
             found, (X, y) = identify(data, settings), data.head
             return self._store(found, data.facts.basis, X, y)
         delays = self.input_delay, self.output_delay
-        found, experiment, basis = identify_record(read_for_fit(X, y), settings, *delays)
+        found, experiment, basis = identify_frame(X, y, settings, *delays)
         return self._store(found, basis, X, y, experiment)
 
     @one_blas_thread

@@ -13,7 +13,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import TimeBaseWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, TimeBaseWarning
 from sklearn_hd.systems import LTPSystem
 
 OMEGA = 2.0 * np.pi
@@ -112,21 +112,62 @@ def held(edges, levels, samples=64, noise=0.0):
     return pd.DataFrame({"u": u}, index), pd.DataFrame({"y": y}, index)
 
 
+EDGES = {
+    "a doublet": [5.0, 6.37, 7.81],
+    "steps at one azimuth": 5.0 + np.cumsum([3, 1, 4, 1, 5, 9, 2, 6]),
+    "steps at many azimuths": 5.0 + np.cumsum([3.1, 1.4, 1.5, 9.2, 6.5, 3.5, 2.8, 1.9]),
+}
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
-@pytest.mark.parametrize(
-    ("edges", "expected"),
-    [
-        ([5.0, 6.37, 7.81], "period"),
-        (5.0 + np.cumsum([3, 1, 4, 1, 5, 9, 2, 6]), "period"),
-        (5.0 + np.cumsum([3.1, 1.4, 1.5, 9.2, 6.5, 3.5, 2.8, 1.9]), "sample"),
-    ],
-    ids=["a doublet", "steps at one azimuth", "steps at many azimuths"],
-)
-def test_inputs_that_move_in_many_directions_are_read_by_samples(edges, expected, noise):
-    X, y = held(
-        edges, np.resize([1.0, -1.0], len(edges)) * (np.arange(len(edges)) % 3 < 2), noise=noise
-    )
-    assert reading(X, y) == expected
+@pytest.mark.parametrize("name", EDGES)
+def test_inputs_that_rest_are_read_by_periods_wherever_they_moved(name, noise):
+    edges = EDGES[name]
+    levels = np.resize([1.0, -1.0], len(edges)) * (np.arange(len(edges)) % 3 < 2)
+    X, y = held(edges, levels, noise=noise)
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor()).fit(X, y)
+    assert pipe[0].basis_.reading == pipe[1].basis_.reading == "period"
+    (exponent,) = pipe[1].model_.exponents()
+    assert exponent == pytest.approx(64 * np.log(0.97), rel=1e-6 + 0.5 * noise)
+
+
+def shaken(noise, seed=0):
+    """A lag that noise drives: between the pulses of its input nothing decays freely."""
+    X, _ = held(5.0 + np.cumsum([3.1, 1.4, 5.5, 1.2, 6.5, 1.5, 9.8, 1.9]), np.resize([1.0, 0.0], 8))
+    e, y = np.random.default_rng(seed).standard_normal(len(X)), np.zeros(len(X))
+    for k, u in enumerate(X["u"].to_numpy()[:-1]):
+        y[k + 1] = 0.99 * y[k] + 0.1 * u + noise * e[k]
+    return X, pd.DataFrame({"y": y}, X.index)
+
+
+def test_the_other_reading_is_taken_where_the_first_leaves_a_doubt():
+    X, y = shaken(0.02)
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer())
+    pipe.fit(X, y)
+    assert pipe[0].basis_.reading == "period"
+    assert pipe[1].basis_.reading == pipe[2].basis_.reading == "sample"
+    assert pipe[1].basis_.alternative is None
+    frame = pipe[1].transform(pipe[0].transform(X))
+    assert (frame.basis.reading, list(frame)) == ("sample", ["u"])
+    asked = make_pipeline(HarmonicAnalyzer(OMEGA, reading="sample"), MOESPRegressor()).fit(X, y)
+    pd.testing.assert_frame_equal(pipe.predict(X), asked.predict(X))
+    assert pipe.score(X, y) == pytest.approx(asked.score(X, y))
+
+
+def test_a_reading_that_was_asked_for_is_kept():
+    X, y = shaken(0.02)
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA, reading="period"), MOESPRegressor())
+    with pytest.warns(IdentifiabilityWarning, match="in doubt|negative"):
+        pipe.fit(X, y)
+    assert pipe[1].basis_.reading == "period"
+
+
+def test_block_rows_that_were_given_are_those_of_one_reading():
+    X, y = shaken(0.02)
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor(block_rows=4))
+    with pytest.warns(IdentifiabilityWarning, match="in doubt|negative"):
+        pipe.fit(X, y)
+    assert pipe[1].basis_.reading == "period"
 
 
 @pytest.mark.parametrize("n_turns", [0.125, 1, 5, 11])

@@ -15,10 +15,7 @@ from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import (
     check_motion,
     longest_span,
-    warn_of_growing_data,
     warn_of_growth,
-    warn_of_mismatch,
-    warn_of_offset,
 )
 from sklearn_hd._frame import Lifted
 from sklearn_hd._guards import searching
@@ -81,9 +78,6 @@ WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block
 
 def read(experiment, settings):
     """Data of an experiment: its periods, and the directions that inputs move in within them."""
-    warn_of_offset(experiment)
-    warn_of_mismatch(experiment)
-    warn_of_growing_data(experiment)
     inputs, outputs = rows_read(experiment)
     excitation = _excitation(experiment, settings)
     return Records(inputs, outputs, Facts.of(experiment, inputs), settings.memory, excitation)
@@ -130,15 +124,16 @@ def identify(data, settings, experiment):
     fit = subspace_fit(
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
-    opinion = of_free_decays(still, experiment, at_rest)
+    opinion, exponents = of_free_decays(still, experiment, at_rest), fit.model.exponents()
     warn_of_growth(fit.model, experiment)
-    if settings.predictor or at_rest:
-        warn_unconfirmed(fit.model.exponents(), opinion)
-    elif not searching():
-        own = _of_its_likelihood(fit.model, experiment, data)
-        warn_unconfirmed(fit.model.exponents(), more_doubtful(fit.model.exponents(), opinion, own))
+    held = opinion
+    if not (settings.predictor or at_rest or searching()):
+        held = more_doubtful(exponents, opinion, _of_its_likelihood(fit.model, experiment, data))
+    warn_unconfirmed(exponents, held)
+    doubt = 0.0 if held is None else held.doubt(exponents)
     model = _lifted(fit.model, data, experiment, known, forced)
-    return replace(fit, model=replace(model, at_rest=at_rest, opinion=opinion), forced=forced)
+    model = replace(model, at_rest=at_rest, opinion=opinion)
+    return replace(fit, model=model, forced=forced, doubt=doubt)
 
 
 def _of_its_likelihood(model, experiment, data):

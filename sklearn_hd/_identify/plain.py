@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd._fit_checks import check_motion, warn_of_offset, warn_of_unstable
+from sklearn_hd._fit_checks import check_motion, warn_of_unstable
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import (
     DEFAULT_BLOCK_ROWS,
@@ -30,7 +30,6 @@ from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 def read(experiment, settings):
     """Data of an experiment: its rows as they are."""
-    warn_of_offset(experiment)
     facts = Facts.of(experiment, experiment.drive)
     return Records(experiment.drive, experiment.outputs, facts, settings.memory)
 

@@ -22,7 +22,6 @@ from sklearn_hd._identify.sample_checks import (
     check_turns,
     or_hop,
     root_mean_square,
-    warn_of_drift,
     warn_of_growth,
     warn_of_little,
     warn_of_rest,
@@ -124,7 +123,7 @@ def read(experiment, settings):
     parts = zip(experiment.drive, experiment.outputs, experiment.phases, strict=True)
     segments = list(parts)
     means = forced_mean(segments, basis.most_loads)
-    if basis.output_trim is not None:  # subtracted already
+    if basis.about_trim:
         means = tuple(np.zeros_like(mean) for mean in means)
     segments = [
         (u - evaluate_harmonics(means[0], psi), y - evaluate_harmonics(means[1], psi), psi)
@@ -132,7 +131,7 @@ def read(experiment, settings):
     ]
     u_scale, y_scale = (root_mean_square(parts) for parts in list(zip(*segments, strict=True))[:2])
     check_told_from_loads(u_scale, experiment)
-    taken = means[1] if basis.output_trim is None else basis.output_trim
+    taken = basis.output_trim if basis.about_trim else means[1]
     still = y_scale <= HALF * np.max(np.abs(taken), axis=0)  # what rounding of ψ leaves
     check_outputs_move(still, facts)
     warn_of_thinning(experiment, taken)
@@ -182,13 +181,14 @@ def identify(data, settings, experiment):
         data.means[0],
     )
     warn_of_little(layout, sums.n_rows, best, basis)
-    warn_of_drift(data, predictor, experiment, ROWS_COMPARED)
     warn_of_growth(model, best, data)
+    doubt = 0.0
     if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
         halves = _of_halves(model, data, layout, best, settings, basis)
         exponents, own = model.exponents(), _of_its_likelihood(ahead, basis.omega)
         model = replace(model, opinion=more_doubtful(exponents, halves, own))
         warn_unconfirmed(exponents, model.opinion)
+        doubt = 0.0 if model.opinion is None else model.opinion.doubt(exponents)
     x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
     return SubspaceFit(
@@ -200,6 +200,7 @@ def identify(data, settings, experiment):
         floor,
         reason,
         tuple(choice.tried),
+        doubt=doubt,
     )
 
 

@@ -2,17 +2,10 @@
 
 import numpy as np
 
-from sklearn_hd._fit_checks import warn_of_mismatch
 from sklearn_hd._guards import searching
-from sklearn_hd._identify.checks import NOTABLE
-from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE, azimuth_drift
-from sklearn_hd.exceptions import (
-    FrequencyMismatchWarning,
-    IdentifiabilityWarning,
-    InstabilityWarning,
-)
+from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
@@ -89,29 +82,6 @@ def warn_of_little(layout, n_rows, best, basis):
             f"omega (or the azimuth) is that of the machine, and that {n_rows} rows are enough for "
             f"order {best.order} with {best.n_harmonics} harmonic(s)",
             IdentifiabilityWarning,
-        )
-
-
-def warn_of_drift(data, predictor, experiment, most_rows):
-    """Warn of an omega that is off, so that the azimuth drifts.
-
-    The waveform of turns in which inputs rest tells it best, elsewhere the predictor does.
-    """
-    basis = experiment.basis
-    if basis.timing.azimuth is not None or warn_of_mismatch(experiment):
-        return
-    means = tuple(mean / scale for mean, scale in zip(data.means, data.scales, strict=True))
-    segments = [tuple(z[:most_rows] for z in segment) for segment in data.segments]
-    drift, t, n_rows = azimuth_drift(segments, means, predictor)
-    if abs(t) > STANDARD_ERRORS and t**2 > NOTABLE * n_rows:
-        turns = data.longest * data.step / (2.0 * np.pi)
-        warn(
-            f"omega={basis.omega:.9g} does not fit: predictions one sample ahead indicate about "
-            f"omega={basis.omega * (1.0 + drift):.9g} ({abs(t):.2g} standard errors away, which "
-            f"explains {t**2 / n_rows:.0%} of what they leave). Over the {turns:.4g} turns of the "
-            f"longest segment the azimuth drifts by {abs(drift) * turns:.2g} turns or more; "
-            f"correct omega until this warning stops, or give azimuth=",
-            FrequencyMismatchWarning,
         )
 
 

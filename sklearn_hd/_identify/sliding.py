@@ -19,12 +19,7 @@ period. Its coefficients at the analysed rows are time-invariant
 
 import numpy as np
 
-from sklearn_hd._fit_checks import (
-    check_motion,
-    warn_of_growing_data,
-    warn_of_mismatch,
-    warn_of_offset,
-)
+from sklearn_hd._fit_checks import check_motion
 from sklearn_hd._identify.checks import allowed_block_rows
 from sklearn_hd._identify.stages import decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
@@ -42,9 +37,6 @@ LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
 
 def read(experiment, settings):
     """Data of an experiment: windowed coefficients, and the inputs as the window sees them."""
-    warn_of_offset(experiment)
-    warn_of_mismatch(experiment)
-    warn_of_growing_data(experiment)
     inputs, outputs = rows_read(experiment)
     data = Records(inputs, outputs, Facts.of(experiment, inputs), settings.memory)
     turned = modulated_inputs(experiment, data.lengths)

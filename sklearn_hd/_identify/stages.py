@@ -67,6 +67,8 @@ class SubspaceFit:
         The models that the order was chosen from; none where singular values told it.
     forced : ndarray, shape (samples_per_period, n_outputs), or None
         What the trim of the outputs is off by, where it is identified together with the dynamics.
+    doubt : float
+        How far an exponent may be off, in parts of its rate, by the opinion that doubts most.
     """
 
     model: LTIModel
@@ -78,6 +80,7 @@ class SubspaceFit:
     feedthrough_reason: str = ""
     tried: tuple = ()
     forced: np.ndarray | None = None
+    doubt: float = 0.0
 
     @property
     def order_search(self):

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_hd._checks import FIRST, RAISE
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import (
+    all_harmonics,
     harmonic_functions,
     harmonic_labels,
     window_weights,
@@ -73,6 +75,8 @@ class HarmonicBasis:
         When the user's rows were sampled.
     small_signal : "odd", "extrapolate" or None
         How records at several amplitudes are combined where a model is fitted.
+    alternative : HarmonicBasis or None
+        Another reading of the same record, which identification may take instead.
     """
 
     omega: float
@@ -87,9 +91,15 @@ class HarmonicBasis:
     timing: Timing = field(default_factory=Timing)
     small_signal: str | None = None
     trim_known: bool = True
+    alternative: object = None
 
     harmonic = True
     nothing_spurious = None  # why models hold no modes but the machine's
+
+    @property
+    def about_trim(self):
+        """Whether signals are those about a trim that is no part of the models."""
+        return self.output_trim is not None
 
     @property
     def rows_per_period(self):
@@ -136,6 +146,11 @@ class HarmonicBasis:
         """Names of the columns that the analyzer adds."""
         return self.drive_labels
 
+    def of_reading(self, reading):
+        """This basis, or the alternative if that is of the reading asked for."""
+        other = self.alternative
+        return other if other is not None and other.reading == reading else self
+
     def select(self, frame):
         """The columns of X that are read; ValueError if a step has changed them."""
         found, made = [str(c) for c in frame.columns], [*self.measured, *self.coefficient_labels]
@@ -157,6 +172,10 @@ class HarmonicBasis:
     def waveform(self, trim, time):
         """A periodic waveform at the rows of one segment."""
         return trim[self.phase_index(time)]
+
+    def waveform_between(self, trim, places):
+        """The same at any times: the trigonometric polynomial through the samples of a period."""
+        return evaluate_harmonics(all_harmonics(trim), self.azimuth(places))
 
     def mean_waveforms(self, pieces):
         """Periodic waveforms of (values, times) of some rows; None if a phase is missing."""

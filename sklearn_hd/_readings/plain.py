@@ -67,6 +67,7 @@ class PlainReading(EveryRow):
     hop = samples_per_period = 1
     held = True
     small_signal = input_trim = output_trim = nothing_spurious = None
+    about_trim = False
 
     @property
     def drive_signals(self):

@@ -29,7 +29,8 @@ class SampleBasis(EveryRow, HarmonicBasis):
     samples_per_period : float
         Rows that models read in a turn, the mean where the speed varies.
     input_trim, output_trim : ndarray, shapes (2 L + 1, n_signals), or None
-        Fourier coefficients of the waveforms subtracted.
+        Fourier coefficients of the waveforms subtracted. If no trim is known, those of the outputs
+        that are faster than the forced response of a model can be.
     n_harmonics, n_input_harmonics : int or None
         The most harmonics that coefficients may have, and those of inputs; None lets the data
         choose.
@@ -56,6 +57,11 @@ class SampleBasis(EveryRow, HarmonicBasis):
             waveform = getattr(basis, name)
             trim[name] = None if waveform is None else np.zeros((1, waveform.shape[1]))
         return cls(**{name: getattr(basis, name) for name in kept}, hop=1, **bare, **trim)
+
+    @property
+    def about_trim(self):
+        """Whether signals are those about a trim that is no part of the models."""
+        return self.output_trim is not None and self.trim_known
 
     @property
     def weights(self):
@@ -85,6 +91,8 @@ class SampleBasis(EveryRow, HarmonicBasis):
     def waveform(self, trim, time):
         """A periodic waveform at the rows of one segment."""
         return evaluate_harmonics(trim, self.azimuth(time))
+
+    waveform_between = waveform
 
     def mean_waveforms(self, pieces):
         """Fourier coefficients of (values, times) of some rows; None of less than a turn."""

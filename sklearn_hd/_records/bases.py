@@ -20,42 +20,42 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._readings import READINGS
 from sklearn_hd._tables import STANDARD_ERRORS
-from sklearn_hd.algorithms.signals.rest import inputs_rest, moved_directions
+from sklearn_hd.algorithms.signals.rest import inputs_rest
 
 AUTO = "auto"
-FEW_DIRECTIONS = 4  # of one input within the turn: a doublet, its three edges anywhere
 NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 
 
-def chosen_reading(analyzer, inputs, outputs):
-    """How model steps read the record, by what is asked for and what the inputs do."""
+def chosen_readings(analyzer, inputs, outputs, omega):
+    """How model steps read the record, by what is asked for and what the inputs do.
+
+    Two readings where both may serve: the second one if the first leaves a doubt.
+    """
     if analyzer.reading != AUTO:
-        return analyzer.reading
+        return (analyzer.reading,)
     if analyzer.load_harmonics is not None:
-        return "sample"
+        return ("sample",)
     by_signal = isinstance(analyzer.output_harmonics, Mapping)
     held = analyzer.input_harmonics is None or np.array_equal(analyzer.input_harmonics, 0)
     if outputs is None or analyzer.hop is not None or analyzer.window != "boxcar":
-        return "sliding"
+        return ("sliding",)
     if by_signal or not held:
-        return "sliding"
+        return ("sliding",)
     if analyzer.small_signal is not None:
-        return "period"
-    omega = _omega(analyzer, inputs)
+        return ("period",)
     psi = omega * inputs.places(omega, inputs.base.sample_time)
     known = np.isfinite(inputs.data).all(axis=1) & np.isfinite(psi)
     rows = [np.flatnonzero(known[segment]) + segment.start for segment in inputs.base.segments]
-    parts = [inputs.data[k] for k in rows], [psi[k] for k in rows]
-    few = inputs_rest(*parts) and moved_directions(*parts) <= FEW_DIRECTIONS * len(inputs.names)
-    return "period" if few else "sample"
+    rest = inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
+    return ("period", "sample") if rest else ("sample",)
 
 
-def record_basis(analyzer, reading, inputs, output_names, timing):
+def record_basis(analyzer, reading, inputs, output_names, timing, omega):
     """How signals are analysed, trim aside."""
     if reading == "sample":
-        return _sample_basis(analyzer, inputs, output_names, timing)
+        return _sample_basis(analyzer, inputs, output_names, timing, omega)
     if analyzer.load_harmonics is not None:
         raise ValueError(
             f"load_harmonics={analyzer.load_harmonics!r} with reading={reading!r}: loads are "
@@ -68,7 +68,7 @@ def record_basis(analyzer, reading, inputs, output_names, timing):
     kept_out = check_harmonics("output_harmonics", asked, output_names) if output_names else ()
     highest = max((k for _, orders in (*kept_in, *kept_out) for k in orders), default=0)
     rows = _least_rows(highest) if reading == "sliding" else 1
-    omega, spp, step, timing = _grid(analyzer, inputs, highest, rows, timing)
+    spp, step, timing = _grid(analyzer, inputs, highest, rows, timing, omega)
     return READINGS[reading](
         omega=omega,
         sample_time=step,
@@ -82,7 +82,7 @@ def record_basis(analyzer, reading, inputs, output_names, timing):
     )
 
 
-def _sample_basis(analyzer, inputs, output_names, timing):
+def _sample_basis(analyzer, inputs, output_names, timing, omega):
     """The basis of samples with their azimuths."""
     if analyzer.small_signal is not None:
         raise ValueError(
@@ -95,7 +95,7 @@ def _sample_basis(analyzer, inputs, output_names, timing):
         if count is not None:
             hint = "with reading='sample' it is one number for all signals, None chooses it"
             check_count(name, count, 0, hint)
-    step, omega = inputs.base.sample_time, _omega(analyzer, inputs)
+    step = inputs.base.sample_time
     samples = 2.0 * np.pi / omega / step
     highest = max((count for count in asked.values() if count is not None), default=1)
     words = f"omega={omega:.6g} rad/s and a sample time of {step:.4g} s give {samples:.4g}"
@@ -126,36 +126,29 @@ def _sample_basis(analyzer, inputs, output_names, timing):
     return basis
 
 
-def _omega(analyzer, inputs):
-    if analyzer.azimuth is None:
-        return float(analyzer.omega)
-    return inputs.mean_speed(analyzer.azimuth)[1]
-
-
-def _grid(analyzer, inputs, highest, rows, timing):
-    """ω, samples in a period, their distance in seconds, and when rows were sampled."""
+def _grid(analyzer, inputs, highest, rows, timing, omega):
+    """Samples in a period, their distance in seconds, and when rows were sampled."""
     if analyzer.azimuth is not None:
-        return *_varying_speed(analyzer, inputs, highest, rows), timing
-    omega, spp, step, resampled = _constant_speed(analyzer, inputs.base, highest, rows)
+        return *_varying_speed(analyzer, inputs, highest, rows, omega), timing
+    spp, step, resampled = _constant_speed(analyzer, inputs.base, highest, rows, omega)
     own = inputs.base.sample_time if resampled else step
-    return omega, spp, step, replace(timing, sample_time=own, resampled=resampled)
+    return spp, step, replace(timing, sample_time=own, resampled=resampled)
 
 
-def _constant_speed(analyzer, base, highest, rows):
-    """ω, samples in a period of the grid, their distance, and whether all is resampled."""
-    omega = float(analyzer.omega)
+def _constant_speed(analyzer, base, highest, rows, omega):
+    """Samples in a period of the grid, their distance, and whether all is resampled."""
     if base.counted and analyzer.sample_time is None:  # times that were lost are no times
         check_period(omega, base.sample_time, highest, counted=True)
     samples, whole = whole_period(omega, base, highest)
     if not whole:
         near = abs(samples - round(samples)) <= NEAR_WHOLE
         spp = round(samples) if near else _samples_on_grid(analyzer, samples, rows)
-        return omega, spp, 2.0 * np.pi / omega / spp, True
+        return spp, 2.0 * np.pi / omega / spp, True
     spp = round(samples)
     step = 2.0 * np.pi / omega / spp
     told = abs(step - base.sample_time) > STANDARD_ERRORS * base.uncertainty
     even = base.jitter[1] == 0.0  # else resampled, to fit the period exactly
-    return omega, spp, base.sample_time if even and told else step, False
+    return spp, base.sample_time if even and told else step, False
 
 
 def _samples_on_grid(analyzer, samples, rows):
@@ -168,16 +161,16 @@ def _samples_on_grid(analyzer, samples, rows):
     return unit * int(np.ceil(least / unit))
 
 
-def _varying_speed(analyzer, inputs, highest, rows):
-    """Mean ω, samples on the grid in a turn, and their distance in seconds."""
-    samples, omega = inputs.mean_speed(analyzer.azimuth)
+def _varying_speed(analyzer, inputs, highest, rows, omega):
+    """Samples on the grid in a turn, and their distance in seconds."""
+    samples, _ = inputs.mean_speed(analyzer.azimuth)
     check_rate(
         samples,
         highest,
         f"azimuth column {analyzer.azimuth!r} shows {samples:.4g} samples a turn in the mean",
     )
     spp = _samples_on_grid(analyzer, samples, rows)
-    return omega, spp, 2.0 * np.pi / omega / spp
+    return spp, 2.0 * np.pi / omega / spp
 
 
 def _checked_hop(analyzer, spp, highest):

@@ -257,11 +257,24 @@ class Experiment:
         return [self.basis.azimuth(time) for time in self.times()]
 
     def output_trim(self):
-        """Periodic waveforms of the outputs on each segment, zero where none were learned."""
+        """Periodic waveforms of the outputs on each segment; None where none were learned."""
         basis = self.basis
         if basis.output_trim is None:
             return None
         return [basis.waveform(basis.output_trim, time) for time in self.times()]
+
+    def output_trim_at_rows(self):
+        """The same at the user's rows of each segment."""
+        basis, trim = self.basis, self.basis.output_trim
+        if trim is None:
+            return None
+        pieces = self.sampling.pieces
+        return [
+            basis.waveform(trim, piece.grid)
+            if piece.is_grid
+            else basis.waveform_between(trim, piece.places)
+            for piece in pieces
+        ]
 
     def span(self):
         """First and last time, worded for messages."""

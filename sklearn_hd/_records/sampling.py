@@ -115,11 +115,16 @@ class Sampling:
         held = np.broadcast_to(held, values.shape[1:])
         return [piece.onto_grid(values, held) for piece in self.pieces]
 
-    def back(self, blocks):
-        """Values on the grid, one array a segment, at the user's rows; NaN in no piece."""
+    def back(self, blocks, beside=None):
+        """Values on the grid, one array a segment, at the user's rows; NaN in no piece.
+
+        To them is added what is known at these rows ``beside`` them, one array a segment, too.
+        """
         result = np.full((self.n_rows, blocks[0].shape[1]), np.nan)
-        for piece, block in zip(self.pieces, blocks, strict=True):
+        for i, (piece, block) in enumerate(zip(self.pieces, blocks, strict=True)):
             result[piece.rows] = piece.back(block)
+            if beside is not None:
+                result[piece.rows] += beside[i]
         return result
 
 

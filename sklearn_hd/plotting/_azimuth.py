@@ -136,7 +136,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
             innovations.step,
             input_names=list(step.model_.input_names),
             noise=pd.Series(np.sqrt(np.diag(innovations.covariance)), list(step.loads_)),
-            about_trim=step.basis_.output_trim is not None,
+            about_trim=step.basis_.about_trim,
         )
         return display.plot(ax=ax, **plotted)
 

@@ -279,11 +279,15 @@ class PeriodicInnovations:
         n, K = self.n_states, n_harmonics
         psi = 2.0 * np.pi * np.arange(4 * K + 4) / (4 * K + 4)
         states = self.rows(psi).states
+        A, a = states[..., :n], states[..., -1]
+        # whatever units states are in
+        size = linalg.matrix_balance(np.mean(np.abs(A), axis=0), permute=False, separate=True)[1][0]
+        A, a = A / size[:, None] * size, a / size
         now, later = (harmonic_functions(psi + d, range(K + 1)) for d in (0.0, self.step))
-        moved = np.einsum("tij,tk->tikj", states[..., :n], now)
+        moved = np.einsum("tij,tk->tikj", A, now)
         kept = np.einsum("tk,ij->tikj", later, np.eye(n))
         design = (kept - moved).reshape(len(psi) * n, -1)
-        return linalg.lstsq(design, states[..., -1].ravel(), cond=HALF)[0].reshape(2 * K + 1, n)
+        return linalg.lstsq(design, a.ravel(), cond=HALF)[0].reshape(2 * K + 1, n) * size
 
 
 def _power(steps, exponent):

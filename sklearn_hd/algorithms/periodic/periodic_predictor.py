@@ -156,9 +156,10 @@ def forced_mean(segments, n_harmonics):
     """
     gram, products = 0.0, 0.0
     for u, y, psi in segments:
-        functions = harmonic_functions(psi, range(n_harmonics + 1))
-        gram = gram + functions.T @ functions
-        products = products + functions.T @ np.hstack([u, y])
+        for rows in _chunks(0, len(psi), 2 * n_harmonics + 1):
+            functions = harmonic_functions(psi[rows], range(n_harmonics + 1))
+            gram = gram + functions.T @ functions
+            products = products + functions.T @ np.hstack([u[rows], y[rows]])
     found = linalg.lstsq(gram, products)[0]
     return found[:, : segments[0][0].shape[1]], found[:, segments[0][0].shape[1] :]
 

@@ -146,6 +146,31 @@ def sampled_harmonics(values, n_harmonics):
     return coefficients
 
 
+def all_harmonics(values):
+    """Fourier coefficients of the trigonometric polynomial through equally spaced samples.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_phases, ...)
+        From ψ = 0.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 N + 1, ...)
+        N = n_phases // 2; of an even number of samples, that harmonic is a cosine.
+
+    Examples
+    --------
+    >>> (all_harmonics(np.array([3.0, -1.0])) + 0.0).tolist()
+    [1.0, 2.0, 0.0]
+    """
+    n_phases = len(values)
+    coefficients = sampled_harmonics(values, n_phases // 2)
+    if n_phases % 2 == 0:
+        coefficients[-2:] *= 0.5 * np.array([1.0, 0.0]).reshape(2, *(1,) * (values.ndim - 1))
+    return coefficients
+
+
 def complex_transformation(n_harmonics):
     """Matrix W that takes real coefficients to complex ones, S = W s.
 

@@ -6,9 +6,8 @@ its change from a turn before, d_i, which no constant and no waveform of the tur
     e_k = Σ_i Σ_turn k d_i(ψ)² / Σ_record d_i(ψ)²,   rests: e_k ≤ 4 × the mean of the quieter half
 
 if what the others hold, turn for turn, is a hundred times that mean. How long a record rests does
-not matter. In how many directions within the turn inputs moved is the rank of their changes, a row
-per turn: an edge shorter than a turn adds one, and all edges share the whole turn. The analyzer
-needs both to choose how a record is read, the period reading needs rest to find free decays.
+not matter. The analyzer needs it to choose how a record is read, the period reading to find free
+decays.
 """
 
 import numpy as np
@@ -16,14 +15,12 @@ import numpy as np
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.signals.resampling import interpolate
 
-__all__ = ["changes", "energy_by_turn", "inputs_rest", "moved_directions", "rests"]
+__all__ = ["changes", "energy_by_turn", "inputs_rest", "rests"]
 
 DUST = 1e-4  # of a signal, that splines through 7 samples a turn may miss
 LEAST_TURNS = 12  # of which some rest: fewer tell no Poincaré map
 LIKE = 4.0  # times the mean of the quieter half: what noise gives in no turn
-PLACES = 16  # in a turn at which edges are told apart
 QUIET = 0.01  # of the energy of a turn that moves, which one at rest may hold
-SLIGHT = 1e-3  # of the energy of the strongest direction, below which others are not counted
 TURN = 2.0 * np.pi
 
 
@@ -108,50 +105,6 @@ def inputs_rest(inputs, psi):
     moves = [changes(values, p) for values, p in zip(inputs, psi, strict=True)]
     energy = np.concatenate(energy_by_turn(moves, psi)[0])
     return len(energy) >= LEAST_TURNS and bool(rests(energy).any())
-
-
-def moved_directions(inputs, psi):
-    """Number of directions within the turn in which inputs moved, of those above their noise.
-
-    Parameters
-    ----------
-    inputs : list of ndarray, shapes (n_samples_s, n_inputs)
-        Of each segment; those of less than two turns tell nothing.
-    psi : list of ndarray, shapes (n_samples_s,)
-        Azimuth in rad, growing.
-
-    Returns
-    -------
-    n_directions : int
-        At most one more than the edges of inputs that are held between edges.
-
-    Examples
-    --------
-    >>> psi = 2 * np.pi * np.arange(640) / 16
-    >>> widths = [64, 30, 35, 511]
-    >>> doublet = np.repeat([0.0, 1.0, -1.0, 0.0], widths)[:, None]
-    >>> moved_directions([doublet], [psi])
-    3
-    """
-    rows = []
-    for values, p in zip(*_told(inputs, psi), strict=True):
-        other = np.where(p < 0.5 * (p[0] + p[-1]), p + TURN, p - TURN)
-        held = np.searchsorted(p, other + HALF, side="right") - 1
-        n_turns = int((p[-1] - p[0]) / TURN + HALF)
-        place = np.floor((p - p[0]) / TURN * PLACES + HALF).astype(int)
-        known = np.maximum(np.bincount(place, minlength=n_turns * PLACES), 1)
-        means = [np.bincount(place, c, len(known)) / known for c in (values - values[held]).T]
-        means = np.array(means)[:, : n_turns * PLACES]
-        rows.append(means.reshape(len(means), n_turns, PLACES).swapaxes(0, 1))
-    if not rows:
-        return 0
-    turns = np.concatenate(rows)
-    largest = np.max(np.abs(turns), axis=(0, 2), keepdims=True)[0]
-    turns = (turns / np.where(largest > 0.0, largest, 1.0)).reshape(len(turns), -1)
-    still = np.sort(np.mean(turns**2, axis=1))[: max(1, len(turns) // 2)]
-    noise = LIKE * np.mean(still) * np.sum(np.sqrt(turns.shape)) ** 2
-    power = np.linalg.svd(turns, compute_uv=False) ** 2
-    return int(np.sum(power > np.maximum(noise, SLIGHT * power[0])))
 
 
 def _told(inputs, psi):

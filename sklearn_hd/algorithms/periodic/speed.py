@@ -1,0 +1,274 @@
+"""The speed of a machine, as precisely as its record tells it.
+
+A machine that turns has an orbit, a waveform w of the turn beside which what inputs do is small:
+
+    y(t) = w(ψ) + r(t),   ψ = ω t,   ∂y/∂δ = (ψ − ψ̄) w′(ψ)   for ω (1 + δ)
+
+Over hundreds of turns a speed that is off by a millionth leaves more of the orbit than r is. Two
+kinds of Gauss-Newton steps for δ follow each other:
+
+1. beside the Fourier coefficients of w, with r as if it were white; on some turns about the
+   middle first, then on more, so that no step is longer than a part of a turn;
+2. of what a periodic predictor leaves (:func:`~.periodic_predictor.azimuth_drift`), in which r is
+   explained by what was before, as long as it leaves less and less. That is ten to a thousand
+   times as precise, but a predictor with poles near one imitates an orbit that drifts, so it
+   comes last.
+
+Either half of the record has to show the orbit of the other: without one (a trim subtracted) speeds
+stay as given. And the new one has to be worth it: the predictor leaves less by Rao's and by the
+likelihood ratio test. The analyzer needs it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_predictor import (
+    LagSums,
+    Layout,
+    azimuth_drift,
+    forced_mean,
+)
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+
+LEAST_TURNS = 3.0  # of a record: fewer repeat nothing
+FIRST_TURNS = 16  # about the middle, of the first steps: speeds off by a hundredth are found
+MORE_TURNS = 4  # times as many in the next
+MOST_STEPS = 8
+MOST_ROWS = 20_000  # looked at of longer records
+PLACES = 16  # evenly over the record, at which these lie
+LAGS = 8  # of the predictor
+ROWS_PER_COLUMN = 5  # of its regression, below which it is largely noise
+ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds
+SURE = 5.0  # standard deviations at which another speed is no chance
+WORTH = 0.01  # of what a predictor leaves, that another speed has to explain
+
+
+class Speed(NamedTuple):
+    """Another speed than the one given.
+
+    Attributes
+    ----------
+    omega, std : float
+        rad/s.
+    turns : float
+        By which the azimuth would have gone astray over the record.
+    moved : float
+        What that is of the outputs about their waveforms, in parts of their energy.
+    """
+
+    omega: float
+    std: float
+    turns: float
+    moved: float
+
+
+def measured_speed(segments, omega, n_harmonics):
+    """The speed at which a record repeats itself, if surely another than some.
+
+    Parameters
+    ----------
+    segments : list of (inputs, outputs, time)
+        Evenly sampled, shapes (n_s, m), (n_s, l), (n_s,).
+    omega : float
+        rad/s.
+    n_harmonics : int
+        Of the waveform.
+
+    Returns
+    -------
+    speed : Speed or None
+        None where the record tells no other speed.
+    """
+    segments = _alike(_some_rows(segments))
+    n_rows = sum(len(y) for _, y, _ in segments)
+    layout = _layout(segments, n_rows, n_harmonics)
+    turns = _span(segments) * omega / (2.0 * np.pi)
+    if n_harmonics < 1 or layout is None or turns < LEAST_TURNS:
+        return None
+    given = _Predicted.of(segments, omega, layout)
+    start = _along_waveform(segments, omega, n_harmonics)
+    start = max(omega, start, key=lambda each: _orbit(segments, each, n_harmonics))
+    found = given if start == omega else _Predicted.of(segments, start, layout)
+    for _ in range(MOST_STEPS):
+        if not abs(found.t) > 1.0:
+            break
+        ahead = _Predicted.of(segments, found.omega * (1.0 + found.drift), layout)
+        if not ahead.left < found.left:
+            break
+        found = ahead
+    off, std = found.omega / omega - 1.0, found.std
+    enough = max(SURE**2, WORTH * n_rows)
+    if _orbit(segments, found.omega, n_harmonics) < ORBIT:
+        return None
+    if not ((off / std) ** 2 > enough and n_rows * (given.left - found.left) > enough):
+        return None
+    slopes, rest, _ = _waveform_slopes(segments, found.omega, n_harmonics)
+    moved = float(np.max(off**2 * np.sum(slopes**2, axis=0) / _energy(rest)))
+    return Speed(found.omega, std * omega, abs(off) * turns, moved)
+
+
+def _some_rows(segments):
+    """Segments, or pieces of them evenly over a long record."""
+    ends = np.cumsum([len(y) for _, y, _ in segments])
+    if ends[-1] <= MOST_ROWS:
+        return segments
+    length = MOST_ROWS // PLACES
+    starts = np.linspace(0, ends[-1] - length, PLACES).astype(int)
+    pieces = []
+    for segment, end in zip(segments, ends, strict=True):
+        for start in starts - (end - len(segment[1])):
+            rows = slice(max(0, start), min(start + length, len(segment[1])))
+            if rows.stop - rows.start > LAGS:
+                pieces.append(tuple(z[rows] for z in segment))
+    return pieces
+
+
+def _alike(segments):
+    """Signals in parts of their largest values, about zero: no square overflows."""
+    middles, sizes = [], []
+    for k in (0, 1):
+        values = np.vstack([s[k] for s in segments])
+        middles.append(0.5 * (values.min(axis=0) + values.max(axis=0)))
+        size = np.max(np.abs(values - middles[k]), axis=0)
+        sizes.append(np.where(size > 0.0, size, 1.0))
+    return [
+        ((u - middles[0]) / sizes[0], (y - middles[1]) / sizes[1], time) for u, y, time in segments
+    ]
+
+
+def _span(segments):
+    """Seconds from the first row to the last."""
+    return np.ptp([t for *_, time in segments for t in time[[0, -1]]])
+
+
+def _layout(segments, n_rows, n_loads):
+    """The predictor that so many rows determine; None where that is none."""
+    m, n_outputs = segments[0][0].shape[1], segments[0][1].shape[1]
+    for lags in range(LAGS, 0, -1):
+        layout = Layout(m, n_outputs, lags, 1, 1, n_loads, False)
+        if n_rows >= ROWS_PER_COLUMN * layout.n_columns:
+            return layout
+    return None
+
+
+def _energy(values):
+    """Of each column, one where there is none."""
+    found = np.sum(values**2, axis=0)
+    return np.where(found > 0.0, found, 1.0)
+
+
+# ---- beside the waveform -----------------------------------------------------------------------
+
+
+def _along_waveform(segments, omega, n_harmonics):
+    """The speed at which least is left beside one waveform; that given where it is no orbit."""
+    time = np.concatenate([t for *_, t in segments])
+    middle, turns, found = 0.5 * (time.min() + time.max()), FIRST_TURNS, omega
+    whole = np.max(np.abs(time - middle)) * omega / np.pi
+    while True:
+        near = [
+            tuple(z[np.abs(s[2] - middle) * omega <= np.pi * turns] for z in s) for s in segments
+        ]
+        near = [s for s in near if len(s[1])]
+        n_rows = sum(len(y) for _, y, _ in near)
+        if n_rows >= ROWS_PER_COLUMN * (2 * n_harmonics + 2):
+            found = _steps(near, found, n_harmonics)
+        if turns >= whole:
+            break
+        turns *= MORE_TURNS
+    return found
+
+
+def _orbit(segments, omega, n_harmonics):
+    """Share of an output's energy that the waveform of the other half of the record holds.
+
+    The largest of all outputs, the least of both halves.
+    """
+    y, time = np.vstack([y for _, y, _ in segments]), np.concatenate([t for *_, t in segments])
+    X, first = harmonic_functions(omega * time, range(n_harmonics + 1)), time < np.median(time)
+    shares = []
+    for half in (first, ~first):
+        waveform = linalg.lstsq(X[~half], y[~half])[0]
+        rest, moved = y[half] - X[half] @ waveform, y[half] - y[half].mean(axis=0)
+        shares.append(1.0 - np.sum(rest**2, axis=0) / _energy(moved))
+    return float(np.max(np.min(shares, axis=0)))
+
+
+def _steps(segments, omega, n_harmonics):
+    """Gauss-Newton steps, each output weighed by what the waveform leaves of it."""
+    for _ in range(MOST_STEPS):
+        slopes, rest, _ = _waveform_slopes(segments, omega, n_harmonics)
+        weights = 1.0 / _energy(rest)
+        information = np.sum(slopes**2 * weights)
+        if information <= 0.0:
+            break
+        drift = np.sum(slopes * rest * weights) / information
+        omega *= 1.0 + drift
+        if drift**2 * information * len(rest) < 1.0:
+            break
+    return omega
+
+
+def _waveform_slopes(segments, omega, n_harmonics):
+    """Slopes of the outputs by δ beside their waveform, what it leaves of them, and outputs."""
+    y, psi = (
+        np.vstack([y for _, y, _ in segments]),
+        omega * np.concatenate([t for *_, t in segments]),
+    )
+    X, k = harmonic_functions(psi, range(n_harmonics + 1)), np.arange(1, n_harmonics + 1)
+    Q, R = linalg.qr(X, mode="economic")
+    waveform = linalg.lstsq(R, Q.T @ y)[0]
+    turned = np.zeros_like(waveform)
+    turned[1::2], turned[2::2] = k[:, None] * waveform[2::2], -k[:, None] * waveform[1::2]
+    slopes = (X @ turned) * (psi - psi.mean())[:, None]
+    return slopes - Q @ (Q.T @ slopes), y - X @ waveform, y
+
+
+# ---- by prediction -----------------------------------------------------------------------------
+
+
+class _Predicted(NamedTuple):
+    """What a predictor leaves at some speed, and where its errors lead.
+
+    Attributes
+    ----------
+    omega : float
+        rad/s.
+    drift, t : float
+        δ, and the same in standard errors.
+    left : float
+        Logarithm of the determinant of the covariance that predictions leave.
+    """
+
+    omega: float
+    drift: float
+    t: float
+    left: float
+
+    @property
+    def std(self):
+        """Standard deviation of δ; infinite where the record tells nothing of it."""
+        return abs(self.drift / self.t) if self.t else np.inf
+
+    @classmethod
+    def of(cls, segments, omega, layout):
+        """Of some segments, about their periodic means at this speed, in like units."""
+        turning = [(u, y, omega * t) for u, y, t in segments]
+        means = forced_mean(turning, layout.n_loads)
+        turning = [
+            (u - evaluate_harmonics(means[0], psi), y - evaluate_harmonics(means[1], psi), psi)
+            for u, y, psi in turning
+        ]
+        n_rows = sum(len(y) for _, y, _ in turning)
+        scales = [np.sqrt(_energy(np.vstack([s[k] for s in turning])) / n_rows) for k in (0, 1)]
+        alike = [(u / scales[0], y / scales[1], psi) for u, y, psi in turning]
+        predictor = LagSums.of(alike, layout).predictor()
+        means = tuple(mean / scale for mean, scale in zip(means, scales, strict=True))
+        drift, t, _ = azimuth_drift(alike, means, predictor)
+        covariance = predictor.covariance + EXACT * np.eye(layout.n_outputs)
+        left = np.linalg.slogdet(covariance)[1] + 2.0 * np.sum(np.log(scales[1]))
+        return cls(omega, drift, t, float(left))

@@ -1,0 +1,100 @@
+"""The speed that a record tells: exact where it is exact, and never worse than the one given."""
+
+import numpy as np
+import pytest
+
+from sklearn_hd.algorithms.periodic.speed import measured_speed
+from sklearn_hd.datasets import make_flapping_wing
+
+OMEGA = 2 * np.pi
+T = np.arange(3000) / 20.3  # 148 turns
+
+
+def orbit(psi):
+    return np.column_stack([3 + np.cos(psi) + 0.2 * np.sin(3 * psi), np.sin(psi - 0.4)])
+
+
+def answer(u, size=0.02, seed=0, noise=1e-3):
+    """What an input does, and the sensors' noise: a lag, seen by both outputs."""
+    x = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        x[k + 1] = 0.9 * x[k] + 0.1 * u[k]
+    e = np.random.default_rng(seed).standard_normal((len(u), 2))
+    return size * (x[:, None] * [1.0, -0.5] + noise * e)
+
+
+def steps(seed=0):
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.choice([-1.0, 0.0, 1.0], 300), 10)
+
+
+def told(y, given, u=None, time=T):
+    u = steps() if u is None else u
+    return measured_speed([(u[:, None], y, time)], given, 9)
+
+
+@pytest.mark.parametrize("off", [1e-6, 1e-5, -1e-4, 1e-3, -0.01, 0.02])
+def test_any_speed_nearby_leads_to_the_true_one(off):
+    y = orbit(OMEGA * T) + answer(steps())
+    found = told(y, OMEGA * (1 + off))
+    assert abs(found.omega / OMEGA - 1) < 5e-8
+    assert abs(found.omega - OMEGA) < 5 * found.std
+    assert found.turns == pytest.approx(abs(off) * T[-1], rel=0.1)
+
+
+def test_the_true_speed_stays_to_the_last_digit():
+    for seed in range(20):
+        u = steps(seed)
+        assert told(orbit(OMEGA * T) + answer(u, seed=seed), OMEGA, u) is None
+
+
+def test_the_standard_deviation_holds():
+    """Errors over deviations of 30 records: rms 1, of which 0.7 to 1.3 is what chance gives."""
+    scores = []
+    for seed in range(30):
+        u = steps(seed)
+        y = orbit(OMEGA * T) + answer(u, seed=seed, noise=0.05)
+        found = told(y, OMEGA * (1 + 1e-4), u)
+        scores.append((found.omega - OMEGA) / found.std)
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
+
+
+@pytest.mark.parametrize("scale", [1e-140, 1e-9, 1e12, 1e140])
+def test_units_do_not_matter(scale):
+    y = orbit(OMEGA * T) + answer(steps())
+    one, other = (told(each, OMEGA * (1 + 1e-5)) for each in (y, scale * y))
+    assert other.omega == pytest.approx(one.omega, rel=1e-12)
+    assert other.moved == pytest.approx(one.moved, rel=1e-6)
+
+
+def test_segments_go_on_from_one_another():
+    y, u = orbit(OMEGA * T) + answer(steps()), steps()
+    parts = [slice(0, 900), slice(1111, 2000), slice(2050, 3000)]
+    segments = [(u[p, None], y[p], T[p]) for p in parts]
+    found = measured_speed(segments, OMEGA * (1 + 3e-5), 9)
+    assert abs(found.omega / OMEGA - 1) < 1e-7
+
+
+def test_a_long_record_is_looked_at_in_places():
+    time = np.arange(60_000) / 20.3
+    u = np.resize(steps(), len(time))
+    found = told(orbit(OMEGA * time) + answer(u), OMEGA * (1 + 1e-4), u, time)
+    assert abs(found.omega / OMEGA - 1) < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["lti", "ltp", "lti-signal"])
+@pytest.mark.parametrize("off", [0.0, 1e-5, 1e-3, 0.01])
+def test_without_an_orbit_speeds_stay_as_given(kind, off):
+    data = make_flapping_wing(kind, n_periods=60, start=5, random_state=0)
+    u, y = (frame.to_numpy() for frame in (data.inputs, data.outputs))
+    given = data.omega * (1 + off)
+    assert measured_speed([(u, y, data.inputs.index.to_numpy())], given, 9) is None
+
+
+def test_what_is_too_short_or_still_tells_nothing():
+    y, u = orbit(OMEGA * T) + answer(steps()), steps()
+    assert measured_speed([(u[:50, None], y[:50], T[:50])], OMEGA * 1.01, 9) is None
+    assert measured_speed([(u[:, None], y, T)], OMEGA * 1.01, 0) is None
+    assert told(np.ones((3000, 2)), OMEGA * 1.01) is None
+    noise = np.random.default_rng(0).standard_normal((3000, 2))
+    assert told(noise, OMEGA * 1.01) is None
