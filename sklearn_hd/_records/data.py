@@ -333,11 +333,11 @@ def sample(signals, basis, outputs=None):
         present = np.logical_and.reduce([np.isfinite(z).all(axis=1) for z in given])
     step, shortest, places = basis.grid(signals)
     sampling = lay_grid(base, places, present, step, timing, shortest)
-    return (
-        sampling,
-        sampling.onto_grid(inputs, held),
-        None if outputs is None else sampling.onto_grid(outputs),
-    )
+    if outputs is None:
+        return sampling, sampling.onto_grid(inputs, held), None
+    moved = base.jitter[1] > 0.0 or timing.resampled or timing.azimuth is not None
+    omega = basis.omega if basis.harmonic and moved else None
+    return sampling, sampling.onto_grid(inputs, held), sampling.onto_grid(outputs, omega=omega)
 
 
 def without_trim(blocks, times, basis, trim):

@@ -12,7 +12,8 @@ mechanism serves every record that is not so:
    pass unchanged, bit by bit. Any other (an azimuth, jitter, or no whole number
    of samples in a period) gets the multiples of the grid step that lie within
    it, and its signals are resampled onto them: held inputs by their means, all
-   else by splines;
+   else by splines, outputs about their mean waveform of the turn: it is known at
+   every azimuth, and may be a thousand times what moves about it;
 4. all that comes out, coefficients and predictions, is brought back to the
    user's own rows by the same splines; rows in no piece get NaN.
 """
@@ -25,6 +26,9 @@ import numpy as np
 from sklearn_hd._checks import RAISE, at
 from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import RANK
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_predictor import forced_mean
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,
     interpolate,
@@ -32,6 +36,9 @@ from sklearn_hd.algorithms.signals.resampling import (
     uniform_grid,
 )
 from sklearn_hd.exceptions import ResamplingWarning
+
+MOST_HARMONICS = 50  # of a mean waveform
+ROWS_PER_COLUMN = 5  # of its regression
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +110,7 @@ class Sampling:
     n_rows: int
     clock: np.ndarray
 
-    def onto_grid(self, values, held=False):
+    def onto_grid(self, values, held=False, omega=None):
         """The user's rows of some signals on the grid, one array a segment.
 
         Parameters
@@ -111,9 +118,22 @@ class Sampling:
         values : ndarray, shape (n_rows, n_signals)
         held : bool or ndarray of bool, shape (n_signals,)
             Which signals are held from row to row; the others are smooth.
+        omega : float, optional
+            rad/s; splines are then of what signals do about their mean waveform.
         """
         held = np.broadcast_to(held, values.shape[1:])
-        return [piece.onto_grid(values, held) for piece in self.pieces]
+        moved = [piece for piece in self.pieces if not piece.is_grid]
+        if omega is None or not moved:
+            return [piece.onto_grid(values, held) for piece in self.pieces]
+        parts = [(values[piece.rows], omega * piece.places) for piece in moved]
+        waveform, values = mean_waveform(parts), values.copy()
+        for piece, (_, psi) in zip(moved, parts, strict=True):
+            values[piece.rows] -= evaluate_harmonics(waveform, psi)
+        found = [piece.onto_grid(values, held) for piece in self.pieces]
+        for piece, block in zip(self.pieces, found, strict=True):
+            if not piece.is_grid:
+                block += evaluate_harmonics(waveform, omega * piece.grid)
+        return found
 
     def back(self, blocks, beside=None):
         """Values on the grid, one array a segment, at the user's rows; NaN in no piece.
@@ -126,6 +146,21 @@ class Sampling:
             if beside is not None:
                 result[piece.rows] += beside[i]
         return result
+
+
+def mean_waveform(parts):
+    """Fourier coefficients of the mean waveform of signals, of as many harmonics as rows tell.
+
+    Parameters
+    ----------
+    parts : list of (values, psi)
+        Shapes (n_rows_s, n_signals), (n_rows_s,).
+    """
+    steps = np.concatenate([np.diff(psi) for _, psi in parts])
+    told = np.pi / np.median(steps) if len(steps) else 1.0
+    n_rows = sum(len(psi) for _, psi in parts)
+    count = int(np.ceil(min(told, n_rows / (2 * ROWS_PER_COLUMN), MOST_HARMONICS + 1))) - 1
+    return forced_mean([(y[:, :0], y, psi) for y, psi in parts], max(count, 0))[1]
 
 
 def lay_grid(base, places, present, step, timing, shortest=1):
@@ -221,23 +256,29 @@ def warn_of_resampling(basis, inputs, outputs):
 
 def _resampling_error(basis, inputs, outputs):
     """Bound of the error of the splines, in words; held inputs keep their areas."""
-    smooth = ~basis.held
-    names = [basis.inputs[i][0] for i in np.flatnonzero(smooth)]
-    blocks = [inputs.data[:, smooth]]
+    rows = max(inputs.base.segments, key=lambda segment: segment.stop - segment.start)
+    places = inputs.places(basis.omega, basis.sample_time)[rows]
+    smooth = np.flatnonzero(~basis.held)
+    names, values = [basis.inputs[i][0] for i in smooth], _filled(inputs.data[rows][:, smooth])
     if outputs is not None:
         names += [signal for signal, _ in basis.outputs]
-        blocks.append(outputs)
+        y, psi = _filled(outputs[rows]), basis.omega * places
+        moving = y - evaluate_harmonics(mean_waveform([(y, psi)]), psi)
+        values = np.hstack(
+            [values, np.where(np.abs(moving) > RANK * np.abs(y).max(0), moving, 0.0)]
+        )
     if not names:
         return ""
-    rows = max(inputs.base.segments, key=lambda segment: segment.stop - segment.start)
-    values = np.hstack(blocks)[rows]
-    values = values - np.nanmean(values, axis=0)
-    values[np.isnan(values)] = 0.0
     size = np.sqrt(np.mean(values**2, axis=0))
-    places = inputs.places(basis.omega, basis.sample_time)[rows]
     shares = interpolation_error(values, places) / np.where(size > 0.0, size, 1.0)
     listed = ", ".join(f"{s:.1g} of {n!r}" for n, s in zip(names, shares, strict=True))
     return (
-        f"The interpolation error is at most (rms, as a share of each signal) {listed}; standard "
-        f"deviations do not include it. "
+        f"The interpolation error is at most (rms, as a share of each signal, of outputs about "
+        f"their mean waveform) {listed}; standard deviations do not include it. "
     )
+
+
+def _filled(values):
+    """Signals about their means, zero where they are missing."""
+    values = values - np.nanmean(values, axis=0)
+    return np.where(np.isnan(values), 0.0, values)
