@@ -31,6 +31,7 @@ __all__ = [
     "of_multipliers",
     "of_second_order",
     "warn_unconfirmed",
+    "why_unconfirmed",
 ]
 
 DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has another answer beyond
@@ -264,8 +265,8 @@ def _within(exponent, error):
     return f"{exponent:.4g} ± {error:.2g}" if error > 0.0 else f"{exponent:.4g}"
 
 
-def warn_unconfirmed(exponents, opinion):
-    """Warn of exponents that the second opinion does not confirm.
+def why_unconfirmed(exponents, opinion):
+    """What of some exponents the second opinion does not confirm, and the way out; or "".
 
     Parameters
     ----------
@@ -273,8 +274,12 @@ def warn_unconfirmed(exponents, opinion):
         Of the model, 1/s.
     opinion : Opinion or None
     """
-    if opinion is None or searching():
-        return
-    words = contradictions(np.asarray(exponents, complex), opinion)
+    words = "" if opinion is None else contradictions(np.asarray(exponents, complex), opinion)
+    return f"{words}; {WAY_OUT}" if words else ""
+
+
+def warn_unconfirmed(exponents, opinion):
+    """Warn of exponents that the second opinion does not confirm."""
+    words = "" if searching() else why_unconfirmed(exponents, opinion)
     if words:
-        warn(f"{words}; {WAY_OUT}", IdentifiabilityWarning)
+        warn(words, IdentifiabilityWarning)

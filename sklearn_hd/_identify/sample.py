@@ -8,6 +8,7 @@
 """
 
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from scipy import linalg
@@ -24,12 +25,13 @@ from sklearn_hd._identify.sample_checks import (
     root_mean_square,
     warn_of_growth,
     warn_of_little,
-    warn_of_rest,
+    why_no_noise,
 )
 from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd._identify.statistics import Facts
-from sklearn_hd._opinion import Opinion, more_doubtful, of_halves, warn_unconfirmed
+from sklearn_hd._opinion import Opinion, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.stability import GROWN
@@ -44,6 +46,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     futures_known,
 )
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
+from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
@@ -55,6 +58,8 @@ LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
+MOST_SIMPLER = 4  # models with fewer states that are looked at if the best one is in doubt
+AS_LITTLE = 1.1  # times what another model leaves: no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,51 +171,93 @@ def identify(data, settings, experiment):
     predictor = sums.predictor()
     states = _States.of(data, predictor, settings)
     choice = _Choice(data, states, settings, basis, layout)
-    best, innovations = choice.best()
-    innovations, ahead = choice.refined(innovations, best.stable)
-    warn_of_rest(choice.simulated, innovations, predictor)
-    innovations = innovations.in_units(*data.scales).about(*data.means).about_orbit()
-    model = SampleModel(
-        innovations,
-        basis.omega,
-        basis.sample_time,
-        basis.input_signals,
-        basis.output_labels,
-        layout.feedthrough,
-        basis.most_loads,
-        data.means[0],
-    )
-    warn_of_little(layout, sums.n_rows, best, basis)
-    warn_of_growth(model, best, data)
-    doubt = 0.0
-    if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
-        halves = _of_halves(model, data, layout, best, settings, basis)
-        exponents, own = model.exponents(), _of_its_likelihood(ahead, basis.omega)
-        model = replace(model, opinion=more_doubtful(exponents, halves, own))
-        warn_unconfirmed(exponents, model.opinion)
-        doubt = 0.0 if model.opinion is None else model.opinion.doubt(exponents)
-    x0 = np.array([choice.start(innovations, s) for s in range(len(data.segments))])
+    found = _Found.of(choice, choice.best(), predictor)
+    if settings.order == "auto" and found.in_doubt and not searching():
+        few = islice(choice.simpler(found.chosen), MOST_SIMPLER)
+        simpler = (_Found.of(choice, one, predictor) for one in few)
+        found = next((each for each in simpler if each.serves_as_well_as(found)), found)
+    model, chosen = found.model, found.chosen
+    for message in found.against:
+        warn(message, IdentifiabilityWarning)
+    warn_of_little(layout, sums.n_rows, chosen, basis)
+    warn_of_growth(model, chosen, data)
+    x0 = np.array([choice.start(model.innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
     return SubspaceFit(
         model,
         x0,
         layout.n_lags,
-        best.order,
+        chosen.order,
         states.singular_values,
         floor,
         reason,
         tuple(choice.tried),
-        doubt=doubt,
+        doubt=0.0 if model.opinion is None else model.opinion.doubt(model.exponents()),
     )
 
 
-def _of_halves(model, data, layout, best, settings, basis):
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A model after steps of its likelihood, and what speaks against it.
+
+    Attributes
+    ----------
+    chosen : Simulated
+        What it was chosen by.
+    left : float
+        Of the outputs' variance, by a simulation.
+    model : SampleModel
+    against : list of str
+    """
+
+    chosen: Simulated
+    left: float
+    model: SampleModel
+    against: list
+
+    @property
+    def in_doubt(self):
+        """Whether anything speaks against it."""
+        return bool(self.against)
+
+    def serves_as_well_as(self, other):
+        """Whether nothing speaks against it, and simulations leave no more of the outputs."""
+        return not self.in_doubt and self.left <= AS_LITTLE * other.left
+
+    @classmethod
+    def of(cls, choice, chosen, predictor):
+        """The model of one of the orders and numbers of harmonics tried."""
+        data, basis, layout = choice.data, choice.basis, choice.layout
+        innovations, ahead = choice.refined(choice.whole(chosen), chosen.stable)
+        left = choice.compared(chosen.order, chosen.n_harmonics, innovations).variance
+        against = [why_no_noise(choice.simulated, innovations, predictor)]
+        model = SampleModel(
+            innovations.in_units(*data.scales).about(*data.means).about_orbit(),
+            basis.omega,
+            basis.sample_time,
+            basis.input_signals,
+            basis.output_labels,
+            layout.feedthrough,
+            basis.most_loads,
+            data.means[0],
+        )
+        if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
+            exponents = model.exponents()
+            halves = _of_halves(model, choice, chosen)
+            own = _of_its_likelihood(ahead, basis.omega)
+            model = replace(model, opinion=more_doubtful(exponents, halves, own))
+            against.append(why_unconfirmed(exponents, model.opinion))
+        return cls(chosen, left, model, [words for words in against if words])
+
+
+def _of_halves(model, whole, chosen):
     """Exponents of the two halves of a record, of the same order, lags and harmonics.
 
     Each half has as much of the outputs' motion: of a record that is at rest for long, and of a
     chirp, half of the rows may tell nothing. None where a half is too short for the predictor, or
     one turn does not tell exponents apart.
     """
+    data, layout = whole.data, whole.layout
     ends = np.cumsum([len(y) for _, y, _ in data.segments])
     motion = np.cumsum(np.concatenate([np.sum(y**2, axis=1) for _, y, _ in data.segments]))
     least = layout.n_columns + len(ends) * layout.n_lags
@@ -226,13 +273,13 @@ def _of_halves(model, data, layout, best, settings, basis):
         if _told(replace(data, segments=segments), layout.n_lags) < layout.n_columns:
             return None
         half = replace(data, segments=segments)
-        fixed = replace(settings, order=best.order)
+        fixed = replace(whole.settings, order=chosen.order)
         states = _States.of(half, LagSums.of(segments, layout).predictor(), fixed)
-        choice = _Choice(half, states, fixed, basis, layout)
-        found = choice.model(choice.sums, best.order, best.n_harmonics)
-        found, _ = choice.refined(found, best.stable)
+        choice = _Choice(half, states, fixed, whole.basis, layout)
+        found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
+        found, _ = choice.refined(found, chosen.stable)
         exponents.append(replace(model, innovations=found).exponents())
-    return of_halves(model.exponents(), exponents, basis.omega)
+    return of_halves(model.exponents(), exponents, whole.basis.omega)
 
 
 def _of_its_likelihood(ahead, omega):
@@ -429,7 +476,7 @@ class _Choice:
         return StateSums.of(rows, count, self.basis.most_loads)
 
     def best(self):
-        """The model of the least criterion: a Simulated, a PeriodicInnovations."""
+        """What the model of the least criterion leaves: a Simulated."""
         asked = self.settings.order
         orders = range(1, self.states.bound + 1) if asked == "auto" else [asked]
         n_values = sum(y.size for _, y, _ in self.simulated)
@@ -438,7 +485,7 @@ class _Choice:
             before = None
             for count in self._counts():
                 innovations = self.model(self.sums, order, count)
-                one = self._compared(order, count, innovations)
+                one = self.compared(order, count, innovations)
                 self.tried.append(one)
                 self.possible.append(innovations.is_possible())
                 if before is not None and one.bic >= before.bic:
@@ -454,8 +501,20 @@ class _Choice:
                 f"{self.tried[-1].order}) is stable; use stable=False and predict_ahead, another "
                 f"order, or fewer harmonics"
             )
-        order, count = found.order, found.n_harmonics
-        return found, self.model(self._sums(order, count, some=False), order, count)
+        return found
+
+    def whole(self, chosen):
+        """The model of some order and harmonics, of all rows."""
+        order, count = chosen.order, chosen.n_harmonics
+        return self.model(self._sums(order, count, some=False), order, count)
+
+    def simpler(self, chosen):
+        """Of each smaller order the best model tried, the largest first."""
+        for order in range(chosen.order - 1, 0, -1):
+            kept = [one for one in self._kept() if one.order == order and one.stable]
+            best = min(kept, key=lambda one: one.bic, default=None)
+            if best is not None:
+                yield best
 
     def refined(self, innovations, stable):
         """A model with the gain of its Kalman filter, after steps of its likelihood.
@@ -507,7 +566,7 @@ class _Choice:
         covariance, step = self.states.covariance, self.data.step
         return PeriodicInnovations(coefficients, gain, covariance, step, float(start))
 
-    def _compared(self, order, count, innovations):
+    def compared(self, order, count, innovations):
         """What simulations of one model leave."""
         D, longest = self.layout.feedthrough, self.data.longest
         rate = innovations.growth()

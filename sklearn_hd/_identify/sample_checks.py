@@ -85,17 +85,22 @@ def warn_of_little(layout, n_rows, best, basis):
         )
 
 
-def warn_of_rest(segments, innovations, predictor):
-    """Of predictions that leave so much more than the predictor they come from that it counts.
+def why_no_noise(segments, innovations, predictor):
+    """Why what predictions leave is no noise: so much more than the predictor they come from.
 
     The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
     same where states, order or harmonics have lost what it knew.
+
+    Returns
+    -------
+    words : str
+        Empty where nothing speaks against the model.
     """
     if searching():
-        return
+        return ""
     layout, n = predictor.layout, innovations.n_states
     if sum(len(y) for _, y, _ in segments) < ROWS_PER_COLUMN * layout.n_columns:
-        return  # the predictor itself is noise
+        return ""  # the predictor itself is noise
     m, n_outputs = layout.n_inputs, layout.n_outputs
     left, first = [], slice(0, 4 * layout.n_lags)
     for u, y, psi in segments:
@@ -104,21 +109,21 @@ def warn_of_rest(segments, innovations, predictor):
         left.append(rows.innovations(u, y, x0)[1])
     n_rows = sum(map(len, left))
     if not all(np.isfinite(e).all() for e in left):
-        return  # an InstabilityWarning says so
+        return ""  # an InstabilityWarning says so
     covariance = sum(e.T @ e for e in left) / n_rows
     floor = SENSOR_NOISE**2 * np.eye(n_outputs)
     own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))
     more = own - its
     spent = (n * (2 * n_outputs + m) + layout.feedthrough * n_outputs * m) * layout.n_functions
     saved = n_outputs * (layout.n_columns - 2 * layout.n_loads - 1) - spent
-    if more > 0.0 and n_rows * more > saved * np.log(n_rows):
-        warn(
-            f"the model's residuals are not noise: its one-step predictions leave "
-            f"{np.exp(more / n_outputs):.3g} times the variance that its own starting predictor "
-            f"({layout.n_lags} lags) leaves; states are missing or inaccurate: raise order=, "
-            f"change the number of harmonics or block_rows, and see residual_tests",
-            IdentifiabilityWarning,
-        )
+    if not (more > 0.0 and n_rows * more > saved * np.log(n_rows)):
+        return ""
+    return (
+        f"the model's residuals are not noise: its one-step predictions leave "
+        f"{np.exp(more / n_outputs):.3g} times the variance that its own starting predictor "
+        f"({layout.n_lags} lags) leaves; states are missing or inaccurate: raise order=, change "
+        f"the number of harmonics or block_rows, and see residual_tests"
+    )
 
 
 def warn_of_growth(model, best, data):
