@@ -60,6 +60,7 @@ PIECE = 4  # times the lags: the least piece of an unstable model that is simula
 PATIENCE = 6  # orders that may pass without a better one
 MOST_SIMPLER = 4  # models with fewer states that are looked at if the best one is in doubt
 AS_LITTLE = 1.1  # times what another model leaves: no more
+LITTLE = 1e-3  # of the outputs' variance, which the second order of a response explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +222,8 @@ class _Found:
         return bool(self.against)
 
     def serves_as_well_as(self, other):
-        """Whether nothing speaks against it, and simulations leave no more of the outputs."""
-        return not self.in_doubt and self.left <= AS_LITTLE * other.left
+        """Whether nothing speaks against it, and simulations leave little more of the outputs."""
+        return not self.in_doubt and self.left <= max(AS_LITTLE * other.left, LITTLE)
 
     @classmethod
     def of(cls, choice, chosen, predictor):

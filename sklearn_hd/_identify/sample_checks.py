@@ -4,6 +4,7 @@ import numpy as np
 
 from sklearn_hd._guards import searching
 from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
@@ -108,7 +109,7 @@ def why_no_noise(segments, innovations, predictor):
         x0 = rows.initial_state(u[first], y[first], innovations.covariance)
         left.append(rows.innovations(u, y, x0)[1])
     n_rows = sum(map(len, left))
-    if not all(np.isfinite(e).all() for e in left):
+    if not all(np.max(np.abs(e), initial=0.0) < OVERFLOW for e in left):
         return ""  # an InstabilityWarning says so
     covariance = sum(e.T @ e for e in left) / n_rows
     floor = SENSOR_NOISE**2 * np.eye(n_outputs)

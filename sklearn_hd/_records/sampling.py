@@ -28,7 +28,7 @@ from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.periodic.periodic_predictor import forced_mean
+from sklearn_hd.algorithms.signals.fourier import standing_lines
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,
     interpolate,
@@ -38,6 +38,7 @@ from sklearn_hd.algorithms.signals.resampling import (
 from sklearn_hd.exceptions import ResamplingWarning
 
 MOST_HARMONICS = 50  # of a mean waveform
+MOST_ROWS = 20_000  # it is read from
 ROWS_PER_COLUMN = 5  # of its regression
 
 
@@ -149,7 +150,9 @@ class Sampling:
 
 
 def mean_waveform(parts):
-    """Fourier coefficients of the mean waveform of signals, of as many harmonics as rows tell.
+    """Fourier coefficients of the mean waveform of signals, of the lines that stand out.
+
+    Others belong to what moves about the orbit: splines would miss more of them than they hold.
 
     Parameters
     ----------
@@ -159,8 +162,15 @@ def mean_waveform(parts):
     steps = np.concatenate([np.diff(psi) for _, psi in parts])
     told = np.pi / np.median(steps) if len(steps) else 1.0
     n_rows = sum(len(psi) for _, psi in parts)
-    count = int(np.ceil(min(told, n_rows / (2 * ROWS_PER_COLUMN), MOST_HARMONICS + 1))) - 1
-    return forced_mean([(y[:, :0], y, psi) for y, psi in parts], max(count, 0))[1]
+    most = min(told, n_rows / (4 * ROWS_PER_COLUMN), MOST_HARMONICS + 1)
+    return standing_lines(_first_rows(parts), max(int(np.ceil(most)) - 1, 0))
+
+
+def _first_rows(parts):
+    """Parts of a record until there are enough rows."""
+    before = np.cumsum([0, *(len(psi) for _, psi in parts)])
+    kept = [max(0, MOST_ROWS - int(n)) for n in before[:-1]]
+    return [(values[:n], psi[:n]) for (values, psi), n in zip(parts, kept, strict=True)]
 
 
 def lay_grid(base, places, present, step, timing, shortest=1):

@@ -10,7 +10,7 @@ from sklearn_hd._records.data import sample
 from sklearn_hd._tables import resolution
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
-from sklearn_hd.algorithms.periodic.periodic_predictor import forced_mean
+from sklearn_hd.algorithms.signals.fourier import standing_lines
 from sklearn_hd.algorithms.signals.lifting import lift
 from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands_out, turns_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -22,7 +22,6 @@ MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody s
 LEAST_TURNS = 2
 MOST_HARMONICS = 50  # of a waveform
 ROWS_PER_COLUMN = 5  # of their regression
-LINE = 20.0  # times the power beside it, which a line has by chance once in a thousand
 PARTS = 8  # of a record, by which a waveform is told from its motion
 NONE = 1e-9  # of the outputs: a waveform that is rounding
 
@@ -72,8 +71,7 @@ def _with_fast_waveform(basis, signals, outputs):
     """The basis with the waveform of the outputs in harmonics that are faster than the forced
     response which samples are fitted with.
 
-    Those whose lines stand out of the motion between them: at odd multiples of half a turn's
-    frequency.
+    Those whose lines stand out of the motion between them.
     """
     step = signals.base.sample_time
     highest = int(np.ceil(np.pi / basis.omega / step * (1.0 - PRECISION))) - 1
@@ -82,13 +80,8 @@ def _with_fast_waveform(basis, signals, outputs):
     known = np.isfinite(outputs).all(axis=1) & np.isfinite(psi)
     if highest <= basis.most_loads or known.sum() < ROWS_PER_COLUMN * (4 * highest + 1):
         return basis
-    _, found = forced_mean([(outputs[known, :0], outputs[known], 0.5 * psi[known])], 2 * highest)
-    power = found[1::2] ** 2 + found[2::2] ** 2
-    fast = np.zeros((2 * highest + 1, outputs.shape[1]))
-    for k in range(basis.most_loads + 1, highest + 1):
-        between = [i for i in range(2 * k - 4, 2 * k + 3, 2) if i < len(power)]
-        stands = power[2 * k - 1] > LINE * np.mean(power[between], axis=0)
-        fast[2 * k - 1 : 2 * k + 1] = np.where(stands, found[4 * k - 1 : 4 * k + 1], 0.0)
+    fast = standing_lines([(outputs[known], psi[known])], highest)
+    fast[: 2 * basis.most_loads + 1] = 0.0
     if not fast.any():
         return basis
     return replace(basis, output_trim=fast, trim_known=False)

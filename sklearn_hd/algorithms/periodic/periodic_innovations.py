@@ -388,14 +388,20 @@ class Rows:
         return np.einsum("tij,tj->ti", self.outputs, np.hstack([x, u]))
 
     def initial_state(self, inputs, outputs, covariance):
-        """The state that leaves the least innovations over some first rows."""
+        """The state that leaves the least innovations over some first rows.
+
+        Those before a predictor that is not stable overflows.
+        """
         n, u = self.n_states, _with_one(inputs)
         first = self.first(len(u))
         stable, forcing = first._predictor(u, outputs)
         both = np.concatenate([forcing[..., None], np.zeros((*forcing.shape, n))], axis=-1)
         x = propagate_varying(stable, both, np.hstack([np.zeros((n, 1)), np.eye(n)]))
-        left = outputs - np.einsum("tij,tj->ti", first.outputs, np.hstack([x[..., 0], u]))
-        free = first.outputs[..., :n] @ x[..., 1:]
+        grown = ~np.all(np.abs(x) < OVERFLOW, axis=(1, 2))
+        some = slice(int(np.argmax(grown)) if grown.any() else len(x))
+        x, u, seen = x[some], u[some], first.outputs[some]
+        left = outputs[some] - np.einsum("tij,tj->ti", seen, np.hstack([x[..., 0], u]))
+        free = seen[..., :n] @ x[..., 1:]
         size = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
         return _fitted((free / size[:, None]).reshape(-1, n), (left / size).ravel())
 

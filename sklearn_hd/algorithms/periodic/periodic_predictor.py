@@ -34,7 +34,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, harmonic_functions
 
 CHUNK = 2**21  # numbers held at once of the regressors
 SENSOR_NOISE = 3e-3  # of an output's motion, which lagged outputs are taken to hold at least
@@ -154,14 +154,8 @@ def forced_mean(segments, n_harmonics):
     -------
     inputs, outputs : ndarray, shapes (2 n_harmonics + 1, m), (2 n_harmonics + 1, l)
     """
-    gram, products = 0.0, 0.0
-    for u, y, psi in segments:
-        for rows in _chunks(0, len(psi), 2 * n_harmonics + 1):
-            functions = harmonic_functions(psi[rows], range(n_harmonics + 1))
-            gram = gram + functions.T @ functions
-            products = products + functions.T @ np.hstack([u[rows], y[rows]])
-    found = linalg.lstsq(gram, products)[0]
-    return found[:, : segments[0][0].shape[1]], found[:, segments[0][0].shape[1] :]
+    found = fitted_harmonics([(np.hstack([u, y]), psi) for u, y, psi in segments], n_harmonics)
+    return np.split(found, [segments[0][0].shape[1]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,14 @@ need them.
 from fractions import Fraction
 
 import numpy as np
+from scipy import linalg
 
 TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
 RESOLVED = 1e-9  # of a step, to which floats tell times well enough
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding
+BLOCK = 2**21  # numbers held at once of a regression
+LINE = 20.0  # times the power beside it, which a line has by chance once in a thousand
 
 
 def harmonic_labels(harmonics):
@@ -169,6 +172,73 @@ def all_harmonics(values):
     if n_phases % 2 == 0:
         coefficients[-2:] *= 0.5 * np.array([1.0, 0.0]).reshape(2, *(1,) * (values.ndim - 1))
     return coefficients
+
+
+def fitted_harmonics(parts, n_harmonics):
+    """Fourier coefficients of the mean waveform of signals, by least squares over rows.
+
+    Parameters
+    ----------
+    parts : list of (values, psi)
+        Shapes (n_rows_s, n_signals), (n_rows_s,); any azimuths in radians.
+    n_harmonics : int
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 n_harmonics + 1, n_signals)
+
+    Examples
+    --------
+    >>> psi = np.array([0.0, 0.3, 1.1, 2.4])
+    >>> found = fitted_harmonics([(3.0 - np.sin(psi)[:, None], psi)], 1)
+    >>> (found.ravel().round(9) + 0.0).tolist()
+    [3.0, 0.0, -1.0]
+    """
+    gram, products = 0.0, 0.0
+    for values, psi in parts:
+        length = max(256, BLOCK // (2 * n_harmonics + 1))
+        for start in range(0, len(psi), length):
+            rows = slice(start, start + length)
+            functions = harmonic_functions(psi[rows], range(n_harmonics + 1))
+            gram = gram + functions.T @ functions
+            products = products + functions.T @ values[rows]
+    return linalg.lstsq(gram, products)[0]
+
+
+def standing_lines(parts, n_harmonics):
+    """Fourier coefficients of the harmonics whose lines stand out of the motion between them.
+
+    The motion is read at odd multiples of half a turn's frequency: what repeats itself with the
+    turn has no power there.
+
+    Parameters
+    ----------
+    parts : list of (values, psi)
+        As :func:`fitted_harmonics` has them.
+    n_harmonics : int
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 n_harmonics + 1, n_signals)
+        Zero where a line does not stand out; the mean is always kept.
+
+    Examples
+    --------
+    >>> psi = np.arange(4000) * 0.7
+    >>> motion = np.random.default_rng(0).standard_normal((4000, 1))
+    >>> found = standing_lines([(motion + np.cos(2 * psi)[:, None], psi)], 4)
+    >>> np.flatnonzero(found[1:]).tolist(), round(float(found[3, 0]), 1)
+    ([2, 3], 1.0)
+    """
+    halves = fitted_harmonics([(values, 0.5 * psi) for values, psi in parts], 2 * n_harmonics)
+    power = halves[1::2] ** 2 + halves[2::2] ** 2  # of 1/2, 1, 3/2, … per turn
+    lines = np.zeros((2 * n_harmonics + 1, halves.shape[1]))
+    lines[0] = halves[0]
+    for k in range(1, n_harmonics + 1):
+        beside = power[max(2 * k - 4, 0) : 2 * k + 3 : 2]
+        stands = power[2 * k - 1] > LINE * np.mean(beside, axis=0)
+        lines[2 * k - 1 : 2 * k + 1] = np.where(stands, halves[4 * k - 1 : 4 * k + 1], 0.0)
+    return lines
 
 
 def complex_transformation(n_harmonics):
