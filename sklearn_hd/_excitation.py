@@ -4,16 +4,21 @@ Models of whole periods describe inputs only in the directions within the period
 moved (:class:`~sklearn_hd.algorithms.signals.lifting.InputDirections`). Models at samples have
 B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may determine from edges at few
 phases: with A and C known, outputs are linear in them, and least squares give their covariance.
+What a fit leaves is no white noise where states or nonlinearity are missing; for residuals of any
+spectrum S the covariance is at most max S / mean S times that for white noise (Grenander and
+Rosenblatt, *Statistical Analysis of Stationary Time Series*, 1957, chapter 7).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd._guards import searches
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
+from sklearn_hd.algorithms.likelihood.robust import spectral_peak
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
@@ -121,7 +126,8 @@ class Information:
     answer : float
         Energy of what inputs make, in parts of theirs.
     noise, left : float
-        What no coefficients explain, root mean square: in parts of that, and of what inputs make.
+        What no coefficients explain, root mean square, as far as it may act like white noise: in
+        parts of that; and all of it, in parts of what inputs make.
     """
 
     root: np.ndarray
@@ -138,10 +144,10 @@ class Information:
         outputs = experiment.outputs
         n_values, n_rows = sum(y.size for y in outputs), sum(map(len, outputs))
         scale = column_sizes(np.vstack(outputs)) / np.sqrt(n_rows)
-        factors, energy, squares = [], 0.0, 0.0
+        factors, rests, energy, squares = [], [], 0.0, 0.0
         for segment in zip(simulators, experiment.phases, outputs, strict=True):
             simulator, psi, y = segment
-            factor = None
+            factor, left = None, []
             for some, u, slopes in _slopes(simulator, psi, n_harmonics):
                 slopes, forced = np.split(slopes / scale[:, None], [-2], axis=-1)
                 n_columns = slopes.shape[-1] + 1
@@ -153,9 +159,12 @@ class Information:
                 columns = np.concatenate([slopes, target], axis=-1).reshape(-1, n_columns).T
                 factor = np.zeros((n_columns, n_columns)) if factor is None else factor
                 factor = updated_factor(factor, columns)
+                rest = (target[..., 0] + forced[..., 0]).reshape(1, -1)
+                left.append(np.concatenate([columns[: simulator.model.n_states], rest]))
                 energy += np.sum(forced[..., 0] ** 2)
                 squares = squares + np.sum(u**2, axis=0)
             factors.append(factor)
+            rests.append(_beside_start(np.hstack(left)).reshape(-1, len(scale)))
         if not energy > 0.0 or not np.all(np.isfinite(factors)):
             return None
         system = eliminate_states(factors, simulator.model.n_states)
@@ -163,6 +172,7 @@ class Information:
         root = system.adjoint.T / singular / system.size[:, None]
         rest = np.sum(system.R[:, -1] ** 2) - np.sum(system.projected**2)
         noise, left = (np.sqrt(max(float(rest), 0.0) / each) for each in (n_values, energy))
+        noise *= np.sqrt(spectral_peak(rests))
         input_scale = np.sqrt(np.where(squares > 0.0, squares, n_rows) / n_rows)
         answer = energy / np.sum(squares / input_scale**2)
         return cls(root, input_scale, scale, answer, noise, left)
@@ -192,6 +202,14 @@ class Information:
                     break
         energy = min(energy, self.answer * pushed)
         return (self.noise * np.sqrt(variance / energy) if energy > 0.0 else 0.0), own
+
+
+def _beside_start(columns):
+    """What the last of some columns is beside the others, which are of the initial state."""
+    *start, rest = columns
+    if not np.all(np.isfinite(columns)):
+        return rest
+    return rest - np.transpose(start) @ linalg.lstsq(np.transpose(start), rest)[0]
 
 
 def _by_period(experiment, simulators):
