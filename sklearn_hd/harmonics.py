@@ -55,7 +55,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     Parameters
     ----------
     omega : float or None, default=None
-        Fundamental frequency in rad/s, constant. Give this or ``azimuth``.
+        Fundamental frequency in rad/s, constant. Give this or ``azimuth``. If the orbit in y shows
+        that it is surely off, ``fit`` takes the frequency that the record tells
+        (``basis_.omega``).
     input_harmonics : int, dict or None, default=None
         Harmonics kept of the inputs: N for 0 … N, or a dict such as ``{"U": [0, 1]}``; None is 0.
         With ``reading="sample"`` it is the highest harmonic that B(ψ) and D(ψ) may have; None sets
@@ -78,9 +80,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         its azimuth and decomposes nothing. It is for records in service: inputs that always move,
         loads at every turn, turbulence, any number of samples per turn. ``"sliding"`` is the
         method of the paper: coefficients through the window, every ``hop`` samples. ``"auto"``
-        takes ``"period"`` if the inputs rest in most turns (except for noise), and ``"sample"`` if
-        they do not, or if there are fewer than 12 turns. It takes ``"sliding"`` if there is no y,
-        or if a hop, a window, harmonics of inputs or harmonics by signal are given.
+        takes ``"period"`` if the inputs rest in some turns (except for noise), and ``"sample"`` if
+        they do not, or if there are fewer than 12 turns. Where inputs rest, ``basis_.alternative``
+        is the reading of the samples: :class:`MOESPRegressor` tries it if something speaks against
+        the model of periods, and keeps the surer one. ``"auto"`` takes ``"sliding"`` if there is
+        no y, or if a hop, a window, harmonics of inputs or harmonics by signal are given.
         ``basis_.reading`` holds the choice.
     hop : int or None, default=None
         Samples from one analysed row to the next. With ``reading="sliding"`` it divides the number
@@ -141,6 +145,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     -----
     TimeBaseWarning
         If no times are given, so that rows count as samples.
+    FrequencyMismatchWarning
+        If the record repeats itself at another frequency than ``omega``, which is used instead.
     JitterWarning
         If rows are not evenly spaced in time.
     ResamplingWarning

@@ -1,5 +1,6 @@
 """The fundamental frequency that records show by themselves, and fits at a wrong one."""
 
+import re
 import warnings
 
 import numpy as np
@@ -240,6 +241,11 @@ def fit(data, off, **kwargs):
     return [str(w.message) for w in caught if w.category is FrequencyMismatchWarning]
 
 
+def named_in(message):
+    """The frequency that a message asks for."""
+    return float(re.search(r"omega=([0-9.]+), or check the clock", message).group(1))
+
+
 @pytest.mark.parametrize(("kind", "snr"), [("ltp", None), ("nltp", None), ("nltp", 20)])
 @pytest.mark.slow
 def test_a_fit_at_a_wrong_frequency_names_the_right_one(kind, snr):
@@ -248,8 +254,7 @@ def test_a_fit_at_a_wrong_frequency_names_the_right_one(kind, snr):
     off, said = (-0.003, r"0.30% less") if snr else (0.01, r"0.99% more|1.00% more")
     (message,) = fit(data, off)
     assert np.any([words in message for words in said.split("|")])
-    named = float(message.split("set omega=")[1].split(",")[0])
-    assert named == pytest.approx(data.omega, rel=1e-5 if snr is None else 1e-4)
+    assert named_in(message) == pytest.approx(data.omega, rel=1e-5 if snr is None else 1e-4)
 
 
 @pytest.mark.slow
@@ -257,7 +262,7 @@ def test_pairs_and_azimuths_at_a_wrong_frequency():
     data = wing("nltp", amplitude=[0.02, -0.02])
     assert fit(data, 0.0, small_signal="odd") == []
     (message,) = fit(data, 0.01, small_signal="odd")
-    assert "set omega=165.2" in message
+    assert named_in(message) == pytest.approx(data.omega, rel=1e-6)
     single = wing()
     turning = single.inputs.assign(psi=1.01 * single.omega * single.inputs.index)
     analyzer = HarmonicAnalyzer(azimuth="psi", output_harmonics=KEPT)

@@ -27,7 +27,7 @@ from sklearn_hd._identify.sample_checks import (
     warn_of_little,
     why_no_noise,
 )
-from sklearn_hd._identify.stages import SubspaceFit
+from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import Opinion, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
@@ -58,8 +58,9 @@ LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
-MOST_SIMPLER = 4  # models with fewer states that are looked at if the best one is in doubt
+MOST_SIMPLER = 3  # models with fewer states that are looked at if the best one is in doubt
 AS_LITTLE = 1.1  # times what another model leaves: no more
+STEPS_GAIN = 10.0  # of what a closed form leaves, at most, over what steps of likelihood leave
 LITTLE = 1e-3  # of the outputs' variance, which the second order of a response explains
 
 
@@ -166,35 +167,48 @@ def identify(data, settings, experiment):
             f"predictor there, whatever the weighting; leave weighting='moesp', or 'pbsid', or use "
             f"HarmonicAnalyzer(reading='period')"
         )
-    basis = experiment.basis
-    layout, reason = _layout(data, settings, basis)
-    sums = LagSums.of(data.segments, layout)
-    predictor = sums.predictor()
-    states = _States.of(data, predictor, settings)
-    choice = _Choice(data, states, settings, basis, layout)
-    found = _Found.of(choice, choice.best(), predictor)
-    if settings.order == "auto" and found.in_doubt and not searching():
-        few = islice(choice.simpler(found.chosen), MOST_SIMPLER)
-        simpler = (_Found.of(choice, one, predictor) for one in few)
-        found = next((each for each in simpler if each.serves_as_well_as(found)), found)
+    choice, reason = _Choice.of(data, settings, experiment.basis)
+    layout, found = choice.layout, _Found.of(choice, choice.best())
+    if settings.order == "auto" and found.against and not searching():
+        most_left = max(AS_LITTLE * found.left, LITTLE)
+        few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
+        simpler = (_Found.of(choice, one, most_left) for one in few)
+        found = next((each for each in simpler if each and not each.against), found)
     model, chosen = found.model, found.chosen
     for message in found.against:
         warn(message, IdentifiabilityWarning)
-    warn_of_little(layout, sums.n_rows, chosen, basis)
+    warn_of_little(layout, choice.n_rows, chosen, experiment.basis)
     warn_of_growth(model, chosen, data)
     x0 = np.array([choice.start(model.innovations, s) for s in range(len(data.segments))])
-    floor = float(np.sqrt(layout.n_columns / max(sums.n_rows, 1)))
+    floor = float(np.sqrt(layout.n_columns / max(choice.n_rows, 1)))
     return SubspaceFit(
         model,
         x0,
         layout.n_lags,
         chosen.order,
-        states.singular_values,
+        choice.states.singular_values,
         floor,
         reason,
         tuple(choice.tried),
         doubt=0.0 if model.opinion is None else model.opinion.doubt(model.exponents()),
     )
+
+
+def opinion(experiment):
+    """The closed form's exponents, known as well as the halves of the record have them.
+
+    Returns
+    -------
+    opinion : Opinion or None
+        None where they tell none, or the closed form is unstable.
+    """
+    settings = Settings()
+    choice, _ = _Choice.of(read(experiment, settings), settings, experiment.basis, steps=False)
+    best = choice.best()
+    model = _Found.of(choice, best).model
+    if model.opinion is None or not best.stable:
+        return None
+    return model.opinion.of(model.exponents(), "the samples have")
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +223,7 @@ class _Found:
         Of the outputs' variance, by a simulation.
     model : SampleModel
     against : list of str
+        What speaks against it.
     """
 
     chosen: Simulated
@@ -216,22 +231,15 @@ class _Found:
     model: SampleModel
     against: list
 
-    @property
-    def in_doubt(self):
-        """Whether anything speaks against it."""
-        return bool(self.against)
-
-    def serves_as_well_as(self, other):
-        """Whether nothing speaks against it, and simulations leave little more of the outputs."""
-        return not self.in_doubt and self.left <= max(AS_LITTLE * other.left, LITTLE)
-
     @classmethod
-    def of(cls, choice, chosen, predictor):
-        """The model of one of the orders and numbers of harmonics tried."""
+    def of(cls, choice, chosen, most_left=np.inf):
+        """The model of one of the orders and numbers of harmonics tried; None if it leaves more."""
         data, basis, layout = choice.data, choice.basis, choice.layout
         innovations, ahead = choice.refined(choice.whole(chosen), chosen.stable)
         left = choice.compared(chosen.order, chosen.n_harmonics, innovations).variance
-        against = [why_no_noise(choice.simulated, innovations, predictor)]
+        if not left <= most_left:
+            return None
+        against = [why_no_noise(choice.simulated, innovations, choice.predictor)]
         model = SampleModel(
             innovations.in_units(*data.scales).about(*data.means).about_orbit(),
             basis.omega,
@@ -275,8 +283,8 @@ def _of_halves(model, whole, chosen):
             return None
         half = replace(data, segments=segments)
         fixed = replace(whole.settings, order=chosen.order)
-        states = _States.of(half, LagSums.of(segments, layout).predictor(), fixed)
-        choice = _Choice(half, states, fixed, whole.basis, layout)
+        sums = LagSums.of(segments, layout)
+        choice = _Choice(half, sums, fixed, whole.basis, whole.steps)
         found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
         found, _ = choice.refined(found, chosen.stable)
         exponents.append(replace(model, innovations=found).exponents())
@@ -460,17 +468,29 @@ def _positive(covariance):
 
 
 class _Choice:
-    """The order and the harmonics of the matrices, by what simulations of the record leave."""
+    """The order and the harmonics of the matrices, by what simulations of the record leave.
 
-    def __init__(self, data, states, settings, basis, layout):
-        self.data, self.states, self.settings = data, states, settings
-        self.basis, self.layout, self.tried, self.possible = basis, layout, [], []
+    ``steps`` says whether steps of the likelihood follow.
+    """
+
+    def __init__(self, data, sums, settings, basis, steps):
+        layout = sums.layout
+        self.data, self.settings, self.basis, self.steps = data, settings, basis, steps
+        self.layout, self.n_rows, self.predictor = layout, sums.n_rows, sums.predictor()
+        self.states = states = _States.of(data, self.predictor, settings)
+        self.tried, self.possible = [], []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
         self.sums = self._sums(states.bound, self.most)
         self.simulated = list(_simulated(data.segments, layout.n_lags))
         total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
         self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
+
+    @classmethod
+    def of(cls, data, settings, basis, steps=True):
+        """With lags and harmonics of the predictor that suit the data; and why D is free or not."""
+        layout, reason = _layout(data, settings, basis)
+        return cls(data, LagSums.of(data.segments, layout), settings, basis, steps), reason
 
     def _sums(self, order, count, some=True):
         rows = self.states.rows(self.data, order, some)
@@ -509,12 +529,12 @@ class _Choice:
         order, count = chosen.order, chosen.n_harmonics
         return self.model(self._sums(order, count, some=False), order, count)
 
-    def simpler(self, chosen):
-        """Of each smaller order the best model tried, the largest first."""
-        for order in range(chosen.order - 1, 0, -1):
+    def simpler(self, chosen, most_left):
+        """Of each smaller order the best model tried, if it leaves little; the smallest first."""
+        for order in range(1, chosen.order):
             kept = [one for one in self._kept() if one.order == order and one.stable]
             best = min(kept, key=lambda one: one.bic, default=None)
-            if best is not None:
+            if best is not None and best.variance <= most_left:
                 yield best
 
     def refined(self, innovations, stable):
@@ -526,6 +546,8 @@ class _Choice:
         layout = replace(self.layout, n_input_harmonics=count if asked is None else asked)
         most_growth = GROWN / self.data.longest if stable else np.inf
         start = innovations.filtered(self._noise(innovations))
+        if not self.steps:
+            return start, None
         found = most_likely(start, self.data.segments, layout, SENSOR_NOISE, most_growth)
         return (start, None) if found is None else found
 

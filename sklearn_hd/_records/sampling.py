@@ -160,7 +160,7 @@ def mean_waveform(parts):
         Shapes (n_rows_s, n_signals), (n_rows_s,).
     """
     steps = np.concatenate([np.diff(psi) for _, psi in parts])
-    told = np.pi / np.median(steps) if len(steps) else 1.0
+    told = np.pi / np.max(steps) if len(steps) else 1.0  # of the widest step, too
     n_rows = sum(len(psi) for _, psi in parts)
     most = min(told, n_rows / (4 * ROWS_PER_COLUMN), MOST_HARMONICS + 1)
     return standing_lines(_first_rows(parts), max(int(np.ceil(most)) - 1, 0))

@@ -68,7 +68,7 @@ def _warn_of_another(found, omega):
         f"the data repeat themselves at {found.omega:.9g} ± {found.std:.2g} rad/s, not at "
         f"omega={omega:.9g} rad/s, which is {abs(off):.2{'%' if abs(off) > 1e-4 else 'g'}} "
         f"{'more' if off > 0.0 else 'less'}: the azimuth would go astray by {found.turns:.2g} "
-        f"turns, {np.sqrt(found.moved):.2g} of the size of the motion; {found.omega:.9g} is used. "
-        f"Give omega={found.omega:.9g}, or check the clock",
+        f"turns, {np.sqrt(found.moved):.2g} of the size of the motion; {found.omega:.9g} is used "
+        f"instead; set omega={found.omega:.9g}, or check the clock",
         FrequencyMismatchWarning,
     )

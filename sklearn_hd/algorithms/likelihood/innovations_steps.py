@@ -25,6 +25,7 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 MOST_STEPS = 8  # of exact data, whose likelihood has no end
 MOST_NUMBERS = 5e6  # sensitivities of a record: of more, each step takes a second
+VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
@@ -51,13 +52,15 @@ def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf)
     found : PeriodicInnovations, (ndarray, ndarray)
         The model; the logarithms of its multipliers to which a further step would lead, and
         their standard deviations, √(σ²_real + σ²_imag). None where the record is so long, or the
-        model so large, that steps would take long, and where its predictor forgets nothing.
+        model so large, that steps would take long, where the record is too short for so many
+        coefficients, and where the predictor forgets nothing.
     """
     H = max(len(innovations.coefficients) // 2, layout.n_loads)
     coefficients = resize_harmonics(innovations.coefficients, H)
     innovations = replace(innovations, coefficients=coefficients)
     form = _Form.of(innovations, layout)
-    if len(form.places) * sum(y.size for _, y, _ in segments) > MOST_NUMBERS:
+    n_free, n_values = len(form.places), sum(y.size for _, y, _ in segments)
+    if n_free * n_values > MOST_NUMBERS or n_values < VALUES_PER_PARAMETER * n_free:
         return None
     at = _fitted(innovations, segments, sensor_noise)
     if at is None:
