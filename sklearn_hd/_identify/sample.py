@@ -29,7 +29,7 @@ from sklearn_hd._identify.sample_checks import (
 )
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
-from sklearn_hd._opinion import Opinion, more_doubtful, of_halves, why_unconfirmed
+from sklearn_hd._opinion import Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
@@ -61,7 +61,7 @@ PATIENCE = 6  # orders that may pass without a better one
 MOST_SIMPLER = 3  # models with fewer states that are looked at if the best one is in doubt
 AS_LITTLE = 1.1  # times what another model leaves: no more
 STEPS_GAIN = 10.0  # of what a closed form leaves, at most, over what steps of likelihood leave
-LITTLE = 1e-3  # of the outputs' variance, which the second order of a response explains
+LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,8 @@ def identify(data, settings, experiment):
         )
     choice, reason = _Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, choice.best())
-    if settings.order == "auto" and found.against and not searching():
+    unsure = found.against or not found.lasting
+    if settings.order == "auto" and unsure and not searching():
         most_left = max(AS_LITTLE * found.left, LITTLE)
         few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
         simpler = (_Found.of(choice, one, most_left) for one in few)
@@ -230,6 +231,11 @@ class _Found:
     left: float
     model: SampleModel
     against: list
+
+    @property
+    def lasting(self):
+        """Whether a turn leaves something of every mode: others may stand for noise."""
+        return bool(lasting(self.model.exponents(), self.model.omega).all())
 
     @classmethod
     def of(cls, choice, chosen, most_left=np.inf):
