@@ -169,7 +169,7 @@ def identify(data, settings, experiment):
         )
     choice, reason = _Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, choice.best())
-    unsure = found.against or not found.lasting
+    unsure = found.against or not found.lasts
     if settings.order == "auto" and unsure and not searching():
         most_left = max(AS_LITTLE * found.left, LITTLE)
         few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
@@ -225,17 +225,15 @@ class _Found:
     model : SampleModel
     against : list of str
         What speaks against it.
+    lasts : bool
+        Whether a turn leaves something of every mode: others may stand for noise.
     """
 
     chosen: Simulated
     left: float
     model: SampleModel
     against: list
-
-    @property
-    def lasting(self):
-        """Whether a turn leaves something of every mode: others may stand for noise."""
-        return bool(lasting(self.model.exponents(), self.model.omega).all())
+    lasts: bool
 
     @classmethod
     def of(cls, choice, chosen, most_left=np.inf):
@@ -256,13 +254,15 @@ class _Found:
             basis.most_loads,
             data.means[0],
         )
+        lasts = True
         if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
             exponents = model.exponents()
+            lasts = bool(lasting(exponents, basis.omega).all())
             halves = _of_halves(model, choice, chosen)
             own = _of_its_likelihood(ahead, basis.omega)
             model = replace(model, opinion=more_doubtful(exponents, halves, own))
             against.append(why_unconfirmed(exponents, model.opinion))
-        return cls(chosen, left, model, [words for words in against if words])
+        return cls(chosen, left, model, [words for words in against if words], lasts)
 
 
 def _of_halves(model, whole, chosen):

@@ -98,7 +98,7 @@ def test_no_step_leads_beyond_the_growth_allowed():
     true = drawn(size=0.95)
     start = replace(true, coefficients=true.coefficients.copy())
     start.coefficients[0, 0, 0] -= 0.3
-    some = segments(true, 100, noise=0.1)
+    some = segments(true, 300, noise=0.1)
     limit = 0.5 * (start.growth() + true.growth())
     found, _ = most_likely(start, some, LAYOUT, 1e-3, limit)
     assert found.growth() < limit < true.growth()
@@ -106,11 +106,14 @@ def test_no_step_leads_beyond_the_growth_allowed():
     assert free.growth() > limit
 
 
-@pytest.mark.parametrize("why", ["long", "overflowing"])
+@pytest.mark.parametrize("why", ["long", "short", "overflowing"])
 def test_steps_are_not_taken_where_they_lead_nowhere(monkeypatch, why):
     true = drawn()
-    some = segments(true, 50)
-    if why == "long":
+    some = segments(true, 300)
+    if why == "short":  # fewer than five values for each coefficient
+        assert most_likely(true, some, LAYOUT, 1e-3) is not None
+        assert most_likely(true, segments(true, 50), LAYOUT, 1e-3) is None
+    elif why == "long":
         monkeypatch.setattr(innovations_steps, "MOST_NUMBERS", 10.0)
         assert most_likely(true, some, LAYOUT, 1e-3) is None
     else:
