@@ -16,13 +16,12 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sklearn_hd"
-TOOLS = {"exceptions", "_checks", "_guards", "_tables", "_warn"}
+TOOLS = {"exceptions", "_checks", "_guards", "_tables"}
 STEPS = ("harmonics", "subspace", "reduction", "matching")
 SIDE_BY_SIDE = (
     *STEPS,
     "_model_step",
     "_simulators",
-    "_scoring",
     "_identify",
     "_reduce",
     "_match",

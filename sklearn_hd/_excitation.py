@@ -1,7 +1,7 @@
 """The effect of inputs that a fit showed, and the one that predictions need beyond it.
 
 Models of whole periods describe inputs only in the directions within the period in which they
-moved (:class:`~sklearn_hd.algorithms.signals.lifting.InputDirections`). Models at samples have
+moved (:class:`~sklearn_hd.algorithms.signals.fourier.InputDirections`). Models at samples have
 B(ψ) and D(ψ) of few harmonics, which the outputs of whole turns may determine from edges at few
 phases: with A and C known, outputs are linear in them, and least squares give their covariance.
 What a fit leaves is no white noise where states or nonlinearity are missing; for residuals of any
@@ -14,16 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._guards import searches
+from sklearn_hd._guards import searches, warn
 from sklearn_hd._records.data import lifted_periods
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
-from sklearn_hd.algorithms.likelihood.robust import spectral_peak
+from sklearn_hd.algorithms.likelihood.uncertainty import spectral_peak
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-from sklearn_hd.algorithms.signals.lifting import InputDirections
+from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning
 
 __all__ = ["Excitation"]

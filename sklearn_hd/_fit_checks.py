@@ -3,11 +3,10 @@
 import numpy as np
 
 from sklearn_hd._checks import SMALLEST
-from sklearn_hd._guards import searching
+from sklearn_hd._guards import searching, warn
 from sklearn_hd._tables import STANDARD_ERRORS
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
-from sklearn_hd.algorithms.lti.stability import GROWN
+from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,

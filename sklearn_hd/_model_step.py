@@ -21,7 +21,7 @@ from sklearn_hd._containers import from_elsewhere, is_pandas
 from sklearn_hd._excitation import Excitation
 from sklearn_hd._exported import contents
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame, read_as
-from sklearn_hd._guards import one_blas_thread, within_range
+from sklearn_hd._guards import one_blas_thread, warn, within_range
 from sklearn_hd._readings import first_difference
 from sklearn_hd._records.data import (
     as_frame,
@@ -34,21 +34,22 @@ from sklearn_hd._records.data import (
 from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
 from sklearn_hd._residuals import LEVEL, left_of, scored
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd._scoring import compared, power_of_two, score_rows
 from sklearn_hd._simulators import (
     LiftedSimulator,
     SegmentSimulator,
     as_seen,
+    compared,
     fit_initial_state,
     initial_states,
+    power_of_two,
     predicted_ahead,
     sample_simulators,
+    score_rows,
     states_by_record,
     steady,
 )
 from sklearn_hd._tables import STANDARD_ERRORS, STEP_TOLERANCE, as_container, without_inputs
-from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.signals.late_signals import advanced, late
+from sklearn_hd.algorithms.signals.resampling import advanced, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.export import write
 

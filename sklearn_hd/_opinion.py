@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import longest_span
-from sklearn_hd._guards import searching
-from sklearn_hd._records.data import lifted_periods
-from sklearn_hd._warn import warn
+from sklearn_hd._guards import searching, warn
+from sklearn_hd._records.data import lifted_periods, output_scale
 from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 

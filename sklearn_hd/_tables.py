@@ -9,8 +9,7 @@ from scipy.sparse import issparse
 
 from sklearn_hd._checks import FIRST, at, check_positive
 from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
-from sklearn_hd._guards import searches, step_extremes
-from sklearn_hd._warn import warn
+from sklearn_hd._guards import searches, step_extremes, warn
 from sklearn_hd.exceptions import TimeBaseWarning
 
 

@@ -1,10 +1,10 @@
 """The frequency of a machine, estimated from its records."""
 
 from sklearn_hd._checks import check_missing
+from sklearn_hd._guards import warn
 from sklearn_hd._readings import PlainReading
 from sklearn_hd._readings.basis import Timing
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals import fundamental
 from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
 from sklearn_hd.exceptions import (

@@ -15,9 +15,9 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._fit_checks import lasting_hop, motion_kept
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame
-from sklearn_hd._guards import within_range
+from sklearn_hd._guards import warn, within_range
 from sklearn_hd._readings import READINGS, Timing, coefficient_names
-from sklearn_hd._records.bases import AUTO, chosen_readings, record_basis
+from sklearn_hd._records.bases import AUTO, chosen_readings, record_basis, settled_omega
 from sklearn_hd._records.data import (
     check_features,
     is_decomposed,
@@ -28,10 +28,8 @@ from sklearn_hd._records.data import (
     without_trim,
 )
 from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
-from sklearn_hd._records.speed import settled_omega
 from sklearn_hd._records.trim import with_trim
 from sklearn_hd._tables import check_has_signals, check_upright, why_short
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
 from sklearn_hd.exceptions import TimeBaseWarning
 

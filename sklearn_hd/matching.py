@@ -9,17 +9,15 @@ from scipy.stats import norm
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
-from sklearn_hd._continuous import to_continuous
 from sklearn_hd._guards import one_blas_thread, searching, within_range
-from sklearn_hd._match.affine import NormSettings, match_affine
-from sklearn_hd._match.free import match_free
-from sklearn_hd._match.likelihood import match_likelihood, warn_closed_loop
-from sklearn_hd._match.match import PeriodicSimulator
+from sklearn_hd._match import PeriodicSimulator
+from sklearn_hd._match.affine import NormSettings, match_affine, match_samples
+from sklearn_hd._match.likelihood import match_free, match_likelihood, warn_closed_loop
 from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.record_data import LikelihoodSettings
-from sklearn_hd._match.samples import match_samples
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import contradictions, doubtful, warn_unconfirmed
+from sklearn_hd._records.data import to_continuous
 from sklearn_hd._records.delays import in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators

@@ -22,8 +22,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import (
     PeriodicInnovations,
     input_slopes,
 )
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-from sklearn_hd.algorithms.signals.lifting import InputDirections
+from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 from sklearn_hd.systems import duffing
 

@@ -9,8 +9,8 @@ from conftest import KEPT, random_stable
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.subspace.forgetting import Forgetting
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
+from sklearn_hd.algorithms.subspace.sums import Forgetting
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import ExcitationWarning
 

@@ -13,7 +13,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd._match.match import PeriodicModel
+from sklearn_hd._match import PeriodicModel
 from sklearn_hd._readings import SlidingBasis
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 

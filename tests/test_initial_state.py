@@ -14,7 +14,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd._scoring import scored_simulation
+from sklearn_hd._simulators import scored_simulation
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MACHINE = mathieu()

@@ -247,11 +247,11 @@ def test_skops_saves_and_loads_without_pickle(tmp_path, fitted, short):
     assert set(trusted) <= {
         "sklearn_hd._excitation.Excitation",
         "sklearn_hd._excitation.Information",
-        "sklearn_hd.algorithms.signals.lifting.InputDirections",
+        "sklearn_hd.algorithms.signals.fourier.InputDirections",
         "sklearn_hd._opinion.Opinion",
-        "sklearn_hd._readings.sliding.SlidingBasis",
+        "sklearn_hd._readings.basis.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
-        "sklearn_hd._match.match.Match",
+        "sklearn_hd._match.Match",
         "sklearn_hd._readings.basis.Timing",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
@@ -282,11 +282,11 @@ def test_skops_keeps_a_structure(tmp_path, short):
     assert set(trusted) == {
         "sklearn_hd._excitation.Excitation",
         "sklearn_hd._excitation.Information",
-        "sklearn_hd.algorithms.signals.lifting.InputDirections",
+        "sklearn_hd.algorithms.signals.fourier.InputDirections",
         "sklearn_hd._opinion.Opinion",
-        "sklearn_hd._readings.sliding.SlidingBasis",
+        "sklearn_hd._readings.basis.SlidingBasis",
         "sklearn_hd._frame.LTIModel",
-        "sklearn_hd._match.match.Match",
+        "sklearn_hd._match.Match",
         "sklearn_hd.algorithms.matching.matching.MatchResult",
         "sklearn_hd.algorithms.matching.smooth_peak.Certificate",
         "sklearn_hd._readings.basis.Timing",
@@ -360,15 +360,15 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     skops.dump(pipe, path)
     trusted = skops.get_untrusted_types(file=path)
     expected = {
-        "sklearn_hd._readings.period.PeriodBasis",
+        "sklearn_hd._readings.basis.PeriodBasis",
         "sklearn_hd._excitation.Excitation",
         "sklearn_hd._excitation.Information",
-        "sklearn_hd.algorithms.signals.lifting.InputDirections",
+        "sklearn_hd.algorithms.signals.fourier.InputDirections",
         "sklearn_hd._frame.Lifted",
         "sklearn_hd._frame.LTIModel",
         "sklearn_hd._readings.basis.Timing",
-        "sklearn_hd._match.match.Match",
-        "sklearn_hd._match.match.PeriodicModel",
+        "sklearn_hd._match.Match",
+        "sklearn_hd._match.PeriodicModel",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.structures._harmonic.HarmonicStructure",
@@ -376,7 +376,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
     }
     if pipe["match"].criterion == "output_error":
         expected |= {
-            "sklearn_hd._match.match.Uncertainty",
+            "sklearn_hd._match.Uncertainty",
             "sklearn_hd._sample_model.SampleModel",
             "sklearn_hd.algorithms.lti.structured_model.AffineStructure",
             "sklearn_hd.algorithms.periodic.periodic_innovations.PeriodicInnovations",

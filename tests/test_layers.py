@@ -9,15 +9,15 @@ import sklearn_hd
 
 ROOT = Path(sklearn_hd.__file__).parent
 LAYERS = [
-    {"exceptions", "_checks", "_containers", "_guards", "_tables", "_warn"},
+    {"exceptions", "_checks", "_containers", "_guards", "_tables"},
     {"algorithms"},
     {"systems", "structures"},
     {"_readings"},
     {"_frame", "_sample_model"},
     {"_records"},
-    {"_continuous", "_excitation", "_exported", "_fit_checks", "_residuals"},
+    {"_excitation", "_exported", "_fit_checks", "_residuals"},
     {"_opinion"},
-    {"_model_step", "_simulators", "_scoring", "_identify", "_reduce", "_match"},
+    {"_model_step", "_simulators", "_identify", "_reduce", "_match"},
     {"frequency", "harmonics", "subspace", "reduction", "matching"},
     {"datasets", "design", "model_selection", "plotting"},
     {"_report"},

@@ -7,7 +7,7 @@ import plotting_cases as cases
 import pytest
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, StructuredMatcher
-from sklearn_hd._scoring import scored_simulation
+from sklearn_hd._simulators import scored_simulation
 from sklearn_hd.exceptions import TimeBaseWarning
 from sklearn_hd.model_selection import fit_percent, fit_percent_scorer
 from sklearn_hd.plotting import (

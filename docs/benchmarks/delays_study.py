@@ -22,7 +22,7 @@ from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, Stru
 from sklearn_hd.algorithms.likelihood.delay_search import Cells
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.signals.late_signals import lagged
+from sklearn_hd.algorithms.signals.resampling import lagged
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.systems import LTPSystem
 

@@ -2,41 +2,181 @@
 
 ``identify(data, settings)`` is a pure function of data (:mod:`~sklearn_hd._identify.statistics`:
 arrays in memory, sums over chunks, dask's partitions) and settings, and gives a ``SubspaceFit``.
+
+Time delays with a subspace fit: a search over whole samples, refined for plain data.
+
+1. The lag at which each output first responds to each input, by the criterion of a regression
+   (:func:`~sklearn_hd.algorithms.likelihood.delay_search.first_answers`).
+2. Delays of inputs and outputs; these lags are their sums.
+3. Plain data: the likelihood of the time-invariant model with all entries free, and the delays.
+   Other models are refined in :class:`~sklearn_hd.StructuredMatcher`.
+4. The model, by the subspace method of its reading, in the machine's own time.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from scipy import sparse
 
 from sklearn_hd._fit_checks import warn_of_data
 from sklearn_hd._frame import read_as
-from sklearn_hd._guards import searching
+from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify import period, plain, sample, sliding
-from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, PREDICTOR, checked
-from sklearn_hd._identify.delays import without_delays
+from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR, checked
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._opinion import decays_at_rest, of_free_decays
 from sklearn_hd._readings import SampleBasis
-from sklearn_hd._records.data import as_frame, is_decomposed, read_for_fit
-from sklearn_hd._records.delays import as_measured, asked_delays
-from sklearn_hd._warn import held_back, warn
+from sklearn_hd._records.data import as_frame, is_decomposed, output_scale, read_for_fit
+from sklearn_hd._records.delays import (
+    as_measured,
+    asked_delays,
+    in_machine_time,
+    in_whole_samples,
+    most_samples,
+    warn_of_doubt,
+)
+from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, most_likely
+from sklearn_hd.algorithms.likelihood.forms import Form
+from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
+from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
-
-__all__ = [
-    "PREDICTOR",
-    "Settings",
-    "SubspaceFit",
-    "asked_block_rows",
-    "checked",
-    "identify",
-    "identify_frame",
-    "identify_record",
-    "most_block_rows",
-]
 
 MOST_ROWS = 20_000  # of samples read for a second opinion: some tenths of a second
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
+HARMONICS = 1  # of the regression, where the machine turns
+
+
+MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
+
+
+def without_delays(experiment, delays, settings, identify):
+    """The fit of a record in the machine's own time, its model with the delays.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As measured.
+    delays : Delays
+    settings : Settings
+    identify : callable
+        ``identify(experiment, settings)`` gives a SubspaceFit.
+
+    Returns
+    -------
+    fit : SubspaceFit
+    experiment : Experiment
+        That the fit is of.
+    """
+    if delays.free.any():
+        delays = _searched(experiment, delays)
+        if settings.feedthrough == "auto":  # D and fractions of a sample make up for each other
+            settings = replace(settings, feedthrough=False)
+    machine = in_machine_time(experiment, delays)
+    fit = identify(machine, settings)
+    if delays.free.any() and experiment.basis.reading == "plain" and not fit.model.feedthrough:
+        refined = _refined(fit.model, machine)
+        if refined is not None:
+            delays, machine = refined, in_machine_time(experiment, refined)
+            fit = identify(machine, settings)
+            warn_of_doubt(delays)
+    return replace(fit, model=replace(fit.model, delays=delays)), machine
+
+
+def _searched(experiment, delays):
+    """Whole samples of the delays that are left to the data."""
+    basis, dt, m = experiment.basis, experiment.base.sample_time, delays.n_inputs
+    if not m:
+        raise ValueError("a delay 'auto' is found from inputs, and there are none; give seconds")
+    most, count = most_samples(experiment), HARMONICS if basis.harmonic else 0
+    segments = list(zip(experiment.inputs, experiment.outputs, experiment.phases, strict=True))
+    lags = first_answers(segments, most, DEFAULT_BLOCK_ROWS, count)
+    samples, told = delays.seconds / dt, np.isfinite(lags)
+    names = np.array(delays.names)
+    silent = np.concatenate([~told.any(axis=0), ~told.any(axis=1)]) & delays.free
+    if silent.any() and basis.harmonic:  # of plain data the likelihood tells
+        warn(
+            f"no output answers the inputs within {most} samples ({most * dt:.3g} s), so the "
+            f"delays of {names[silent].tolist()} are taken as zero; refine them with "
+            f"StructuredMatcher(criterion='output_error'), use inputs that move more, or give them",
+            IdentifiabilityWarning,
+        )
+    free_inputs, free_outputs = delays.free[:m], delays.free[m:]
+    sums = np.where(told, lags, np.inf)
+    if free_outputs.any():
+        known = np.where(free_inputs, 0.0, samples[:m])
+        first = np.min(sums - known, axis=1)
+        if free_inputs.all() and free_outputs.all():  # only sums are told
+            first = first - first[0]
+        first = np.where(np.isfinite(first), first, 0.0)
+        samples[m:] = np.where(free_outputs, np.maximum(first, 0.0), samples[m:])
+    if free_inputs.any():
+        first = np.min(sums - samples[m:, None], axis=0)
+        first = np.where(np.isfinite(first), first, 0.0)
+        samples[:m] = np.where(free_inputs, np.maximum(np.rint(first), 0.0), samples[:m])
+    free = delays.free.copy()
+    if free.all():  # a common shift is seen by nobody
+        free[m], samples[m] = False, 0.0
+    return replace(delays, free=free).at(samples * dt)
+
+
+def _refined(model, machine):
+    """Delays of largest likelihood of plain data, with their deviations; None where none is."""
+    origin, dt, delays = machine.origin, machine.base.sample_time, machine.delays
+    if not model.n_states:
+        return None
+    try:
+        A, B = discrete_to_continuous(model.A, model.B, model.dt)
+    except ValueError:  # no continuous model: fractions of a sample mean nothing
+        return None
+    whole = np.block([[A, B], [model.C, model.D]])
+    structure = _all_free(whole.shape, model.n_states)
+    cells = Cells.of(delays.seconds / dt, delays.n_inputs, delays.free)
+
+    size, most = output_scale(origin), most_samples(origin)
+    begin = structure.nearest(whole[None])
+
+    def problem(cells, least=0):
+        moved = in_whole_samples(origin, cells.input_lags, cells.output_lags, least)
+        segments = [(u, y, 0) for u, y in zip(moved.inputs, moved.outputs, strict=True)]
+        form = Form(structure, 2.0 * np.pi / dt, 1, delays=cells.fractions, gauge=True)
+        return form, segments
+
+    def cost(cells):
+        start = np.append(begin, cells.fractions.start)
+        return cost_of_best_inputs(*problem(cells, most + 1), start, size)
+
+    def fit(cells, before, sigma=None):
+        late, (form, segments) = cells.fractions.start, problem(cells)
+        start = begin if before is None else before.theta
+        wide = np.full(len(start), np.inf)
+        found = output_error_of(
+            form,
+            segments,
+            np.append(start, late),
+            bounds=(np.append(-wide, 0.0 * late), np.append(wide, 1.0 + 0.0 * late)),
+            sigma=sigma,
+            max_iter=MOST_STEPS if sigma is None else FEW_STEPS,
+        )
+        return found, cells.at(found.delays), found.cost / found.n_residuals
+
+    found, cells = most_likely(cells, most, cost, partial(fit, sigma=size), fit)
+    std, k = np.full(len(delays.names), np.nan), structure.n_parameters
+    std[cells.fractions.free] = np.sqrt(np.diag(found.covariance)[k:]) * dt
+    return delays.at(cells.samples * dt, std)
+
+
+def _all_free(shape, n):
+    """[F G; C 0], all other entries parameters."""
+    free = np.ones(shape, dtype=bool)
+    free[n:, n:] = False
+    places = np.flatnonzero(free)
+    ones = np.ones(len(places)), (np.arange(len(places)), places)
+    basis = sparse.csr_array(ones, shape=(len(places), free.size))
+    return PeriodicStructure(np.zeros((1, *shape)), basis, n, tuple(map(str, places)))
 
 
 def identify_frame(X, y, settings, *delays):

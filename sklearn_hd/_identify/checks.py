@@ -1,16 +1,17 @@
-"""Checks of block rows, order and weighting against the data."""
+"""Checks of block rows, order and weighting against the data, and of samples and their model."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
+from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.products_cache import KeptSums
-from sklearn_hd._warn import warn
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
+from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
-from sklearn_hd.algorithms.subspace.predictor_subspace import rows_remembered
-from sklearn_hd.algorithms.subspace.projections import PROJECTIONS
-from sklearn_hd.exceptions import ExcitationWarning
+from sklearn_hd.algorithms.subspace.projections import PROJECTIONS, rows_remembered
+from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
 
 DEFAULT_BLOCK_ROWS = 15
 PREDICTOR = "pbsid"
@@ -19,6 +20,8 @@ NOTABLE = 0.01  # share of the innovations that is worth a warning
 COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
 ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)
+ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
+NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 
 
 def checked(settings):
@@ -155,3 +158,134 @@ def rows_of_predictor(data, first, size, settings):
     rows = min(most, max(rows, -(-order // n_outputs)) + ROWS_BEYOND)
     check_rank_bound(settings.order, rows, n_outputs)
     return rows
+
+
+def root_mean_square(signals):
+    """Of some signals of all segments."""
+    return np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
+
+
+def check_turns(experiment):
+    """Raise ValueError if the record is no turn long, where anything may depend on the turn."""
+    basis = experiment.basis
+    turns = sum(len(y) for y in experiment.outputs) / basis.samples_per_period
+    if turns < 1.0 and (basis.most_loads or basis.n_harmonics != 0):
+        raise ValueError(
+            f"the {experiment.span()} cover only {turns:.3g} of a turn (omega={basis.omega:.4g} "
+            f"rad/s), so nothing repeats itself; check omega, use a longer record, or give "
+            f"output_harmonics=0 and load_harmonics=0 in HarmonicAnalyzer{or_hop(basis)}"
+        )
+
+
+def or_hop(basis):
+    """A smaller hop as a way out, where rows were left out."""
+    return f", or hop below {basis.hop}" if basis.hop > 1 else ""
+
+
+def check_outputs_move(still, facts):
+    """Raise ValueError if outputs repeat themselves with every turn; warn of those that do."""
+    names = [name for name, rests in zip(facts.output_names, still, strict=True) if rests]
+    if len(names) == len(still):
+        raise ValueError(
+            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: there "
+            f"is no response to inputs to identify; check the columns of y, or use a record in "
+            f"which inputs move them"
+        )
+    if names:
+        warn(
+            f"the outputs {names} repeat themselves with every turn in the {facts.span()}: no "
+            f"input moves them, so their model is only their loads",
+            IdentifiabilityWarning,
+        )
+
+
+def check_told_from_loads(left, experiment):
+    """Raise ValueError if an input moves with the turn alone: then loads look the same."""
+    whole = root_mean_square(experiment.drive)
+    for name, size, rest in zip(experiment.basis.input_signals, whole, left, strict=True):
+        if rest <= NOTHING * size:
+            raise ValueError(
+                f"input {name!r} repeats itself with every turn in the {experiment.span()} (except "
+                f"for {rest / size:.2g} of its size), so its effect cannot be separated from "
+                f"periodic loads; use a record in which it changes from turn to turn, drop it, "
+                f"subtract its rest value, or give load_harmonics below those of the input"
+            )
+
+
+def warn_of_little(layout, n_rows, best, basis):
+    """Of a record too short for its predictor, and of a model that explains nothing."""
+    if n_rows < ROWS_PER_COLUMN * layout.n_columns:
+        warn(
+            f"{n_rows} rows determine {layout.n_columns} coefficients of the predictor of each "
+            f"output ({layout.n_lags} lags, {layout.n_harmonics} harmonic(s), loads of "
+            f"{layout.n_loads}): with fewer than {ROWS_PER_COLUMN} rows for each the model is "
+            f"largely noise; use a longer record, or reduce block_rows, output_harmonics or "
+            f"load_harmonics{or_hop(basis)}",
+            IdentifiabilityWarning,
+        )
+    if best.bic >= 0.0:  # which loads alone have
+        warn(
+            f"no model explains the outputs better than their loads alone (by Schwarz's "
+            f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
+            f"variance about the forced periodic response; check that outputs follow inputs, that "
+            f"omega (or the azimuth) is that of the machine, and that {n_rows} rows are enough for "
+            f"order {best.order} with {best.n_harmonics} harmonic(s)",
+            IdentifiabilityWarning,
+        )
+
+
+def why_no_noise(segments, innovations, predictor):
+    """Why what predictions leave is no noise: so much more than the predictor they come from.
+
+    The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
+    same where states, order or harmonics have lost what it knew.
+
+    Returns
+    -------
+    words : str
+        Empty where nothing speaks against the model.
+    """
+    if searching():
+        return ""
+    layout, n = predictor.layout, innovations.n_states
+    if sum(len(y) for _, y, _ in segments) < ROWS_PER_COLUMN * layout.n_columns:
+        return ""  # the predictor itself is noise
+    m, n_outputs = layout.n_inputs, layout.n_outputs
+    left, first = [], slice(0, 4 * layout.n_lags)
+    for u, y, psi in segments:
+        rows = innovations.rows(psi)
+        x0 = rows.initial_state(u[first], y[first], innovations.covariance)
+        left.append(rows.innovations(u, y, x0)[1])
+    n_rows = sum(map(len, left))
+    if not all(np.max(np.abs(e), initial=0.0) < OVERFLOW for e in left):
+        return ""  # an InstabilityWarning says so
+    covariance = sum(e.T @ e for e in left) / n_rows
+    floor = SENSOR_NOISE**2 * np.eye(n_outputs)
+    own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))
+    more = own - its
+    spent = (n * (2 * n_outputs + m) + layout.feedthrough * n_outputs * m) * layout.n_functions
+    saved = n_outputs * (layout.n_columns - 2 * layout.n_loads - 1) - spent
+    if not (more > 0.0 and n_rows * more > saved * np.log(n_rows)):
+        return ""
+    return (
+        f"the model's residuals are not noise: its one-step predictions leave "
+        f"{np.exp(more / n_outputs):.3g} times the variance that its own starting predictor "
+        f"({layout.n_lags} lags) leaves; states are missing or inaccurate: raise order=, change "
+        f"the number of harmonics or block_rows, and see residual_tests"
+    )
+
+
+def warn_of_growth(model, best, data):
+    """Of a model that grows e-fold over the longest segment."""
+    if best.stable:
+        return
+    radius = np.max(np.abs(model.innovations.multipliers()))
+    turns = data.longest * data.step / (2.0 * np.pi)
+    folds = turns * np.log(max(radius, 1e-300))
+    warn(
+        f"the model has a Floquet multiplier of size {radius:.4g}, so it grows by a factor of "
+        f"{np.exp(min(folds, 700.0)):.3g} over the longest segment ({turns:.4g} turns): predict "
+        f"overflows, or leaves the record where feedback held the machine; use predict_ahead "
+        f"there, stable=True where the machine is stable, or another order",
+        InstabilityWarning,
+    )

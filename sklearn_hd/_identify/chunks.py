@@ -4,7 +4,7 @@ Rows are read as in a fit of all rows: plain rows as they are; through a sliding
 = 0 mod hop, as soon as their windows, hops and whole periods are complete. The raw rows that this
 needs are carried over to the next chunk; the rest are statistics that merge.
 With a half-life the rows are weighted by their age
-(:mod:`~sklearn_hd.algorithms.subspace.forgetting`).
+(:mod:`~sklearn_hd.algorithms.subspace.sums`).
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._checks import FIRST, RAISE, at
+from sklearn_hd._guards import warn
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
 from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
 from sklearn_hd._identify.sliding import (
@@ -25,9 +26,8 @@ from sklearn_hd._identify.statistics import REMEMBERING, Channels, Statistics, e
 from sklearn_hd._readings import PlainReading, Timing, first_difference
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd._tables import STEP_TOLERANCE, resolution
-from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.subspace.forgetting import Forgetting
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
+from sklearn_hd.algorithms.subspace.sums import Forgetting
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 MOST_BYTES = 2**33  # of one matrix of the sums

@@ -11,14 +11,13 @@ import numpy as np
 from scipy import linalg
 from scipy.stats import chi2
 
-from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import (
     check_motion,
     longest_span,
     warn_of_growth,
 )
 from sklearn_hd._frame import Lifted
-from sklearn_hd._guards import searching
+from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
@@ -32,8 +31,7 @@ from sklearn_hd._opinion import (
     of_multipliers,
     warn_unconfirmed,
 )
-from sklearn_hd._records.data import lifted_periods, rows_read
-from sklearn_hd._warn import warn
+from sklearn_hd._records.data import lifted_periods, output_scale, rows_read
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
@@ -62,7 +60,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
     response_to_states,
     state_response,
 )
-from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.signals.fourier import input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_hd._fit_checks import check_motion, warn_of_unstable
 from sklearn_hd._frame import LTIModel
+from sklearn_hd._guards import warn
 from sklearn_hd._identify.checks import (
     DEFAULT_BLOCK_ROWS,
     NOTABLE,
@@ -15,7 +16,6 @@ from sklearn_hd._identify.checks import (
 )
 from sklearn_hd._identify.stages import SubspaceFit, by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.order import (
@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.subspace.order import (
     order_by_wide_gap,
     runs_away,
 )
-from sklearn_hd.algorithms.subspace.predictor_subspace import share_at_once
+from sklearn_hd.algorithms.subspace.projections import share_at_once
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 

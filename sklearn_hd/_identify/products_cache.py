@@ -14,7 +14,7 @@ from collections import OrderedDict
 import numpy as np
 from sklearn.utils.validation import check_memory
 
-from sklearn_hd._warn import warn
+from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import lag_products

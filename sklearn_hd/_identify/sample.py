@@ -14,9 +14,9 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
-from sklearn_hd._guards import searching
-from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS
-from sklearn_hd._identify.sample_checks import (
+from sklearn_hd._guards import searching, warn
+from sklearn_hd._identify.checks import (
+    MOST_PREDICTOR_ROWS,
     ROWS_PER_COLUMN,
     check_outputs_move,
     check_told_from_loads,
@@ -31,10 +31,9 @@ from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.linalg.rounding import HALF
-from sklearn_hd.algorithms.lti.stability import GROWN
+from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import (

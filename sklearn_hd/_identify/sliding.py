@@ -27,8 +27,7 @@ from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import rows_read
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
 STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise

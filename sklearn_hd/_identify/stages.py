@@ -15,8 +15,11 @@ from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.checks import PREDICTOR, warn_excitation
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import Simulated, order_by_gap
-from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace
-from sklearn_hd.algorithms.subspace.projections import Projection, release_idle_directions
+from sklearn_hd.algorithms.subspace.projections import (
+    PredictorSubspace,
+    Projection,
+    release_idle_directions,
+)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from sklearn_hd._guards import extremes, square_sums
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._tables import why_short
 from sklearn_hd.algorithms.linalg.rounding import EXACT
-from sklearn_hd.algorithms.signals.lifting import InputDirections
-from sklearn_hd.algorithms.subspace.forgetting import Forgetting
+from sklearn_hd.algorithms.signals.fourier import InputDirections
 from sklearn_hd.algorithms.subspace.hankel import (
     block_order,
     factor_of_products,
@@ -24,6 +23,7 @@ from sklearn_hd.algorithms.subspace.hankel import (
 )
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.algorithms.subspace.sums import (
+    Forgetting,
     Sums,
     initial_states_of_heads,
     input_matrices_of_factor,

@@ -1,1 +1,364 @@
-"""Parts of step 5: structures matched in a norm, periodic models, maximum likelihood."""
+"""Step 5: structures matched in a norm, periodic models in closed form, maximum likelihood.
+
+Each route has a module, and gives a ``Match``: a structured model with its parameters.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_hd._checks import check_frequencies
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._sample_model import AtSamples, SampleModel
+from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
+from sklearn_hd.algorithms.lti.simulation import step_response
+from sklearn_hd.algorithms.lti.structured_model import AffineStructure
+from sklearn_hd.algorithms.matching.matching import MatchResult
+from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.signals.fourier import harmonic_labels
+from sklearn_hd.exceptions import UnstableModelError
+from sklearn_hd.systems import LTPSystem
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicModel:
+    """Linear time-periodic system by its Fourier coefficients, as a value that pickles.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (2 K + 1, n + l, n + m)
+        Of [F G; P Q](ψ), in the order 0, 1c, 1s, ….
+    omega : float
+        rad/s.
+    state_names, input_names, output_names : tuple of str
+    """
+
+    coefficients: np.ndarray
+    omega: float
+    state_names: tuple
+    input_names: tuple
+    output_names: tuple
+
+    @property
+    def n_states(self):
+        """Number of states."""
+        return len(self.state_names)
+
+    @property
+    def physical(self):
+        """Whether the states are outputs, rather than Floquet coordinates."""
+        return set(self.state_names) <= set(self.output_names)
+
+    def matrices(self):
+        """Fourier coefficients of F, G, P and Q."""
+        M, n = self.coefficients, self.n_states
+        return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
+
+    def highest(self, name):
+        """Highest harmonic of F, G, P or Q that is not zero."""
+        return len(_trimmed(self.matrices()["FGPQ".index(name)])) // 2
+
+    def to_system(self):
+        """The model as an LTPSystem."""
+        F, G, P, Q = (_trimmed(M) for M in self.matrices())
+        return LTPSystem(
+            F,
+            G,
+            P,
+            Q,
+            omega=self.omega,
+            state_names=self.state_names,
+            input_names=self.input_names,
+            output_names=self.output_names,
+        )
+
+    def sampled(self, n_phases):
+        """Transition and output matrices of the samples of one period."""
+        fixed = PeriodicStructure(
+            self.coefficients, np.zeros((0, self.coefficients.size)), self.n_states, ()
+        )
+        return sampled_response(fixed, [], self.omega, n_phases, sensitivities=False)
+
+    def time_invariant(self, basis):
+        """Harmonic decomposition between the coefficients that a basis keeps (Eq. 8).
+
+        Where the outputs are the states, the coefficients kept are the states, too.
+
+        Returns
+        -------
+        A, B, C, D : ndarray
+        state_names : tuple of str
+        """
+        N, states = self._states_kept(basis)
+        labels = [f"{x}_{k}" for k in harmonic_labels(range(N + 1)) for x in self.state_names]
+        stacked = _decompose(self.coefficients, self.omega, basis, N, states)
+        n = len(states)
+        parts = stacked[:n, :n], stacked[:n, n:], stacked[n:, :n], stacked[n:, n:]
+        return parts, tuple(labels[i] for i in states)
+
+    def decomposed_structure(self, structure, basis):
+        """The same with the parameters of a periodic structure, whose model this is.
+
+        Returns
+        -------
+        affine : AffineStructure
+        seen : ndarray of int
+            Parameters that stand in it.
+        """
+        N, states = self._states_kept(basis)
+        shape = structure.constant.shape
+        rates = [
+            _decompose(row.reshape(shape), 0.0, basis, N, states)
+            for row in structure.basis.toarray()
+        ]
+        seen = np.array([k for k, rate in enumerate(rates) if rate.any()], dtype=int)
+        constant = _decompose(structure.constant, self.omega, basis, N, states)
+        stacked = np.array([rates[k] for k in seen]).reshape(len(seen), *constant.shape)
+        names = tuple(structure.parameter_names[k] for k in seen)
+        return AffineStructure(constant, stacked, len(states), names), seen
+
+    def _states_kept(self, basis):
+        """Harmonics of the states, and the places of those kept."""
+        L = highest_harmonic(basis.outputs)
+        if self.state_names == self.output_names:
+            return L, kept_places(basis.outputs)
+        N = L + len(_trimmed(self.matrices()[2])) // 2
+        return N, list(range((2 * N + 1) * self.n_states))
+
+
+def _decompose(coefficients, omega, basis, n_harmonics, states):
+    """[A B; C D] of the harmonic decomposition between some states and what a basis keeps."""
+    n = coefficients.shape[1] - len(basis.outputs)
+    M, L = highest_harmonic(basis.inputs), highest_harmonic(basis.outputs)
+    parts = coefficients[:, :n, :n], coefficients[:, :n, n:]
+    parts += coefficients[:, n:, :n], coefficients[:, n:, n:]
+    A, B, C, D = harmonic_decomposition(*parts, omega, n_harmonics, M, L)
+    rows, columns = kept_places(basis.outputs), kept_places(basis.inputs)
+    left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
+    right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]
+    return np.hstack([np.vstack(left), np.vstack(right)])
+
+
+def _trimmed(coefficients):
+    """Fourier coefficients without harmonics that are zero."""
+    moving = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2)))
+    highest = (moving[-1] + 1) // 2 if len(moving) else 0
+    return coefficients[: 2 * highest + 1]
+
+
+def kept_places(signals):
+    """Places of the coefficients kept of some signals in the order s_0, s_1c, s_1s, …."""
+    places = []
+    for i, (_, orders) in enumerate(signals):
+        for k in orders:
+            blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
+            places += [block * len(signals) + i for block in blocks]
+    return places
+
+
+class PeriodicSimulator:
+    """Free simulation of a periodic model over one segment, linear in its initial state.
+
+    Parameters
+    ----------
+    model : PeriodicModel
+    response : SampledResponse
+        Of the model, over the samples of one period.
+    phase : ndarray of int, shape (n_samples,)
+        Sample within the period.
+    inputs : ndarray, shape (n_samples, m)
+    time : ndarray, shape (n_samples,)
+    """
+
+    steps_at_samples = True
+
+    def __init__(self, model, response, phase, inputs, time):
+        self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
+        self.response = response
+
+    def forced(self):
+        """Outputs without inputs and states, trim not added: none."""
+        return np.zeros((len(self.time), 1))
+
+    def outputs(self, x0, *, recompose=True, n_samples=None):
+        """Outputs, trim not added, of all samples or the first of them."""
+        inputs = self.inputs[:n_samples]
+        states = self._states(inputs, x0)
+        if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
+            raise UnstableModelError(
+                f"the simulation overflows: the model's largest Floquet multiplier is "
+                f"{self.response.spectral_radius:.4g} (a stable model has less than 1); change the "
+                f"order of the identified model, or simulate a shorter span"
+            )
+        extended = np.concatenate([states, inputs], axis=-1)
+        return np.einsum("tla,ta->tl", self._at(self.response.Out, slice(n_samples)), extended)
+
+    def free(self, n_samples):
+        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
+        n = self.model.n_states
+        states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
+        return np.einsum(
+            "tla,kta->ktl", self._at(self.response.Out, slice(n_samples))[..., :n], states
+        )
+
+    def at_samples(self, some=slice(None)):
+        """The model at (some of) its samples."""
+        n, count = self.model.n_states, len(self.model.coefficients) // 2
+        step, seen = (self._at(M, some) for M in (self.response.Psi, self.response.Out))
+        matrices = step[..., :n], step[..., n:], seen[..., :n], seen[..., n:], None
+        return AtSamples.of(*matrices, self.inputs[some], count)
+
+    def _at(self, matrices, some):
+        return matrices[self.phase[some] % len(matrices)]
+
+    def _states(self, inputs, x0):
+        n = self.model.n_states
+        Psi = self.response.Psi
+        turned = np.roll(Psi, -(self.phase[0] % len(Psi)), axis=0)
+        which = np.arange(len(inputs)) % len(Psi)
+        forcing = np.einsum("tij,tj->ti", turned[which, :, n:], inputs)
+        forcing = np.broadcast_to(forcing, (*x0.shape[:-1], *forcing.shape))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return propagate_periodic(turned[:, :, :n], forcing, x0)
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How well the record determines a model: the Cramér-Rao bound at the estimate.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (k, k)
+        Of the parameters; infinite and NaN where the record does not determine them.
+    noise_std : ndarray, shape (l,)
+        Of the outputs' noise, in their units.
+    aic, bic : float
+    exponents, exponents_std : complex ndarray, shape (n,)
+        Eigenvalues or Floquet exponents, 1/s; standard deviation of the real part + j
+        times that of the imaginary part.
+    affine : AffineStructure
+        The time-invariant model, affine in some of the parameters.
+    seen : ndarray of int
+        Which parameters.
+    dt : float
+        Seconds between samples of that model; 0 in continuous time.
+    kind : {"information", "robust"}
+        What the covariance is made of.
+    tests : dict of list, or None
+        Columns of the residual tests of the record fitted.
+    doubt : str or None
+        What of the model does not stand; None if it stands, whatever its residuals are.
+    """
+
+    covariance: np.ndarray
+    noise_std: np.ndarray
+    aic: float
+    bic: float
+    exponents: np.ndarray
+    exponents_std: np.ndarray
+    affine: AffineStructure | None
+    seen: np.ndarray | None
+    dt: float = 0.0
+    kind: str = "information"
+    tests: object = None
+    doubt: str | None = None
+
+    def frequency_response(self, theta, frequencies):
+        """Response at some frequencies (rad/s) and its standard deviation, (n, l, m) each."""
+        points = 1j * check_frequencies(frequencies)
+        points = np.exp(points * self.dt) if self.dt else points
+        response, slopes = self.affine.response_and_sensitivity(theta[self.seen], points)
+        return response, propagate_std(slopes, self.covariance[np.ix_(self.seen, self.seen)])
+
+    def step_response(self, theta, step, count, *, impulse=False):
+        """Response in time to a step or an impulse, and its standard deviation, (n, l, m) each.
+
+        Slopes are central differences over 1e-4 standard deviations.
+        """
+        at, options = theta[self.seen], {"dt": self.dt, "impulse": impulse}
+        covariance = self.covariance[np.ix_(self.seen, self.seen)]
+
+        def response(moved):
+            return step_response(*self.affine.matrices(moved), step, count, **options)
+
+        std = np.sqrt(np.diag(covariance))
+        known = np.isfinite(std) & (std > 0.0)
+        reach = 1e-4 * np.where(known, std, np.maximum(np.abs(at), 1.0))
+        moves = np.diag(reach)
+        slopes = [(response(at + m) - response(at - m)) / (2.0 * m.sum()) for m in moves]
+        slopes = np.stack(slopes, axis=-1) if slopes else np.zeros((*response(at).shape, 0))
+        return response(at), propagate_std(slopes, covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A structured model: its parameters, and how it came about.
+
+    Attributes
+    ----------
+    model : LTIModel
+        Time-invariant, in continuous time; the harmonic decomposition of a periodic one.
+    names : tuple of str
+    theta : ndarray, shape (n_parameters,)
+    structure : PeriodicStructure or None
+        How the parameters make the matrices, for the maximum-likelihood refinement; None
+        where every entry is one.
+    periodic : PeriodicModel or None
+        The linear time-periodic model, of periodic structures only.
+    theta_least_squares : ndarray, shape (n_parameters,), or None
+        The match in the mean square over frequency; None where it is ``theta``.
+    found : MatchResult or None
+        What the search in a norm left; None where nothing was minimised in one.
+    n_iter : int
+    uncertainty : Uncertainty or None
+        After maximum likelihood only.
+    sampled : SampleModel or None
+        Its samples and the forced response, of models of samples only.
+    waveform : ndarray, shape (n_phases, l), or None
+        What the trim that was subtracted is off by, after maximum likelihood.
+    """
+
+    model: LTIModel
+    names: tuple
+    theta: np.ndarray
+    structure: PeriodicStructure | None
+    periodic: PeriodicModel | None = None
+    theta_least_squares: np.ndarray | None = None
+    found: MatchResult | None = None
+    n_iter: int = 1
+    uncertainty: Uncertainty | None = None
+    sampled: SampleModel | None = None
+    waveform: np.ndarray | None = None
+
+    @property
+    def in_mean_square(self):
+        """The parameters of the match in the mean square over frequency."""
+        return self.theta if self.theta_least_squares is None else self.theta_least_squares
+
+    @property
+    def theta_std(self):
+        """Standard deviations of the parameters; NaN without maximum likelihood."""
+        if self.uncertainty is None:
+            return np.full(len(self.theta), np.nan)
+        return np.sqrt(np.diag(self.uncertainty.covariance))
+
+    def stored(self):
+        """The same without what only maximum likelihood needs."""
+        return replace(self, structure=None, waveform=None)
+
+    def by(self, found):
+        """The same with what a search in a norm left."""
+        least_squares = found.theta_least_squares
+        return replace(self, theta_least_squares=least_squares, found=found, n_iter=found.n_iter)
+
+
+def periodic_match(structure, theta, periodic, model, basis, found=None):
+    """The match of a periodic structure; its time-invariant model is the decomposition."""
+    matrices, state_names = periodic.time_invariant(basis)
+    matched = model.in_continuous_time(*matrices, state_names=state_names)
+    match = Match(matched, structure.parameter_names, theta, structure, periodic)
+    return match if found is None else match.by(found)

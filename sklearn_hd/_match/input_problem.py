@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft, linalg, sparse
 
-from sklearn_hd._match.match import PeriodicModel
+from sklearn_hd._match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.linalg.rounding import EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
@@ -37,7 +37,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     held_pushes,
     sampled_response,
 )
-from sklearn_hd.algorithms.signals.lifting import InputDirections
+from sklearn_hd.algorithms.signals.fourier import InputDirections
 
 MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)

@@ -12,13 +12,12 @@ from itertools import combinations
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._continuous import output_scale
 from sklearn_hd._fit_checks import growth_rate, longest_span
+from sklearn_hd._guards import warn
+from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
-from sklearn_hd._match.match import periodic_match
 from sklearn_hd._match.trust import MOST_SYSTEMATIC
-from sklearn_hd._records.data import beside_trim, lifted_periods, rows_read
-from sklearn_hd._warn import warn
+from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import without_noise
@@ -32,8 +31,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
     state_response,
     tail_begins,
 )
-from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
-from sklearn_hd.algorithms.signals.lifting import input_directions
+from sklearn_hd.algorithms.signals.fourier import input_directions, sampled_harmonics
 from sklearn_hd.algorithms.signals.trim import NOTABLE
 from sklearn_hd.algorithms.subspace.innovations import predicted_states
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning

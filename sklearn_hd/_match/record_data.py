@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from scipy import sparse
 
-from sklearn_hd._continuous import output_scale
+from sklearn_hd._records.data import output_scale
 from sklearn_hd._records.delays import in_whole_samples, most_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, most_likely, through_cells
@@ -27,7 +27,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovati
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels, sampled_harmonics
-from sklearn_hd.algorithms.signals.late_signals import turned
+from sklearn_hd.algorithms.signals.resampling import turned
 
 FEW_STEPS = 30  # of a search with more harmonics: one that takes longer is not determined
 FEW_STEPS_IN_CELLS = 10  # of a search for the samples in which delays lie

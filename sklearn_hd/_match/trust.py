@@ -12,20 +12,21 @@ from functools import partial
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._guards import warn
 from sklearn_hd._opinion import CONTRADICTS, SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
 from sklearn_hd.algorithms.likelihood.predictor import simulate
-from sklearn_hd.algorithms.likelihood.robust import (
+from sklearn_hd.algorithms.likelihood.uncertainty import (
     blocks_in_time,
     by_direction,
     by_size,
+    exponent_slopes,
     part_scores,
+    propagate_std,
     whole_covariance,
 )
-from sklearn_hd.algorithms.likelihood.uncertainty import exponent_slopes, propagate_std
 from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 
 WORDS = {

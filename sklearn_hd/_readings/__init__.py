@@ -6,14 +6,13 @@ harmonics come back to samples. :class:`PlainReading` is for data without an ana
 
 from sklearn_hd._readings.basis import (
     HarmonicBasis,
+    PeriodBasis,
+    SlidingBasis,
     Timing,
     coefficient_names,
     first_difference,
     highest_harmonic,
 )
-from sklearn_hd._readings.period import PeriodBasis
-from sklearn_hd._readings.plain import PlainReading
-from sklearn_hd._readings.sample import SampleBasis
-from sklearn_hd._readings.sliding import SlidingBasis
+from sklearn_hd._readings.sample import PlainReading, SampleBasis
 
 READINGS = {kind.reading: kind for kind in (SlidingBasis, PeriodBasis, SampleBasis)}

@@ -8,8 +8,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from sklearn_hd._guards import warn
 from sklearn_hd._records.sampling import Piece, Sampling
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.signals.amplitudes import (
     extrapolation_weights,
     n_distinct,

@@ -1,6 +1,8 @@
 """How a record is to be read: which reading suits it, on which grid, with what harmonics.
 
 ``analyzer`` is asked for its parameters alone.
+
+ω of a record: as given, or as the record tells it where the given one is surely off.
 """
 
 import math
@@ -18,14 +20,19 @@ from sklearn_hd._checks import (
     check_rate,
     whole_period,
 )
+from sklearn_hd._guards import warn
 from sklearn_hd._readings import READINGS
+from sklearn_hd._records.data import sample
 from sklearn_hd._tables import STANDARD_ERRORS
-from sklearn_hd.algorithms.signals.rest import inputs_rest
+from sklearn_hd.algorithms.periodic.speed import measured_speed
+from sklearn_hd.algorithms.signals.trim import inputs_rest
+from sklearn_hd.exceptions import FrequencyMismatchWarning
 
 AUTO = "auto"
 NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
+SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is no matter
 
 
 def chosen_readings(analyzer, inputs, outputs, omega):
@@ -193,3 +200,63 @@ def _checked_hop(analyzer, spp, highest):
 def _least_rows(highest):
     """Rows of a sliding window in a period, for the highest harmonic kept."""
     return max(ROWS_PER_PERIOD, 2 * highest + 3)
+
+
+def settled_omega(analyzer, inputs, outputs, timing):
+    """The fundamental frequency at which a record is analysed, rad/s.
+
+    Parameters
+    ----------
+    analyzer : HarmonicAnalyzer
+        Asked for ``omega`` and ``azimuth`` alone.
+    inputs : Signals
+    outputs : ndarray, shape (n_rows, n_outputs), or None
+    timing : Timing
+
+    Returns
+    -------
+    omega : float
+        The mean speed by the azimuth where there is one.
+    """
+    if analyzer.azimuth is not None:
+        return inputs.mean_speed(analyzer.azimuth)[1]
+    omega, step = float(analyzer.omega), inputs.base.sample_time
+    samples = 2.0 * np.pi / omega / step
+    if outputs is None or not np.isfinite(samples) or samples <= 2.0:
+        return omega
+    basis = _samples(inputs, omega, max(1, int(samples / ROWS_PER_TURN)), timing)
+    sampling, u, y = sample(inputs, basis, outputs)
+    segments = list(zip(u, y, (piece.grid for piece in sampling.pieces), strict=True))
+    found = measured_speed(segments, omega, basis.most_loads)
+    if found is None:
+        return omega
+    if found.moved > SLIGHT:
+        _warn_of_another(found, omega)
+    return found.omega
+
+
+def _samples(inputs, omega, hop, timing):
+    """A basis of samples with their azimuths, some of which are left out."""
+    step = inputs.base.sample_time * hop
+    return READINGS["sample"](
+        omega=omega,
+        sample_time=step,
+        samples_per_period=2.0 * np.pi / omega / step,
+        window="boxcar",
+        hop=hop,
+        inputs=tuple((name, (0,)) for name in inputs.names),
+        outputs=(),
+        timing=timing,
+    )
+
+
+def _warn_of_another(found, omega):
+    off = omega / found.omega - 1.0
+    warn(
+        f"the data repeat themselves at {found.omega:.9g} ± {found.std:.2g} rad/s, not at "
+        f"omega={omega:.9g} rad/s, which is {abs(off):.2{'%' if abs(off) > 1e-4 else 'g'}} "
+        f"{'more' if off > 0.0 else 'less'}: the azimuth would go astray by {found.turns:.2g} "
+        f"turns, {np.sqrt(found.moved):.2g} of the size of the motion; {found.omega:.9g} is used "
+        f"instead; set omega={found.omega:.9g}, or check the clock",
+        FrequencyMismatchWarning,
+    )

@@ -20,10 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from sklearn_hd._guards import warn
 from sklearn_hd._records.sampling import Piece, Sampling
-from sklearn_hd._warn import warn
-from sklearn_hd.algorithms.signals.late_signals import advanced, arriving, lagged
-from sklearn_hd.algorithms.signals.resampling import ON_GRID
+from sklearn_hd.algorithms.signals.resampling import ON_GRID, advanced, arriving, lagged
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_SAMPLES = 50  # of a delay that is looked for in plain data

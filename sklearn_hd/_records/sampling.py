@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_hd._checks import RAISE, at
+from sklearn_hd._guards import warn
 from sklearn_hd._tables import TimeBase, even, resolution
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import standing_lines

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_hd._checks import check_span
+from sklearn_hd._guards import warn
 from sklearn_hd._records.bases import AUTO
 from sklearn_hd._records.data import sample
 from sklearn_hd._tables import resolution
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
-from sklearn_hd.algorithms.signals.fourier import standing_lines
-from sklearn_hd.algorithms.signals.lifting import lift
+from sklearn_hd.algorithms.signals.fourier import lift, standing_lines
 from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands_out, turns_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 

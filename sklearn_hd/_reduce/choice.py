@@ -9,19 +9,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._continuous import input_scale, observations, output_scale, scaled_outputs
+from sklearn_hd._guards import warn
 from sklearn_hd._opinion import WAY_OUT, contradictions, doubtful, of_second_order
-from sklearn_hd._warn import warn
+from sklearn_hd._records.data import input_scale, observations, output_scale, scaled_outputs
 from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
 from sklearn_hd.algorithms.modes.families import (
     COPY_TOLERANCES,
     FAINT,
     agreeing_copies,
+    best_modes,
     conjugate_units,
     floquet_families,
     is_window_pole,
+    residual,
+    unit_regressors,
 )
-from sklearn_hd.algorithms.modes.selection import best_modes, residual, unit_regressors
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 __all__ = [

@@ -13,11 +13,13 @@ import pandas as pd
 
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._report import models
-from sklearn_hd._report.doubts import doubts, doubts_box, stands
 from sklearn_hd._report.facts import (
     REACH,
     Run,
+    doubts,
+    doubts_box,
     read_fitted,
+    stands,
     words_of,
 )
 from sklearn_hd._report.page import closed_figures, digits, facts_table, figure, line, page, table

@@ -1,13 +1,13 @@
 """Design from a model: the next record's inputs, regulators and Kalman filters."""
 
 from sklearn_hd.design._input import InputDesign, design_input
-from sklearn_hd.design._matrix import PeriodicMatrix
 from sklearn_hd.design._observer import (
     Observer,
     OutputFeedback,
     PeriodicEstimator,
     periodic_kalman,
 )
+from sklearn_hd.design._problem import PeriodicMatrix
 from sklearn_hd.design._regulator import PeriodicRegulator, periodic_lqr
 
 __all__ = [

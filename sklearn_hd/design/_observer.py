@@ -8,9 +8,9 @@ import numpy as np
 from sklearn_hd._checks import check_numbers, real_array
 from sklearn_hd._guards import within_range
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
-from sklearn_hd.design._matrix import PeriodicMatrix
 from sklearn_hd.design._problem import (
     ContinuousProblem,
+    PeriodicMatrix,
     SampledProblem,
     check_weight,
     held_integral,

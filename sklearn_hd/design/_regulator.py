@@ -9,9 +9,9 @@ from sklearn_hd._checks import check_numbers, real_array
 from sklearn_hd._guards import within_range
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.periodic.riccati import hamiltonian_triples, multipliers_of
-from sklearn_hd.design._matrix import PeriodicMatrix
 from sklearn_hd.design._problem import (
     ContinuousProblem,
+    PeriodicMatrix,
     SampledProblem,
     check_weight,
     held_integral,

@@ -4,7 +4,7 @@ import numpy as np
 from sklearn.exceptions import FitFailedWarning
 
 from sklearn_hd._checks import check_positive
-from sklearn_hd._warn import warn
+from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.subspace.order import MATERIAL
 
 MOST_NAMED = 5  # of the candidates that failed

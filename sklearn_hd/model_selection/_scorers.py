@@ -10,7 +10,7 @@ from sklearn.utils.metadata_routing import MetadataRequest
 
 from sklearn_hd._checks import check_count
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._scoring import compared, power_of_two
+from sklearn_hd._simulators import compared, power_of_two
 from sklearn_hd._tables import as_container, to_float
 
 

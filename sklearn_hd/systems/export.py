@@ -22,7 +22,7 @@ from scipy.io import savemat
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._checks import check_count
-from sklearn_hd._warn import warn
+from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics

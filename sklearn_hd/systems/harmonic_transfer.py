@@ -22,9 +22,8 @@ from sklearn_hd._checks import (
     check_time_origin,
     signal_names,
 )
-from sklearn_hd._guards import within_range
+from sklearn_hd._guards import warn, within_range
 from sklearn_hd._tables import as_container, read_time, to_float
-from sklearn_hd._warn import warn
 from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     effective_averages,

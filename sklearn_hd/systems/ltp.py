@@ -24,9 +24,8 @@ from sklearn_hd.systems.arguments import (
     precision,
 )
 from sklearn_hd.systems.export import export_model
-from sklearn_hd.systems.from_decomposition import read_decomposition
 from sklearn_hd.systems.harmonic_transfer import model_response
-from sklearn_hd.systems.minimal import harmonic_modes, minimal_model
+from sklearn_hd.systems.minimal import harmonic_modes, minimal_model, read_decomposition
 
 
 class LTPSystem(NamedSignals):

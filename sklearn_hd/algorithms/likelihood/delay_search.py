@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.likelihood.forms import Fractions
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT
-from sklearn_hd.algorithms.periodic.delayed_response import Fractions
 from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions
-from sklearn_hd.algorithms.signals.late_signals import first_lag
+from sklearn_hd.algorithms.signals.resampling import first_lag
 
 MOST_CELLS = 60  # that a search goes through
 FIRST_PLACES = 16  # of a delay, at which a scan begins

@@ -1,4 +1,27 @@
-"""What a likelihood has parameters of: a sampled periodic model with its Kalman gain."""
+"""What a likelihood has parameters of: a sampled periodic model with its Kalman gain.
+
+Samples of a periodic system whose inputs switch, and outputs are read, between the samples.
+
+    ẋ = F(ψ) x + G(ψ) u,   y = P(ψ) x + Q(ψ) u,   u_i(t) = v_i(t − τ_i),   z_j(t) = y_j(t − σ_j)
+
+v is held from sample to sample, τ_i = (k_i + f_i) Δt with k_i whole. Over the interval that follows
+sample k the input i is first v_i[k − k_i − 1], and from f_i Δt on v_i[k − k_i]: two inputs, the new
+and the old, each of which is held. σ_j = (d_j − g_j) Δt, and the measured output that is advanced
+by d_j samples is y_j at t_k + g_j Δt. Between the sorted f_i and g_j nothing switches and
+
+    x⁺ = Φ_s x + Γ_s u_s,
+
+so that their product is exact. The derivatives by the delays are exact, too. Where v_i switches,
+and where y_j is read,
+
+    ∂x(t)/∂f_i = Δt Φ(t, f_i) G_i (v_i[k − k_i − 1] − v_i[k − k_i]),
+    ∂z_j/∂g_j = Δt (ω P_j′ x + P_j (F x + G u) + ω Q_j′ u).
+
+A feedthrough passes on its input at the sampling instant, which is constant except for jumps
+at whole samples of τ_i + σ_j: it does not show the fraction, and has no derivative by it.
+
+Likelihoods of models with time delays need these.
+"""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -6,23 +29,245 @@ from functools import cached_property
 
 import numpy as np
 
-from sklearn_hd.algorithms.periodic.delayed_response import Fractions, delayed_response
 from sklearn_hd.algorithms.periodic.floquet import product_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     MAX_SUBSTEPS,
     PeriodicStructure,
+    SampledResponse,
+    by_parameter,
     evaluated_response,
     n_substeps,
     radius_of,
     sampled_response,
+    transitions,
 )
-from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 FEWEST = 63  # azimuths of a turn between which matrices are interpolated, odd
 MOST = 2047  # of them
 MOST_TURNS = 40  # of which one comes nearest to whole samples
+
+
+@dataclass(frozen=True, eq=False)
+class Fractions:
+    """What of some delays is no whole number of samples, and which of them are parameters.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (m,)
+        f_i, between 0 and 1: from then on an input has its new value.
+    outputs : ndarray, shape (l,)
+        1 − g_j, between 0 and 1: delays beyond d_j − 1 samples.
+    free : ndarray of int, shape (k,)
+        Places of those, inputs and outputs one after another, that are parameters.
+    """
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    free: np.ndarray
+
+    @property
+    def whole(self):
+        """All of them, inputs first."""
+        return np.concatenate([self.inputs, self.outputs])
+
+    @property
+    def start(self):
+        """Those that are parameters."""
+        return self.whole[self.free]
+
+    def at(self, values):
+        """The same with other values of the parameters."""
+        whole = self.whole
+        whole[self.free] = np.clip(values, 0.0, 1.0)
+        return Fractions(whole[: len(self.inputs)], whole[len(self.inputs) :], self.free)
+
+
+def delayed_response(
+    structure,
+    theta,
+    fractions,
+    omega,
+    n_phases,
+    observe=None,
+    *,
+    sensitivities=True,
+    n_points=None,
+):
+    """Transition and output matrices of samples between which inputs switch and outputs are read.
+
+    Parameters
+    ----------
+    structure : PeriodicStructure
+    theta : array_like, shape (k,)
+    fractions : Fractions
+        Of its m inputs, and of the l' outputs measured.
+    omega, n_phases, observe, n_points
+        As for :func:`sklearn_hd.algorithms.periodic.periodic_structure.sampled_response`.
+    sensitivities : bool, default=True
+
+    Returns
+    -------
+    response : SampledResponse
+        Of the inputs [new; old], 2 m of them, with derivatives by θ, then by the free fractions.
+
+    Examples
+    --------
+    A lag ẋ = −x + u whose input comes a quarter of a sample late:
+
+    >>> from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+    >>> lag = PeriodicStructure([[[-1.0, 1.0], [1.0, 0.0]]], np.zeros((0, 1, 2, 2)), 1, ())
+    >>> late = Fractions(np.array([0.25]), np.array([1.0]), np.arange(0))
+    >>> response = delayed_response(lag, [], late, 2 * np.pi, 1)
+    >>> new, old = 1.0 - np.exp(-0.75), np.exp(-0.75) - np.exp(-1.0)
+    >>> bool(np.allclose(response.Psi[0, 0, 1:], [new, old], rtol=1e-14))
+    True
+    """
+    theta = np.asarray(theta, dtype=float)
+    way = _Way(structure, theta, omega, n_phases, n_points or n_phases, observe, sensitivities)
+    reads, n_inputs = 1.0 - fractions.outputs, structure.n_inputs
+    of_input = {place: k for k, place in enumerate(fractions.free)}
+    breaks = np.unique(np.concatenate([[0.0, 1.0], fractions.inputs, reads]))
+    x = _Partial.start(way, len(fractions.free))
+    out = _Partial.nothing(way, len(reads), len(fractions.free))
+    for here, there in zip(breaks, [*breaks[1:], None], strict=True):
+        held = way.held(here < fractions.inputs)
+        for j in np.flatnonzero(reads == here):
+            way.read(out, x, held, here, j, of_input.get(n_inputs + j))
+        for i in np.flatnonzero(fractions.inputs == here):
+            way.switch(x, here, i, of_input.get(i))
+        if there is not None:
+            x = way.go_on(x, held, here, there)
+    return SampledResponse(x.value, out.value, x.slopes, out.slopes)
+
+
+@dataclass(eq=False)
+class _Partial:
+    """A matrix from [x[k]; new; old] to something within the interval, and its derivatives."""
+
+    value: np.ndarray  # (p, rows, n + 2 m)
+    slopes: np.ndarray | None  # (k, p, rows, n + 2 m)
+
+    @classmethod
+    def nothing(cls, way, rows, n_free):
+        shape = (way.count, rows, way.width)
+        slopes = np.zeros((len(way.theta) + n_free, *shape)) if way.sensitivities else None
+        return cls(np.zeros(shape), slopes)
+
+    @classmethod
+    def start(cls, way, n_free):
+        found = cls.nothing(way, way.n, n_free)
+        found.value[:, :, : way.n] = np.eye(way.n)
+        return found
+
+
+class _Way:
+    """The way through one interval of every sample of a turn."""
+
+    def __init__(self, structure, theta, omega, n_phases, n_points, observe, sensitivities):
+        self.structure, self.theta, self.omega, self.n_phases = structure, theta, omega, n_phases
+        self.sensitivities, self.n, self.m = sensitivities, structure.n_states, structure.n_inputs
+        self.width, self.n_points, self.observe = self.n + 2 * self.m, n_points, None
+        if observe is not None:
+            self.observe = sampled_harmonics(observe, (len(observe) - 1) // 2)
+        varies = any(structure.varies) or (observe is not None and len(observe) > 1)
+        self.count, self.step = n_points if varies else 1, 2.0 * np.pi / n_phases
+        self.dt = self.step / omega
+        self.coefficients = structure.coefficients(theta)
+
+    def held(self, old):
+        """What of [new; old] each input is, shape (m, 2 m)."""
+        return np.hstack([np.diag(~old), np.diag(old)]).astype(float)
+
+    def psi(self, here):
+        """Azimuths of an instant within the interval of each sample."""
+        return 2.0 * np.pi * np.arange(self.count) / self.n_points + self.step * here
+
+    def go_on(self, x, held, here, there):
+        """The states at the end of an interval in which nothing switches."""
+        n, n_theta = self.n, len(self.theta)
+        Psi, dPsi = transitions(
+            self.structure,
+            self.theta,
+            self.omega,
+            self.n_phases / (there - here),
+            self.n_points,
+            self.sensitivities,
+            self.step * here,
+        )
+        Psi = np.broadcast_to(Psi, (self.count, *Psi.shape[1:]))
+        Phi, value = Psi[..., :n], Psi[..., :n] @ x.value
+        value[..., n:] += Psi[..., n:] @ held
+        if not self.sensitivities:
+            return _Partial(value, None)
+        slopes = Phi @ x.slopes
+        slopes[:n_theta] += dPsi[..., :n] @ x.value
+        slopes[:n_theta, ..., n:] += dPsi[..., n:] @ held
+        return _Partial(value, slopes)
+
+    def switch(self, x, here, i, parameter):
+        """What a later switching of an input leaves: it has been the old one for longer."""
+        if parameter is None or not self.sensitivities:
+            return
+        G = evaluate_harmonics(self.coefficients[:, : self.n, self.n + i], self.psi(here))
+        own = x.slopes[len(self.theta) + parameter]
+        own[..., self.n + i] -= self.dt * G
+        own[..., self.n + self.m + i] += self.dt * G
+
+    def read(self, out, x, held, here, j, parameter):
+        """One row of the outputs, at an instant."""
+        n, n_theta, psi = self.n, len(self.theta), self.psi(here)
+        row, shown = self._row(psi, j)
+        self._set(out.value[:, j], row, x.value, held)
+        if not self.sensitivities:
+            return
+        out.slopes[:, :, j] = np.einsum("pa,kpab->kpb", row[:, :n], x.slopes)
+        harmonic, which, column, rates = self.structure.output_entries
+        functions = harmonic_functions(psi, range(self.structure.n_harmonics + 1))
+        moved = np.zeros((len(which), self.count, n + self.m))
+        moved[np.arange(len(which)), :, column] = (shown[:, which] * functions[:, harmonic]).T
+        moved = by_parameter(rates, moved)
+        slopes = moved[..., None, :n] @ x.value
+        slopes[..., 0, n:] += moved[..., n:] @ held
+        out.slopes[:n_theta, :, j] += slopes[..., 0, :]
+        if parameter is not None:  # a longer delay reads the output earlier
+            M = evaluate_harmonics(self.coefficients[:, :n], psi)
+            rate = self._row(psi, j, derivative=True) * self.omega
+            rate = rate + np.einsum("pa,pab->pb", row[:, :n], M)
+            own = np.zeros((self.count, self.width))
+            self._set(own, rate, x.value, held)
+            out.slopes[n_theta + parameter, :, j] -= self.dt * own
+
+    def _set(self, target, row, x, held):
+        target[:] = np.einsum("pa,pab->pb", row[:, : self.n], x)
+        target[:, self.n :] += row[:, self.n :] @ held
+
+    def _row(self, psi, j, derivative=False):
+        """[P_j Q_j] at some azimuths, and what is measured of the model's outputs there."""
+        own = self.coefficients[:, self.n :]
+        values = evaluate_harmonics(own, psi)
+        if self.observe is None:
+            shown = np.broadcast_to(np.eye(own.shape[1])[j], (len(psi), own.shape[1]))
+            if derivative:
+                return evaluate_harmonics(_by_azimuth(own), psi)[:, j]
+            return values[:, j], shown
+        shown = evaluate_harmonics(self.observe[:, j], psi)
+        row = np.einsum("pi,pib->pb", shown, values)
+        if not derivative:
+            return row, shown
+        turned = evaluate_harmonics(_by_azimuth(self.observe[:, j]), psi)
+        row = np.einsum("pi,pib->pb", turned, values)
+        return row + np.einsum("pi,pib->pb", shown, evaluate_harmonics(_by_azimuth(own), psi))
+
+
+def _by_azimuth(coefficients):
+    """Fourier coefficients of the derivative by ψ."""
+    found = np.zeros_like(coefficients)
+    orders = np.arange(1, len(coefficients) // 2 + 1).reshape(-1, *[1] * (coefficients.ndim - 1))
+    found[1::2], found[2::2] = orders * coefficients[2::2], -orders * coefficients[1::2]
+    return found
 
 
 @dataclass(frozen=True, eq=False)

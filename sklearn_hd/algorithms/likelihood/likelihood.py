@@ -30,7 +30,7 @@ from sklearn_hd.algorithms.likelihood.predictor import (
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, HALF, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-from sklearn_hd.algorithms.matching.bounded_steps import BoundedSteps
+from sklearn_hd.algorithms.matching.least_squares import BoundedSteps
 
 ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation

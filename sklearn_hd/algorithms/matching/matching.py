@@ -19,16 +19,14 @@ from scipy import linalg
 from sklearn_hd.algorithms.matching.least_squares import (
     GridFit,
     Start,
+    draw_transformation,
     levenberg_marquardt,
     local_fits,
-)
-from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
-from sklearn_hd.algorithms.matching.similarity import (
-    draw_transformation,
     output_transformation,
     project_transformed,
     solve_similarity,
 )
+from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem
 from sklearn_hd.algorithms.matching.smooth_peak import GAP, Certificate, smooth_descent
 
 

@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     refine_multipliers,
     turned_back,
 )
-from sklearn_hd.algorithms.signals.rest import rests
+from sklearn_hd.algorithms.signals.trim import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 
 __all__ = [

@@ -39,7 +39,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
     Phi : ndarray, shape (n, n)
         To start from; keeps its eigenvectors, or the planes of pairs whose kind changes.
     directions : list of ndarray, shapes (n_periods_s, r)
-        Inputs, from :func:`~sklearn_hd.algorithms.signals.lifting.input_directions`.
+        Inputs, from :func:`~sklearn_hd.algorithms.signals.fourier.input_directions`.
     lifted : list of ndarray, shapes (n_periods_s, q)
         Outputs of whole periods, in like units.
     largest : float, optional

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
-from sklearn_hd.algorithms.lti.simulation import simulate
-from sklearn_hd.algorithms.lti.stability import GROWN, growth
+from sklearn_hd.algorithms.lti.simulation import GROWN, growth, simulate
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices, pieces_of
 
 GAP_REACH = np.sqrt(10.0)  # above the floor: where the lower side of a gap may lie

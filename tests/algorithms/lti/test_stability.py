@@ -5,7 +5,7 @@ import pytest
 from conftest import random_stable, same_poles
 from scipy.linalg import solve_discrete_lyapunov
 
-from sklearn_hd.algorithms.lti.stability import growth, is_stable, nearest_stable
+from sklearn_hd.algorithms.lti.simulation import growth, is_stable, nearest_stable
 
 
 def unstable(rng, n, radius=1.3):

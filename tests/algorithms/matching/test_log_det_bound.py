@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.matching.log_det_bound import BoundSlopes, LogDetBound, log_det_value
+from sklearn_hd.algorithms.matching.smooth_peak import BoundSlopes, LogDetBound, log_det_value
 
 RANDOM = np.random.default_rng(8)
 SHAPES = [(7, 2, 3, 4), (7, 3, 2, 4), (5, 1, 1, 2), (6, 3, 3, 5)]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.modes import selection as kernel
-from sklearn_hd.algorithms.modes.selection import (
+from sklearn_hd.algorithms.modes import families as kernel
+from sklearn_hd.algorithms.modes.families import (
     best_modes,
     mode_regressors,
     residual,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sklearn_hd.algorithms.periodic.delayed_response import Fractions, delayed_response
+from sklearn_hd.algorithms.likelihood.forms import Fractions, delayed_response
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 
 RNG = np.random.default_rng(0)

@@ -2,8 +2,14 @@
 
 import numpy as np
 
-from sklearn_hd.algorithms.signals.late_signals import advanced, arriving, lagged, late, turned
-from sklearn_hd.algorithms.signals.resampling import held_means
+from sklearn_hd.algorithms.signals.resampling import (
+    advanced,
+    arriving,
+    held_means,
+    lagged,
+    late,
+    turned,
+)
 
 TIME = np.arange(60.0)
 SMOOTH = np.column_stack([np.sin(0.2 * TIME), np.cos(0.15 * TIME)])

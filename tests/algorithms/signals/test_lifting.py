@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.signals.lifting import input_directions, lift
+from sklearn_hd.algorithms.signals.fourier import input_directions, lift
 
 
 @pytest.mark.parametrize("shift", range(5))

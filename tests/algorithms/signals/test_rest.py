@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from sklearn_hd.algorithms.signals.rest import changes, energy_by_turn, inputs_rest, rests
+from sklearn_hd.algorithms.signals.trim import changes, energy_by_turn, inputs_rest, rests
 
 TURN = 2.0 * np.pi
 

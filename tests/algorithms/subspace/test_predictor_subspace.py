@@ -5,7 +5,7 @@ import pytest
 
 from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor, n_hankel_columns
-from sklearn_hd.algorithms.subspace.predictor_subspace import rows_remembered
+from sklearn_hd.algorithms.subspace.projections import rows_remembered
 
 MOST = 5
 

@@ -10,8 +10,12 @@ from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor, n_hankel_columns
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm, gain_of_covariances
 from sklearn_hd.algorithms.subspace.order import order_by_gap
-from sklearn_hd.algorithms.subspace.predictor_subspace import PredictorSubspace, rows_remembered
-from sklearn_hd.algorithms.subspace.projections import PROJECTIONS, Projection
+from sklearn_hd.algorithms.subspace.projections import (
+    PROJECTIONS,
+    PredictorSubspace,
+    Projection,
+    rows_remembered,
+)
 
 
 def hankel(signal, start, block_rows, n_columns):
