@@ -104,7 +104,9 @@ ax.set(xlabel="growth, 1/s", ylabel="frequency, rad/s")
 ax.legend()
 
 # %%
-# With MOESP the moth looks stable, because it identifies the moth together with its stabiliser.
+# MOESP gets the growth wrong. Its pair grows almost three times as fast as the moth's, and it turns
+# the two real modes into a pair. It takes the work of the stabiliser for a part of the moth. PBSID
+# is near the truth.
 
 # %%
 # The model behind

@@ -55,7 +55,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     omega : float or None, default=None
         Fundamental frequency in rad/s, constant. Give this or ``azimuth``. If the orbit in y shows
         that it is surely off, ``fit`` takes the frequency that the record tells
-        (``basis_.omega``).
+        (``basis_.omega``). A warning says so if the difference matters (1 % of the motion).
     input_harmonics : int, dict or None, default=None
         Harmonics kept of the inputs: N for 0 … N, or a dict such as ``{"U": [0, 1]}``; None is 0.
         With ``reading="sample"`` it is the highest harmonic that B(ψ) and D(ψ) may have; None sets
@@ -78,11 +78,18 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         its azimuth and decomposes nothing. It is for records in service: inputs that always move,
         loads at every turn, turbulence, any number of samples per turn. ``"sliding"`` is the
         method of the paper: coefficients through the window, every ``hop`` samples. ``"auto"``
-        takes ``"period"`` if the inputs rest in some turns (except for noise), and ``"sample"`` if
-        they do not, or if there are fewer than 12 turns. Where inputs rest, ``basis_.alternative``
-        is the reading of the samples: :class:`MOESPRegressor` tries it if something speaks against
-        the model of periods, and keeps the surer one. ``"auto"`` takes ``"sliding"`` if there is
-        no y, or if a hop, a window, harmonics of inputs or harmonics by signal are given.
+        takes the first of these that applies:
+
+        - ``"sample"``, if ``load_harmonics`` is given;
+        - ``"sliding"``, if there is no y, or if a hop, another window than ``"boxcar"``, harmonics
+          of inputs or harmonics by signal are given;
+        - ``"period"``, if ``small_signal`` is given;
+        - ``"period"``, if the inputs rest: in at least half of the turns, and of 12 turns or more,
+          they do what they did a turn before, except for noise. ``basis_.alternative`` is then the
+          reading of the samples. :class:`MOESPRegressor` tries it if something speaks against the
+          model of periods, and keeps the surer one;
+        - ``"sample"``, if the inputs move in more turns than that, or there are fewer turns.
+
         ``basis_.reading`` holds the choice.
     hop : int or None, default=None
         Samples from one analysed row to the next. With ``reading="sliding"`` it divides the number
@@ -144,7 +151,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
     TimeBaseWarning
         If no times are given, so that rows count as samples.
     FrequencyMismatchWarning
-        If the record repeats itself at another frequency than ``omega``, which is used instead.
+        If the record repeats itself at another frequency than ``omega``, which is then used
+        instead, and the difference matters (1 % of the motion).
     JitterWarning
         If rows are not evenly spaced in time.
     ResamplingWarning

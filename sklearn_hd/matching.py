@@ -178,10 +178,12 @@ class StructuredMatcher(ModelStep):
         periodic system, which is then in Floquet coordinates; if a structure behind samples leaves
         more than a hundredth of the response's variance. After a likelihood: if the residuals are
         not white noise, or parts of the record (small and large motions, one side and the other)
-        put an exponent at different places, or a record with process noise lasts fewer than 50
-        time constants of the slowest mode, and besides an exponent is not known to a tenth of its
-        rate, the second opinion contradicts it or is missing, or what a simulation leaves and is
-        no noise has a hundredth of the motion's variance; if ``"output_error"`` follows
+        put an exponent at different places. This warning comes only if one of these holds as well:
+        an exponent is not known to a tenth of its rate; the second opinion contradicts it or is
+        missing; the part of a simulation's residuals that is not noise exceeds a hundredth of the
+        motion's variance. Also after a likelihood: if a mode lasts longer than the record; if a record with
+        process noise (a Kalman gain, or residuals that are correlated and leave such a doubt)
+        lasts fewer than 50 time constants of the slowest mode; if ``"output_error"`` follows
         ``weighting="pbsid"``.
     InstabilityWarning
         If the closed form for models of whole periods, or a structure behind samples, makes a

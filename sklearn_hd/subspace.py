@@ -48,6 +48,12 @@ class MOESPRegressor(ModelStep):
     there by a few steps of the likelihood of one-step predictions; a and c drive the forced
     periodic response.
 
+    Behind ``HarmonicAnalyzer(reading="auto")`` the estimator may change the reading. If inputs
+    rest, it identifies whole periods first. If something speaks against that model, it also
+    identifies the samples, and keeps the surer model. In a search, or if ``block_rows`` is given,
+    it tries the samples only if the first reading raises an error. ``basis_.reading`` says which
+    reading was kept.
+
     Parameters
     ----------
     order : int or "auto", default="auto"
@@ -60,7 +66,10 @@ class MOESPRegressor(ModelStep):
         Other data (frames of an analyzer, chunks, dask, outputs alone) use the widest gap that
         reaches down to the noise floor. Plain data too short for any dynamics give 0, a static
         gain. For samples at their azimuths, orders and numbers of harmonics are simulated in the
-        same way.
+        same way. If something speaks against the model chosen, or a turn forgets one of its modes,
+        models with fewer states take the same steps of the likelihood, the smallest first, three
+        at most. The first is kept that leaves about as little (or less than a hundredth of the
+        motion's variance) and that nothing speaks against. A search leaves this out.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows in the analysis
         window, plus two; 15 on plain data (fewer if the record is short); up to 60 with
@@ -125,6 +134,9 @@ class MOESPRegressor(ModelStep):
 
     Attributes
     ----------
+    basis_ : HarmonicBasis or PlainReading
+        How the outputs were read. ``basis_.reading`` is the reading of the model that was kept;
+        ``"plain"`` without an analyzer.
     system_ : control.StateSpace
         Discrete-time model with named inputs and outputs. With ``reading="sample"`` it exists if
         no coefficient varies, and does not include the forced response.

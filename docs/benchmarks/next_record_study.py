@@ -67,7 +67,7 @@ def identified(inputs, outputs, omega, structure, reading, criterion):
             ("match", StructuredMatcher(structure=structure, criterion=criterion)),
         ]
     ).fit(inputs, outputs)
-    return pipe["match"].ltp_.floquet_exponents(), pipe["harmonics"].basis_.reading
+    return pipe["match"].ltp_.floquet_exponents(), pipe["identify"].basis_.reading
 
 
 def from_truth(inputs, outputs, system, sigma):

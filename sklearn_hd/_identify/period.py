@@ -193,9 +193,8 @@ def _excitation(experiment, settings):
         )
         if left_out > MOST_LEFT_OUT:
             raise ValueError(
-                f"{words}; use a longer record, inputs that change less often, or analyse "
-                f"with reading='sliding' and refine with StructuredMatcher(structure="
-                f"HarmonicStructure(), criterion='output_error')"
+                f"{words}; use a longer record, inputs that change less often, or "
+                f"HarmonicAnalyzer(reading='sample'), with hop=1 if they change at each sample"
             )
         warn(words, ExcitationWarning)
     if experiment.basis.output_trim is None:

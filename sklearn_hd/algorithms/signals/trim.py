@@ -94,7 +94,9 @@ def energy_by_turn(signals, psi):
 
 
 def inputs_rest(inputs, psi):
-    """Whether inputs rest in most turns of a record, apart from noise.
+    """Whether inputs rest in at least half of the turns of a record, apart from noise.
+
+    A turn rests if the inputs do in it what they did a turn before.
 
     Parameters
     ----------
@@ -106,7 +108,7 @@ def inputs_rest(inputs, psi):
     Returns
     -------
     rest : bool
-        False where they never move at all, and of less than twelve turns.
+        False where they never move at all, and of fewer than twelve turns.
 
     Examples
     --------
