@@ -472,7 +472,7 @@ def test_a_direction_that_fades_on_the_way_does_not_hold_up_the_others():
     cells = [["a", "w"], ["-w", "a"]], [[NAN], [NAN]], [[1.0, 0.0]]
     result = match_structure(*model, MatrixStructure(*cells).affine)
     assert result.converged
-    assert result.hinf_error == pytest.approx(0.38465, rel=1e-4)  # 0.444 where it did
+    assert result.hinf_error < 0.386  # 0.444 where it did
 
 
 @pytest.mark.parametrize(("promised", "converged"), [(1e-3, True), (1.2, False)])
