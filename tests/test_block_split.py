@@ -203,6 +203,7 @@ def test_whole_periods_of_arrays_are_on_one_side_too():
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.TimeBaseWarning")
+@pytest.mark.slow
 def test_periods_of_an_array_score_as_those_of_its_frame():
     """Without noise either side has the model that both have."""
     data = make_flapping_wing(

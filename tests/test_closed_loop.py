@@ -54,6 +54,7 @@ def test_only_the_predictor_sees_that_the_moth_is_unstable(gusty):
         assert abs(growing(exponents) - wanted) > 0.25 * abs(wanted)
 
 
+@pytest.mark.slow
 def test_the_periodic_model_comes_back_from_flights_in_gusts(gusty, fitted):
     ltp = fitted["match"].ltp_
     assert ltp.state_names == gusty.ltp.state_names
@@ -69,6 +70,7 @@ def test_the_periodic_model_comes_back_from_flights_in_gusts(gusty, fitted):
     assert G[1, 0] == pytest.approx(G_true[1, 0], rel=0.15)
 
 
+@pytest.mark.slow
 def test_one_wingbeat_ahead_is_predicted_to_within_gusts_and_noise(gusty, fitted):
     frame = fitted["harmonics"].transform(gusty.inputs)
     ahead = fitted["identify"].predict_ahead(frame, gusty.outputs)

@@ -378,6 +378,7 @@ def test_what_reads_no_partitions(rng):
 # ---- clusters ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # dask waits for up to half a minute
 def test_a_worker_leaves_half_way(rng):
     """With all that it has computed so far."""
     distributed = pytest.importorskip("distributed")

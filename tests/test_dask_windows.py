@@ -82,6 +82,7 @@ def test_partitions_of_whole_records(steady, parameters):
 
 
 @pytest.mark.parametrize("scale", [True, False])
+@pytest.mark.slow
 def test_inputs_that_change_at_several_phases(doublets, monkeypatch, scale):
     """Most directions of such inputs are rounding, which is never the same: far below noise."""
     monkeypatch.setattr(hankel, "FEW_COLUMNS", 0)  # by exact sums

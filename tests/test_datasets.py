@@ -208,6 +208,7 @@ def test_noise_is_a_part_of_the_perturbations_deviation(kind):
     pd.testing.assert_frame_equal(data.inputs, data.inputs_clean)
 
 
+@pytest.mark.slow
 def test_noise_on_both_and_in_decibels():
     decibels = make_flapping_wing("nltp", snr_db=20, noise_on="both", random_state=0, **SHORT)
     plain = make_flapping_wing("nltp", snr=10, noise_on="both", random_state=0, **SHORT)
@@ -256,6 +257,7 @@ def test_bad_arguments_are_named(arguments, message):
         make_flapping_wing(**arguments)
 
 
+@pytest.mark.slow
 def test_raw_records_begin_with_a_tenth_in_trim():
     """Their trim waveforms are averaged over it; perturbations need none."""
     T = 1 / 26.3

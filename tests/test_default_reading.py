@@ -140,6 +140,7 @@ def shaken(noise, seed=0):
     return X, pd.DataFrame({"y": y}, X.index)
 
 
+@pytest.mark.slow
 def test_the_other_reading_is_taken_where_the_first_leaves_a_doubt():
     X, y = shaken(0.02)
     pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor(), SpuriousModeReducer())
@@ -162,6 +163,7 @@ def test_a_reading_that_was_asked_for_is_kept():
     assert pipe[1].basis_.reading == "period"
 
 
+@pytest.mark.slow
 def test_block_rows_that_were_given_are_those_of_one_reading():
     X, y = shaken(0.02)
     pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor(block_rows=4))
@@ -256,6 +258,7 @@ def test_nothing_but_omega_is_chosen(moves, harmonics):
 
 
 @pytest.mark.parametrize("options", [{"samples_per_period": 48}, {"width": 1}])
+@pytest.mark.slow
 def test_second_order_responses_are_no_states(options):
     """Without noise 2 λ₁, λ₁ + λ₂ and more of the nonlinear wing stand out from rounding."""
     data = make_flapping_wing("nltp", **{"n_periods": 60, "start": 8, "width": 10, **options})

@@ -13,18 +13,20 @@ EXPECTED_FAILURES = {
 }
 ESTIMATORS = [
     HarmonicAnalyzer(np.pi),
+    MOESPRegressor(),
+    SpuriousModeReducer(MOESPRegressor()),
+    StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=1),
+]
+OTHERS = [
     HarmonicAnalyzer(np.pi, window="centred-boxcar", output_harmonics=0),
     HarmonicAnalyzer(np.pi / 2, input_harmonics=1, reading="period"),
     HarmonicAnalyzer(np.pi, missing="gap"),
     HarmonicAnalyzer(np.pi, window="hann"),
     HarmonicAnalyzer(np.pi, small_signal="odd", hop=1),
-    MOESPRegressor(),
     MOESPRegressor(feedthrough=True, scale=False),
     MOESPRegressor(warmup=2.0),
-    SpuriousModeReducer(MOESPRegressor()),
     SpuriousModeReducer(MOESPRegressor(), method="both"),
     SpuriousModeReducer(MOESPRegressor(), method="residualize"),
-    StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=1),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor(feedthrough=True)), max_iter=50),
     StructuredMatcher(SpuriousModeReducer(MOESPRegressor()), n_starts=0, random_state=None),
 ]
@@ -37,4 +39,15 @@ ESTIMATORS = [
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 @parametrize_with_checks(ESTIMATORS, expected_failed_checks=lambda estimator: EXPECTED_FAILURES)
 def test_scikit_learn_habits(estimator, check):
+    check(estimator)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.TimeBaseWarning")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.ExcitationWarning")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
+@parametrize_with_checks(OTHERS, expected_failed_checks=lambda estimator: EXPECTED_FAILURES)
+def test_scikit_learn_habits_whatever_the_parameters(estimator, check):
     check(estimator)

@@ -98,6 +98,7 @@ def predicted(pipe, offset, **machine):
 
 
 @pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.slow
 def test_a_hidden_state_pushed_at_phases_never_excited_is_said_to_be(reading):
     """Position alone of Mathieu's equation: F(ψ) is told, G(ψ) at one phase only."""
     machine = {"stiffness": 0.2}
@@ -274,7 +275,7 @@ def test_inputs_that_are_sums_of_others_are_told_from_those_that_are_not(rng):
 # ---- a machine that is not linear ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 0.01])
 def test_of_inputs_at_one_phase_the_smoothest_input_matrix_is_good_at_another(noise):
     """Position alone leaves G open; what the linear model leaves is not white."""
     system = duffing()

@@ -111,6 +111,7 @@ def test_an_infinite_half_life_forgets_nothing(rng, half_life):
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.ExcitationWarning")
+@pytest.mark.slow
 def test_half_lives_behind_an_analyzer_are_periods():
     data = make_flapping_wing("ltp", input="multisine", n_periods=30, random_state=0)
     analyzer = HarmonicAnalyzer(data.omega, output_harmonics=KEPT, hop=16, trim_span=None)

@@ -144,6 +144,7 @@ def test_a_machine_in_gusts_is_found_within_its_deviations(reading, structure, r
         assert np.all(interval["lower"] < theta)
 
 
+@pytest.mark.slow
 def test_named_parameters_are_the_machines_own(fitted):
     theta, std = fitted["match"].theta_, fitted["match"].theta_std_
     F = fitted["match"].match_.periodic.matrices()[0]
@@ -173,6 +174,7 @@ def test_a_turn_need_not_hold_whole_samples(structure):
     assert pipe["match"].covariance_type_ == "information"
 
 
+@pytest.mark.slow
 def test_deviations_without_gusts_are_those_of_simulations():
     X, y = gusty(2, gust=0.0, periods=40)
     one = fit(pipeline(), X, y)["match"]
@@ -317,6 +319,7 @@ def test_arrays_and_records_are_as_good_as_one_frame(recorded, fitted):
         pytest.param("prediction_error", (0, 0.37), marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_records_may_begin_on_a_phase_or_between_two(criterion, first):
     """The second record's samples lie elsewhere on the turn than the first one's."""
     system = mathieu()

@@ -421,6 +421,7 @@ FULL = HarmonicStructure(F={"0": [[0, 1], ["-a", "-d"]], "1c": [[0, 0], ["q", 0]
 
 
 @pytest.mark.parametrize("criterion", ["hinf", "output_error"])
+@pytest.mark.slow
 def test_fixed_parameters_are_held_period_by_period(criterion, data):
     """Either fixing is right here, so that the others come out as they are."""
     entries = {"F[y,y]_0": 0.0, "F[y,v]_0": 1.0, "F[v,v]_0": -0.2}

@@ -383,6 +383,7 @@ def test_tables_carry_names():
         H.misfit(H)
 
 
+@pytest.mark.slow
 def test_duffing_orbit_in_the_frequency_domain():
     """Small noise about the orbit of a nonlinear system: its linearisation is what is seen."""
     system = duffing(amplitude=0.5, damping=0.4)

@@ -317,6 +317,7 @@ def test_shaking_stabilises():
     assert exact < -0.3 < 0.3 < averaged
 
 
+@pytest.mark.slow
 def test_left_alone_it_hovers_for_a_while_and_tumbles(moth, trim, ltp):
     """A small departure grows as the linear model's; the orbit itself stays for some beats."""
     t = moth.period * np.arange(12 * 16 + 1) / 16

@@ -116,6 +116,7 @@ def test_inputs_are_what_the_equation_says(loop, rng):
     np.testing.assert_allclose(u[:, 0, 0], loop.trim.inputs + v[:, 0], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_small_motions_follow_the_linear_map(loop, rng):
     v = 1e-5 * rng.standard_normal((15, 2))
     _, rest = loop.simulate(np.zeros((15, 2)))
@@ -246,6 +247,7 @@ def test_the_flight_obeys_its_gain(flight):
     np.testing.assert_allclose(fed_back - constant, 0.0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_noise_is_a_part_of_the_motion(flight):
     e = flight.outputs - flight.outputs_clean
     calm = make_hawkmoth(
@@ -259,6 +261,7 @@ def test_noise_is_a_part_of_the_motion(flight):
     assert np.abs(calm.inputs - flight.inputs).to_numpy().max() > 1e-4  # fed back
 
 
+@pytest.mark.slow
 def test_gusts_move_it():
     given = {"n_periods": 12, "samples_per_period": 16, "excitation": 0.0, "random_state": 0}
     still, windy = make_hawkmoth(**given), make_hawkmoth(gust=0.1, **given)

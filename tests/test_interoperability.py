@@ -208,6 +208,7 @@ def test_permutation_importance_through_a_pipeline(short, rng):
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_frozen_models_are_not_fitted_again(short):
     u, y = short.inputs, short.outputs
     analyzer = HarmonicAnalyzer(short.omega, output_harmonics=KEPT, hop=8)
@@ -340,6 +341,7 @@ def periodic(request):
     return pipe.fit(u, y), u, y
 
 
+@pytest.mark.slow
 def test_periodic_models_clone_pickle_and_hash(periodic):
     pipe, u, y = periodic
     twin, again = pickle.loads(pickle.dumps(pipe)), clone(pipe).fit(u, y)

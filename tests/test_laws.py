@@ -4,6 +4,7 @@
 """
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from law_cases import (
@@ -148,6 +149,7 @@ def test_exponents_add_up_to_the_mean_trace(case):
 
 @examples(10)
 @given(periodic_matrices())
+@pytest.mark.slow
 def test_the_harmonic_decomposition_holds_the_exponents(case):
     """Harmonics kept until the mode shapes have died out: bandwidth over ω, and then some."""
     F, omega = case
@@ -217,6 +219,7 @@ def test_whole_periods_with_all_harmonics_lose_nothing(data, seed):
 
 @examples(20)
 @given(st.data(), SEEDS)
+@pytest.mark.slow
 def test_signals_and_records_are_analysed_each_by_itself(data, seed):
     """Linear, signal by signal, record by record; later by whole periods is the same."""
     sampling = data.draw(samplings())

@@ -145,6 +145,7 @@ def test_records_are_parts_at_gaps_and_begin_at_any_time(system, lengths, seed, 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.ExcitationWarning")  # first chunks
 @examples(15)
 @given(identifiable_systems(), LENGTHS, SEEDS)
+@pytest.mark.slow
 def test_chunks_give_the_model_of_all_rows(system, lengths, seed):
     rng = np.random.default_rng(seed)
     X, y = recorded(system, rng, lengths)
@@ -180,6 +181,7 @@ def test_a_fit_repeats_itself_to_the_last_bit(system, lengths, seed):
 
 @examples(15)
 @given(identifiable_systems(positive=True), LENGTHS, SEEDS, st.booleans())
+@pytest.mark.slow
 def test_predictions_add_up(system, lengths, seed, continuous):
     """Linear in the inputs and the initial state together, each record by itself."""
     rng = np.random.default_rng(seed)
@@ -241,6 +243,7 @@ def test_a_model_of_the_structure_asked_for_is_matched_without_error(
 
 @examples(10)
 @given(identifiable_systems(), samplings(), SEEDS)
+@pytest.mark.slow
 def test_signals_held_over_the_period_leave_plain_identification(system, sampling, seed):
     """Harmonic 0 alone, period by period, of signals that change between periods only."""
     rng, spp, n_periods = np.random.default_rng(seed), sampling.samples_per_period, 220

@@ -159,6 +159,7 @@ def test_parameters_that_the_record_leaves_open_are_infinite():
     assert match.confidence_interval().loc["b"].tolist() == [-np.inf, np.inf]
 
 
+@pytest.mark.slow
 def test_a_search_cut_short_is_said_where_it_matters():
     """Where another step moves an exponent by more than its standard deviation."""
     for noise, structure in ((0.6, HarmonicStructure()), (0.3, HarmonicStructure(F=1, G=0))):
@@ -247,6 +248,7 @@ def test_noise_on_the_inputs_is_for_maximum_likelihood():
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_noise_on_harmonics_of_the_inputs_is_not_that_of_the_inputs():
     data, sigma = noisy_inputs(0)
     structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 3), np.nan))

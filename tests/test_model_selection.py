@@ -66,6 +66,7 @@ def labels(data):
 # ---- scorers -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_r2_by_simulation_is_the_estimators_own_score(lti, ltp_records):
     scorer = simulation_scorer(r2_score)
     model = MOESPRegressor(order=3, block_rows=8).fit(lti.inputs, lti.outputs)
@@ -326,6 +327,7 @@ def test_cross_val_predict_takes_the_splitter(lti):
     assert np.isfinite(predicted).all()
 
 
+@pytest.mark.slow
 def test_raw_measurements_keep_their_trim_in_every_fold():
     data = make_flapping_wing(
         "nltp", input="3211", width=4, n_periods=80, samples_per_period=32, amplitude=0.005, snr=20,
@@ -384,6 +386,7 @@ def test_outside_searches_an_error_is_said_once(lti):
     assert raised.value.__cause__ is None
 
 
+@pytest.mark.slow
 def test_the_grid_of_sliding_windows_in_the_docs_runs():
     """docs/choosing.md states it in words; with its data, and no warning of a failed fit."""
     data = make_flapping_wing(

@@ -210,7 +210,15 @@ def reduced(noise, **options):
     return reducer, told
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.001, 0.05, 0.2])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        0.0,
+        pytest.param(0.001, marks=pytest.mark.slow),
+        pytest.param(0.05, marks=pytest.mark.slow),
+        0.2,
+    ],
+)
 def test_the_verdicts_and_the_warning_agree(noise):
     reducer, told = reduced(noise)
     doubted = reducer.modes_["verdict"].isin(["ambiguous", "second-order"]).any()

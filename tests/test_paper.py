@@ -123,6 +123,7 @@ def test_the_papers_own_way_keeps_modes_that_were_identified(case):
         assert np.min(np.abs(identified - pole)) <= 1e-6 * abs(pole)
 
 
+@pytest.mark.slow
 def test_a_feedthrough_that_the_form_has_not_is_warned_of():
     assert any("the feedthrough of the model" in text for text in run(cases.RESIDUALIZED[0]).warned)
 
@@ -143,6 +144,7 @@ def test_the_first_noisy_records_stay_within_twice_the_rms_of_twenty(case, n_see
     assert paper.rms([run(case, seed).e_percent for seed in seeds]) <= 2.0 * published(*row)
 
 
+@pytest.mark.slow
 def test_noise_on_the_synchronous_route_costs_little_more_than_it_must():
     runs = [run(cases.SYNC_LTP_NOISE, paper.FIRST_SEED + seed) for seed in range(3)]
     row = paper.noise_row(runs, "outputs")
@@ -151,6 +153,7 @@ def test_noise_on_the_synchronous_route_costs_little_more_than_it_must():
     assert row["rms_e_percent"] <= 2.5
 
 
+@pytest.mark.slow
 def test_nonlinear_data_at_two_percent_beat_the_paper():
     assert run(cases.NLTP).e_percent < run(cases.NLTP).case.paper_percent
 
@@ -200,6 +203,7 @@ def test_cramer_rao_bound_agrees_with_an_independent_programme(kind, free_inputs
     assert bound_percent(data, 20.0, free_inputs) == pytest.approx(expected, abs=0.005)
 
 
+@pytest.mark.slow
 def test_noise_on_coefficients_costs_what_it_must():
     runs = [run(cases.LTI_NOISE, paper.FIRST_SEED + seed) for seed in range(8)]
     row = paper.noise_row(runs, "outputs")

@@ -128,6 +128,7 @@ def test_multipliers_are_found_from_a_step(seed):
     np.testing.assert_allclose(np.sort(linalg.eigvals(found).real), [-0.3, 0.6], atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("faint", "n_states"), [(1.0, 2), (0.0, 1)])
 def test_a_state_that_stands_out_of_the_noise_counts(faint, n_states):
     """Though Schwarz's criterion, for its 64 entries of O, takes it in three of these ten."""
@@ -243,6 +244,7 @@ def blade_of_one_state():
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the periodic orbit is unstable")  # by noise, or not
+@pytest.mark.slow
 def test_measured_states_where_the_periods_show_too_few():
     u, y = blade_of_one_state()
     pipe = synchronous(1.0)
@@ -281,6 +283,7 @@ def test_systems_come_back_from_a_binary_input(name):
     assert row["exponents"] < 1e-10
 
 
+@pytest.mark.slow
 def test_the_pair_of_small_signals_of_duffing():
     row = study.small_signal("± pair", 0.005, seed=5)
     assert row["order"] == 2

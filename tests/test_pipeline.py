@@ -163,6 +163,7 @@ def test_grid_search_over_order_and_block_rows():
     assert np.isfinite(search.cv_results_["mean_test_score"]).all()
 
 
+@pytest.mark.slow
 def test_a_grid_point_that_cannot_be_fitted_is_nan_not_a_crash():
     data = make_flapping_wing("ltp", n_records=2, n_periods=60, start=5, random_state=1)
     pipe = heave_pipeline(data.omega, n_states=3)
@@ -214,6 +215,7 @@ def test_whole_periods_decompose_nonlinear_data_of_any_doublet(width):
 
 @pytest.mark.parametrize("window", ["hann", "centred-boxcar", "centred-triangle", "centred-hann"])
 @pytest.mark.parametrize("rows_per_period", [4, 8])
+@pytest.mark.slow
 def test_every_window_gives_the_same_matrix(lti_signal, window, rows_per_period):
     pipe = whole_pipeline(lti_signal.omega, rows_per_period=rows_per_period)
     pipe.set_params(harmonics__window=window).fit(lti_signal.inputs, lti_signal.outputs)
@@ -234,6 +236,7 @@ def test_extreme_units(ltp):
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_a_poor_match_between_different_orders_is_said(ltp):
     two_states = MatrixStructure(
         [["a", 0], [0, "b"]], np.full((2, 1), np.nan), np.vstack([np.eye(2), [[0, np.nan]]])
@@ -243,6 +246,7 @@ def test_a_poor_match_between_different_orders_is_said(ltp):
         pipe.fit(ltp.inputs, ltp.outputs)
 
 
+@pytest.mark.slow
 def test_choosing_modes_alone_is_bounded_by_three_modes(ltp):
     """The system's own three modes are 0.58 % from its N = 1 decomposition."""
     pipe = whole_pipeline(ltp.omega, n_states=3).fit(ltp.inputs, ltp.outputs)
@@ -323,6 +327,7 @@ def test_period_synchronous_rows_have_the_order_of_the_system(ltp):
     assert reduced.score(ltp.inputs, ltp.outputs) > 0.99
 
 
+@pytest.mark.slow
 def test_initial_states_by_vector_rows_or_record():
     data = make_flapping_wing("lti-signal", n_records=2, n_periods=40, start=5, random_state=3)
     pipe = heave_pipeline(data.omega).fit(data.inputs, data.outputs)
@@ -370,6 +375,7 @@ def test_score_takes_sample_weight(fitted, ltp):
     assert fitted.score(ltp.inputs, ltp.outputs, sample_weight=weight) != pytest.approx(score)
 
 
+@pytest.mark.slow
 def test_units_of_the_signals_do_not_matter(ltp):
     plain = heave_pipeline(ltp.omega, n_states=3).fit(ltp.inputs, ltp.outputs)
     outputs = ltp.outputs * np.array([1e6, 1e-6])

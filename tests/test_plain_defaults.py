@@ -71,7 +71,14 @@ def test_the_order_chosen_foretells_as_well_as_the_best(load, weighting):
 # ---- feedthrough -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("weighting", ["moesp", "n4sid", "cva"])
+@pytest.mark.parametrize(
+    "weighting",
+    [
+        "moesp",
+        pytest.param("n4sid", marks=pytest.mark.slow),
+        pytest.param("cva", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("direct", [False, True])
 def test_d_is_free_where_outputs_answer_at_once(weighting, direct):
     for seed in range(10):

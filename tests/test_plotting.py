@@ -115,6 +115,7 @@ def test_one_axes_given_is_drawn_on_or_divided(name):
 
 
 @pytest.mark.parametrize("name", [n for n, (_, k) in cases.DISPLAYS.items() if k > 1])
+@pytest.mark.slow
 def test_an_array_of_axes_must_have_one_for_each_panel(name):
     make, n_panels = cases.DISPLAYS[name]
     _, axes = plt.subplots(2, n_panels)

@@ -66,11 +66,13 @@ def test_display(name):
 
 
 @image
+@pytest.mark.slow
 def test_harmonics_of_twelve_outputs():
     return HarmonicsDisplay.from_data(cases.many_signals(12), 2 * np.pi).figure_
 
 
 @image
+@pytest.mark.slow
 def test_response_of_twelve_outputs():
     y = cases.many_signals(12)
     options = {"inputs": y[["blade_0"]].set_axis(["u"], axis=1), "validation_span": (5.0, 8.0)}
@@ -90,6 +92,7 @@ def test_participation_of_seven_states():
 
 
 @image
+@pytest.mark.slow
 def test_matrix_of_six_states():
     return PeriodicMatrixDisplay.from_systems(cases.large_system(6)).figure_
 

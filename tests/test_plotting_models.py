@@ -236,6 +236,7 @@ def test_bode_of_a_discrete_model_ends_at_half_the_sampling_frequency():
     np.testing.assert_allclose(display.responses["identified"], expected)
 
 
+@pytest.mark.slow
 def test_bands_of_confidence_follow_the_deviations():
     display = cases.bode()
     matcher = cases.sliding(20, "output_error")["match"]

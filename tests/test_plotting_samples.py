@@ -83,6 +83,7 @@ def test_shares_of_harmonics_are_of_the_whole_response():
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_constant_dynamics_are_alike_at_each_azimuth():
     display = AzimuthDisplay.from_estimator(cases.sampled(output_harmonics=0))
     lines = [line.get_ydata() for line in display.pulse_lines_.values()]
@@ -135,6 +136,7 @@ def test_an_output_is_drawn_in_its_parts():
     assert display.axes_[2].get_title("left").startswith("std: loads 0.73, inputs 0.6")
 
 
+@pytest.mark.slow
 def test_models_about_different_trims_are_judged_each_by_its_own():
     """A model of samples has loads in it, another reading subtracts the trim: errors are theirs."""
     u, y = cases.periodic_record()
@@ -200,6 +202,7 @@ def test_an_order_is_drawn_once_though_its_harmonics_were_tried():
         assert share == search["share"][tried[np.argmin(search["bic"][tried])]]
 
 
+@pytest.mark.slow
 def test_modes_come_back_at_the_orders_beyond():
     u, y = cases.service_record()
     near = {"frequency_tol": 0.1, "damping_tol": 0.3}
@@ -220,6 +223,7 @@ def test_what_samples_do_not_have_is_refused_with_a_way_out():
     assert list(constant.magnitude_lines_) == [("identified", "y", "u1")]
 
 
+@pytest.mark.slow
 def test_periodic_systems_behind_samples_are_drawn(monkeypatch):
     truth = cases._deflection()
     monkeypatch.setattr(SampleModel, "to_ltp", lambda self: truth, raising=False)
@@ -239,6 +243,7 @@ def test_periodic_systems_behind_samples_are_drawn(monkeypatch):
         HarmonicTransferFunctionDisplay.from_estimator(pipe, turning, y)
 
 
+@pytest.mark.slow
 def test_responses_of_a_record_are_those_about_its_loads(monkeypatch):
     truth = cases._deflection()
     monkeypatch.setattr(SampleModel, "to_ltp", lambda self: truth, raising=False)

@@ -79,6 +79,7 @@ def _named(system, like):
     return control.ss(system.A, system.B, system.C, system.D, **names)
 
 
+@pytest.mark.slow
 def test_a_band_that_no_one_sees_is_named_in_the_legend():
     time, y = np.linspace(0.0, 1.0, 20), np.linspace(0.0, 1.0, 20)[:, None, None]
     names = {"input_names": ["u"], "output_names": ["y"]}
@@ -92,6 +93,7 @@ def test_a_band_that_no_one_sees_is_named_in_the_legend():
     assert "95 % confidence" in [t.get_text() for t in bode.legend_.get_texts()]
 
 
+@pytest.mark.slow
 def test_what_has_no_one_step_response_is_refused():
     with pytest.raises(ValueError, match="kind='ramp' is unknown; give 'step' or 'impulse'"):
         StepResponseDisplay.from_systems(lag(), kind="ramp")

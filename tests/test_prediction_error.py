@@ -65,8 +65,12 @@ def loss(model, u, y, *, predicts):
         (load_slicot_example, 2, False, "prediction_error", -2.4771824147),
         (load_slicot_example, 4, True, "output_error", -2.4833844691),
         (load_slicot_example, 4, False, "output_error", -2.4823752296),
-        (load_power_plant, 2, False, "prediction_error", 11.0085897735),
-        (load_power_plant, 4, True, "prediction_error", 7.2320608960),
+        pytest.param(
+            load_power_plant, 2, False, "prediction_error", 11.0085897735, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            load_power_plant, 4, True, "prediction_error", 7.2320608960, marks=pytest.mark.slow
+        ),
         (load_power_plant, 2, True, "output_error", 11.2335953218),
     ],
 )
@@ -78,6 +82,7 @@ def test_losses_are_those_of_an_independent_optimiser(load, order, feedthrough, 
     assert loss(match.model_, u, y, predicts=predicts) == pytest.approx(best, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_innovations_form_is_found_with_intervals_that_hold(rng):
     truth = system()
     u, y, _ = truth.simulate(rng, 4000)
@@ -104,6 +109,7 @@ def test_the_innovations_form_is_found_with_intervals_that_hold(rng):
     assert np.allclose(np.cov(ahead.T), truth.E, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_an_unstable_machine_under_feedback_has_a_stable_predictor(rng):
     A, B, C = np.array([[1.1, 0.3], [0.0, 0.7]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
     truth = InnovationSystem(A, B, C, np.array([[0.9], [0.1]]), np.array([[0.01]]))

@@ -60,6 +60,7 @@ def test_block_rows_in_any_order_share_their_products(tmp_path, data, counted):
     assert counted == [64, 128]  # 32 block rows and fewer; more
 
 
+@pytest.mark.slow
 def test_a_search_goes_through_each_fold_once_or_twice(tmp_path, data, counted):
     grid = {"order": [1, 2, 3, 4], "block_rows": [5, 8, 18, 33]}
     search = GridSearchCV(MOESPRegressor(memory=tmp_path), grid, cv=TimeSeriesSplit(3)).fit(*data)

@@ -64,6 +64,7 @@ def test_what_is_left_under_noise_is_the_noise(rng):
     np.testing.assert_allclose(exponents(A), EXPONENTS, atol=0.1)
 
 
+@pytest.mark.slow
 def test_modes_that_are_too_few_leave_more_than_noise(rng):
     system, C = modes(rng)
     segments = records(rng, system, noise=0.01)

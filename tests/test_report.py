@@ -152,6 +152,7 @@ def test_page_of_a_sliding_window_names_window_and_every_verdict(tmp_path):
         assert mode.verdict in page.text["modes"]
 
 
+@pytest.mark.slow
 def test_plain_arrays_series_and_validation(tmp_path):
     u, y = lag()
     new = lag(seed=1)
@@ -215,6 +216,7 @@ def test_a_wrong_model_says_so_at_the_top(tmp_path):
     assert digits(100.0 * failed["share"].max(), 2) in page.text["head"]
 
 
+@pytest.mark.slow
 def test_settings_tell_what_was_left(tmp_path):
     u, y = lag()
     page = check_whole(report(plain(scale=False).fit(u, y), u, y, tmp_path / "set.html"))

@@ -125,6 +125,7 @@ def test_lags_and_level():
     assert (strict["passed"] == (strict["p_value"] >= 0.99 / 4)).all()
 
 
+@pytest.mark.slow
 def test_models_of_samples_at_their_azimuths():
     u, y = service_record()
     assert failed(table(sampled(), u, y)) == set()
@@ -137,6 +138,7 @@ def test_models_of_samples_at_their_azimuths():
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_a_fit_of_samples_warns_of_states_that_are_missing():
     u, y = service_record()
     little = pytest.warns(IdentifiabilityWarning, match="no model explains the outputs better")
@@ -217,6 +219,7 @@ def test_display_of_plain_data_has_two_panels_and_the_correlations_of_the_defini
     assert np.isclose(display.bands["y0"], 2.5758 / np.sqrt(600), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_display_by_azimuth_shows_loads_left_out():
     u, y = service_record()
     with pytest.warns(IdentifiabilityWarning):

@@ -114,6 +114,7 @@ def test_gusts_have_the_size_and_memory_that_they_say():
     assert one.gust_exponent == pytest.approx(-0.3 * one.omega)
 
 
+@pytest.mark.slow
 def test_the_speed_varies_by_what_was_asked():
     rotor = make_rotor(n_turns=500, speed_variation=0.02, random_state=4)
     speed = np.diff(np.unwrap(rotor.azimuth)) / rotor.sample_time

@@ -69,7 +69,10 @@ def share(pipe, u, response, rows):
     return 1.0 - np.sum(left**2) / np.sum(response.to_numpy()[rows] ** 2)
 
 
-@pytest.mark.parametrize("samples", [10.0, 16.216, 7.3])
+@pytest.mark.parametrize(
+    "samples",
+    [pytest.param(10.0, marks=pytest.mark.slow), pytest.param(16.216, marks=pytest.mark.slow), 7.3],
+)
 def test_a_periodic_machine_is_found_with_nothing_chosen(samples):
     u, y, response, multipliers = machine(6000, samples)
     pipe = pipeline().fit(u[:4000], y[:4000])
@@ -98,6 +101,7 @@ def test_loads_are_told_from_the_dynamics():
     np.testing.assert_allclose(rest, 0.7 * np.cos(psi) - 0.3 * np.sin(2 * psi), atol=0.03)
 
 
+@pytest.mark.slow
 def test_an_azimuth_at_constant_speed_is_the_same_as_omega():
     u, y, *_ = machine(2000, 16.216)
     by_omega = pipeline().fit(u, y)
@@ -118,6 +122,7 @@ def test_a_rotor_whose_speed_varies_by_a_tenth():
     assert 1 - np.sum(left**2) / np.sum(data.response.to_numpy()[split:] ** 2) > 0.99
 
 
+@pytest.mark.slow
 def test_units_and_whole_turns_do_not_matter():
     u, y, *_ = machine(2000)
     pipe = pipeline().fit(u, y)
@@ -127,6 +132,7 @@ def test_units_and_whole_turns_do_not_matter():
     np.testing.assert_allclose((found - 7.0) / 1e-3, pipe.predict(u), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_two_records_are_one_machine():
     parts = [machine(2000, 16.216, seed=s, start=0.4 * s)[:2] for s in range(2)]
     u, y = (pd.concat(dict(enumerate(each))) for each in zip(*parts, strict=True))
@@ -136,6 +142,7 @@ def test_two_records_are_one_machine():
     assert pipe.score(u.loc[[1]], y.loc[[1]]) > 0.99
 
 
+@pytest.mark.slow
 def test_rows_that_are_missing_make_gaps():
     u, y, response, _ = machine(3000)
     kept = np.ones(3000, dtype=bool)
@@ -147,6 +154,7 @@ def test_rows_that_are_missing_make_gaps():
     assert share(bridged, u, response, slice(2000, None)) > 0.995
 
 
+@pytest.mark.slow
 def test_a_machine_held_by_feedback_is_unstable_and_predicted_ahead():
     u, y, *_ = machine(6000, growth=1.22, feedback=0.25, noise=0.1)
     assert np.max(np.abs(y)) < 100.0
@@ -177,6 +185,7 @@ def test_without_harmonics_the_model_is_time_invariant():
     assert pipeline().fit(*frames)["identify"].n_harmonics_ == 0  # the data say so, too
 
 
+@pytest.mark.slow
 def test_a_feedthrough_is_found_where_there_is_one():
     u, y, *_ = machine(3000)
     without = pipeline().fit(u, y)["identify"]
@@ -215,6 +224,7 @@ def test_a_search_over_order_lags_and_harmonics():
     assert search.best_score_ > 0.99
 
 
+@pytest.mark.slow
 def test_copies_are_the_same():
     u, y, *_ = machine(1500)
     pipe = pipeline().fit(u, y)
@@ -255,7 +265,7 @@ def test_a_model_of_nothing_says_so():
         pipeline().fit(u, y)
 
 
-@pytest.mark.parametrize("off", [1e-4, 1e-3])
+@pytest.mark.parametrize("off", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3])
 def test_an_omega_that_is_off_is_told_and_mended(off):
     u, y, _, multipliers = machine(5000)
     pipe = pipeline(OMEGA * (1.0 + off))
@@ -313,6 +323,7 @@ def test_loads_are_a_matter_of_samples_alone():
             getattr(plain, name)
 
 
+@pytest.mark.slow
 def test_nothing_is_spurious_in_samples():
     u, y, *_ = machine(2000)
     pipe = Pipeline([*pipeline().steps, ("reduce", SpuriousModeReducer())]).fit(u, y)

@@ -48,6 +48,7 @@ def multipliers(pipe):
     return np.sort(np.abs(pipe["identify"].eigenvalues_))
 
 
+@pytest.mark.slow
 def test_equal_outputs_leak_no_warning():
     """A covariance of innovations without an inverse is no news to a user."""
     u, y = record()
@@ -57,7 +58,14 @@ def test_equal_outputs_leak_no_warning():
     np.testing.assert_allclose(multipliers(both), multipliers(fitted(u, y)), rtol=0.02)
 
 
-@pytest.mark.parametrize("load", ["rest", "wave", "zero"])
+@pytest.mark.parametrize(
+    "load",
+    [
+        pytest.param("rest", marks=pytest.mark.slow),
+        "wave",
+        pytest.param("zero", marks=pytest.mark.slow),
+    ],
+)
 def test_an_output_of_loads_alone_leaves_the_others_their_model(load):
     """What rounding leaves of an output that only repeats itself was identified like motion."""
     u, y = record()
@@ -130,6 +138,7 @@ def test_noise_alone_loses_nothing_by_thinning():
     assert not any("hop=8" in str(each.message) for each in told)
 
 
+@pytest.mark.slow
 def test_modes_are_not_sorted_while_models_are_compared(monkeypatch):
     """With 3000 samples a turn that took 22 s of 6000 rows."""
 
@@ -142,6 +151,7 @@ def test_modes_are_not_sorted_while_models_are_compared(monkeypatch):
     assert pipe.score(u, y) > 0.99
 
 
+@pytest.mark.slow
 def test_growth_is_that_of_the_largest_multiplier():
     """Formed from products of neighbours, scaled on the way."""
     model = fitted(*record())["identify"].model_.innovations

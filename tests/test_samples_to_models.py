@@ -32,7 +32,7 @@ def loads(psi):
     return 1.0 + 2.0 * np.cos(psi) - np.sin(3.0 * psi)
 
 
-def record(system, samples=16.216, turns=300, noise=0.01, seed=0):
+def record(system, samples=16.216, turns=200, noise=0.01, seed=0):
     """An input that always moves, loads at every turn, and noise, as frames."""
     rng, n = np.random.default_rng(seed), int(turns * samples)
     t = np.arange(n) * system.period / samples
@@ -64,6 +64,13 @@ def measured():
 
 
 @pytest.fixture(scope="module")
+def identified(measured):
+    """The frame that the reducer reads."""
+    u, y = measured
+    return pipeline(2.0)[:2].fit_transform(u, y)
+
+
+@pytest.fixture(scope="module")
 def fitted(measured):
     return pipeline(2.0).fit(*measured)
 
@@ -77,7 +84,7 @@ def apart(found, wanted):
 # ---- the state from which predictions begin ------------------------------------------------------
 
 
-@pytest.mark.parametrize("mean", [0.0, 0.05])
+@pytest.mark.parametrize("mean", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
 def test_predictions_begin_on_the_forced_motion(mean):
     """With a mode that lasts 300 turns; the record's mean is 1.6 standard deviations away."""
     F = np.zeros((3, 2, 2))
@@ -128,7 +135,9 @@ def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
     same_exponents(found, system, rtol=0.02)
 
 
-@pytest.mark.parametrize("seed", [1, 7, 13])
+@pytest.mark.parametrize(
+    "seed", [1, pytest.param(7, marks=pytest.mark.slow), pytest.param(13, marks=pytest.mark.slow)]
+)
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_orders_of_no_periodic_system_are_passed_over(seed):
     """Of fast modes noise leaves multipliers of either sign; machines have even numbers below 0."""
@@ -143,6 +152,7 @@ def test_orders_of_no_periodic_system_are_passed_over(seed):
     assert pipe["identify"].ltp_.n_states == pipe["identify"].order_
 
 
+@pytest.mark.slow
 def test_ltp_of_a_time_invariant_machine_is_time_invariant():
     system = mathieu(excitation=0.0)
     identify = pipeline(2.0)[:2].fit(*record(system))["identify"]
@@ -170,16 +180,15 @@ def test_the_reducer_has_nothing_to_remove_and_says_so(fitted, measured):
         reducer.system_  # noqa: B018
 
 
-def test_the_reducer_refuses_another_number_of_states(measured):
-    pipe = pipeline(2.0, reduce=SpuriousModeReducer(n_states=3))
+def test_the_reducer_refuses_another_number_of_states(identified, measured):
     with pytest.raises(ValueError, match=r"n_states=3.*its 2 states; use MOESPRegressor\(order=3"):
-        pipe.fit(*measured)
+        SpuriousModeReducer(n_states=3).fit(identified, measured[1])
 
 
-def test_the_reducer_may_be_left_out(fitted, measured):
-    u, _ = measured
-    pipe = pipeline(2.0).set_params(reduce="passthrough").fit(*measured)
-    np.testing.assert_array_equal(pipe.predict(u), fitted.predict(u))
+def test_the_reducer_may_be_left_out(identified, fitted, measured):
+    u, y = measured
+    match = StructuredMatcher().fit(identified, y)
+    np.testing.assert_array_equal(match.predict(identified), fitted.predict(u))
 
 
 # ---- the matcher ---------------------------------------------------------------------------------
@@ -198,7 +207,15 @@ def test_without_a_structure_the_match_is_the_model_identified(fitted, measured)
 
 
 @pytest.mark.parametrize("criterion", ["hinf", "least_squares"])
-@pytest.mark.parametrize("samples", [16.0, 16.216, 7.3, 50.01])
+@pytest.mark.parametrize(
+    "samples",
+    [
+        pytest.param(16.0, marks=pytest.mark.slow),
+        16.216,
+        7.3,
+        pytest.param(50.01, marks=pytest.mark.slow),
+    ],
+)
 def test_entries_are_those_of_the_machine(samples, criterion):
     pipe = pipeline(2.0, order=2, structure=SWINGING, criterion=criterion)
     u, y = record(mathieu(), samples)
@@ -219,6 +236,7 @@ def test_coefficients_are_those_of_the_machine(samples):
     assert np.max(np.abs(found[1] - truth[1])) < 0.02
 
 
+@pytest.mark.slow
 def test_new_records_are_predicted_with_their_loads():
     """At another clock, from another azimuth, loads included."""
     u, y = record(mathieu())
@@ -244,6 +262,7 @@ def test_parameters_may_be_fixed_and_shared(measured):
     assert ltp.fourier_coefficients(1)[0][1, 0, 1] == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_states_of_unlike_size_and_noise_keep_their_exponents():
     """Nearness is that of predictions in parts of the innovations, not of entries."""
     system = mathieu()
@@ -254,6 +273,7 @@ def test_states_of_unlike_size_and_noise_keep_their_exponents():
     same_exponents(pipe["match"].ltp_.floquet_exponents(), system, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_one_output_leads_to_floquet_coordinates():
     system = deflection_only()
     u, y = record(system)
@@ -311,11 +331,13 @@ def test_time_invariant_models_are_matched_in_continuous_time():
         ),
     ],
 )
-def test_what_makes_no_sense_is_refused(measured, settings, words):
+def test_what_makes_no_sense_is_refused(identified, measured, settings, words):
+    frame = SpuriousModeReducer().fit_transform(identified, measured[1])
     with pytest.raises(ValueError, match=words):
-        pipeline(2.0, **settings).fit(*measured)
+        StructuredMatcher(**settings).fit(frame, measured[1])
 
 
+@pytest.mark.slow
 def test_entries_of_states_that_nothing_measures_are_refused():
     with pytest.raises(ValueError, match="do not determine the 2 states for which the structure"):
         pipeline(2.0, order=2, structure=SWINGING).fit(*record(deflection_only()))

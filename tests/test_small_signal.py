@@ -146,6 +146,7 @@ def test_four_amplitudes_reach_the_linear_data():
     assert error(pipe, data) < floor + 1e-6
 
 
+@pytest.mark.slow
 def test_two_amplitudes_of_one_sign_take_out_the_quadratic_term():
     data = nltp(0.02, 0.01)
     assert error_by_period(data, "extrapolate") < 0.01
@@ -162,6 +163,7 @@ def test_predictions_and_scores_read_records_as_they_are(pair):
     np.testing.assert_array_equal(again.predict(one[0]), predicted.loc[[1]])
 
 
+@pytest.mark.slow
 def test_linear_records_are_left_as_they_are():
     """On linear data the pair's odd part is the first record, and so is the model."""
     data = make_flapping_wing("ltp", n_periods=60, start=5, amplitude=[0.02, -0.02])

@@ -24,6 +24,7 @@ FIRST = {  # the first seed of each kind and excitation
 
 
 @pytest.mark.parametrize("excitation", study.INPUTS)
+@pytest.mark.slow
 def test_modes_of_a_harmonic_decomposition_are_found_whatever_the_input(excitation):
     row = study.run(FIRST["hd", excitation], 0.0)
     assert (row["precision"], row["recall"]) == (1.0, 1.0)
@@ -42,9 +43,13 @@ def test_families_of_a_periodic_system_are_found_whatever_the_phase(excitation):
 @pytest.mark.parametrize(
     "seed",
     [
-        5020,  # doublet at any phase, Hann: with u alone an exponent was wrong by half its decay
+        pytest.param(
+            5020, marks=pytest.mark.slow
+        ),  # doublet at any phase, Hann: with u alone an exponent was wrong by half its decay
         5087,  # multisine, Hann: no gap in the order, exponents off by some percent
-        5145,  # the same, HD: six modes kept where four leave 1e-12 of the variance
+        pytest.param(
+            5145, marks=pytest.mark.slow
+        ),  # the same, HD: six modes kept where four leave 1e-12 of the variance
         3092,  # three coefficients of five states: the order all but filled the rank
         3160,  # a mode that dies to 6e-4 within two periods is no memory of the window
     ],

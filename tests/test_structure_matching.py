@@ -133,6 +133,7 @@ def test_structures_with_other_values_fixed_are_values_of_a_grid(data):
 
 
 @pytest.mark.parametrize("criterion", ["hinf", "output_error"])
+@pytest.mark.slow
 def test_maximum_likelihood_takes_affine_entries_too(criterion, data):
     u, y = data
     noisy = y + 1e-3 * np.random.default_rng(1).standard_normal(y.shape)

@@ -195,6 +195,7 @@ def test_a_pole_on_its_way_to_infinity_is_named():
         warn_matched(SimpleNamespace(**found), "hinf", np.array([-1.0]), affine)
 
 
+@pytest.mark.slow
 def test_a_fast_pole_that_is_known_is_no_runaway(identified, record):
     A, B = CELLS
     cells = [[*A[0], 0.0], [*A[1], 0.0], [0.0, 0.0, -1e6]], [*B, [1.0, 1.0]]

@@ -78,6 +78,7 @@ def test_too_few_periods_for_such_an_input_are_said(n_periods):
         fit_wing(random_changes(n_periods))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "limit"), [(0.02, 1.2), (0.005, 0.3)])
 def test_the_nonlinear_wing(amplitude, limit):
     data = make_flapping_wing("nltp", n_periods=60, start=5, amplitude=amplitude)
@@ -246,6 +247,7 @@ def test_outputs_that_are_decomposed_already():
     assert list(pipe.predict(u).columns) == ["y_0", "y_1c", "y_1s", "v_0", "v_1c", "v_1s"]
 
 
+@pytest.mark.slow
 def test_harmonics_of_the_inputs_that_are_kept():
     """They are the inputs of system_; the periodic model is the same."""
     system = mathieu()
@@ -346,7 +348,7 @@ def test_a_matrix_structure_goes_through_the_closed_form():
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
-@pytest.mark.parametrize("noise", [0.05, 0.2])
+@pytest.mark.parametrize("noise", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 @pytest.mark.parametrize("system", [mathieu(), deflection_only(), coupled()])
 def test_the_order_under_noise(system, noise):
     u, y = record(system, noise=noise, n_periods=100, n_changes=8)
@@ -354,6 +356,7 @@ def test_the_order_under_noise(system, noise):
     assert pipe.fit(u, y)["identify"].order_ == system.n_states
 
 
+@pytest.mark.slow
 def test_the_order_of_the_wing_under_noise():
     for seed in range(5):
         data = make_flapping_wing("ltp", n_periods=60, start=5, snr=20, random_state=seed)
@@ -371,6 +374,7 @@ def test_the_order_without_noise(n):
     assert synchronous(2.0)[:2].fit(u, y)["identify"].order_ == n
 
 
+@pytest.mark.slow
 def test_maximum_likelihood_without_noise():
     system = mathieu()
     u, y = record(system)
@@ -462,6 +466,7 @@ def test_what_maximum_likelihood_says_of_itself():
         of_exponents(np.diag([-0.03, -0.2]), P=[[1.0, -1.0]], output_names=["y"]),
     ],
 )
+@pytest.mark.slow
 def test_floquet_coordinates_have_finite_deviations(system):
     """Once the scale of each mode is held, which no output tells."""
     u, y = record(system, noise=0.005, n_changes=8, n_periods=80)

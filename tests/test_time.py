@@ -197,7 +197,10 @@ def two_steps(omega, **params):
 
 
 @pytest.mark.parametrize("reading", ["sliding", "period"])
-@pytest.mark.parametrize("seconds", [1.0, -1e4, UNIX])
+@pytest.mark.parametrize(
+    "seconds",
+    [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(-1e4, marks=pytest.mark.slow), UNIX],
+)
 def test_models_do_not_depend_on_the_origin_of_time(flown, seconds, reading):
     """At 1.7e9 s a score of 0.961 fell, down to -29943, for phases of ωt that were rounded."""
     u, y, period = flown.inputs, flown.outputs, 2 * np.pi / flown.omega
@@ -213,6 +216,7 @@ def test_models_do_not_depend_on_the_origin_of_time(flown, seconds, reading):
 
 
 @pytest.mark.parametrize("digits", [7, 8, 9])
+@pytest.mark.slow
 def test_digits_that_were_rounded_off_are_no_noise(flown, digits):
     """Eight decimals, 1e-5 of a sample, took a score of 0.961 to -3e22 with an order of 30."""
     u, y = flown.inputs, flown.outputs

@@ -65,6 +65,7 @@ def warned(run):
     ids=["one doublet", "two doublets", "begins in motion", "at once", "rests, then moves"],
 )
 @pytest.mark.parametrize("reading", ["period", "sliding"])
+@pytest.mark.slow
 def test_the_trim_is_found_whenever_it_is(record, noise, reading):
     u, y, wave = machine(60, **record, noise=noise)
     pipe = pipeline(reading=reading)
@@ -132,6 +133,7 @@ def test_samples_identify_their_forced_response():
     assert analyzer(reading="sample").fit(u, y).basis_.output_trim is None
 
 
+@pytest.mark.slow
 def test_every_fold_finds_its_own():
     u, y, _ = machine(60, [8], noise=0.01)
     scores = cross_val_score(pipeline(), u, y, cv=PeriodBlockSplit(4, omega=OMEGA))
@@ -191,7 +193,7 @@ def test_a_sliding_window_says_that_nothing_rests():
 
 
 @pytest.mark.filterwarnings("ignore:.* exponents are in doubt")
-@pytest.mark.parametrize("reading", ["period", "sample"])
+@pytest.mark.parametrize("reading", ["period", pytest.param("sample", marks=pytest.mark.slow)])
 def test_the_score_is_a_share_of_the_motion(reading):
     """A forced response ten times larger changes the score of no reading."""
     scores = []
@@ -203,7 +205,9 @@ def test_the_score_is_a_share_of_the_motion(reading):
     assert scores[0] < 0.999
 
 
-@pytest.mark.parametrize("criterion", ["output_error", "prediction_error"])
+@pytest.mark.parametrize(
+    "criterion", ["output_error", pytest.param("prediction_error", marks=pytest.mark.slow)]
+)
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")  # of the span
 def test_likelihoods_correct_a_trim_that_was_not_settled(criterion):
     """The span holds a motion of the record: exponents and trim are those of the machine."""
@@ -221,6 +225,7 @@ def test_likelihoods_correct_a_trim_that_was_not_settled(criterion):
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")  # the order
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+@pytest.mark.slow
 def test_a_mode_that_outlasts_the_record_does_not_carry_the_trim_away():
     """One state too many stands for a constant: trim and state could cancel at any size."""
     u, y, _ = machine(40, [12], noise=0.01)

@@ -240,6 +240,7 @@ def test_trims_and_gains_go_together_period_by_period(weighting):
     assert r2_score(data.outputs, ahead) > 0.95
 
 
+@pytest.mark.slow
 def test_a_gain_alone_does_not_change_the_periodic_model():
     """The matcher takes a record for one of a closed loop by the weighting."""
     data = make_flapping_wing("ltp", snr_db=40, random_state=101)

@@ -336,6 +336,7 @@ def short_records(system, omega, *, samples, n_periods, n_records, seed):
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+@pytest.mark.slow
 def test_vinograds_exponents_come_back_from_short_records():
     """Vinograd (1952): exponents +2 and −13. Over a period of 2π/12 s one mode grows 2.8 times,
     the other dies to a thousandth: eight periods keep six digits of it, and twenty records do."""

@@ -110,6 +110,8 @@ def realize(model, experiment, structure):
             other = _from_equation_error(model, experiment, structure, scale)
             if other is not None and other.systematic <= MOST_SYSTEMATIC:
                 return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
+    elif _grows(model, experiment):
+        return found  # no simulation compares two ways
     elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
         enough = CLEARLY_LESS if found.physical else HARDLY_MORE
@@ -387,11 +389,16 @@ def warn_coordinates(periodic):
         )
 
 
+def _grows(model, experiment):
+    """Whether a discrete model grows e-fold within a segment."""
+    return growth_rate(model) * longest_span(experiment) > 1.0
+
+
 def warn_growing(periodic, model, experiment):
     """Of a periodic model that grows e-fold within a segment, where that identified does not."""
-    longest, basis = longest_span(experiment), experiment.basis
-    if growth_rate(model) * longest > 1.0:  # it has been warned of
+    if _grows(model, experiment):  # it has been warned of
         return
+    longest, basis = longest_span(experiment), experiment.basis
     radius = periodic.sampled(basis.samples_per_period).spectral_radius
     folds = np.log(max(radius, 1e-300)) * longest * basis.omega / (2.0 * np.pi)
     if folds > 1.0:

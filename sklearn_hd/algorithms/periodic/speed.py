@@ -83,6 +83,47 @@ def measured_speed(segments, omega, n_harmonics):
     speed : Speed or None
         None where the record tells no other speed.
     """
+    sought = _sought(segments, omega, n_harmonics)
+    if sought is None:
+        return None
+    segments, given, found = sought
+    n_rows = sum(len(y) for _, y, _ in segments)
+    off, std = found.omega / omega - 1.0, found.std
+    enough = max(SURE**2, WORTH * n_rows)
+    if not ((off / std) ** 2 > enough and n_rows * (given.left - found.left) > enough):
+        return None
+    slopes, rest, _ = _waveform_slopes(segments, found.omega, n_harmonics)
+    moved = float(np.max(off**2 * np.sum(slopes**2, axis=0) / _energy(rest)))
+    turns = _span(segments) * omega / (2.0 * np.pi)
+    return Speed(found.omega, std * omega, abs(off) * turns, moved)
+
+
+def orbit_speed(segments, omega, n_harmonics):
+    """The speed at which the orbit of a record repeats itself, about some.
+
+    Parameters
+    ----------
+    segments : list of (inputs, outputs, time)
+        Evenly sampled, shapes (n_s, m), (n_s, l), (n_s,).
+    omega : float
+        rad/s.
+    n_harmonics : int
+        Of the waveform.
+
+    Returns
+    -------
+    omega, std : float or None
+        rad/s. None where the record shows no orbit.
+    """
+    sought = _sought(segments, omega, n_harmonics)
+    if sought is None or not np.isfinite(sought[2].std):
+        return None
+    found = sought[2]
+    return found.omega * (1.0 + found.drift), found.std * found.omega
+
+
+def _sought(segments, omega, n_harmonics):
+    """Segments as they are read, predictors at some speed and at that of the orbit; or None."""
     segments = _alike(_some_rows(segments))
     n_rows = sum(len(y) for _, y, _ in segments)
     layout = _layout(segments, n_rows, n_harmonics)
@@ -100,15 +141,9 @@ def measured_speed(segments, omega, n_harmonics):
         if not ahead.left < found.left:
             break
         found = ahead
-    off, std = found.omega / omega - 1.0, found.std
-    enough = max(SURE**2, WORTH * n_rows)
     if _orbit(segments, found.omega, n_harmonics) < ORBIT:
         return None
-    if not ((off / std) ** 2 > enough and n_rows * (given.left - found.left) > enough):
-        return None
-    slopes, rest, _ = _waveform_slopes(segments, found.omega, n_harmonics)
-    moved = float(np.max(off**2 * np.sum(slopes**2, axis=0) / _energy(rest)))
-    return Speed(found.omega, std * omega, abs(off) * turns, moved)
+    return segments, given, found
 
 
 def _some_rows(segments):

@@ -336,6 +336,7 @@ def test_a_gain_that_is_given_is_one_to_start_from(rng):
     np.testing.assert_array_equal(wrong, by_itself)
 
 
+@pytest.mark.slow
 def test_a_gain_whose_predictor_overflows_is_none_to_start_from(rng):
     """As that of a gain that has been cut to fewer harmonics than its model needs."""
     structure, theta = oscillator()
@@ -378,6 +379,7 @@ def test_bounds_hold_for_the_structure_and_leave_the_gain_free(rng):
     assert found.gain is not None
 
 
+@pytest.mark.slow
 def test_an_awkward_clock_is_fitted_too(rng):
     structure, theta = oscillator()
     form = interpolating(Form(structure, OMEGA, 7.3), theta)

@@ -66,6 +66,7 @@ def test_at_the_end_another_step_leads_nowhere():
     assert np.all(np.abs(np.sort_complex(ahead) - multipliers(found)) < deviations.min())
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_many_records():
     true = drawn()
     all_found, told = [], []

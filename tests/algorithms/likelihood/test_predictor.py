@@ -64,7 +64,7 @@ def differences(form, parameters, record, x0, step=1e-6):
     return np.array(found)
 
 
-@pytest.mark.parametrize("piece", [1, 10**9])
+@pytest.mark.parametrize("piece", [1, pytest.param(10**9, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("missing", [None, "single"])
 @pytest.mark.parametrize("n_gain_harmonics", [None, 1])
 @pytest.mark.parametrize("name", FORMS)
@@ -91,7 +91,10 @@ def test_derivatives_are_central_differences(
 
 
 @pytest.mark.parametrize("missing", [None, "single"])
-@pytest.mark.parametrize("n_samples", [2, 5, 8, 9])
+@pytest.mark.parametrize(
+    "n_samples",
+    [2, pytest.param(5, marks=pytest.mark.slow), 8, pytest.param(9, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("name", ["whole", "awkward", "constant"])
 def test_records_may_be_shorter_than_a_turn(name, n_samples, missing, rng):
     form, parameters = case(name, 1, rng)

@@ -76,11 +76,13 @@ def spread_of_slopes(colour, n_records=40):
     return np.var(slopes), np.mean(robust), np.mean(plain)
 
 
+@pytest.mark.slow
 def test_of_white_noise_both_covariances_are_alike():
     _, robust, plain = spread_of_slopes(0.0, 30)
     assert 0.85 < robust / plain < 1.15
 
 
+@pytest.mark.slow
 def test_of_coloured_noise_the_one_from_blocks_is_right_and_the_other_too_small():
     truth, robust, plain = spread_of_slopes(0.9)
     assert 0.65 < robust / truth < 1.5

@@ -55,6 +55,7 @@ def test_a_bound_that_is_met_is_as_good_as_the_parameter_fixed_there(criterion):
     assert held.hinf_error == pytest.approx(fixed.hinf_error, rel=NEAR)
 
 
+@pytest.mark.slow
 def test_exact_match_out_of_bounds_is_not_taken():
     model = SECOND_ORDER.matrices(START)
     inside = match(model=model, bounds=(START - 1, START + 1), theta0=START + 0.1)
@@ -146,6 +147,7 @@ def test_every_parameter_that_is_not_determined_is_named():
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.slow
 def test_stage_and_measure_of_every_step(criterion):
     result = match(criterion)
     stages = {stage for stage, _ in result.history}

@@ -80,7 +80,15 @@ def test_measured_states_give_back_their_system(name, samples, digits):
     np.testing.assert_allclose(found.P, np.eye(2)[None], atol=1e-12)
 
 
-@pytest.mark.parametrize("samples", [16.0, 16.216, 7.3, 7.0])
+@pytest.mark.parametrize(
+    "samples",
+    [
+        pytest.param(16.0, marks=pytest.mark.slow),
+        16.216,
+        pytest.param(7.3, marks=pytest.mark.slow),
+        7.0,
+    ],
+)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("rows", [None, [0, 1]])
 def test_exponents_are_those_of_the_discrete_model(name, samples, rows):

@@ -48,6 +48,7 @@ def test_the_true_speed_stays_to_the_last_digit():
         assert told(orbit(OMEGA * T) + answer(u, seed=seed), OMEGA, u) is None
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_holds():
     """Errors over deviations of 30 records: rms 1, of which 0.7 to 1.3 is what chance gives."""
     scores = []
@@ -83,7 +84,15 @@ def test_a_long_record_is_looked_at_in_places():
 
 
 @pytest.mark.parametrize("kind", ["lti", "ltp", "lti-signal"])
-@pytest.mark.parametrize("off", [0.0, 1e-5, 1e-3, 0.01])
+@pytest.mark.parametrize(
+    "off",
+    [
+        pytest.param(0.0, marks=pytest.mark.slow),
+        1e-5,
+        pytest.param(1e-3, marks=pytest.mark.slow),
+        0.01,
+    ],
+)
 def test_without_an_orbit_speeds_stay_as_given(kind, off):
     data = make_flapping_wing(kind, n_periods=60, start=5, random_state=0)
     u, y = (frame.to_numpy() for frame in (data.inputs, data.outputs))
