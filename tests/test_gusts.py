@@ -435,12 +435,12 @@ def test_an_invariant_structure_of_a_machine_that_turns_is_refused(recorded):
 @pytest.mark.parametrize("reading", ["period", "sample"])
 @pytest.mark.parametrize("gust", [0.0, 0.2])
 def test_right_models_raise_no_alarm(reading, gust):
-    """At most one of twenty; and 95 % intervals hold.
+    """At most one of ten; and 95 % intervals hold.
 
     Before the likelihood, in some of these records both halves tell the damping to more than 10 %.
     """
     expected, alarms, z = (SHORT, "exponents are in doubt"), 0, []
-    for seed in range(20):
+    for seed in range(10):
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             pipe = pipeline(reading).fit(*gusty(seed, gust=gust, periods=120))

@@ -148,9 +148,9 @@ def test_errors_say_what_is_needed(structure, rng):
 
 @pytest.mark.slow
 def test_total_least_squares_beats_least_squares(structure):
-    """Over 100 seeds: nearer to the truth, and intervals that cover."""
+    """Over 40 seeds: nearer to the truth, and intervals that cover."""
     errors, covered = {"plain": [], "total": []}, {"plain": [], "total": []}
-    for seed in range(100):
+    for seed in range(40):
         segments, theta = records(structure, np.random.default_rng(seed), SIGMA, INPUT_SIGMA)
         for name, known in (("plain", None), ("total", INPUT_SIGMA)):
             result = fitted(structure, segments, theta, input_sigma=known)
