@@ -7,7 +7,7 @@ from sklearn_hd._guards import warn
 from sklearn_hd._readings import PlainReading
 from sklearn_hd._readings.basis import Timing
 from sklearn_hd._readings.sample import MOST_LOADS
-from sklearn_hd._records.bases import ROWS_PER_TURN
+from sklearn_hd._records.bases import kept_every
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd.algorithms.periodic.speed import orbit_speed
 from sklearn_hd.algorithms.signals import fundamental
@@ -129,7 +129,7 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
 def _by_orbit(found, experiment):
     """The estimate as precise as the orbit of the records tells it, if they show one."""
     samples = 2.0 * np.pi / (found.omega * experiment.base.sample_time)
-    step = max(1, int(samples / ROWS_PER_TURN))
+    step = kept_every(samples)
     n_harmonics = min(MOST_LOADS, int(0.4 * samples / step))
     segments = zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True)
     some = [tuple(z[::step] for z in segment) for segment in segments]

@@ -68,8 +68,9 @@ class MOESPRegressor(ModelStep):
         gain. For samples at their azimuths, orders and numbers of harmonics are simulated in the
         same way. If something speaks against the model chosen, or a turn forgets one of its modes,
         models with fewer states take the same steps of the likelihood, the smallest first, three
-        at most. The first is kept that leaves about as little (or less than a hundredth of the
-        motion's variance) and that nothing speaks against. A search leaves this out.
+        at most. The first is kept that nothing speaks against, and that leaves about as little, or
+        less than a hundredth of the motion's variance and has no mode that the other has not. A
+        search leaves this out.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows in the analysis
         window, plus two; 15 on plain data (fewer if the record is short); up to 60 with

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,7 @@ import pytest
 from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd._identify.sample import _Found
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
@@ -217,3 +219,24 @@ def test_a_clock_that_is_slightly_off_is_told(reading):
     told = [str(each.message) for each in said if each.category is FrequencyMismatchWarning]
     assert len(told) == 1
     assert "the data repeat themselves at 165.247" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("exponent", "left", "against", "serves"),
+    [
+        (-0.14, 2.6e-3, [], False),  # one mode in place of two
+        (-0.225, 2.6e-3, [], True),
+        (-0.225 + 0.8j, 2.6e-3, [], True),
+        (-0.14, 4.2e-4, [], True),  # the record tells no two
+        (-0.225, 2.6e-3, ["halves differ"], False),
+    ],
+)
+def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
+    exponent, left, against, serves
+):
+    def found(left, against, *exponents):
+        model = SimpleNamespace(exponents=lambda: np.array(exponents, complex), omega=0.8)
+        return _Found(None, left, model, against, lasts=True)
+
+    whole = found(4e-4, ["halves differ"], -0.23, -0.365)
+    assert found(left, against, exponent).serves_for(whole) == serves

@@ -9,6 +9,7 @@ from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
 from sklearn_hd.algorithms.subspace.projections import PROJECTIONS, rows_remembered
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
@@ -20,7 +21,6 @@ NOTABLE = 0.01  # share of the innovations that is worth a warning
 COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
 ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)
-ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
 
 

@@ -17,7 +17,6 @@ from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.checks import (
     MOST_PREDICTOR_ROWS,
-    ROWS_PER_COLUMN,
     check_outputs_move,
     check_told_from_loads,
     check_turns,
@@ -29,7 +28,7 @@ from sklearn_hd._identify.checks import (
 )
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
-from sklearn_hd._opinion import Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
+from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.linalg.rounding import HALF
@@ -44,6 +43,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     forced_mean,
     futures_known,
 )
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -173,7 +173,7 @@ def identify(data, settings, experiment):
         most_left = max(AS_LITTLE * found.left, LITTLE)
         few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
         simpler = (_Found.of(choice, one, most_left) for one in few)
-        found = next((each for each in simpler if each and not each.against), found)
+        found = next((each for each in simpler if each and each.serves_for(found)), found)
     model, chosen = found.model, found.chosen
     for message in found.against:
         warn(message, IdentifiabilityWarning)
@@ -233,6 +233,17 @@ class _Found:
     model: SampleModel
     against: list
     lasts: bool
+
+    def serves_for(self, other):
+        """Whether nothing speaks against it, and it leaves as little or has modes of the other.
+
+        A mode between two that are too near for the record to tell is neither of them.
+        """
+        if self.against or self.left <= AS_LITTLE * other.left:
+            return not self.against
+        exponents, omega = other.model.exponents(), other.model.omega
+        known = Opinion(exponents, np.zeros(len(exponents)), omega, "")
+        return bool(np.all(known.about(self.model.exponents())[1] <= DOUBT))
 
     @classmethod
     def of(cls, choice, chosen, most_left=np.inf):

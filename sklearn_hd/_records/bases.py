@@ -107,7 +107,7 @@ def _sample_basis(analyzer, inputs, output_names, timing, omega):
     highest = max((count for count in asked.values() if count is not None), default=1)
     words = f"omega={omega:.6g} rad/s and a sample time of {step:.4g} s give {samples:.4g}"
     check_rate(samples, highest, f"{words} samples a turn")
-    hop = max(1, int(samples / ROWS_PER_TURN)) if analyzer.hop is None else analyzer.hop
+    hop = kept_every(samples) if analyzer.hop is None else analyzer.hop
     hop = check_count("hop", hop, 1, "1 reads every sample")
     thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g}"
     check_rate(samples / hop, highest, f"{words} samples a turn{thinned}")
@@ -224,7 +224,7 @@ def settled_omega(analyzer, inputs, outputs, timing):
     samples = 2.0 * np.pi / omega / step
     if outputs is None or not np.isfinite(samples) or samples <= 2.0:
         return omega
-    basis = _samples(inputs, omega, max(1, int(samples / ROWS_PER_TURN)), timing)
+    basis = _samples(inputs, omega, kept_every(samples), timing)
     sampling, u, y = sample(inputs, basis, outputs)
     segments = list(zip(u, y, (piece.grid for piece in sampling.pieces), strict=True))
     found = measured_speed(segments, omega, basis.most_loads)
@@ -233,6 +233,11 @@ def settled_omega(analyzer, inputs, outputs, timing):
     if found.moved > SLIGHT:
         _warn_of_another(found, omega)
     return found.omega
+
+
+def kept_every(samples):
+    """Which of so many samples a turn are kept to have some 24 of it: every first, second, …."""
+    return max(1, int(samples / ROWS_PER_TURN))
 
 
 def _samples(inputs, omega, hop, timing):

@@ -28,7 +28,7 @@ from sklearn_hd._guards import warn
 from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import standing_lines
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, standing_lines
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,
     interpolate,
@@ -39,7 +39,6 @@ from sklearn_hd.exceptions import ResamplingWarning
 
 MOST_HARMONICS = 50  # of a mean waveform
 MOST_ROWS = 20_000  # it is read from
-ROWS_PER_COLUMN = 5  # of its regression
 
 
 @dataclass(frozen=True, eq=False)

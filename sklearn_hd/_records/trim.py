@@ -8,9 +8,10 @@ from sklearn_hd._checks import check_span
 from sklearn_hd._guards import warn
 from sklearn_hd._records.bases import AUTO
 from sklearn_hd._records.data import sample
+from sklearn_hd._records.sampling import MOST_HARMONICS
 from sklearn_hd._tables import resolution
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
-from sklearn_hd.algorithms.signals.fourier import lift, standing_lines
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, lift, standing_lines
 from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands_out, turns_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -19,8 +20,6 @@ __all__ = ["with_trim"]
 MOST_MOTION = 0.01  # of its energy, that a trim may hold
 MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody subtracts
 LEAST_TURNS = 2
-MOST_HARMONICS = 50  # of a waveform
-ROWS_PER_COLUMN = 5  # of their regression
 PARTS = 8  # of a record, by which a waveform is told from its motion
 NONE = 1e-9  # of the outputs: a waveform that is rounding
 

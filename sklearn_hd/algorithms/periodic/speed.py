@@ -32,7 +32,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     azimuth_drift,
     forced_mean,
 )
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
 
 LEAST_TURNS = 3.0  # of a record: fewer repeat nothing
 FIRST_TURNS = 16  # about the middle, of the first steps: speeds off by a hundredth are found
@@ -41,7 +41,6 @@ MOST_STEPS = 8
 MOST_ROWS = 20_000  # looked at of longer records
 PLACES = 16  # evenly over the record, at which these lie
 LAGS = 8  # of the predictor
-ROWS_PER_COLUMN = 5  # of its regression, below which it is largely noise
 ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds
 SURE = 5.0  # standard deviations at which another speed is no chance
 WORTH = 0.01  # of what a predictor leaves, that another speed has to explain

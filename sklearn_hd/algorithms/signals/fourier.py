@@ -34,6 +34,7 @@ RESOLVED = 1e-9  # of a step, to which floats tell times well enough
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 NOTHING = 1e-9  # mean square that is rounding
 BLOCK = 2**21  # numbers held at once of a regression
+ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 LINE = 20.0  # times the power beside it, which a line has by chance once in a thousand
 
 
