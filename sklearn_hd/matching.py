@@ -181,10 +181,11 @@ class StructuredMatcher(ModelStep):
         put an exponent at different places. This warning comes only if one of these holds as well:
         an exponent is not known to a tenth of its rate; the second opinion contradicts it or is
         missing; the part of a simulation's residuals that is not noise exceeds a hundredth of the
-        motion's variance. Also after a likelihood: if a mode lasts longer than the record; if a
-        record with process noise (a Kalman gain, or residuals that are correlated and leave such a
-        doubt) lasts fewer than 50 time constants of the slowest mode; if ``"output_error"`` follows
-        ``weighting="pbsid"``.
+        motion's variance. Also after a likelihood: if residuals are not white noise and G needs
+        more than twice the harmonics of F and P, so that it stands for states that the model lacks;
+        if a mode lasts longer than the record; if a record with process noise (a Kalman gain, or
+        residuals that are correlated and leave such a doubt) lasts fewer than 50 time constants of
+        the slowest mode; if ``"output_error"`` follows ``weighting="pbsid"``.
     InstabilityWarning
         If the closed form for models of whole periods, or a structure behind samples, makes a
         stable model unstable.

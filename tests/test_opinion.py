@@ -7,8 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.pipeline import make_pipeline
 
-from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    SpuriousModeReducer,
+    StructuredMatcher,
+)
 from sklearn_hd._match.periodic import realize, warn_realized
 from sklearn_hd._opinion import (
     Opinion,
@@ -196,6 +203,32 @@ def test_what_the_map_of_whole_periods_leaves_is_noise():
     frame = HarmonicAnalyzer(1.0, reading="period").fit_transform(u, y)
     model = MOESPRegressor(2).fit(frame, y).model_
     assert model.lifted.left == pytest.approx(0.05**2, rel=0.15)
+
+
+@pytest.mark.parametrize(("order", "told"), [(1, True), (2, False)])
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
+def test_a_likelihood_says_where_g_stands_for_states_that_are_missing(order, told):
+    """Two slow modes as one: its exponent is known well, and wrong."""
+    F = np.array([[[-0.23, 0.0], [0.3, -0.36]], [[0.0, 0.0], [0.05, 0.0]], np.zeros((2, 2))])
+    system = LTPSystem(F, [[1.0], [0.0]], [[0.0, 1.0]], omega=0.8)
+    u = np.zeros((60 * 64, 1))
+    u[8 * 64 : 14 * 64], u[14 * 64 : 20 * 64] = 1.0, -1.0
+    t = pd.Index(np.arange(len(u)) * system.period / 64, name="time")
+    y = system.simulate(u, t.to_numpy()) + np.cos(0.8 * t.to_numpy())[:, None]
+    y += 0.01 * np.random.default_rng(0).standard_normal(y.shape)
+    y, pipe = (
+        pd.DataFrame(y, t, ["y"]),
+        make_pipeline(
+            HarmonicAnalyzer(0.8, reading="period"),
+            MOESPRegressor(order),
+            StructuredMatcher(structure=HarmonicStructure(), criterion="output_error"),
+        ),
+    )
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        pipe.fit(pd.DataFrame(u, t, ["u"]), y)
+    assert any("they stand for what 1 state" in str(w.message) for w in said) == told
 
 
 def reduced(noise, **options):

@@ -21,6 +21,7 @@ from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Match, Uncertainty, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
+from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.trust import ONE_TIME_CONSTANT, trusted, warn_of_slow
 from sklearn_hd._records.delays import as_measured, warn_of_doubt
@@ -94,6 +95,9 @@ def match_likelihood(match, structure, experiment, settings, opinion):
     else:
         basis = experiment.basis if match.sampled is None else decomposed_basis(match, experiment)
         refined = _periodic(match, fit, basis, trust)
+        if trust.kind == "robust" and match.sampled is None and "G" in open_to:
+            why = "the residuals of the fit are not white noise"
+            warn_in_place_of_states(refined.periodic, why)
     warn_unidentified(fit.result)
     model = replace(refined.model, delays=delays)
     waveform = _trim_error(fit, trust, experiment, delays)

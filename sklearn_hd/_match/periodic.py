@@ -355,14 +355,11 @@ def warn_realized(found, model):
             f"the harmonics that the structure allows, and whether the response is linear",
             IdentifiabilityWarning,
         )
-    elif left > LARGER_LEFT * known and left - known > NOTABLE and _in_place_of_states(found.model):
-        warn(
+    elif left > LARGER_LEFT * known and left - known > NOTABLE:
+        warn_in_place_of_states(
+            found.model,
             f"the periodic model leaves {left:.2g} of the record's energy, but the map of whole "
-            f"periods that it was made from {known:.2g}, and G has {found.model.highest('G')} "
-            f"harmonics, more than twice those of F and P: they stand for what "
-            f"{found.model.n_states} state(s) cannot do within the turn; raise order=, or use a "
-            f"longer record",
-            IdentifiabilityWarning,
+            f"periods that it was made from {known:.2g}",
         )
     if found.unidentified:
         warn(
@@ -373,9 +370,15 @@ def warn_realized(found, model):
         )
 
 
-def _in_place_of_states(model):
-    """Whether inputs act with more harmonics than the states move with: G = T⁻¹ B, P = C T."""
-    return model.highest("G") > 2 * max(model.highest("F"), model.highest("P"), 1)
+def warn_in_place_of_states(periodic, why):
+    """Of inputs that act with more harmonics than the states move with: G = T⁻¹ B, P = C T."""
+    if periodic.highest("G") > 2 * max(periodic.highest("F"), periodic.highest("P"), 1):
+        warn(
+            f"{why}, and G has {periodic.highest('G')} harmonics, more than twice those of F and "
+            f"P: they stand for what {periodic.n_states} state(s) cannot do within the turn; raise "
+            f"order=, or use a longer record",
+            IdentifiabilityWarning,
+        )
 
 
 def warn_coordinates(periodic):
