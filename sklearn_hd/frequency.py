@@ -1,5 +1,7 @@
 """The frequency of a machine, estimated from its records."""
 
+import math
+
 import numpy as np
 
 from sklearn_hd._checks import check_missing
@@ -9,7 +11,7 @@ from sklearn_hd._readings.basis import Timing
 from sklearn_hd._readings.sample import MOST_LOADS
 from sklearn_hd._records.bases import kept_every
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd.algorithms.periodic.speed import orbit_speed
+from sklearn_hd.algorithms.periodic.speed import orbit_drift, orbit_speed
 from sklearn_hd.algorithms.signals import fundamental
 from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
 from sklearn_hd.exceptions import (
@@ -19,6 +21,8 @@ from sklearn_hd.exceptions import (
 )
 
 __all__ = ["OmegaEstimate", "estimate_omega"]
+
+TELLS = 2.0  # standard deviations by which a drift has to differ from none for halves to deny it
 
 
 def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None, missing="raise"):
@@ -127,26 +131,21 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
 
 
 def _by_orbit(found, experiment):
-    """The estimate as precise as the orbit of the records tells it, if they show one."""
+    """The estimate as precise as the orbit of the records tells it, if they show one.
+
+    A drift that the orbit's two halves would tell from none, and do not, is none.
+    """
     samples = 2.0 * np.pi / (found.omega * experiment.base.sample_time)
     step = kept_every(samples)
-    n_harmonics = min(MOST_LOADS, int(0.4 * samples / step))
+    told = min(MOST_LOADS, math.ceil(0.5 * samples / step) - 1)  # harmonics apart from others
     segments = zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True)
     some = [tuple(z[::step] for z in segment) for segment in segments]
     if found.drift:
-        middle = 0.5 * (min(t[0] for *_, t in some) + max(t[-1] for *_, t in some))
-        early = [tuple(z[segment[2] < middle] for z in segment) for segment in some]
-        late = [tuple(z[segment[2] >= middle] for z in segment) for segment in some]
-        halves = [
-            orbit_speed([each for each in half if len(each[2])], found.omega, n_harmonics)
-            for half in (early, late)
-        ]
-        if None in halves:
+        drift, std = orbit_drift(some, found.omega, told) or (found.drift, 0.0)
+        if abs(drift) > abs(drift - found.drift) or TELLS * std > abs(found.drift):
             return found
-        (before, std), (after, late_std) = halves
-        drift, drift_std = 2.0 * (after - before), 2.0 * np.hypot(std, late_std)
-        if abs(drift) > fundamental.BEYOND * drift_std:
-            return found
-        found = found._replace(drift=0.0, drift_std=float(drift_std))
-    orbit = orbit_speed(some, found.omega, n_harmonics)
-    return found if orbit is None else found._replace(omega=orbit[0], std=orbit[1])
+        found = found._replace(drift=0.0, drift_std=max(found.drift_std, abs(found.drift)))
+    orbit = orbit_speed(some, found.omega, told)
+    if orbit is None or orbit[1] > found.std:
+        return found
+    return found._replace(omega=orbit[0], std=orbit[1])

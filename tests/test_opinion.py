@@ -217,17 +217,14 @@ def test_a_likelihood_says_where_g_stands_for_states_that_are_missing(order, tol
     t = pd.Index(np.arange(len(u)) * system.period / 64, name="time")
     y = system.simulate(u, t.to_numpy()) + np.cos(0.8 * t.to_numpy())[:, None]
     y += 0.01 * np.random.default_rng(0).standard_normal(y.shape)
-    y, pipe = (
-        pd.DataFrame(y, t, ["y"]),
-        make_pipeline(
-            HarmonicAnalyzer(0.8, reading="period"),
-            MOESPRegressor(order),
-            StructuredMatcher(structure=HarmonicStructure(), criterion="output_error"),
-        ),
+    pipe = make_pipeline(
+        HarmonicAnalyzer(0.8, reading="period"),
+        MOESPRegressor(order),
+        StructuredMatcher(structure=HarmonicStructure(), criterion="output_error"),
     )
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        pipe.fit(pd.DataFrame(u, t, ["u"]), y)
+        pipe.fit(pd.DataFrame(u, t, ["u"]), pd.DataFrame(y, t, ["y"]))
     assert any("they stand for what 1 state" in str(w.message) for w in said) == told
 
 

@@ -16,7 +16,7 @@ kinds of Gauss-Newton steps for δ follow each other:
 
 Either half of the record has to show the orbit of the other: without one (a trim subtracted) speeds
 stay as given. And the new one has to be worth it: the predictor leaves less by Rao's and by the
-likelihood ratio test. The analyzer needs it.
+likelihood ratio test. The analyzer needs it; ``estimate_omega`` needs the speed itself.
 """
 
 from typing import NamedTuple
@@ -98,20 +98,13 @@ def measured_speed(segments, omega, n_harmonics):
 
 
 def orbit_speed(segments, omega, n_harmonics):
-    """The speed at which the orbit of a record repeats itself, about some.
+    """The speed near some at which the orbit of a record repeats itself.
 
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, time)
-        Evenly sampled, shapes (n_s, m), (n_s, l), (n_s,).
-    omega : float
-        rad/s.
-    n_harmonics : int
-        Of the waveform.
+    Parameters are those of :func:`measured_speed`.
 
     Returns
     -------
-    omega, std : float or None
+    omega, std : (float, float) or None
         rad/s. None where the record shows no orbit.
     """
     sought = _sought(segments, omega, n_harmonics)
@@ -119,6 +112,37 @@ def orbit_speed(segments, omega, n_harmonics):
         return None
     found = sought[2]
     return found.omega * (1.0 + found.drift), found.std * found.omega
+
+
+def orbit_drift(segments, omega, n_harmonics):
+    """By how much the speed of an orbit changes from the first row to the last.
+
+    Twice the difference between the halves of the record, each beside its own waveform: a predictor
+    would imitate an orbit that drifts. Parameters are those of :func:`measured_speed`.
+
+    Returns
+    -------
+    drift, std : (float, float) or None
+        rad/s, the deviation as if what is beside the waveforms were white. None where a half shows
+        no orbit.
+    """
+    segments, speeds, variance = _alike(_some_rows(segments)), [], 0.0
+    times = np.concatenate([time for *_, time in segments])
+    middle = 0.5 * (times.min() + times.max())
+    for later in (False, True):
+        rows = [(time >= middle) == later for *_, time in segments]
+        half = [
+            tuple(z[own] for z in segment)
+            for segment, own in zip(segments, rows, strict=True)
+            if own.any()
+        ]
+        speed = _along_waveform(half, omega, n_harmonics)
+        if _orbit(half, speed, n_harmonics) < ORBIT:
+            return None
+        slopes, rest, _ = _waveform_slopes(half, speed, n_harmonics)
+        variance += 1.0 / (len(rest) * np.sum(slopes**2 / _energy(rest)))
+        speeds.append(speed)
+    return float(2.0 * (speeds[1] - speeds[0])), float(2.0 * omega * np.sqrt(variance))
 
 
 def _sought(segments, omega, n_harmonics):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_hd.algorithms.periodic.speed import measured_speed
+from sklearn_hd.algorithms.periodic.speed import measured_speed, orbit_drift, orbit_speed
 from sklearn_hd.datasets import make_flapping_wing
 
 OMEGA = 2 * np.pi
@@ -58,6 +58,24 @@ def test_the_standard_deviation_holds():
         found = told(y, OMEGA * (1 + 1e-4), u)
         scores.append((found.omega - OMEGA) / found.std)
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
+
+
+def test_an_orbit_tells_its_speed_where_that_given_is_right_too():
+    found, std = orbit_speed([(steps()[:, None], orbit(OMEGA * T) + answer(steps()), T)], OMEGA, 9)
+    assert abs(found - OMEGA) < 4 * std < 1e-6
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-3, -1e-2])
+def test_a_drift_is_told_by_the_two_halves(drift):
+    psi = OMEGA * T + 0.5 * drift * T**2 / T[-1]  # from ω to ω + drift
+    segments = [
+        (steps()[p, None], (orbit(psi) + answer(steps()))[p], T[p])
+        for p in (slice(0, 1490), slice(1495, 1497), slice(1505, 3000))
+    ]
+    found, std = orbit_drift(segments, OMEGA + 0.5 * drift, 9)
+    assert abs(found - drift) < max(4 * std, 0.02 * abs(drift))
+    assert std < 1e-4
+    assert orbit_drift([(u, y - orbit(OMEGA * t), t) for u, y, t in segments], OMEGA, 9) is None
 
 
 @pytest.mark.parametrize("scale", [1e-140, 1e-9, 1e12, 1e140])
