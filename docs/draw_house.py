@@ -40,7 +40,7 @@ def layers():
         elif names & TOOLS:
             rows.append(["tools"])
         elif names != {"__init__"}:
-            rows.append(sorted(names, key=lambda name: (*SIDE_BY_SIDE, name).index(name)))
+            rows.append(sorted(sorted(names), key=lambda name: (*SIDE_BY_SIDE, name).index(name)))
     return rows
 
 
