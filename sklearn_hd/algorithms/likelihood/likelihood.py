@@ -37,6 +37,7 @@ NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in s
 SETTLED = 1e-12  # relative change of S between two steps of its search
 MOST_STEPS = 200  # of that search
 MOST_TURNS = 5  # of S and inputs in turn
+QR_BLOCK = 32  # columns of a block of reflections
 LITTLE = 1e-3  # of the likelihood, a row, that another turn is worth
 
 
@@ -469,8 +470,10 @@ def _roots(spread, patterns):
 
 def updated_factor(factor, columns):
     """Triangular factor (c, c) with further rows: columns (c, n_rows) of the matrix."""
-    block = np.concatenate([factor.T, columns], axis=1).T  # in the order that LAPACK reads
-    return linalg.qr(block, mode="r", overwrite_a=True, check_finite=False)[0][: len(factor)]
+    block = min(QR_BLOCK, len(factor))
+    rows = np.array(columns).T  # in the order that LAPACK reads
+    R = linalg.lapack.dtpqrt(0, block, np.asfortranarray(factor), rows, overwrite_b=True)[0]
+    return np.triu(R)
 
 
 def eliminate_states(factors, n0):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+from sklearn_hd.algorithms.periodic.floquet import by_phase, in_time, propagate_periodic
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
@@ -292,15 +292,20 @@ def _alike(*several):
 
 
 def _by_phase(matrices, signals):
-    """M[k mod p] s[k] for matrices (..., p, a, b) and signals (..., n_samples, b)."""
-    p, a, b = matrices.shape[-3:]
-    *batch, n_samples, _ = signals.shape
-    n_periods = -(-n_samples // p)
-    padding = [(0, 0)] * len(batch) + [(0, n_periods * p - n_samples), (0, 0)]
-    s = np.pad(signals, padding).reshape(*batch, n_periods, p, b)
-    product = np.swapaxes(s, -2, -3) @ np.swapaxes(matrices, -1, -2)
-    product = np.swapaxes(product, -2, -3)
-    return product.reshape(*product.shape[:-3], n_periods * p, a)[..., :n_samples, :]
+    """M[k mod p] s[k], of one matrix a phase (p, a, b) and signals (..., n_samples, b), or of many
+    (m, p, a, b) and one signal."""
+    *batch, p, a, b = matrices.shape
+    s = by_phase(signals, p)
+    _, rows, n_periods, _ = s.shape
+    s = s.reshape(p, rows * n_periods, b)
+    if not batch:
+        product = s @ np.swapaxes(matrices, -1, -2)
+        return in_time(product.reshape(p, rows, n_periods, a), signals.shape)
+    (m,) = batch
+    tables = matrices.transpose(1, 0, 2, 3).reshape(p, m * a, b)
+    product = s @ np.swapaxes(tables, -1, -2)
+    product = product.reshape(p, n_periods, m, a).transpose(0, 2, 1, 3)
+    return in_time(product, (m, *signals.shape))
 
 
 def _varying(A, forcing, x0):

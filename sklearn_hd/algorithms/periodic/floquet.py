@@ -24,6 +24,7 @@ tried first: its eigenvalues are those of the rounded product, and of 16 factors
 multipliers 1 and 1e-18, its triangular factors gave 0.012 and 1e-18.)
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -236,19 +237,34 @@ def propagate_periodic(Phi, forcing, x0):
     >>> propagate_periodic(Phi, np.ones((5, 1)), np.zeros(1)).ravel().tolist()
     [0.0, 1.0, 3.0, 2.5, 6.0]
     """
-    *batch, n_samples, n = forcing.shape
-    p = len(Phi)
-    n_periods = -(-n_samples // p)
-    padding = [(0, 0)] * len(batch) + [(0, n_periods * p - n_samples), (0, 0)]
-    v = np.pad(forcing, padding).reshape(*batch, n_periods, p, n)
-    starts = np.broadcast_to(x0, (*batch, n))[..., None, :]
-    if n_periods > 1:
-        starts = propagate(product_of(Phi), _from_rest(Phi, v), starts[..., 0, :])
-    states, x = np.empty_like(v), starts
-    for k in range(p):
-        states[..., k, :] = x
-        x = x @ Phi[k].T + v[..., k, :]
-    return states.reshape(*batch, n_periods * p, n)[..., :n_samples, :]
+    *batch, _, n = forcing.shape
+    v, steps = by_phase(forcing, len(Phi)), np.swapaxes(Phi, -1, -2)
+    x = np.broadcast_to(x0, (*batch, n)).reshape(v.shape[1], n)
+    if v.shape[2] > 1:
+        x = propagate(product_of(Phi), _from_rest(steps, v), x)
+    x = x.reshape(v.shape[1] * v.shape[2], n)
+    for k, step in enumerate(steps):  # each forcing makes room for the state before it
+        x, v[k] = x @ step + v[k].reshape(x.shape), x.reshape(v[k].shape)
+    return in_time(v, forcing.shape)
+
+
+def by_phase(signals, p):
+    """Signals (..., n_samples, n) as (p, rows, n_periods, n): what is done to a phase is one step.
+
+    The last period is filled up with zeros.
+    """
+    *batch, n_samples, n = signals.shape
+    rows, n_periods = math.prod(batch), -(-n_samples // p)
+    whole = np.zeros((rows, n_periods * p, n))
+    whole[:, :n_samples] = signals.reshape(rows, n_samples, n)
+    return np.ascontiguousarray(whole.reshape(rows, n_periods, p, n).transpose(2, 0, 1, 3))
+
+
+def in_time(phases, shape):
+    """Signals of some shape again, of what :func:`by_phase` made of them."""
+    p, rows, n_periods, n = phases.shape
+    whole = phases.transpose(1, 2, 0, 3).reshape(rows, n_periods * p, n)
+    return whole[:, : shape[-2]].reshape(*shape[:-1], n)
 
 
 # ---- one interval --------------------------------------------------------------------------
@@ -344,12 +360,12 @@ def product_of(Phi):
     return product
 
 
-def _from_rest(Phi, v):
+def _from_rest(steps, v):
     """State at the end of each period, from rest at its start."""
-    x = np.zeros(v[..., 0, :].shape)
-    for k, factor in enumerate(Phi):
-        x = x @ factor.T + v[..., k, :]
-    return x
+    x = np.zeros((v.shape[1] * v.shape[2], v.shape[3]))
+    for step, forcing in zip(steps, v, strict=True):
+        x = x @ step + forcing.reshape(x.shape)
+    return x.reshape(v.shape[1:])
 
 
 # ---- exponents of multipliers that lie far apart ----------------------------------------------
