@@ -175,10 +175,12 @@ def doubtful(exponents, opinion):
 
     Where it is their own, or needed, what it does not know is in doubt, too. Else it has to know:
     then distance and error count together; or it contradicts by more than it may err, or the
-    mode outlasts the record. A complete one also doubts those that are more than it has.
+    mode outlasts the record. A complete one also doubts those that are more than it has. Of a
+    mode that dies within a period, its own error has to say that it does.
     """
     _, apart, spread = opinion.about(exponents)
     error = SURE * spread
+    slowest = exponents + error * _rates(exponents, opinion.omega) if opinion.own else exponents
     vague = ~((apart <= DOUBT) & (error <= DOUBT))
     if opinion.needed:
         vague |= apart + error > DOUBT
@@ -188,7 +190,7 @@ def doubtful(exponents, opinion):
         vague |= (error <= DOUBT) & (apart + error > DOUBT)
     if opinion.complete and not opinion.own:
         vague |= _too_many(exponents, apart, opinion)
-    return vague & lasting(exponents, opinion.omega)
+    return vague & lasting(slowest, opinion.omega)
 
 
 def more_doubtful(exponents, *opinions):

@@ -52,6 +52,13 @@ def test_own_exponents_have_to_be_known(deviation, own, doubted):
     assert doubtful(PAIR, opinion(PAIR, deviation, own)).all() == doubted
 
 
+@pytest.mark.parametrize(("deviation", "doubted"), [(0.1, False), (0.8, True)])
+def test_a_mode_that_dies_within_a_turn_has_to_be_known_to(deviation, doubted):
+    """A turn leaves 3e-4 of a motion of -1.3 1/s, and all of it if it is off by two of 0.8."""
+    assert doubtful(np.array([-1.3]), opinion([-1.3], deviation, own=True)).all() == doubted
+    assert not doubtful(np.array([-1.3]), opinion([-1.3], deviation)).any()
+
+
 def test_another_way_contradicts_beyond_its_errors():
     assert doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 1e-3)).all()
     assert not doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 0.03)).any()

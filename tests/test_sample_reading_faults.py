@@ -89,6 +89,7 @@ def test_outputs_of_loads_alone_have_no_response():
         fitted(u, loads)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_noise_alone_is_named():
     """A model that leaves 0.997 of the outputs explains nothing either."""
     u, y = record()
@@ -131,6 +132,7 @@ def test_motion_that_thinning_loses_is_named(noise):
         assert fitted(u, y, samples=200.0, hop=1).score(u, y) > 0.99
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_noise_alone_loses_nothing_by_thinning():
     """Neighbouring samples share nothing either."""
     u, y = record(samples=200.0, rows=6000)
