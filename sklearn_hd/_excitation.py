@@ -24,8 +24,6 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
 from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning
 
-__all__ = ["Excitation"]
-
 MOST_OUTSIDE = 1e-3  # of the inputs' energy, as in a fit of whole periods
 NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter

@@ -15,23 +15,6 @@ from sklearn_hd._records.data import lifted_periods, output_scale
 from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = [
-    "WAY_OUT",
-    "Opinion",
-    "contradictions",
-    "decays_at_rest",
-    "doubtful",
-    "lasting",
-    "missing",
-    "more_doubtful",
-    "of_free_decays",
-    "of_halves",
-    "of_multipliers",
-    "of_second_order",
-    "warn_unconfirmed",
-    "why_unconfirmed",
-]
-
 DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has another answer beyond
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged

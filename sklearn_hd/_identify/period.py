@@ -65,8 +65,6 @@ from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
-__all__ = ["asked_block_rows", "identify", "read"]
-
 MOST_STATES = 12  # tried by order="auto": the raw periods are simulated with each
 A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 LEVEL = 1e-3  # share of linear machines taken for others

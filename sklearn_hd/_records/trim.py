@@ -15,8 +15,6 @@ from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, lift, standin
 from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands_out, turns_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = ["with_trim"]
-
 MOST_MOTION = 0.01  # of its energy, that a trim may hold
 MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody subtracts
 LEAST_TURNS = 2

@@ -26,19 +26,6 @@ from sklearn_hd.algorithms.modes.families import (
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-__all__ = [
-    "HALF_KNOWN",
-    "NEARLY_ALL",
-    "IdentifiedModes",
-    "ModeChoice",
-    "choose_modes",
-    "identified_modes",
-    "mode_table",
-    "verdicts",
-    "warn_of_doubt",
-    "without_trifles",
-]
-
 # docs/benchmarks/reducer_thresholds.py halves and doubles them: none of them decides
 FAMILY_TOLERANCE = 0.05  # of ln z^r: neighbours of one family
 WINDOW_DECAY = 1e-3  # of a response, that is left at the window's end of its memory
