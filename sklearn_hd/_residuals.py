@@ -94,10 +94,11 @@ class Remainder:
         """Rows of all segments."""
         return sum(len(s.psi) for s in self.segments)
 
-    def part_of_motion(self):
-        """Variance of the residuals in parts of that of the motion, the largest of all outputs.
+    def part_of_motion(self, lag=0):
+        """Covariance of residuals some samples apart, in parts of the motion's variance.
 
-        The motion is that about the periodic mean that was fitted, or what a trim is off by.
+        The largest of all outputs; of white noise nothing but for ``lag=0``. The motion is that
+        about the periodic mean that was fitted, or what a trim is off by.
         """
         psi = np.concatenate([s.psi for s in self.segments])
         highest = int(self.samples_per_period) // 2 if self.trim else max(self.n_loads, 0)
@@ -106,9 +107,9 @@ class Remainder:
         y = e + np.vstack([s.predicted for s in self.segments])
         motion = np.sum((y - turn @ (turn.T @ y)) ** 2, axis=0)
         e = e - turn @ (turn.T @ e) if self.trim else e
-        return float(
-            np.max(np.sum(e**2, axis=0) / np.where(motion > 0.0, motion, 1.0), initial=0.0)
-        )
+        pieces = np.split(e, _ends(self.segments)[:-1])
+        alike = sum(np.sum(z[lag:] * z[: len(z) - lag], axis=0) for z in pieces)
+        return float(np.max(alike / np.where(motion > 0.0, motion, 1.0), initial=0.0))
 
     def white(self):
         """Residuals of unit covariance, one array a segment, and the matrix that made them so."""

@@ -11,6 +11,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd._residuals import Remainder, Segment
 from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 from sklearn_hd.plotting import ResidualDisplay
 
@@ -231,3 +232,19 @@ def test_display_by_azimuth_shows_loads_left_out():
     exact, v = innovations(2, noise=0.0)
     with pytest.raises(ValueError, match="only rounding of this record"):
         ResidualDisplay.from_estimator(MOESPRegressor(3).fit(exact, v), exact, v)
+
+
+@pytest.mark.parametrize(("kind", "alike"), [("noise", 0.0), ("motion", 1.0)])
+def test_what_neighbours_share_is_no_noise(kind, alike):
+    """A burst that a model misses correlates little over the record, but with its neighbours."""
+    t = np.arange(4000.0)
+    y = np.sin(0.05 * t)[:, None]
+    burst = (np.exp(-0.5 * ((t - 2000.0) / 30.0) ** 2) * np.cos(0.1 * t))[:, None]
+    noise = np.random.default_rng(0).standard_normal(y.shape)
+    e = 0.1 * {"noise": noise, "motion": burst}[kind]
+    nothing = np.zeros((len(t), 1, 0))
+    segment = Segment(e, y - e, nothing[:, 0], 0.3 * t, nothing, nothing)
+    left = Remainder([segment], ("y",), (), False, None, -1, False)
+    part = np.sum(e**2) / np.sum(y**2)
+    assert left.part_of_motion() == pytest.approx(part, rel=0.05)
+    assert left.part_of_motion(lag=1) == pytest.approx(alike * part, abs=0.05 * part)

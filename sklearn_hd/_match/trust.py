@@ -104,7 +104,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
         stopped(plain, 0.0)
         return Trust(fit.covariance, exponents, plain, "information", None)
-    tests, part = _tests(experiment, sampled)
+    tests, part, alike = _tests(experiment, sampled)
     divisions = _divisions(result)
     parts = part_scores(result.problem, result.point, divisions)
     white = whole_covariance(result)
@@ -130,7 +130,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
     std = _beside(std, exponents, opinion)
     stopped(std, part)
-    systematic = _systematic(tests, part, experiment, sampled) if robust else 0.0
+    systematic = _systematic(alike, experiment, sampled) if robust else 0.0
     doubt = _doubt(exponents, std, opinion, systematic)
     if doubt and robust and np.all(more[k:] <= own[k:]):
         _warn_of_tests(tests, result.gain is None, doubt)
@@ -156,36 +156,38 @@ def _beside(std, exponents, opinion):
 
 
 def _tests(experiment, sampled):
-    """Residual tests, and the residuals' variance in parts of the motion's; None, and nothing,
-    where there is nothing to test."""
+    """Residual tests, and the residuals' variance and the covariance of neighbours in parts of
+    the motion's variance; None, and nothing, where there is nothing to test."""
     try:
         left = remainder(experiment, sample_simulators(sampled, experiment))
-        return scored(left, None, ALARM), left.part_of_motion()
+        return scored(left, None, ALARM), left.part_of_motion(), left.part_of_motion(lag=1)
     except (UnstableModelError, ValueError) as reason:  # it overflows, or rows are too few
         warn(
             f"the residuals of the fit could not be tested: {reason}; the standard deviations hold "
             f"only if the residuals are white noise",
             IdentifiabilityWarning,
         )
-        return None, 0.0
+        return None, 0.0, 0.0
 
 
-def _systematic(tests, part, experiment, sampled):
+def _systematic(alike, experiment, sampled):
     """What a simulation leaves and is no noise, in parts of the motion's variance.
 
-    A predictor follows a machine that its model does not explain, so a model with a gain is
-    simulated without it. What colours its residuals then is noise that moves the machine.
+    Of white noise neighbouring samples have nothing in common. A predictor follows a machine that
+    its model does not explain, so a model with a gain is simulated without it. What colours its
+    residuals then is noise that moves the machine, and the other tests tell.
     """
     own = sampled.innovations
-    if own.gain.any():
-        still = replace(sampled, innovations=replace(own, gain=np.zeros_like(own.gain)))
-        try:
-            left = remainder(experiment, sample_simulators(still, experiment))
-        except UnstableModelError:  # feedback holds it
-            return 0.0
-        tests, part = scored(left, None, ALARM), left.part_of_motion()
-        tests = tests[~tests.index.str.startswith("autocorrelation")]
-    return part * tests["share"].where(~tests["passed"], 0.0).max()
+    if not own.gain.any():
+        return alike
+    still = replace(sampled, innovations=replace(own, gain=np.zeros_like(own.gain)))
+    try:
+        left = remainder(experiment, sample_simulators(still, experiment))
+    except UnstableModelError:  # feedback holds it
+        return 0.0
+    tests = scored(left, None, ALARM)
+    told = ~tests["passed"] & ~tests.index.str.startswith("autocorrelation")
+    return left.part_of_motion() * tests["share"].where(told, 0.0).max()
 
 
 def _doubt(exponents, std, opinion, systematic):
