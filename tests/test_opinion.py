@@ -17,6 +17,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd._match.periodic import realize, warn_realized
+from sklearn_hd._match.trust import _beside
 from sklearn_hd._opinion import (
     Opinion,
     contradictions,
@@ -57,6 +58,13 @@ def test_a_mode_that_dies_within_a_turn_has_to_be_known_to(deviation, doubted):
     """A turn leaves 3e-4 of a motion of -1.3 1/s, and all of it if it is off by two of 0.8."""
     assert doubtful(np.array([-1.3]), opinion([-1.3], deviation, own=True)).all() == doubted
     assert not doubtful(np.array([-1.3]), opinion([-1.3], deviation)).any()
+
+
+@np.errstate(invalid="raise")
+def test_a_deviation_that_is_infinite_stays_so_beside_a_second_opinion():
+    """A fit failed over it, and blamed the units of the signals."""
+    std = np.full(2, complex(np.inf, np.inf))
+    np.testing.assert_array_equal(_beside(std, PAIR, opinion(PAIR, 1e-3)), std)
 
 
 def test_another_way_contradicts_beyond_its_errors():

@@ -152,7 +152,9 @@ def _beside(std, exponents, opinion):
     apart, deviations = opinion.beside(exponents)
     told = np.abs(apart) > CONTRADICTS * np.hypot(np.abs(std), deviations)
     more = np.where(told & lasting(exponents, opinion.omega), apart, 0.0)
-    return np.hypot(std.real, more.real) + 1j * np.hypot(std.imag, more.imag)
+    wider = np.empty_like(std)  # 1j times infinity would be NaN
+    wider.real, wider.imag = np.hypot(std.real, more.real), np.hypot(std.imag, more.imag)
+    return wider
 
 
 def _tests(experiment, sampled):
