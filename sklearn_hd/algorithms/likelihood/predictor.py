@@ -186,7 +186,7 @@ class _Course:
 
     def at(self, matrices, signals, rows):
         """M[k] s[k] for signals (..., n_rows, b) of some rows, which begin a turn."""
-        return _by_phase(self._some(matrices, rows), signals)
+        return _times_phases(self._some(matrices, rows), signals)
 
     def propagate(self, forcing, x0, rows):
         """States of the predictor over some rows; infinite or NaN where they overflow."""
@@ -235,7 +235,7 @@ class _Slopes:
 
     def _at(self, tables, z, rows):
         if self.record.psi is None or tables.shape[1] == 1:
-            return _by_phase(_rolled(tables, self.record.first_phase), z)
+            return _times_phases(_rolled(tables, self.record.first_phase), z)
         k, _, a, b = tables.shape
         table = tables.transpose(1, 0, 2, 3).reshape(tables.shape[1], -1)
         values = _interpolated(table, self.record.psi[rows]).reshape(-1, k * a, b)
@@ -291,7 +291,7 @@ def _alike(*several):
     return [_each(M, longest) for M in several]
 
 
-def _by_phase(matrices, signals):
+def _times_phases(matrices, signals):
     """M[k mod p] s[k], of one matrix a phase (p, a, b) and signals (..., n_samples, b), or of many
     (m, p, a, b) and one signal."""
     *batch, p, a, b = matrices.shape

@@ -249,9 +249,9 @@ def propagate_periodic(Phi, forcing, x0):
 
 
 def by_phase(signals, p):
-    """Signals (..., n_samples, n) as (p, rows, n_periods, n): what is done to a phase is one step.
+    """Signals (..., n_samples, n) as (p, rows, n_periods, n), in one piece of memory.
 
-    The last period is filled up with zeros.
+    One product then acts on a phase of all periods. The last period is filled up with zeros.
     """
     *batch, n_samples, n = signals.shape
     rows, n_periods = math.prod(batch), -(-n_samples // p)
@@ -261,7 +261,7 @@ def by_phase(signals, p):
 
 
 def in_time(phases, shape):
-    """Signals of some shape again, of what :func:`by_phase` made of them."""
+    """Phases (p, rows, n_periods, n) as signals (*shape[:-1], n): :func:`by_phase` undone."""
     p, rows, n_periods, n = phases.shape
     whole = phases.transpose(1, 2, 0, 3).reshape(rows, n_periods * p, n)
     return whole[:, : shape[-2]].reshape(*shape[:-1], n)
