@@ -20,6 +20,7 @@ LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were 
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 WAY_OUT = "use a longer record, smaller motions or less noise, or another order"
 CONTRADICTS = 4.0  # standard deviations that no two ways are apart by chance
+LEAST_APART = DOUBT / 2.0  # of a rate, that two ways have to be apart for one to contradict
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +141,7 @@ def of_multipliers(multipliers, deviations, experiment, way, own):
     return Opinion(exponents, deviations * rate, omega, way, own, longest)
 
 
-def of_halves(exponents, halves, omega):
+def of_halves(exponents, halves, omega, duration):
     """The opinion of both halves of a record: the whole's exponents, known as well as the halves
     have one near to each."""
     own = []
@@ -150,7 +151,7 @@ def of_halves(exponents, halves, omega):
         own.append(shifted[rows, columns])
     spread = np.sqrt(np.mean(np.abs(np.array(own) - exponents) ** 2, axis=0))
     way = "the two halves of the record have"
-    return Opinion(exponents, spread, omega, way, True)
+    return Opinion(exponents, spread, omega, way, True, duration)
 
 
 def doubtful(exponents, opinion):
@@ -158,8 +159,10 @@ def doubtful(exponents, opinion):
 
     Where it is their own, or needed, what it does not know is in doubt, too. Else it has to know:
     then distance and error count together; or it contradicts by more than it may err, or the
-    mode outlasts the record. A complete one also doubts those that are more than it has. Of a
-    mode that dies within a period, its own error has to say that it does.
+    mode outlasts the record. One of another way that knows well contradicts from half the
+    distance on. A complete one also doubts those that are more than it has. Of a mode that dies
+    within a period, its own error has to say that it does. A mode that does not change within the
+    record is in doubt whatever is known of it.
     """
     _, apart, spread = opinion.about(exponents)
     error = SURE * spread
@@ -171,9 +174,16 @@ def doubtful(exponents, opinion):
         outlasts = np.abs(exponents.real) * opinion.duration < 1.0
         vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
         vague |= (error <= DOUBT) & (apart + error > DOUBT)
+    if not opinion.own:
+        vague |= apart > np.maximum(LEAST_APART, CONTRADICTS * spread)
     if opinion.complete and not opinion.own:
         vague |= _too_many(exponents, apart, opinion)
-    return vague & lasting(slowest, opinion.omega)
+    return (vague | unchanging(exponents, opinion)) & lasting(slowest, opinion.omega)
+
+
+def unchanging(exponents, opinion):
+    """Which modes neither decay nor grow within the record: a drift, or a tone, looks the same."""
+    return np.abs(exponents.real) * opinion.duration < DOUBT
 
 
 def more_doubtful(exponents, *opinions):
@@ -219,16 +229,26 @@ def _sums(exponents):
 def contradictions(exponents, opinion):
     """What a second opinion has against the exponents of a model: words, "" where it has nothing.
 
-    Of those in doubt, and of those missing beside what is next to them, the worst is named.
+    Of those in doubt, of those that do not change within the record, and of those missing beside
+    what is next to them, the worst is named.
     """
     nearest, apart, spread = opinion.about(exponents)
     doubt, words = doubtful(exponents, opinion), []
-    if doubt.any():
-        k = int(np.argmax(np.where(doubt, apart + SURE * spread, -1.0)))
+    still = doubt & unchanging(exponents, opinion)
+    if still.any():
+        k = int(np.argmin(np.where(still, np.abs(exponents.real), np.inf)))
+        words.append(
+            f"{int(still.sum())} of {len(exponents)} modes neither decay nor grow: the model has "
+            f"{exponents[k]:.4g} 1/s, and {opinion.duration:.3g} s are only "
+            f"{abs(exponents[k].real) * opinion.duration:.2g} of its time constants; it may be a "
+            f"drift of the outputs, or a tone that no input makes"
+        )
+    if (doubt & ~still).any():
+        k = int(np.argmax(np.where(doubt & ~still, apart + SURE * spread, -1.0)))
         error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]
         words.append(
-            f"{int(doubt.sum())} of {len(exponents)} exponents are in doubt: the model has "
-            f"{exponents[k]:.4g} 1/s, {opinion.way} {_within(nearest[k], error)} 1/s next to it"
+            f"{int(np.sum(doubt & ~still))} of {len(exponents)} exponents are in doubt: the model "
+            f"has {exponents[k]:.4g} 1/s, {opinion.way} {_within(nearest[k], error)} 1/s next to it"
         )
     told = opinion.of_identified(nearest[doubt])
     lacking = missing(exponents, opinion) & (told.about(opinion.exponents)[1] > DOUBT)

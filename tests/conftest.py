@@ -1,4 +1,4 @@
-"""Records that many tests read, simulated once; how many cases are drawn at random."""
+"""Records that many tests read, simulated once; how many cases are drawn at random, and threads."""
 
 import os
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from sklearn.pipeline import Pipeline
+from threadpoolctl import threadpool_limits
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
 from sklearn_hd.datasets import make_flapping_wing
@@ -19,6 +20,9 @@ settings.register_profile(
 )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 NIGHTLY = settings.default.max_examples > 100
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the processors: BLAS would take them twice
+    threadpool_limits(1)
 
 
 @pytest.fixture(scope="session")

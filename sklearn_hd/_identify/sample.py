@@ -89,6 +89,10 @@ class Samples:
         """Rows of the longest segment."""
         return max(len(y) for _, y, _ in self.segments)
 
+    def duration(self, omega):
+        """Seconds of the longest segment."""
+        return self.longest * self.step / omega
+
     @property
     def n_inputs(self):
         """Number of inputs."""
@@ -269,7 +273,7 @@ class _Found:
             exponents = model.exponents()
             lasts = bool(lasting(exponents, basis.omega).all())
             halves = _of_halves(model, choice, chosen)
-            own = _of_its_likelihood(ahead, basis.omega)
+            own = _of_its_likelihood(ahead, data, basis.omega)
             model = replace(model, opinion=more_doubtful(exponents, halves, own))
             against.append(why_unconfirmed(exponents, model.opinion))
         return cls(chosen, left, model, [words for words in against if words], lasts)
@@ -304,10 +308,11 @@ def _of_halves(model, whole, chosen):
         found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
         found, _ = choice.refined(found, chosen.stable)
         exponents.append(replace(model, innovations=found).exponents())
-    return of_halves(model.exponents(), exponents, whole.basis.omega)
+    omega = whole.basis.omega
+    return of_halves(model.exponents(), exponents, omega, data.duration(omega))
 
 
-def _of_its_likelihood(ahead, omega):
+def _of_its_likelihood(ahead, data, omega):
     """Where a further step of its likelihood leads the exponents; None without such steps.
 
     Where steps have not come to an end, that is elsewhere.
@@ -315,7 +320,8 @@ def _of_its_likelihood(ahead, omega):
     if ahead is None:
         return None
     exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
-    return Opinion(exponents, deviations, omega, "a step of its likelihood leads to")
+    way = "a step of its likelihood leads to"
+    return Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
 
 
 # ---- the predictor ---------------------------------------------------------------------------
