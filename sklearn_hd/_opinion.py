@@ -157,33 +157,36 @@ def of_halves(exponents, halves, omega, duration):
 def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
-    Where it is their own, or needed, what it does not know is in doubt, too. Else it has to know:
-    then distance and error count together; or it contradicts by more than it may err, or the
-    mode outlasts the record. One of another way that knows well contradicts from half the
-    distance on. A complete one also doubts those that are more than it has. Of a mode that dies
-    within a period, its own error has to say that it does. A mode that does not change within the
-    record is in doubt whatever is known of it.
+    - It has to know them, and to agree: to DOUBT, distance and error apart where it is their own,
+      together else. Of another way that is not needed and does not know, modes within the record
+      pass.
+    - Of another way, it contradicts from LEAST_APART on if chance does not explain that. If it is
+      complete, those that are more than it has are in doubt.
+    - What does not change within the record is in doubt whatever is known of it.
+
+    What a period forgets is not judged, unless its own error says that it may last.
     """
     _, apart, spread = opinion.about(exponents)
     error = SURE * spread
     slowest = exponents + error * _rates(exponents, opinion.omega) if opinion.own else exponents
-    vague = ~((apart <= DOUBT) & (error <= DOUBT))
     if opinion.needed:
-        vague |= apart + error > DOUBT
-    elif not opinion.own:
-        outlasts = np.abs(exponents.real) * opinion.duration < 1.0
-        vague &= (apart > np.maximum(DOUBT, CONTRADICTS * spread)) | outlasts | ~np.isfinite(apart)
-        vague |= (error <= DOUBT) & (apart + error > DOUBT)
+        sure = apart + error <= DOUBT
+    elif opinion.own:
+        sure = (apart <= DOUBT) & (error <= DOUBT)
+    else:
+        within = (np.abs(exponents.real) >= 1.0 / opinion.duration) & np.isfinite(apart)
+        sure = np.where(error <= DOUBT, apart + error <= DOUBT, within)
+    vague = ~sure | unchanging(exponents, opinion)
     if not opinion.own:
         vague |= apart > np.maximum(LEAST_APART, CONTRADICTS * spread)
-    if opinion.complete and not opinion.own:
-        vague |= _too_many(exponents, apart, opinion)
-    return (vague | unchanging(exponents, opinion)) & lasting(slowest, opinion.omega)
+        if opinion.complete:
+            vague |= _too_many(exponents, apart, opinion)
+    return vague & lasting(slowest, opinion.omega)
 
 
 def unchanging(exponents, opinion):
     """Which modes neither decay nor grow within the record: a drift, or a tone, looks the same."""
-    return np.abs(exponents.real) * opinion.duration < DOUBT
+    return np.abs(exponents.real) < DOUBT / opinion.duration
 
 
 def more_doubtful(exponents, *opinions):
