@@ -168,7 +168,6 @@ def doubtful(exponents, opinion):
     """
     _, apart, spread = opinion.about(exponents)
     error = SURE * spread
-    slowest = exponents + error * _rates(exponents, opinion.omega) if opinion.own else exponents
     if opinion.needed:
         sure = apart + error <= DOUBT
     elif opinion.own:
@@ -181,6 +180,7 @@ def doubtful(exponents, opinion):
         vague |= apart > np.maximum(LEAST_APART, CONTRADICTS * spread)
         if opinion.complete:
             vague |= _too_many(exponents, apart, opinion)
+    slowest = exponents + error * _rates(exponents, opinion.omega) if opinion.own else exponents
     return vague & lasting(slowest, opinion.omega)
 
 

@@ -56,7 +56,8 @@ def test_own_exponents_have_to_be_known(deviation, own, doubted):
 @pytest.mark.parametrize(("deviation", "doubted"), [(0.1, False), (0.8, True)])
 def test_a_mode_that_dies_within_a_turn_has_to_be_known_to(deviation, doubted):
     """A turn leaves 3e-4 of a motion of -1.3 1/s, and all of it if it is off by two of 0.8."""
-    assert doubtful(np.array([-1.3]), opinion([-1.3], deviation, own=True)).all() == doubted
+    its = opinion([-1.3], deviation, own=True)
+    assert doubtful(np.array([-1.3]), its).all() == doubted
     assert not doubtful(np.array([-1.3]), opinion([-1.3], deviation)).any()
 
 
@@ -205,6 +206,26 @@ def test_a_model_that_is_known_is_not_in_doubt():
     np.testing.assert_allclose(
         np.sort_complex(found.eigenvalues_), np.sort_complex(multipliers), atol=2e-3
     )
+
+
+@pytest.mark.parametrize(
+    ("reading", "frequency"),
+    [
+        ("period", 0.37),
+        pytest.param("period", 0.0, marks=pytest.mark.slow),
+        pytest.param("sample", 0.37, marks=pytest.mark.slow),
+        pytest.param("sample", 0.0, marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*(in doubt|do not determine)")
+def test_a_drift_or_a_tone_of_the_outputs_is_no_mode_without_a_word(reading, frequency):
+    u, y, _ = record(0.01)
+    psi = y.index.to_numpy()
+    disturbance = np.cos(frequency * psi) * (1.0 + (frequency == 0.0) * psi / psi[-1])
+    y = y + 0.3 * y.std().to_numpy() * disturbance[:, None]
+    frame = HarmonicAnalyzer(1.0, reading=reading).fit_transform(u, y)
+    with pytest.warns(IdentifiabilityWarning, match="neither decay nor grow|the free decays"):
+        MOESPRegressor().fit(frame, y)
 
 
 @pytest.mark.parametrize(
