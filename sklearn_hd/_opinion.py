@@ -68,6 +68,11 @@ class Opinion:
             self, exponents=exponents, deviations=known, way="the map identified has", own=True
         )
 
+    def of_whole(self, exponents):
+        """That exponents identified are all there are, each known as well as the nearest here."""
+        known = self.of(exponents, "the map identified has")
+        return replace(known, deviations=self.beside(exponents)[1], complete=True)
+
     def about(self, exponents):
         """The nearest exponent to each of some, its distance and deviation, in parts of its rate.
 
@@ -253,17 +258,23 @@ def contradictions(exponents, opinion):
             f"{int(np.sum(doubt & ~still))} of {len(exponents)} exponents are in doubt: the model "
             f"has {exponents[k]:.4g} 1/s, {opinion.way} {_within(nearest[k], error)} 1/s next to it"
         )
-    told = opinion.of_identified(nearest[doubt])
-    lacking = missing(exponents, opinion) & (told.about(opinion.exponents)[1] > DOUBT)
-    if lacking.any():
-        k = int(np.argmax(np.where(lacking, opinion.exponents.real, -np.inf)))
-        beside = opinion.of_identified(exponents).about(opinion.exponents)[0][k]
-        its = _within(opinion.exponents[k], SURE * opinion.deviations[k])
-        words.append(
-            f"the model lacks {int(lacking.sum())} of {len(lacking)} exponents: {opinion.way} "
-            f"{its} 1/s, the model has {beside:.4g} 1/s next to it"
-        )
-    return "; ".join(words)
+    words.append(lacks(exponents, opinion, nearest[doubt]))
+    return "; ".join(filter(None, words))
+
+
+def lacks(exponents, opinion, told=()):
+    """Words of the slowest exponent of an opinion that a model lacks, beside those told; or ""."""
+    others = opinion.of_identified(np.asarray(told, complex)).about(opinion.exponents)[1]
+    lacking = missing(exponents, opinion) & (others > DOUBT)
+    if not lacking.any():
+        return ""
+    k = int(np.argmax(np.where(lacking, opinion.exponents.real, -np.inf)))
+    beside = opinion.of_identified(exponents).about(opinion.exponents)[0][k]
+    its = _within(opinion.exponents[k], SURE * opinion.deviations[k])
+    return (
+        f"the model lacks {int(lacking.sum())} of {len(lacking)} exponents: {opinion.way} "
+        f"{its} 1/s, the model has {beside:.4g} 1/s next to it"
+    )
 
 
 def _within(exponent, error):

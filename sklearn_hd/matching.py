@@ -9,19 +9,20 @@ from scipy.stats import norm
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
-from sklearn_hd._guards import one_blas_thread, searching, within_range
+from sklearn_hd._guards import one_blas_thread, searching, warn, within_range
 from sklearn_hd._match import PeriodicSimulator
 from sklearn_hd._match.affine import NormSettings, match_affine, match_samples
 from sklearn_hd._match.likelihood import match_free, match_likelihood, warn_closed_loop
 from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._opinion import contradictions, doubtful, warn_unconfirmed
+from sklearn_hd._opinion import WAY_OUT, contradictions, doubtful, lacks, warn_unconfirmed
 from sklearn_hd._records.data import to_continuous
 from sklearn_hd._records.delays import in_whole_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.matching.matching_problem import numerical_rank
+from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
@@ -667,3 +668,6 @@ def _warn_of_moves(model, match, likely):
         unconfirmed = doubtful(found, replace(opinion, own=True))
         if not likely and unconfirmed.any():
             warn_unconfirmed(found[unconfirmed], opinion.of_identified(model.exponents()))
+        lost = lacks(found, opinion.of_whole(model.exponents()))
+        if lost and len(found) == model.n_states:
+            warn(f"{lost}, where the match has moved it; {WAY_OUT}", IdentifiabilityWarning)

@@ -3,6 +3,7 @@
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -30,6 +31,7 @@ from sklearn_hd._opinion import (
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.matching import _warn_of_moves
 from sklearn_hd.systems import LTPSystem
 
 PAIR = np.array([-0.2 + 0.4j, -0.2 - 0.4j])
@@ -123,6 +125,20 @@ def test_distance_and_error_count_together():
     near = 1.045 * PAIR.real + 1j * PAIR.imag
     assert not doubtful(near, needed(PAIR, 0.002)).any()
     assert doubtful(near, needed(PAIR, 0.006)).all()
+
+
+@pytest.mark.parametrize(("deviation", "told"), [(0.002, True), (0.02, False)])
+def test_a_mode_that_a_match_moves_to_where_nothing_is_judged_is_missed(deviation, told):
+    """A turn leaves nothing of -9 1/s: no exponent of the match is in doubt, but one is lost."""
+    identified, found = np.array([-0.2, -0.5 + 0j]), np.array([-9.0, -0.5 + 0j])
+    its = opinion([-0.201, -0.5], deviation, own=True)
+    model = SimpleNamespace(opinion=its, exponents=lambda: identified, n_states=2)
+    match = SimpleNamespace(periodic=None, model=SimpleNamespace(exponents=lambda: found))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        _warn_of_moves(model, match, likely=True)
+    words = "lacks 1 of 2 exponents: the map identified has -0.2+0j ± 0.004 1/s, the model has -0.5"
+    assert [words in str(w.message) for w in said] == [True] * told
 
 
 def test_a_mode_that_another_way_has_is_missed():
