@@ -146,7 +146,7 @@ def test_harmonics_of_F_too_few_for_the_system(oscillation):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:.*(exponents are in doubt|neither decay nor grow)")
 def test_a_frequency_that_is_off_by_one_percent():
     """The rotor turns at 2.02 rad/s, 2 is given: said, one way or the other."""
     system = mathieu(omega=2.02)

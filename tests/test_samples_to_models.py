@@ -286,7 +286,7 @@ def test_one_output_leads_to_floquet_coordinates():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:.*(exponents are in doubt|the model lacks)")
 def test_a_structure_that_cannot_respond_so_is_told(measured):
     rigid = HarmonicStructure(F={"0": [[0, 1], [-1.0, -0.2]]}, G={"0": [[0], ["b"]]})
     with pytest.warns(
