@@ -35,6 +35,7 @@ from sklearn_hd.matching import _warn_of_moves
 from sklearn_hd.systems import LTPSystem
 
 PAIR = np.array([-0.2 + 0.4j, -0.2 - 0.4j])
+STILL = "of . modes neither decay nor grow"
 
 
 def opinion(exponents, deviation, own=False):
@@ -225,22 +226,22 @@ def test_a_model_that_is_known_is_not_in_doubt():
 
 
 @pytest.mark.parametrize(
-    ("reading", "frequency"),
+    ("reading", "frequency", "words"),
     [
-        ("period", 0.37),
-        pytest.param("period", 0.0, marks=pytest.mark.slow),
-        pytest.param("sample", 0.37, marks=pytest.mark.slow),
-        pytest.param("sample", 0.0, marks=pytest.mark.slow),
+        ("period", 0.37, STILL),
+        pytest.param("period", 0.0, "in doubt: .* the free decays", marks=pytest.mark.slow),
+        pytest.param("sample", 0.37, STILL, marks=pytest.mark.slow),
+        pytest.param("sample", 0.0, STILL, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*(in doubt|do not determine)")
-def test_a_drift_or_a_tone_of_the_outputs_is_no_mode_without_a_word(reading, frequency):
+def test_a_drift_or_a_tone_of_the_outputs_is_no_mode_without_a_word(reading, frequency, words):
     u, y, _ = record(0.01)
     psi = y.index.to_numpy()
     disturbance = np.cos(frequency * psi) * (1.0 + (frequency == 0.0) * psi / psi[-1])
     y = y + 0.3 * y.std().to_numpy() * disturbance[:, None]
     frame = HarmonicAnalyzer(1.0, reading=reading).fit_transform(u, y)
-    with pytest.warns(IdentifiabilityWarning, match="neither decay nor grow|the free decays"):
+    with pytest.warns(IdentifiabilityWarning, match=words):
         MOESPRegressor().fit(frame, y)
 
 
