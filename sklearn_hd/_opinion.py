@@ -253,13 +253,24 @@ def contradictions(exponents, opinion):
         )
     if (doubt & ~still).any():
         k = int(np.argmax(np.where(doubt & ~still, apart + SURE * spread, -1.0)))
-        error = SURE * spread[k] * _rates(exponents, opinion.omega)[k]
         words.append(
             f"{int(np.sum(doubt & ~still))} of {len(exponents)} exponents are in doubt: the model "
-            f"has {exponents[k]:.4g} 1/s, {opinion.way} {_within(nearest[k], error)} 1/s next to it"
+            f"has {exponents[k]:.4g} 1/s, {what_it_has(exponents, opinion, k)}"
         )
     words.append(lacks(exponents, opinion, nearest[doubt]))
     return "; ".join(filter(None, words))
+
+
+def what_it_has(exponents, opinion, k):
+    """Words of what an opinion has beside one of some exponents."""
+    nearest, apart, spread = (each[k] for each in opinion.about(exponents))
+    error = SURE * spread
+    size = error * _rates(exponents, opinion.omega)[k]
+    if not np.isfinite(apart + size):
+        return f"{opinion.way} nothing that confirms it"
+    if apart <= spread and error > DOUBT:
+        return f"{opinion.way} it within ± {size:.2g} 1/s only"
+    return f"{opinion.way} {_within(nearest, size)} 1/s next to it"
 
 
 def lacks(exponents, opinion, told=()):

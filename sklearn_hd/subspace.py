@@ -92,7 +92,9 @@ class MOESPRegressor(ModelStep):
         ``weighting="pbsid"``, ``"auto"`` is zero, because a feedback within the row looks the
         same; a warning says so. Through a sliding window D is zero. With ``reading="period"`` D is
         always free, because inputs act within their period. For samples at their azimuths D is
-        free if that lowers the predictor's Bayesian information criterion.
+        free if that lowers the predictor's Bayesian information criterion. Where inputs are so
+        smooth that earlier rows tell them, it does not say; models of both kinds are then
+        simulated, and D is that of the best.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead`` (on
         plain data or ``reading="period"``). With ``weighting="pbsid"`` and ``reading="sample"`` it

@@ -269,7 +269,7 @@ def test_text_and_html_show_what_is_given():
         "G_1s = [   0 ]",
         "       [ 2*q ]",
         "P: 1 harmonic, every entry free",
-        "Q: zero",
+        "Q: zero, unless the data show a feedthrough",
         "a = 2.5, fixed",
     ]
     assert str(structure).splitlines() == lines

@@ -6,6 +6,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
+from periodic_cases import mathieu, same_exponents
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import Pipeline
@@ -195,6 +196,22 @@ def test_a_feedthrough_is_found_where_there_is_one():
     assert pipe["identify"].feedthrough_
     assert "Bayesian information criterion" in pipe["identify"].feedthrough_reason_
     assert pipe.score(u, direct) > 0.99
+
+
+@pytest.mark.slow
+def test_inputs_that_move_between_samples_add_no_states():
+    """Earlier rows tell a smooth input, so that no regression on it tells a feedthrough."""
+    system, rng = mathieu(), np.random.default_rng(0)
+    fine = np.arange(8 * 4000) * system.period / (8 * 20.0)
+    lines = 2.0 * np.linspace(0.02, 1.4, 40)
+    u = np.cos(np.outer(fine, lines) + rng.uniform(0, 2 * np.pi, 40)).sum(axis=1, keepdims=True)
+    y = system.simulate(u, fine)[::8]
+    y += 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+    frames = (pd.DataFrame(part, pd.Index(fine[::8], name="time")) for part in (u[::8], y))
+    model = pipeline(2.0).fit(*frames)["identify"]
+    assert model.order_ == 2
+    assert "the predictor does not tell D" in model.feedthrough_reason_
+    same_exponents(model.model_.exponents(), system, rtol=0.01)
 
 
 @pytest.mark.slow

@@ -344,13 +344,27 @@ def test_entries_of_states_that_nothing_measures_are_refused():
 
 
 @pytest.mark.slow
-def test_a_feedthrough_is_kept_where_it_is_asked_for():
+def test_a_feedthrough_that_data_show_is_kept():
     system = mathieu(P=np.eye(2), Q=[[0.0], [0.5]], output_names=["y", "a"])
     u, y = record(system, 16.0)
-    for structure in (None, HarmonicStructure(F=1, G=0, Q=0, states=["y", "a"])):
+    asked = HarmonicStructure(F=1, G=0, Q=0, states=["y", "a"])
+    for structure in (None, HarmonicStructure(), asked):
         pipe = pipeline(2.0, structure=structure).fit(u, y)
         Q = pipe["match"].ltp_.fourier_coefficients(0)[3]
         np.testing.assert_allclose(Q[0], [[0.0], [0.5]], atol=0.01)
         assert pipe.score(u, y) > 0.999
+    refined = pipeline(2.0, structure=HarmonicStructure(), criterion="output_error").fit(u, y)
+    assert abs(refined["match"].ltp_.fourier_coefficients(0)[3][0, 1, 0] - 0.5) < 0.01
     with pytest.warns(IdentifiabilityWarning, match="Q where there is a feedthrough"):
-        pipeline(2.0, structure=HarmonicStructure(F=1, G=0)).fit(u, y)
+        pipeline(2.0, structure=HarmonicStructure(F=1, G=0, Q={"0": np.zeros((2, 1))})).fit(u, y)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:3 of 6 exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:the outputs .* do not determine the 6 states")
+def test_predictions_stay_those_of_the_samples_where_no_continuous_model_has_them():
+    """Four of six states are noise, which changes faster than 9.1 samples a turn show."""
+    u, y = record(mathieu(), 9.1)
+    with pytest.warns(IdentifiabilityWarning, match="ltp_ and system_ are of no use"):
+        pipe = pipeline(2.0, order=6).fit(u, y)
+    pd.testing.assert_frame_equal(pipe.predict(u), pipe[:2].predict(u))

@@ -155,12 +155,13 @@ def test_fewer_outputs_than_states_give_floquet_coordinates(name):
     np.testing.assert_allclose(pipe.predict(fresh), truth, atol=1e-5 * truth.abs().max().max())
 
 
-def test_periodic_input_matrix_and_feedthrough_of_given_harmonics():
+@pytest.mark.parametrize("structure", [HarmonicStructure(G=1, Q=1), HarmonicStructure(), None])
+def test_a_periodic_input_matrix_and_a_feedthrough(structure):
     G = np.array([[[0.0], [1.0]], [[0.2], [-0.4]], [[0.1], [0.3]]])
     Q = np.array([[[0.3], [0.0]], [[0.0], [0.2]], [[-0.1], [0.0]]])
     system = LTPSystem(mathieu().F, G, Q=Q, omega=2.0, state_names=["y", "v"])
     u, y = record(system)
-    found = synchronous(2.0, HarmonicStructure(G=1, Q=1)).fit(u, y)["match"].ltp_
+    found = synchronous(2.0, structure).fit(u, y)["match"].ltp_
     np.testing.assert_allclose(found.G.coefficients, G, atol=1e-6)
     np.testing.assert_allclose(found.Q.coefficients, Q, atol=1e-6)
 

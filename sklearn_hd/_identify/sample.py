@@ -8,6 +8,7 @@
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -170,8 +171,8 @@ def identify(data, settings, experiment):
             f"predictor there, whatever the weighting; leave weighting='moesp', or 'pbsid', or use "
             f"HarmonicAnalyzer(reading='period')"
         )
-    choice, reason = _Choice.of(data, settings, experiment.basis)
-    layout, found = choice.layout, _Found.of(choice, choice.best())
+    choice, reason, tried = _Choice.of(data, settings, experiment.basis)
+    layout, found = choice.layout, _Found.of(choice, choice.best)
     unsure = found.against or not found.lasts
     if settings.order == "auto" and unsure and not searching():
         most_left = max(AS_LITTLE * found.left, LITTLE)
@@ -193,7 +194,7 @@ def identify(data, settings, experiment):
         choice.states.singular_values,
         floor,
         reason,
-        tuple(choice.tried),
+        tried,
         doubt=0.0 if model.opinion is None else model.opinion.doubt(model.exponents()),
     )
 
@@ -207,10 +208,9 @@ def opinion(experiment):
         None where they tell none, or the closed form is unstable.
     """
     settings = Settings()
-    choice, _ = _Choice.of(read(experiment, settings), settings, experiment.basis, steps=False)
-    best = choice.best()
-    model = _Found.of(choice, best).model
-    if model.opinion is None or not best.stable:
+    choice, *_ = _Choice.of(read(experiment, settings), settings, experiment.basis, steps=False)
+    model = _Found.of(choice, choice.best).model
+    if model.opinion is None or not choice.best.stable:
         return None
     return model.opinion.of(model.exponents(), "the samples have")
 
@@ -327,8 +327,11 @@ def _of_its_likelihood(ahead, data, omega):
 # ---- the predictor ---------------------------------------------------------------------------
 
 
-def _layout(data, settings, basis):
-    """Lags, harmonics and feedthrough of the predictor, and why D is free or zero."""
+def _layouts(data, settings, basis):
+    """Lags, harmonics and feedthrough of the predictor, and why D is free or zero.
+
+    Where inputs are so smooth that it cannot tell, those with D = 0 and with D free.
+    """
     most, lags = _most(data, settings, basis)
     shortest = _shortest(data, settings)
     auto = settings.feedthrough == "auto"
@@ -355,17 +358,25 @@ def _layout(data, settings, basis):
             k = int(np.argmin(aic))
             found[count, feedthrough] = aic[k], bic[k], least + k
     count = min(found, key=lambda key: found[key][0])[0]
+
+    def whole(feedthrough):
+        return replace(layout(count, feedthrough), n_lags=found[count, feedthrough][2])
+
     if not auto:
-        feedthrough, reason = settings.direct, f"feedthrough={settings.feedthrough} was asked for"
-    else:  # a whole set of coefficients, which has to be worth it
-        gain = found[count, False][1] - found[count, True][1]
-        feedthrough = bool(gain > 0.0)
+        return [whole(settings.direct)], f"feedthrough={settings.feedthrough} was asked for"
+    free = whole(True)
+    tells, share = sums.part(free).tells_feedthrough()
+    if not tells:
         reason = (
-            f"the Bayesian information criterion of the predictor is {abs(gain):.3g} lower with "
-            f"{'D free' if feedthrough else 'D = 0'}"
+            f"earlier rows tell an input up to {share:.2g} of its variance, so that the predictor "
+            f"does not tell D; of models with and without it, the best has "
         )
-    n_lags = found[count, feedthrough][2]
-    return replace(layout(count, feedthrough), n_lags=n_lags), reason
+        return [whole(False), free], reason
+    # a whole set of coefficients, which has to be worth it
+    gain = found[count, False][1] - found[count, True][1]
+    reason = f"the Bayesian information criterion of the predictor is {abs(gain):.3g} lower with "
+    reason += "D free" if gain > 0.0 else "D = 0"
+    return [whole(bool(gain > 0.0))], reason
 
 
 def _told(data, lags):
@@ -510,19 +521,33 @@ class _Choice:
 
     @classmethod
     def of(cls, data, settings, basis, steps=True):
-        """With lags and harmonics of the predictor that suit the data; and why D is free or not."""
-        layout, reason = _layout(data, settings, basis)
-        return cls(data, LagSums.of(data.segments, layout), settings, basis, steps), reason
+        """With lags and harmonics of the predictor that suit the data; why D is free or not; and
+        all models tried."""
+        layouts, reason = _layouts(data, settings, basis)
+        both = [
+            cls(data, LagSums.of(data.segments, layout), settings, basis, steps)
+            for layout in layouts
+        ]
+        best = best_of([each.best for each in both], both[0].n_values)
+        choice = next(each for each in both if each.best is best)
+        if len(both) > 1:
+            reason += "D free" if best.feedthrough else "D = 0"
+        return choice, reason, tuple(one for each in both for one in each.tried)
 
     def _sums(self, order, count, some=True):
         rows = self.states.rows(self.data, order, some)
         return StateSums.of(rows, count, self.basis.most_loads)
 
+    @property
+    def n_values(self):
+        """Rows times outputs that are simulated."""
+        return sum(y.size for _, y, _ in self.simulated)
+
+    @cached_property
     def best(self):
         """What the model of the least criterion leaves: a Simulated."""
         asked = self.settings.order
         orders = range(1, self.states.bound + 1) if asked == "auto" else [asked]
-        n_values = sum(y.size for _, y, _ in self.simulated)
         found = None
         for order in orders:
             before = None
@@ -535,7 +560,7 @@ class _Choice:
                     break
                 before = one
             kept = self._kept()
-            found = best_of(kept, n_values) if kept else None
+            found = best_of(kept, self.n_values) if kept else None
             if found is not None and found.order <= order - PATIENCE:
                 break
         if found is None:

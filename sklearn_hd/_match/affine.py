@@ -50,8 +50,8 @@ class NormSettings:
 
     Attributes
     ----------
-    criterion : {"hinf", "least_squares", "output_error"}
-        The last starts from the mean square.
+    criterion : {"hinf", "least_squares", "output_error", "prediction_error"}
+        The last two start from the mean square.
     output_weights, input_weights : as given to the matcher
     n_starts, random_state, max_iter : int
     """
@@ -62,6 +62,11 @@ class NormSettings:
     n_starts: int
     random_state: int | None
     max_iter: int
+
+    @property
+    def likely(self):
+        """Whether a likelihood continues from the match."""
+        return self.criterion not in ("hinf", "least_squares")
 
 
 def match_affine(model, experiment, structure, settings):
@@ -151,14 +156,13 @@ def _match_decomposition(model, experiment, structure, settings):
     periodic = PeriodicModel(full.coefficients(zero), basis.omega, outputs, inputs, outputs)
     affine, seen = periodic.decomposed_structure(full, basis)
     found = _matched(model, affine, settings)
-    likely = settings.criterion in ("output_error", "prediction_error")
-    if likely:  # the raw record sees them all
+    if settings.likely:  # the raw record sees them all
         resolved, theta = full, zero
         theta[seen] = found.theta
     else:
         resolved, theta = full.restricted(seen), found.theta
     periodic = replace(periodic, coefficients=resolved.coefficients(theta))
-    if not likely:  # which goes on from here
+    if not settings.likely:  # which goes on from here
         _check_record(periodic, experiment, found.relative_error)
     return periodic_match(resolved, theta, periodic, model, basis, found)
 
@@ -344,8 +348,29 @@ def match_samples(model, experiment, structure, settings):
         found = match.model
         coefficients, n = np.block([[found.A, found.B], [found.C, found.D]])[None], found.n_states
     sampled = model.of_matched(coefficients, n, max(1, experiment.basis.most_loads))
-    _warn_unlike(sampled, model, experiment, structure)
+    unlike = _unlike(sampled, model, experiment)
+    if unlike is None:
+        return replace(match, sampled=sampled)
+    words, category = unlike
+    if structure is not None and (settings.likely or _constrains(structure)):
+        way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
+        way += "entries, or leave structure=None"
+    else:
+        way = (
+            f"predict simulates the identified model, but ltp_ and system_ are of no use: its "
+            f"{model.n_states} states change faster than {experiment.basis.samples_per_period:.4g} "
+            f"samples per turn show of a continuous model; use a lower order, or sample more often"
+        )
+        sampled = model
+    warn(f"{words}; {way}", category)
     return replace(match, sampled=sampled)
+
+
+def _constrains(structure):
+    """Whether a structure asks for anything that the data do not decide."""
+    return isinstance(structure, MatrixStructure) or any(
+        structure.n_harmonics(name) is not None for name in "FGPQ"
+    )
 
 
 def _periodic(model, experiment, structure):
@@ -370,10 +395,10 @@ def _periodic(model, experiment, structure):
         state_outputs(asked, names, model.n_states, turn.choices(), turn.determined_by)
     )
     signals = found.state_names(names), model.input_names, model.output_names
-    given = "FGPQ" if structure is None and model.feedthrough else "FGP"
+    given = "FGPQ" if model.feedthrough else "FGP"
     counts = {name: len(getattr(found, name)) // 2 for name in given}
     if structure is not None and found.rows is not None:  # no more than the data show
-        counts = dict.fromkeys("FGP", innovations.n_harmonics)
+        counts = dict.fromkeys(given, innovations.n_harmonics)
     full = asked.resolve(*signals, counts, form=found.form)
     n_phases = max(len(turn.psi), 2 * full.n_harmonics + 2)
     weights = _weights(found, model, experiment)
@@ -420,30 +445,21 @@ def _decomposed(model, basis):
     return like, basis
 
 
-def _warn_unlike(sampled, model, experiment, structure):
-    """Of a match that grows e-fold within a segment, or responds otherwise, where the model
-    identified does not."""
+def _unlike(sampled, model, experiment):
+    """What tells of a match that grows e-fold within a segment, or responds otherwise, where the
+    model identified does not; None if it does not either."""
     longest = max(map(len, experiment.outputs))
     if longest * model.innovations.growth() > 1.0:  # it has been warned of
-        return
+        return None
     rate = sampled.innovations.growth()
-    way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
-    way += "entries, or leave structure=None"
-    if structure is None:
-        way = (
-            f"{experiment.basis.samples_per_period:.4g} samples per turn determine too few "
-            f"harmonics of a model in continuous time; sample more often, or use the model of "
-            f"MOESPRegressor"
-        )
     if longest * rate > 1.0:
         radius = np.max(np.abs(sampled.innovations.multipliers()))
-        warn(
+        return (
             f"the matched model has a multiplier of size {radius:.4g} per turn, so it grows by a "
             f"factor of {np.exp(min(rate * longest, 700.0)):.3g} over the longest segment, "
-            f"although the identified model is stable; {way}",
+            f"although the identified model is stable",
             InstabilityWarning,
         )
-        return
     left, there = 0.0, 0.0
     for u, psi in zip(experiment.drive, experiment.phases, strict=True):
         found, wanted = (
@@ -452,12 +468,13 @@ def _warn_unlike(sampled, model, experiment, structure):
         left = left + np.sum((found - wanted) ** 2, axis=0)
         there = there + np.sum(wanted**2, axis=0)
     share = np.max(left / np.where(there > 0.0, there, np.inf))
-    if share > UNLIKE:
-        warn(
-            f"the match does not reproduce {share:.2g} of the variance of the identified model's "
-            f"response to the inputs; {way}",
-            IdentifiabilityWarning,
-        )
+    if not share > UNLIKE:
+        return None
+    return (
+        f"the match does not reproduce {share:.2g} of the variance of the identified model's "
+        f"response to the inputs",
+        IdentifiabilityWarning,
+    )
 
 
 def _response(model, u, psi):

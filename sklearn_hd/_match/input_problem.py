@@ -22,6 +22,7 @@ import numpy as np
 from scipy import fft, linalg, sparse
 
 from sklearn_hd._match import PeriodicModel
+from sklearn_hd._match.trust import MOST_SYSTEMATIC
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.linalg.rounding import EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
@@ -110,10 +111,26 @@ class InputProblem:
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
 
     def solve(self, n_harmonics, physical):
-        """The realization with the smoothest G, and as many harmonics of it as the data show.
+        """The realization with the smoothest G, and as many harmonics of G and Q as the data show.
 
-        And as they determine: inputs that change at a few phases of the period tell more
-        harmonics apart only where the outputs are the states.
+        Q is zero, unless what is left then is no noise and Q is worth its parameters.
+        """
+        found, misfit = self._solved(n_harmonics, physical)
+        if self.structure.n_harmonics("Q") is None and found.systematic > MOST_SYSTEMATIC:
+            price = np.log(self.beyond.size) * len(self.names[1]) * len(self.names[2])
+            for count in self._counts():
+                other, cost = self._solved({**n_harmonics, "Q": count}, physical)
+                cost += (2 * count + 1) * price
+                if not cost < misfit:
+                    break
+                found, misfit = other, cost
+        return found
+
+    def _solved(self, n_harmonics, physical):
+        """A realization with some number of harmonics of Q, and its marginal likelihood.
+
+        With as many harmonics of G as the data determine: inputs that change at a few phases of
+        the period tell more harmonics apart only where the outputs are the states.
         """
         asked = self.structure.n_harmonics("G")
         first = N_INPUT_HARMONICS[0] if asked is None else asked
@@ -153,7 +170,7 @@ class InputProblem:
         price = np.log(self.beyond.size)  # of a parameter: more harmonics have to be worth one
         enough = min(each.misfit for each in tried) + price
         fewest = next(each for each in tried if each.misfit <= enough)
-        return self._realization(fewest, n_harmonics, counts[0], physical)
+        return self._realization(fewest, n_harmonics, counts[0], physical), fewest.misfit
 
     def _counts(self):
         """Numbers of harmonics of G to be tried."""

@@ -149,6 +149,11 @@ def _n_harmonics_of_outputs(match, structure):
     return periodic.highest("P")
 
 
+def _n_harmonics_of_feedthrough(periodic):
+    """Highest harmonic of Q in a match; None where Q is zero."""
+    return periodic.highest("Q") if np.any(periodic.matrices()[3]) else None
+
+
 def uncertainty_of(fit, trust, affine, seen):
     """What a fit says of its own precision."""
     result, k = fit.result, fit.structure.n_parameters
@@ -184,7 +189,10 @@ def _structures(match, structure, open_to):
     signals = periodic.state_names, periodic.input_names, periodic.output_names
     if periodic.physical:
         fixed = {name: structure.n_harmonics(name) for name in "FG" if name not in open_to}
-        fixed["P"] = _n_harmonics_of_outputs(match, structure)
+        fixed |= {
+            "P": _n_harmonics_of_outputs(match, structure),
+            "Q": _n_harmonics_of_feedthrough(periodic),
+        }
         return lambda counts: structure.resolve(*signals, {**fixed, **counts})
     full, n = match.structure, periodic.n_states
     entries = full.basis.tocoo()

@@ -10,7 +10,14 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._guards import warn
-from sklearn_hd._opinion import WAY_OUT, contradictions, doubtful, of_second_order, unchanging
+from sklearn_hd._opinion import (
+    WAY_OUT,
+    contradictions,
+    doubtful,
+    of_second_order,
+    unchanging,
+    what_it_has,
+)
 from sklearn_hd._records.data import input_scale, observations, output_scale, scaled_outputs
 from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
 from sklearn_hd.algorithms.modes.families import (
@@ -312,19 +319,19 @@ def verdicts(modes, choice, opinion=None):
         verdicts.append(verdict)
         reasons.append(reason)
     if opinion is not None:
-        _judge(verdicts, reasons, exponents, np.flatnonzero(kept), opinion)
+        judge(verdicts, reasons, exponents, np.flatnonzero(kept), opinion)
     return verdicts, reasons
 
 
-def _judge(verdicts, reasons, exponents, kept, opinion):
+def judge(verdicts, reasons, exponents, kept, opinion):
     """Change the verdicts of modes kept that a second opinion does not confirm."""
-    doubt, nearest = doubtful(exponents[kept], opinion), opinion.about(exponents[kept])[0]
-    second = of_second_order(exponents[kept], exponents[kept[~doubt]], opinion)
-    still = unchanging(exponents[kept], opinion)
+    exponents = exponents[kept]
+    doubt, still = doubtful(exponents, opinion), unchanging(exponents, opinion)
+    second = of_second_order(exponents, exponents[~doubt], opinion)
     for k in np.flatnonzero(doubt):
         i, known = kept[k], "sum of two others" if second[k] else "kept, but in doubt"
         verdicts[i] = "second-order" if second[k] else "ambiguous"
-        against = f"{opinion.way} {nearest[k]:.4g} rad/s next to it"
+        against = what_it_has(exponents, opinion, k)
         reasons[i] = f"{known}: {'it does not change within the record' if still[k] else against}"
 
 

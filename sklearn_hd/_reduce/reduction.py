@@ -21,6 +21,7 @@ from sklearn_hd._reduce.choice import (
     NEARLY_ALL,
     choose_modes,
     identified_modes,
+    judge,
     verdicts,
     warn_of_doubt,
 )
@@ -192,7 +193,10 @@ def _passed(model, n_states, reason):
             f"n_states={n_states} cannot be kept: the model is {reason}, has nothing spurious, and "
             f"keeps all its {model.n_states} states; use {way}, or leave n_states=None"
         )
-    return Reduction(model, _all_genuine(model.exponents(), reason))
+    exponents, families, verdicts, reasons = _all_genuine(model.exponents(), reason)
+    if model.opinion is not None:
+        judge(verdicts, reasons, exponents, families, model.opinion)
+    return Reduction(model, (exponents, families, verdicts, reasons))
 
 
 def _all_genuine(exponents, reason):

@@ -50,7 +50,7 @@ class HarmonicStructure(Structure):
         parameter, a text such as ``"1 - 2*k"`` is affine in parameters shared by name. Labels of a
         DataFrame must be the names of states, inputs and outputs, in their order. None lets the
         data decide: the number of harmonics of F and G, and those rows of P whose outputs are not
-        states; Q is zero.
+        states; Q is zero, unless the data show a feedthrough.
     states : sequence of str, optional
         Outputs that are the states, if as many outputs as states determine the state. By default
         the first ones that do. If none do, the states are Floquet coordinates, in which F is
@@ -86,7 +86,7 @@ class HarmonicStructure(Structure):
     G_1c = [ 0 ]
            [ 2 ]
     P: outputs that are states measure them; the data decide for the others
-    Q: zero
+    Q: zero, unless the data show a feedthrough
     gain = 2, fixed
     """
 
@@ -170,7 +170,7 @@ class HarmonicStructure(Structure):
         outputs : sequence of str, optional
             The states by default.
         **n_harmonics : int
-            Of ``F``, ``G`` and ``P``, where the structure leaves it to the data.
+            Of ``F``, ``G``, ``P`` and ``Q``, where the structure leaves it to the data.
 
         Returns
         -------
@@ -221,7 +221,7 @@ class HarmonicStructure(Structure):
         states, inputs, outputs : sequence of str
             Outputs that are also states measure them.
         n_harmonics : dict
-            Number of harmonics of F, G, P where the structure leaves it to the data.
+            Number of harmonics of F, G, P, Q where the structure leaves it to the data.
         form : FloquetForm, optional
             Form of F in Floquet coordinates; it replaces F.
 
@@ -333,7 +333,7 @@ _OPEN = {
     "F": "the data decide how many harmonics",
     "G": "the data decide how many harmonics",
     "P": "outputs that are states measure them; the data decide for the others",
-    "Q": "zero",
+    "Q": "zero, unless the data show a feedthrough",
 }
 
 

@@ -224,6 +224,37 @@ class LagSums:
         information, counts = np.array(information), np.array(counts)
         return information + 2.0 * counts, information + np.log(n) * counts
 
+    def tells_feedthrough(self):
+        """Whether these rows tell a feedthrough as large as outputs are beside inputs.
+
+        Not if what earlier rows leave of an input is so little that what it explains of an output
+        is not worth its coefficients.
+
+        Returns
+        -------
+        tells : bool
+        share : float
+            Of an input's variance that earlier rows leave; the smallest.
+        """
+        layout = self.layout
+        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
+        gram, products = self.gram / size / size[:, None], self.products / size[:, None]
+        gram[np.diag_indices(len(gram))] += EXACT * len(gram)
+        width = 2 * layout.n_input_harmonics + 1
+        first, last = 2 * layout.n_loads + 1, layout.n_first
+        others = np.delete(np.arange(len(gram)), np.s_[first:last])
+        upper = linalg.cholesky(gram[np.ix_(others, others)])
+        now = np.hstack([gram[:, first:last:width], products])[others]
+        known = np.sum(linalg.solve_triangular(upper, now, trans="T") ** 2, axis=0)
+        total = np.append(np.ones(layout.n_inputs), np.diag(self.squares))
+        left = np.maximum(total - known, EXACT * total) / np.where(total > 0.0, total, 1.0)
+        share, noise = (
+            np.min(left[: layout.n_inputs]),
+            left[layout.n_inputs :][total[layout.n_inputs :] > 0.0],
+        )
+        gain = self.n_rows * np.log1p(share / np.min(noise))
+        return bool(gain > width * np.log(self.n_rows)), float(share)
+
     def predictor(self):
         """The regression with the ridge of least generalised cross-validation."""
         size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
