@@ -328,7 +328,7 @@ def test_period_synchronous_rows_have_the_order_of_the_system(ltp):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*in doubt.*the samples have")  # their closed form is 6 % off
+@pytest.mark.filterwarnings("ignore:.*in doubt.*the samples have")  # with a state too many
 def test_initial_states_by_vector_rows_or_record():
     data = make_flapping_wing("lti-signal", n_records=2, n_periods=40, start=5, random_state=3)
     pipe = heave_pipeline(data.omega).fit(data.inputs, data.outputs)

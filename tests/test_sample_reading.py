@@ -198,20 +198,44 @@ def test_a_feedthrough_is_found_where_there_is_one():
     assert pipe.score(u, direct) > 0.99
 
 
+def smooth(system, samples, highest, seed, rows=4000):
+    """A multisine that moves on between samples, and the response with 1 % noise."""
+    rng = np.random.default_rng(seed)
+    fine = np.arange(8 * rows) * system.period / (8 * samples)
+    lines = system.omega * np.linspace(0.02, highest, 30)
+    u = np.cos(np.outer(fine, lines) + rng.uniform(0, 2 * np.pi, 30)).sum(axis=1, keepdims=True)
+    return fine[::8], u[::8], system.simulate(u, fine)[::8], rng
+
+
+def frames(t, u, y, rng):
+    y = y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+    index = pd.Index(t, name="time")
+    return pd.DataFrame(u, index), pd.DataFrame(y, index)
+
+
 @pytest.mark.slow
 def test_inputs_that_move_between_samples_add_no_states():
     """Earlier rows tell a smooth input, so that no regression on it tells a feedthrough."""
-    system, rng = mathieu(), np.random.default_rng(0)
-    fine = np.arange(8 * 4000) * system.period / (8 * 20.0)
-    lines = 2.0 * np.linspace(0.02, 1.4, 40)
-    u = np.cos(np.outer(fine, lines) + rng.uniform(0, 2 * np.pi, 40)).sum(axis=1, keepdims=True)
-    y = system.simulate(u, fine)[::8]
-    y += 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
-    frames = (pd.DataFrame(part, pd.Index(fine[::8], name="time")) for part in (u[::8], y))
-    model = pipeline(2.0).fit(*frames)["identify"]
+    system = mathieu()
+    t, u, y, rng = smooth(system, 20.0, 0.7, seed=0)
+    model = pipeline(2.0).fit(*frames(t, u, y, rng))["identify"]
     assert model.order_ == 2
     assert "the predictor does not tell D" in model.feedthrough_reason_
     same_exponents(model.model_.exponents(), system, rtol=0.01)
+
+
+@pytest.mark.slow
+def test_a_stable_machine_has_a_stable_model():
+    """Squares of the outputs stay in pieces so short that states of their own explain them."""
+    system = mathieu()
+    t, u, y, rng = smooth(system, 33.3, 1.3, seed=5, rows=2500)
+    pipe = pipeline(2.0)
+    with pytest.warns(IdentifiabilityWarning):
+        pipe.fit(*frames(t, u, y + 0.1 * y**2 / np.std(y, axis=0), rng))
+    found = pipe["identify"]
+    tried = pd.DataFrame(found.order_search_)
+    assert not tried.loc[tried["bic"].idxmin(), "stable"]
+    assert np.max(np.abs(found.eigenvalues_)) < 1.0
 
 
 @pytest.mark.slow

@@ -569,7 +569,19 @@ class _Choice:
                 f"{self.tried[-1].order}) is stable; use stable=False and predict_ahead, another "
                 f"order, or fewer harmonics"
             )
-        return found
+        return found if found.stable else self._as_fairly_compared(found)
+
+    def _as_fairly_compared(self, unstable):
+        """The best stable model, if it leaves as little as an unstable one that is simulated in
+        short pieces, each from a state of its own, once it is simulated in as short ones."""
+        stable = [one for one in self._kept() if one.stable]
+        if not stable:
+            return unstable
+        rival = min(stable, key=lambda one: one.bic)
+        rate = self.model(self.sums, unstable.order, unstable.n_harmonics).growth()
+        innovations = self.model(self.sums, rival.order, rival.n_harmonics)
+        again = self.compared(rival.order, rival.n_harmonics, innovations, rate)
+        return unstable if best_of([unstable, again], self.n_values) is unstable else rival
 
     def whole(self, chosen):
         """The model of some order and harmonics, of all rows."""
@@ -636,11 +648,12 @@ class _Choice:
         covariance, step = self.states.covariance, self.data.step
         return PeriodicInnovations(coefficients, gain, covariance, step, float(start))
 
-    def compared(self, order, count, innovations):
-        """What simulations of one model leave."""
+    def compared(self, order, count, innovations, rate=None):
+        """What simulations of one model leave, in pieces that suit its growth or a given one."""
         D, longest = self.layout.feedthrough, self.data.longest
-        rate = innovations.growth()
+        own = innovations.growth()
         least = PIECE * self.layout.n_lags  # so long that no initial state explains it
+        rate = own if rate is None else rate
         pieces = [piece for s in self.simulated for piece in _pieces(s, rate, least)]
         left = [innovations.rows(psi).left(u, y) for u, y, psi in pieces]
         if any(each is None for each in left):
@@ -656,7 +669,7 @@ class _Choice:
         bic = n_rows * np.sum(logs) + n_free * spent
         bic += order * sum(np.log(len(y)) for _, y, _ in pieces)
         share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
-        stable = longest * rate < GROWN
+        stable = longest * own < GROWN
         return Simulated(order, D, bool(stable), *map(float, (share, variance, bic)), count)
 
     def start(self, innovations, s):
