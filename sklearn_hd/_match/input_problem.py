@@ -69,6 +69,8 @@ class Realization:
         left of neighbouring samples.
     unidentified : tuple of str
         Parameters of G and Q that the record does not determine.
+    without : float or None
+        What was systematic without Q, where the data asked for one.
     """
 
     model: PeriodicModel
@@ -78,6 +80,7 @@ class Realization:
     r2: float
     systematic: float
     unidentified: tuple
+    without: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +126,8 @@ class InputProblem:
                 cost += (2 * count + 1) * price
                 if not cost < misfit:
                     break
-                found, misfit = other, cost
+                without = found.systematic if found.without is None else found.without
+                found, misfit = replace(other, without=without), cost
         return found
 
     def _solved(self, n_harmonics, physical):

@@ -62,6 +62,7 @@ def match_periodic(model, experiment, structure, simulated=True):
     """
     found = realize(model, experiment, structure)
     warn_coordinates(found.model)
+    warn_feedthrough(found)
     if simulated:  # what it is refined to is tested by itself
         warn_realized(found, model)
         warn_growing(found.model, model, experiment)
@@ -377,6 +378,19 @@ def warn_in_place_of_states(periodic, why):
             f"{why}, and G has {periodic.highest('G')} harmonics, more than twice those of F and "
             f"P: they stand for what {periodic.n_states} state(s) cannot do within the turn; raise "
             f"order=, or use a longer record",
+            IdentifiabilityWarning,
+        )
+
+
+def warn_feedthrough(found):
+    """Of a realization with a Q that nobody asked for: states may be missing instead."""
+    if found.without is not None:
+        count = found.model.highest("Q")
+        warn(
+            f"without a feedthrough the periodic model leaves {found.without:.2g} of the record's "
+            f"variance in residuals that are not noise, so it has a Q of {count} harmonic(s); if "
+            f"the outputs do not feel the inputs at once, states are missing: raise order=, else "
+            f"ask for it with HarmonicStructure(Q={count})",
             IdentifiabilityWarning,
         )
 
