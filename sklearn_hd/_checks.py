@@ -442,8 +442,8 @@ def check_rate(samples, highest_harmonic, given):
     if samples < need - PERIOD_TOLERANCE:
         raise ValueError(
             f"{given}, too few for harmonic {highest_harmonic}: at least two samples in a "
-            f"period of the highest harmonic kept are needed (here {need}); sample faster or keep "
-            f"fewer harmonics"
+            f"period of the highest harmonic kept are needed (here {need}); check the units (omega "
+            f"in rad/s, times in seconds), sample faster, or keep fewer harmonics"
         )
     if samples > MOST_SAMPLES:
         raise ValueError(

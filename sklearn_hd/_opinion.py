@@ -18,7 +18,9 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has another answer beyond
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
-WAY_OUT = "use a longer record, smaller motions or less noise, or another order"
+WAY_OUT = (
+    "use a longer record, smaller motions, less noise or another order, and check omega (rad/s)"
+)
 CONTRADICTS = 4.0  # standard deviations that no two ways are apart by chance
 LEAST_APART = DOUBT / 2.0  # of a rate, that two ways have to be apart for one to contradict
 

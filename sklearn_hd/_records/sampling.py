@@ -251,12 +251,14 @@ def warn_of_resampling(basis, inputs, outputs):
     inputs : Signals
     outputs : ndarray, shape (n_rows, n_outputs), or None
     """
-    step = inputs.base.sample_time
+    step, unless = inputs.base.sample_time, ""
+    if basis.alternative is not None and not basis.alternative.timing.resampled:
+        unless = f", unless something speaks for reading={basis.alternative.reading!r}"
     samples = 2.0 * np.pi / basis.omega / step
     warn(
         f"omega={basis.omega:.9g} rad/s and a sample time of {step:.9g} s give {samples:.6g} "
         f"samples a period, not a whole number: signals are resampled onto "
-        f"{basis.samples_per_period} a period, and results brought back to the rows given. "
+        f"{basis.samples_per_period} a period, and results brought back to the rows given{unless}. "
         f"{_resampling_error(basis, inputs, outputs)}{round(samples)} samples a period would mean "
         f"omega={2.0 * np.pi / step / round(samples):.9g} rad/s",
         ResamplingWarning,

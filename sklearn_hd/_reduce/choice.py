@@ -269,7 +269,8 @@ def warn_of_doubt(modes, choice, opinion, n_states):
             f"explain {choice.left_out:.0%} of what they leave)"
         )
     if words:
-        warn(f"{'; '.join(words)}; see modes_; {WAY_OUT}, or n_states", IdentifiabilityWarning)
+        words.append(f"see modes_, or give n_states; {WAY_OUT}")
+        warn("; ".join(words), IdentifiabilityWarning)
 
 
 def _instead(modes, choice):
