@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
 from sklearn_hd._guards import one_blas_thread, searching, warn, within_range
 from sklearn_hd._match import PeriodicSimulator
-from sklearn_hd._match.affine import NormSettings, match_affine, match_samples
+from sklearn_hd._match.affine import LIKELIHOODS, NormSettings, match_affine, match_samples
 from sklearn_hd._match.likelihood import match_free, match_likelihood, warn_closed_loop
 from sklearn_hd._match.periodic import match_periodic
 from sklearn_hd._match.record_data import LikelihoodSettings
@@ -27,7 +27,6 @@ from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 __all__ = ["StructuredMatcher"]
 
-LIKELIHOODS = ("output_error", "prediction_error")
 CRITERIA = ("hinf", "least_squares", *LIKELIHOODS)
 
 
@@ -276,7 +275,8 @@ class StructuredMatcher(ModelStep):
         of_samples = isinstance(model, SampleModel)
         match = self._of_samples if of_samples else self._of_rows
         match = match(model, experiment)
-        _warn_of_moves(model, match, self._likely)
+        if match.sampled is not model:  # which is then what predicts
+            _warn_of_moves(model, match, self._likely)
         self.match_, self.n_iter_ = match.stored(), match.n_iter
         basis = experiment.basis
         if match.waveform is not None:

@@ -93,8 +93,8 @@ class MOESPRegressor(ModelStep):
         same; a warning says so. Through a sliding window D is zero. With ``reading="period"`` D is
         always free, because inputs act within their period. For samples at their azimuths D is
         free if that lowers the predictor's Bayesian information criterion. Where inputs are so
-        smooth that earlier rows tell them, it does not say; models of both kinds are then
-        simulated, and D is that of the best.
+        smooth that earlier rows predict them, this criterion cannot tell D. Models with D = 0 and
+        with D free are then simulated, and the best is kept.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead`` (on
         plain data or ``reading="period"``). With ``weighting="pbsid"`` and ``reading="sample"`` it

@@ -68,7 +68,7 @@ ANALYZER = {
     ),
     "sampling": (
         {"input_harmonics": 9},
-        r"give 16 samples a period, too few for harmonic 9: .*\(here 18\); sample faster",
+        r"give 16 samples a period, too few for harmonic 9: .*\(here 18\); .* sample faster",
     ),
     "window": ({"window": "hamming"}, r"window='hamming' is not known; use one of 'boxcar'"),
     "hop": ({"hop": 5}, r"hop=5 does not divide the 16 samples of a period; use one of \[1, 2, 4"),

@@ -220,7 +220,7 @@ def test_inputs_that_move_between_samples_add_no_states():
     t, u, y, rng = smooth(system, 20.0, 0.7, seed=0)
     model = pipeline(2.0).fit(*frames(t, u, y, rng))["identify"]
     assert model.order_ == 2
-    assert "the predictor does not tell D" in model.feedthrough_reason_
+    assert "the predictor cannot tell D" in model.feedthrough_reason_
     same_exponents(model.model_.exponents(), system, rtol=0.01)
 
 
@@ -230,7 +230,7 @@ def test_a_stable_machine_has_a_stable_model():
     system = mathieu()
     t, u, y, rng = smooth(system, 33.3, 1.3, seed=5, rows=2500)
     pipe = pipeline(2.0)
-    with pytest.warns(IdentifiabilityWarning):
+    with pytest.warns(IdentifiabilityWarning, match="exponents are in doubt|not noise"):
         pipe.fit(*frames(t, u, y + 0.1 * y**2 / np.std(y, axis=0), rng))
     found = pipe["identify"]
     tried = pd.DataFrame(found.order_search_)

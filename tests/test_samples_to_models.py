@@ -360,11 +360,23 @@ def test_a_feedthrough_that_data_show_is_kept():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the model's residuals are not noise")
+def test_a_structure_that_asks_for_nothing_gets_the_harmonics_that_it_needs():
+    u, y = record(mathieu(), 5.3, turns=150)
+    free, own = (
+        pipeline(2.0, order=2, structure=structure).fit(u, y)
+        for structure in (None, HarmonicStructure())
+    )
+    np.testing.assert_allclose(own["match"].theta_, free["match"].theta_)
+    assert apart(own.predict(u), own[:2].predict(u)) < 0.1
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:3 of 6 exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine the 6 states")
 def test_predictions_stay_those_of_the_samples_where_no_continuous_model_has_them():
     """Four of six states are noise, which changes faster than 9.1 samples a turn show."""
     u, y = record(mathieu(), 9.1)
-    with pytest.warns(IdentifiabilityWarning, match="ltp_ and system_ are of no use"):
+    with pytest.warns(IdentifiabilityWarning, match="ltp_, system_ and theta_ fail"):
         pipe = pipeline(2.0, order=6).fit(u, y)
     pd.testing.assert_frame_equal(pipe.predict(u), pipe[:2].predict(u))

@@ -155,10 +155,11 @@ def test_fewer_outputs_than_states_give_floquet_coordinates(name):
     np.testing.assert_allclose(pipe.predict(fresh), truth, atol=1e-5 * truth.abs().max().max())
 
 
+@pytest.mark.parametrize("mean", [[[0.3], [0.0]], [[0.0], [0.0]]])
 @pytest.mark.parametrize("structure", [HarmonicStructure(G=1, Q=1), HarmonicStructure(), None])
-def test_a_periodic_input_matrix_and_a_feedthrough(structure):
+def test_a_periodic_input_matrix_and_a_feedthrough(structure, mean):
     G = np.array([[[0.0], [1.0]], [[0.2], [-0.4]], [[0.1], [0.3]]])
-    Q = np.array([[[0.3], [0.0]], [[0.0], [0.2]], [[-0.1], [0.0]]])
+    Q = np.array([mean, [[0.0], [0.2]], [[-0.1], [0.0]]])
     system = LTPSystem(mathieu().F, G, Q=Q, omega=2.0, state_names=["y", "v"])
     u, y = record(system)
     pipe = synchronous(2.0, structure)
@@ -170,6 +171,13 @@ def test_a_periodic_input_matrix_and_a_feedthrough(structure):
     found = pipe["match"].ltp_
     np.testing.assert_allclose(found.G.coefficients, G, atol=1e-6)
     np.testing.assert_allclose(found.Q.coefficients, Q, atol=1e-6)
+
+
+def test_a_feedthrough_in_place_of_a_state_is_named():
+    system = LTPSystem(np.diag([-0.2, -0.8]), [[1.0], [1.0]], [[1.0, 0.5], [0.5, 1.0]], omega=2.0)
+    pipe = synchronous(2.0).set_params(identify__order=1)
+    with pytest.warns(IdentifiabilityWarning, match="states are missing: raise order="):
+        pipe.fit(*record(system))
 
 
 def test_harmonics_of_the_inputs_that_the_record_does_not_tell_apart_are_named():

@@ -8,7 +8,6 @@
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -171,8 +170,8 @@ def identify(data, settings, experiment):
             f"predictor there, whatever the weighting; leave weighting='moesp', or 'pbsid', or use "
             f"HarmonicAnalyzer(reading='period')"
         )
-    choice, reason, tried = _Choice.of(data, settings, experiment.basis)
-    layout, found = choice.layout, _Found.of(choice, choice.best)
+    choice, best, reason, tried = _Choice.of(data, settings, experiment.basis)
+    layout, found = choice.layout, _Found.of(choice, best)
     unsure = found.against or not found.lasts
     if settings.order == "auto" and unsure and not searching():
         most_left = max(AS_LITTLE * found.left, LITTLE)
@@ -208,9 +207,10 @@ def opinion(experiment):
         None where they tell none, or the closed form is unstable.
     """
     settings = Settings()
-    choice, *_ = _Choice.of(read(experiment, settings), settings, experiment.basis, steps=False)
-    model = _Found.of(choice, choice.best).model
-    if model.opinion is None or not choice.best.stable:
+    data, basis = read(experiment, settings), experiment.basis
+    choice, best, *_ = _Choice.of(data, settings, basis, steps=False)
+    model = _Found.of(choice, best).model
+    if model.opinion is None or not best.stable:
         return None
     return model.opinion.of(model.exponents(), "the samples have")
 
@@ -320,7 +320,7 @@ def _of_its_likelihood(ahead, data, omega):
     if ahead is None:
         return None
     exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
-    way = "a step of its likelihood leads to"
+    way = "a further step of its likelihood has"
     return Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
 
 
@@ -330,7 +330,7 @@ def _of_its_likelihood(ahead, data, omega):
 def _layouts(data, settings, basis):
     """Lags, harmonics and feedthrough of the predictor, and why D is free or zero.
 
-    Where inputs are so smooth that it cannot tell, those with D = 0 and with D free.
+    Two, with D = 0 and with D free, where inputs are so smooth that a predictor cannot tell.
     """
     most, lags = _most(data, settings, basis)
     shortest = _shortest(data, settings)
@@ -359,24 +359,23 @@ def _layouts(data, settings, basis):
             found[count, feedthrough] = aic[k], bic[k], least + k
     count = min(found, key=lambda key: found[key][0])[0]
 
-    def whole(feedthrough):
-        return replace(layout(count, feedthrough), n_lags=found[count, feedthrough][2])
+    def whole(feedthrough, lags):
+        return replace(layout(count, feedthrough), n_lags=lags)
 
     if not auto:
-        return [whole(settings.direct)], f"feedthrough={settings.feedthrough} was asked for"
-    free = whole(True)
-    tells, share = sums.part(free).tells_feedthrough()
-    if not tells:
+        lags, reason = found[count, settings.direct][2], "feedthrough={} was asked for"
+        return [whole(settings.direct, lags)], reason.format(settings.feedthrough)
+    lags = [found[count, feedthrough][2] for feedthrough in (False, True)]
+    if not sums.part(whole(True, lags[1])).tells_feedthrough():
         reason = (
-            f"earlier rows tell an input up to {share:.2g} of its variance, so that the predictor "
-            f"does not tell D; of models with and without it, the best has "
+            "earlier rows predict an input almost exactly, so that the predictor cannot tell D; of "
+            "the models with D = 0 and with D free, the best has {}"
         )
-        return [whole(False), free], reason
+        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], reason
     # a whole set of coefficients, which has to be worth it
     gain = found[count, False][1] - found[count, True][1]
     reason = f"the Bayesian information criterion of the predictor is {abs(gain):.3g} lower with "
-    reason += "D free" if gain > 0.0 else "D = 0"
-    return [whole(bool(gain > 0.0))], reason
+    return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"
 
 
 def _told(data, lags):
@@ -521,18 +520,27 @@ class _Choice:
 
     @classmethod
     def of(cls, data, settings, basis, steps=True):
-        """With lags and harmonics of the predictor that suit the data; why D is free or not; and
-        all models tried."""
+        """With lags and harmonics of the predictor that suit the data; the best model; why D is
+        free or not; and all models tried, those with its D first."""
         layouts, reason = _layouts(data, settings, basis)
-        both = [
+        choices = [
             cls(data, LagSums.of(data.segments, layout), settings, basis, steps)
             for layout in layouts
         ]
-        best = best_of([each.best for each in both], both[0].n_values)
-        choice = next(each for each in both if each.best is best)
-        if len(both) > 1:
-            reason += "D free" if best.feedthrough else "D = 0"
-        return choice, reason, tuple(one for each in both for one in each.tried)
+        bests = [each.best() for each in choices]
+        found = [one for one in bests if one is not None]
+        if not found:
+            orders = [one.order for one in choices[0].tried]
+            raise ValueError(
+                f"stable=True, but no model of the orders tried ({orders[0]} to {orders[-1]}) is "
+                f"stable; use stable=False and predict_ahead, another order, or fewer harmonics"
+            )
+        best = best_of(found, choices[0].n_values)
+        if not best.stable:
+            best = _as_fairly_compared(best, choices)
+        choices.sort(key=lambda each: best not in each.tried)
+        tried = tuple(one for each in choices for one in each.tried)
+        return choices[0], best, reason.format("D free" if best.feedthrough else "D = 0"), tried
 
     def _sums(self, order, count, some=True):
         rows = self.states.rows(self.data, order, some)
@@ -543,9 +551,8 @@ class _Choice:
         """Rows times outputs that are simulated."""
         return sum(y.size for _, y, _ in self.simulated)
 
-    @cached_property
     def best(self):
-        """What the model of the least criterion leaves: a Simulated."""
+        """What the model of the least criterion leaves: a Simulated; None if none may be kept."""
         asked = self.settings.order
         orders = range(1, self.states.bound + 1) if asked == "auto" else [asked]
         found = None
@@ -559,29 +566,11 @@ class _Choice:
                 if before is not None and one.bic >= before.bic:
                     break
                 before = one
-            kept = self._kept()
+            kept = self.kept()
             found = best_of(kept, self.n_values) if kept else None
             if found is not None and found.order <= order - PATIENCE:
                 break
-        if found is None:
-            raise ValueError(
-                f"stable=True, but no model of the orders tried ({self.tried[0].order} to "
-                f"{self.tried[-1].order}) is stable; use stable=False and predict_ahead, another "
-                f"order, or fewer harmonics"
-            )
-        return found if found.stable else self._as_fairly_compared(found)
-
-    def _as_fairly_compared(self, unstable):
-        """The best stable model, if it leaves as little as an unstable one that is simulated in
-        short pieces, each from a state of its own, once it is simulated in as short ones."""
-        stable = [one for one in self._kept() if one.stable]
-        if not stable:
-            return unstable
-        rival = min(stable, key=lambda one: one.bic)
-        rate = self.model(self.sums, unstable.order, unstable.n_harmonics).growth()
-        innovations = self.model(self.sums, rival.order, rival.n_harmonics)
-        again = self.compared(rival.order, rival.n_harmonics, innovations, rate)
-        return unstable if best_of([unstable, again], self.n_values) is unstable else rival
+        return found
 
     def whole(self, chosen):
         """The model of some order and harmonics, of all rows."""
@@ -591,7 +580,7 @@ class _Choice:
     def simpler(self, chosen, most_left):
         """Of each smaller order the best model tried, if it leaves little; the smallest first."""
         for order in range(1, chosen.order):
-            kept = [one for one in self._kept() if one.order == order and one.stable]
+            kept = [one for one in self.kept() if one.order == order and one.stable]
             best = min(kept, key=lambda one: one.bic, default=None)
             if best is not None and best.variance <= most_left:
                 yield best
@@ -610,7 +599,7 @@ class _Choice:
         found = most_likely(start, self.data.segments, layout, SENSOR_NOISE, most_growth)
         return (start, None) if found is None else found
 
-    def _kept(self):
+    def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
         both = zip(self.tried, self.possible, strict=True)
         kept = [pair for pair in both if pair[0].stable or not self.settings.stable]
@@ -680,6 +669,22 @@ class _Choice:
         u = u[rows] * u_scale + evaluate_harmonics(u_mean, psi[rows])
         y = y[rows] * y_scale + evaluate_harmonics(y_mean, psi[rows])
         return innovations.rows(psi[rows]).initial_state(u, y, innovations.covariance)
+
+
+def _as_fairly_compared(unstable, choices):
+    """The best stable model, if it leaves as little as an unstable one.
+
+    That is simulated in short pieces, each from a state of its own; so is the stable one then.
+    """
+    kept = [(each, one) for each in choices for one in each.kept() if one.stable]
+    if not kept:
+        return unstable
+    choice, rival = min(kept, key=lambda pair: pair[1].bic)
+    own = next(each for each in choices if unstable in each.tried)
+    rate = own.model(own.sums, unstable.order, unstable.n_harmonics).growth()
+    innovations = choice.model(choice.sums, rival.order, rival.n_harmonics)
+    again = choice.compared(rival.order, rival.n_harmonics, innovations, rate)
+    return unstable if best_of([unstable, again], choice.n_values) is unstable else rival
 
 
 def _simulated(segments, skipped):

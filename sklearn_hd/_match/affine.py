@@ -37,6 +37,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning, UnstableModelError
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
+LIKELIHOODS = ("output_error", "prediction_error")
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 RUNAWAY = 1e4  # speed of a pole, relative to the model's fastest, that is a feedthrough's
 FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
@@ -66,7 +67,7 @@ class NormSettings:
     @property
     def likely(self):
         """Whether a likelihood continues from the match."""
-        return self.criterion not in ("hinf", "least_squares")
+        return self.criterion in LIKELIHOODS
 
 
 def match_affine(model, experiment, structure, settings):
@@ -351,26 +352,25 @@ def match_samples(model, experiment, structure, settings):
     unlike = _unlike(sampled, model, experiment)
     if unlike is None:
         return replace(match, sampled=sampled)
+    given = structure is not None
+    constrained = given and (isinstance(structure, MatrixStructure) or not structure.left_open)
+    if given and not constrained and match.periodic.physical:  # with few harmonics of F
+        return match_samples(model, experiment, None, settings)
     words, category = unlike
-    if structure is not None and (settings.likely or _constrains(structure)):
+    if constrained:
         way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
         way += "entries, or leave structure=None"
     else:
         way = (
-            f"predict simulates the identified model, but ltp_ and system_ are of no use: its "
-            f"{model.n_states} states change faster than {experiment.basis.samples_per_period:.4g} "
-            f"samples per turn show of a continuous model; use a lower order, or sample more often"
+            f"its {model.n_states} states change faster than "
+            f"{experiment.basis.samples_per_period:.4g} samples per turn show of a continuous "
+            f"model; use a lower order, or sample more often"
         )
-        sampled = model
+        if settings is None or not settings.likely:
+            way = f"predict simulates the identified model; ltp_, system_ and theta_ fail: {way}"
+            sampled = model
     warn(f"{words}; {way}", category)
     return replace(match, sampled=sampled)
-
-
-def _constrains(structure):
-    """Whether a structure asks for anything that the data do not decide."""
-    return isinstance(structure, MatrixStructure) or any(
-        structure.n_harmonics(name) is not None for name in "FGPQ"
-    )
 
 
 def _periodic(model, experiment, structure):
@@ -446,8 +446,8 @@ def _decomposed(model, basis):
 
 
 def _unlike(sampled, model, experiment):
-    """What tells of a match that grows e-fold within a segment, or responds otherwise, where the
-    model identified does not; None if it does not either."""
+    """Words and kind of warning of a match that grows e-fold within a segment, or responds
+    otherwise, where the model identified does not; None where it is like that model."""
     longest = max(map(len, experiment.outputs))
     if longest * model.innovations.growth() > 1.0:  # it has been warned of
         return None

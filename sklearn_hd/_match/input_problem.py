@@ -42,6 +42,7 @@ from sklearn_hd.algorithms.signals.fourier import InputDirections
 
 MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+PATIENCE = 2  # numbers of harmonics that are no better before a search ends
 RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 
@@ -116,18 +117,22 @@ class InputProblem:
     def solve(self, n_harmonics, physical):
         """The realization with the smoothest G, and as many harmonics of G and Q as the data show.
 
-        Q is zero, unless what is left then is no noise and Q is worth its parameters.
+        Q is zero, unless what is left then is no noise, Q is worth its parameters, and nothing
+        else stands for it: harmonics that the structure forbids, or a fraction of a sample.
         """
         found, misfit = self._solved(n_harmonics, physical)
-        if self.structure.n_harmonics("Q") is None and found.systematic > MOST_SYSTEMATIC:
-            price = np.log(self.beyond.size) * len(self.names[1]) * len(self.names[2])
-            for count in self._counts():
-                other, cost = self._solved({**n_harmonics, "Q": count}, physical)
-                cost += (2 * count + 1) * price
-                if not cost < misfit:
-                    break
-                without = found.systematic if found.without is None else found.without
+        without, delayed = found.systematic, self.experiment.delays is not None
+        if without <= MOST_SYSTEMATIC or delayed or not self.structure.left_open:
+            return found
+        price, worse = np.log(self.beyond.size) * len(self.names[1]) * len(self.names[2]), 0
+        for count in self._counts():
+            other, cost = self._solved({**n_harmonics, "Q": count}, physical)
+            cost += (2 * count + 1) * price
+            worse = 0 if cost < misfit else worse + 1
+            if worse == 0:
                 found, misfit = replace(other, without=without), cost
+            if worse == PATIENCE or 1.0 - found.r2 <= EXACT:  # rounding is left
+                break
         return found
 
     def _solved(self, n_harmonics, physical):
@@ -169,7 +174,7 @@ class InputProblem:
                 0 if found.misfit < min((f.misfit for f in tried), default=np.inf) else worse + 1
             )
             tried.append(found)
-            if worse == 2:
+            if worse == PATIENCE:
                 break
         price = np.log(self.beyond.size)  # of a parameter: more harmonics have to be worth one
         enough = min(each.misfit for each in tried) + price

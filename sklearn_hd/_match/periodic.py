@@ -388,9 +388,9 @@ def warn_feedthrough(found):
         count = found.model.highest("Q")
         warn(
             f"without a feedthrough the periodic model leaves {found.without:.2g} of the record's "
-            f"variance in residuals that are not noise, so it has a Q of {count} harmonic(s); if "
-            f"the outputs do not feel the inputs at once, states are missing: raise order=, else "
-            f"ask for it with HarmonicStructure(Q={count})",
+            f"variance in residuals that are not noise, so it has a Q of {count} harmonic(s). If "
+            f"the outputs feel the inputs at once, ask for it: HarmonicStructure(Q={count}); if "
+            f"not, states are missing: raise order=",
             IdentifiabilityWarning,
         )
 

@@ -253,7 +253,7 @@ def warn_of_resampling(basis, inputs, outputs):
     """
     step, unless = inputs.base.sample_time, ""
     if basis.alternative is not None and not basis.alternative.timing.resampled:
-        unless = f", unless something speaks for reading={basis.alternative.reading!r}"
+        unless = f", unless fit chooses reading={basis.alternative.reading!r}"
     samples = 2.0 * np.pi / basis.omega / step
     warn(
         f"omega={basis.omega:.9g} rad/s and a sample time of {step:.9g} s give {samples:.6g} "

@@ -142,6 +142,12 @@ class HarmonicStructure(Structure):
             name for name, spec in self._specs.items() if isinstance(spec, dict) or name in fixed
         ]
 
+    @property
+    def left_open(self):
+        """Whether the data decide all numbers of harmonics, and which outputs are the states."""
+        given = self.states is not None or bool(self._fixed)
+        return not given and all(spec is None for spec in self._specs.values())
+
     def n_harmonics(self, name):
         """Highest harmonic of F, G, P or Q; None if the data decide.
 

@@ -209,11 +209,10 @@ class LagSums:
         -------
         aic, bic : ndarray, shape (n_lags − least_lags + 1,)
         """
-        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
-        scaled = self.gram / size / size[:, None]
+        scaled, products, _ = self._scaled()
         scaled[np.diag_indices(len(scaled))] += EXACT * len(scaled)
         upper = linalg.cholesky(scaled)
-        taken = linalg.solve_triangular(upper, self.products / size[:, None], trans="T")
+        taken = linalg.solve_triangular(upper, products, trans="T")
         layout, n = self.layout, self.n_rows
         information, counts = [], []
         for p in range(least_lags, layout.n_lags + 1):
@@ -229,38 +228,32 @@ class LagSums:
 
         Not if what earlier rows leave of an input is so little that what it explains of an output
         is not worth its coefficients.
-
-        Returns
-        -------
-        tells : bool
-        share : float
-            Of an input's variance that earlier rows leave; the smallest.
         """
-        layout = self.layout
-        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
-        gram, products = self.gram / size / size[:, None], self.products / size[:, None]
+        layout, m = self.layout, self.layout.n_inputs
+        gram, products, _ = self._scaled()
         gram[np.diag_indices(len(gram))] += EXACT * len(gram)
         width = 2 * layout.n_input_harmonics + 1
-        first, last = 2 * layout.n_loads + 1, layout.n_first
-        others = np.delete(np.arange(len(gram)), np.s_[first:last])
+        direct = slice(2 * layout.n_loads + 1, layout.n_first, width)
+        others = np.delete(np.arange(len(gram)), np.s_[direct.start : direct.stop])
         upper = linalg.cholesky(gram[np.ix_(others, others)])
-        now = np.hstack([gram[:, first:last:width], products])[others]
+        now = np.hstack([gram[:, direct], products])[others]
         known = np.sum(linalg.solve_triangular(upper, now, trans="T") ** 2, axis=0)
-        total = np.append(np.ones(layout.n_inputs), np.diag(self.squares))
+        total = np.append(np.ones(m), np.diag(self.squares))
         left = np.maximum(total - known, EXACT * total) / np.where(total > 0.0, total, 1.0)
-        share, noise = (
-            np.min(left[: layout.n_inputs]),
-            left[layout.n_inputs :][total[layout.n_inputs :] > 0.0],
-        )
-        gain = self.n_rows * np.log1p(share / np.min(noise))
-        return bool(gain > width * np.log(self.n_rows)), float(share)
+        share, noise = left[:m].min(initial=1.0), left[m:][total[m:] > 0.0].min()
+        return bool(self.n_rows * np.log1p(share / noise) > width * np.log(self.n_rows))
+
+    def _scaled(self):
+        """The Gram matrix and the products by columns of one size, and that size."""
+        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
+        return self.gram / size / size[:, None], self.products / size[:, None], size
 
     def predictor(self):
         """The regression with the ridge of least generalised cross-validation."""
-        size = np.sqrt(np.maximum(np.diag(self.gram), EPS * np.max(np.diag(self.gram))))
-        values, vectors = linalg.eigh(self.gram / size / size[:, None])
+        scaled, products, size = self._scaled()
+        values, vectors = linalg.eigh(scaled)
         values = np.maximum(values, 0.0)
-        along = vectors.T @ (self.products / size[:, None])
+        along = vectors.T @ products
         kept = values > EXACT * values[-1]
         total, best = np.diag(self.squares), None
         moves = total > 0.0
