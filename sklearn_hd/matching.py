@@ -176,7 +176,9 @@ class StructuredMatcher(ModelStep):
         If these outputs do not determine some parameters (the warning names them); if model and
         structure differ in order and match poorly; if the outputs do not determine the state of a
         periodic system, which is then in Floquet coordinates; if a structure behind samples leaves
-        more than a hundredth of the response's variance. After a likelihood: if the residuals are
+        more than a hundredth of the response's variance (a structure that asks for nothing is then
+        set aside: ``predict`` simulates the identified model); if a model of whole periods needs a
+        feedthrough Q that the structure does not name. After a likelihood: if the residuals are
         not white noise, or parts of the record (small and large motions, one side and the other)
         put an exponent at different places. This warning comes only if one of these holds as well:
         an exponent is not known to a tenth of its rate; the second opinion contradicts it or is

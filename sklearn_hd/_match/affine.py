@@ -352,10 +352,10 @@ def match_samples(model, experiment, structure, settings):
     unlike = _unlike(sampled, model, experiment)
     if unlike is None:
         return replace(match, sampled=sampled)
-    given = structure is not None
-    constrained = given and (isinstance(structure, MatrixStructure) or not structure.left_open)
-    if given and not constrained and match.periodic.physical:  # with few harmonics of F
-        return match_samples(model, experiment, None, settings)
+    harmonic = isinstance(structure, HarmonicStructure)
+    constrained = structure is not None and not (harmonic and structure.left_open)
+    if harmonic and not constrained and match.periodic.physical and not model.time_invariant:
+        return match_samples(model, experiment, None, settings)  # F was allowed few harmonics
     words, category = unlike
     if constrained:
         way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
