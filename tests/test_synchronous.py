@@ -173,13 +173,6 @@ def test_a_periodic_input_matrix_and_a_feedthrough(structure, mean):
     np.testing.assert_allclose(found.Q.coefficients, Q, atol=1e-6)
 
 
-def test_a_feedthrough_in_place_of_a_state_is_named():
-    system = LTPSystem(np.diag([-0.2, -0.8]), [[1.0], [1.0]], [[1.0, 0.5], [0.5, 1.0]], omega=2.0)
-    pipe = synchronous(2.0).set_params(identify__order=1)
-    with pytest.warns(IdentifiabilityWarning, match="states are missing: raise order="):
-        pipe.fit(*record(system))
-
-
 def test_harmonics_of_the_inputs_that_the_record_does_not_tell_apart_are_named():
     """Two changes of the input within whole periods say little of G and Q together."""
     system = mathieu()

@@ -22,7 +22,6 @@ import numpy as np
 from scipy import fft, linalg, sparse
 
 from sklearn_hd._match import PeriodicModel
-from sklearn_hd._match.trust import MOST_SYSTEMATIC
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.linalg.rounding import EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
@@ -114,17 +113,16 @@ class InputProblem:
         self.n_idle = len(states) * (moved.shape[0] - moved.shape[1])
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
 
-    def solve(self, n_harmonics, physical):
-        """The realization with the smoothest G, and as many harmonics of G and Q as the data show.
+    def solve(self, n_harmonics, physical, feedthrough=False):
+        """The realization with the smoothest G, and as many harmonics of G as the data show.
 
-        Q is zero, unless what is left then is no noise, Q is worth its parameters, and nothing
-        else stands for it: harmonics that the structure forbids, or a fraction of a sample.
+        With a feedthrough also as many of Q as are worth their parameters, if any.
         """
         found, misfit = self._solved(n_harmonics, physical)
-        without, delayed = found.systematic, self.experiment.delays is not None
-        if without <= MOST_SYSTEMATIC or delayed or not self.structure.left_open:
+        if not feedthrough:
             return found
-        price, worse = np.log(self.beyond.size) * len(self.names[1]) * len(self.names[2]), 0
+        without, worse = found.systematic, 0
+        price = np.log(self.beyond.size) * len(self.names[1]) * len(self.names[2])
         for count in self._counts():
             other, cost = self._solved({**n_harmonics, "Q": count}, physical)
             cost += (2 * count + 1) * price

@@ -97,6 +97,17 @@ def realize(model, experiment, structure):
         )
     _check_harmonics(structure, experiment.basis.samples_per_period)
     scale = output_scale(experiment)
+    found = _without_feedthrough(model, experiment, structure, scale)
+    # a fraction of a sample, or harmonics that the structure forbids, look like a feedthrough
+    alone = experiment.delays is None and structure.left_open
+    if found.systematic <= MOST_SYSTEMATIC or not alone:
+        return found
+    other, _ = _in_closed_form(model, experiment, structure, scale, feedthrough=True)
+    return other if other.systematic < found.systematic else found
+
+
+def _without_feedthrough(model, experiment, structure, scale):
+    """The realization in closed form, or by measured states where these do better."""
     if model.closed_loop or model.at_rest:  # the other way takes inputs for independent of noise
         return _in_closed_form(model, experiment, structure, scale)[0]
     try:
@@ -162,7 +173,7 @@ def _from_equation_error(model, experiment, structure, scale):
         return None
 
 
-def _in_closed_form(model, experiment, structure, scale):
+def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
     """The realization by P(ψ) and R, and the noise of what P was fitted to."""
     basis = experiment.basis
     spp = basis.samples_per_period
@@ -198,7 +209,7 @@ def _in_closed_form(model, experiment, structure, scale):
         for name, values in (("F", F), ("P", P))
     }
     problem = InputProblem(structure, states, experiment, free, form, scale, starts)
-    return problem.solve(n_harmonics, physical=rows is not None), shapes.noise
+    return problem.solve(n_harmonics, rows is not None, feedthrough), shapes.noise
 
 
 def given(structure, name, default):
