@@ -50,7 +50,8 @@ class HarmonicStructure(Structure):
         parameter, a text such as ``"1 - 2*k"`` is affine in parameters shared by name. Labels of a
         DataFrame must be the names of states, inputs and outputs, in their order. None lets the
         data decide: the number of harmonics of F and G, and those rows of P whose outputs are not
-        states; Q is zero, unless the data show a feedthrough.
+        states; Q is zero, unless the data show a feedthrough (by whole periods only if F, G, P, Q
+        and ``states`` are all None).
     states : sequence of str, optional
         Outputs that are the states, if as many outputs as states determine the state. By default
         the first ones that do. If none do, the states are Floquet coordinates, in which F is
@@ -144,7 +145,7 @@ class HarmonicStructure(Structure):
 
     @property
     def left_open(self):
-        """Whether the data decide all numbers of harmonics, and which outputs are the states."""
+        """Whether nothing is asked for: no harmonics, no entries, no states."""
         given = self.states is not None or bool(self._fixed)
         return not given and all(spec is None for spec in self._specs.values())
 
