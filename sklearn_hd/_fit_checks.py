@@ -16,6 +16,9 @@ from sklearn_hd.exceptions import (
 )
 
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
+LINES = 3  # harmonics of an orbit that are looked for
+TURNS = 16  # in a block that they are looked for in
+MOST_OF_IT = 0.5  # of an output's variance
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -41,6 +44,8 @@ def warn_of_mismatch(experiment):
     basis = experiment.basis
     if not basis.harmonic or basis.timing.azimuth is not None or searching():
         return False
+    if _warn_of_hertz(experiment):
+        return True
     outputs, trim = experiment.outputs, experiment.output_trim()
     if trim is not None and basis.small_signal is None:
         # a trim averaged at the wrong period is no trim: back to what was measured
@@ -59,6 +64,36 @@ def warn_of_mismatch(experiment):
         FrequencyMismatchWarning,
     )
     return True
+
+
+def _warn_of_hertz(experiment):
+    """Warn if most of an output is an orbit of 2π times omega, and return whether."""
+    piece = max(experiment.sampling.pieces, key=lambda piece: len(piece.places))
+    y, omega = np.nan_to_num(experiment.measured[piece.rows]), experiment.basis.omega
+    here, there = (_share_in_lines(y, piece.places, w) for w in (omega, 2.0 * np.pi * omega))
+    if there < MOST_OF_IT or here > there / 2.0:
+        return False
+    warn(
+        f"{there:.0%} of an output's variance has the frequency {2.0 * np.pi * omega:.6g} rad/s "
+        f"and its harmonics, 2π times omega={omega:.6g}, and {here:.1%} has that of omega: omega "
+        f"is in rad/s; if it was given in Hz, multiply it by 2π",
+        FrequencyMismatchWarning,
+    )
+    return True
+
+
+def _share_in_lines(y, places, omega):
+    """Share of the variance of outputs in harmonics of a frequency, the largest."""
+    turns = (places - places[0]) * omega / (2.0 * np.pi)
+    block = max(1, int(len(turns) * TURNS / max(turns[-1], TURNS)))  # so that it may be off a bit
+    n = len(y) // block * block
+    about, power = y - y.mean(axis=0), 0.0
+    for k in range(1, LINES + 1):
+        wave = about[:n] * np.exp(-2j * np.pi * k * turns[:n, None])
+        lines = wave.reshape(-1, block, y.shape[1]).mean(axis=1)
+        power = power + 2.0 * np.mean(np.abs(lines) ** 2, axis=0)
+    variance = np.var(y, axis=0)
+    return float(np.max(power / np.where(variance > 0.0, variance, np.inf)))
 
 
 def words_of_omega(estimate, omega):

@@ -55,8 +55,14 @@ from sklearn_hd.systems.export import write
 
 
 def _has_gain(step):
-    """Whether a Kalman gain was, or will be, identified."""
-    return step._predicts_ahead()
+    """Whether a Kalman gain was, or will be, identified; AttributeError names the way to one."""
+    if not step._predicts_ahead():
+        raise AttributeError(
+            "predict_ahead needs a Kalman gain: of MOESPRegressor with disturbance_model=True, "
+            "weighting='pbsid' or behind HarmonicAnalyzer(reading='sample'), or of "
+            "StructuredMatcher with criterion='prediction_error'"
+        )
+    return True
 
 
 class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
@@ -74,8 +80,11 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         tags.regressor_tags.poor_score = True  # rows in random order have no dynamics
         return tags
 
-    def _remember(self, model, basis, X, y, experiment=None):
-        """Store the model, what predictions have to look like, and what inputs showed."""
+    def _remember(self, model, basis, X, y, experiment=None, n_input_harmonics=None):
+        """Store the model, what predictions have to look like, and what inputs showed.
+
+        Of an effect of so many harmonics of the inputs; by default as many as the model's has.
+        """
         check_features(self, X, reset=True)
         self.model_, self.basis_ = model, basis
         y = as_container(y, "y")
@@ -93,7 +102,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             self.target_kind_ = "vector" if y.ndim == 1 else "array"
         told = None if experiment is None else self._simulators(experiment, exact=False)
         if told is not None:
-            told = Excitation.of(experiment, told, self._n_input_harmonics())
+            if n_input_harmonics is None:
+                n_input_harmonics = self._n_input_harmonics()
+            told = Excitation.of(experiment, told, n_input_harmonics)
         self._excitation = told
         return self
 

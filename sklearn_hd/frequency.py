@@ -22,6 +22,9 @@ from sklearn_hd.exceptions import (
 
 __all__ = ["OmegaEstimate", "estimate_omega"]
 
+PARTS = 4  # of the longest segment, that are compared
+VARIES = 0.1  # of a speed, searched to either side in a part
+FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by a fifth of that
 TELLS = 2.0  # standard deviations by which a drift has to differ from none for halves to deny it
 
 
@@ -63,7 +66,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     Warns
     -----
     FrequencyMismatchWarning
-        If the speed drifts.
+        If the speed drifts, or parts of the longest segment have speeds of their own. The standard
+        deviation is then that of these speeds.
     TimeBaseWarning
         If neither the records nor ``sample_time`` say when rows were sampled.
     IdentifiabilityWarning
@@ -89,15 +93,9 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     """
     timing = Timing(sample_time, missing=check_missing(missing))
     experiment = read_experiment(X, y, plain=PlainReading(timing=timing))
-    found = fundamental.estimate_omega(
-        experiment.inputs,
-        experiment.outputs,
-        experiment.base.sample_time,
-        guess,
-        span,
-        [time[0] for time in experiment.times()],
-    )
-    found = _by_orbit(found, experiment)
+    segments = list(zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True))
+    step = experiment.base.sample_time
+    found = _estimated(segments, step, guess, span)
     if experiment.base.counted and sample_time is None:
         warn(
             "no times given: rows count as seconds, so omega is in rad per row; give sample_time=, "
@@ -105,6 +103,8 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             TimeBaseWarning,
         )
     slower = any(rival < found.omega for rival in found.rivals)
+    if not found.drift and not slower:
+        found = _as_parts_have_it(found, segments, step)
     if found.drift and not slower:
         warn(
             f"the speed drifts by {found.drift / found.omega:.2%} over the records "
@@ -130,15 +130,49 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     return found
 
 
-def _by_orbit(found, experiment):
+def _estimated(segments, step, guess, span):
+    """The estimate of segments (inputs, outputs, times), by their orbit where they show one."""
+    inputs, outputs, times = map(list, zip(*segments, strict=True))
+    starts = [time[0] for time in times]
+    found = fundamental.estimate_omega(inputs, outputs, step, guess, span, starts)
+    return _by_orbit(found, segments, step)
+
+
+def _as_parts_have_it(found, segments, step):
+    """The estimate as precise as parts of the longest segment agree to, with a warning."""
+    longest = max(segments, key=lambda segment: len(segment[1]))
+    length, estimates = len(longest[1]) // PARTS, []
+    for k in range(PARTS):
+        part = [tuple(z[k * length : (k + 1) * length] for z in longest)]
+        try:
+            estimates.append(_estimated(part, step, found.omega, VARIES))
+        except ValueError:  # it is too short, or at rest
+            return found
+    omegas, stds = (np.array([getattr(e, name) for e in estimates]) for name in ("omega", "std"))
+    off = np.abs(omegas - found.omega)
+    told = off > fundamental.BEYOND * np.hypot(stds, found.std)
+    if not np.any(told & (off * length * step > 2.0 * np.pi * FAR_ASTRAY)):
+        return found
+    found = found._replace(std=float(max(found.std, np.std(omegas))))
+    listed = ", ".join(f"{omega:.5g} ± {std:.2g}" for omega, std in zip(omegas, stds, strict=True))
+    warn(
+        f"parts of the longest segment, one after the other, repeat themselves at {listed} rad/s: "
+        f"the speed varies about {found.omega:.5g} ± {found.std:.2g} rad/s, and no constant omega "
+        f"fits; measure the azimuth and give azimuth= to HarmonicAnalyzer, or use records of "
+        f"constant speed",
+        FrequencyMismatchWarning,
+    )
+    return found
+
+
+def _by_orbit(found, segments, sample_time):
     """The estimate as precise as the orbit of the records tells it, if they show one.
 
     A drift that the orbit's two halves would tell from none, and do not, is none.
     """
-    samples = 2.0 * np.pi / (found.omega * experiment.base.sample_time)
+    samples = 2.0 * np.pi / (found.omega * sample_time)
     step = kept_every(samples)
     told = min(MOST_LOADS, math.ceil(0.5 * samples / step) - 1)  # harmonics apart from others
-    segments = zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True)
     some = [tuple(z[::step] for z in segment) for segment in segments]
     if found.drift:
         drift, std = orbit_drift(some, found.omega, told) or (found.drift, 0.0)

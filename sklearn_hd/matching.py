@@ -283,7 +283,10 @@ class StructuredMatcher(ModelStep):
         basis = experiment.basis
         if match.waveform is not None:
             basis = replace(basis, output_trim=basis.output_trim + match.waveform)
-        return self._remember(match.model, basis, X, y, experiment)
+        n_input_harmonics = None
+        if of_samples and not self._likely:  # others came with the coordinates
+            n_input_harmonics = model.innovations.n_harmonics
+        return self._remember(match.model, basis, X, y, experiment, n_input_harmonics)
 
     def _of_samples(self, model, experiment):
         """Match a model of samples at their azimuths."""

@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import (
 )
 from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
-from sklearn_hd.systems import duffing
+from sklearn_hd.systems import LTPSystem, duffing
 
 SPP, TRIM = 32, 8  # samples a period of 2π; periods at rest before the inputs
 PSI = 2.0 * np.pi * (np.arange(SPP) + 0.5) / SPP
@@ -304,3 +304,27 @@ def test_of_inputs_at_one_phase_the_smoothest_input_matrix_is_good_at_another(no
         u, y, motion = flown(40, 3, -0.035, offset=5 * SPP // 16)
         off = pipe.predict(u).to_numpy() - y.to_numpy()
     assert np.sum(off**2) < 0.1 * np.sum(motion**2)
+
+
+def test_harmonics_that_coordinates_bring_need_no_record():
+    """Floquet coordinates give G more harmonics than the samples determined, or can."""
+    F = [[[-1.0, 0.0], [0.0, -3.0]], [[0.3, 0.2], [0.0, 0.5]], [[0.0, 0.4], [0.3, 0.0]]]
+    system = LTPSystem(F, [[1.0], [0.5]], [[1.0, 0.5]], omega=6.0)
+
+    def held_steps(seed):
+        rng, t = np.random.default_rng(seed), np.arange(3000) * system.period / 40
+        u = np.repeat(rng.choice([-1.0, 0.0, 1.0], 100), 33)[:3000, None]
+        y = np.asarray(system.simulate(u, t)) + 2e-3 * rng.standard_normal((3000, 1))
+        return (pd.DataFrame(z, pd.Index(t, name="time"), [n]) for n, z in (("u", u), ("y", y)))
+
+    steps = [
+        ("harmonics", HarmonicAnalyzer(system.omega, reading="sample")),
+        ("identify", MOESPRegressor(2)),
+        ("match", StructuredMatcher(structure=HarmonicStructure())),
+    ]
+    with pytest.warns(IdentifiabilityWarning, match="Floquet coordinates"):
+        pipe = Pipeline(steps).fit(*held_steps(0))
+    match, identify = pipe["match"], pipe["identify"]
+    assert match.match_.periodic.highest("G") > identify.n_harmonics_
+    assert match._excitation.n_harmonics == identify.n_harmonics_
+    assert pipe.score(*held_steps(1)) > 0.999

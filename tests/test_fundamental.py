@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from conftest import KEPT
 from scipy.linalg import block_diag, expm
-from sklearn.pipeline import Pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 
 import sklearn_hd
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
@@ -154,6 +154,22 @@ def test_to_a_system_that_is_not_periodic_any_frequency_is_right():
     assert omega_mismatch([u], [y], 1 / 32, 2 * np.pi) is None
 
 
+@pytest.mark.parametrize("orbit", [0.0, 1.0])
+def test_the_clock_of_an_input_is_no_frequency_of_the_machine(orbit):
+    """Steps held for a third of 51 samples; the turn has 52.4, with an orbit or without."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], (360, 2)), 17, axis=0)
+    A = expm(block_diag([[-0.2]], [[-0.1, 2.0], [-2.0, -0.1]]) / 100)
+    psi = 12.0 * np.arange(len(u)) / 100
+    y = propagate(A, u @ rng.standard_normal((2, 3)), np.zeros(3))[:, :2]
+    size = y.std(axis=0)
+    y = y + size * (orbit * np.cos(psi)[:, None] + 0.01 * rng.standard_normal(y.shape))
+    record = [u], [y], 0.01
+    assert omega_mismatch(*record, 12.0) is None
+    with pytest.raises(ValueError, match="they always move, by a clock of their own"):
+        estimate_omega(*record, 12.0)
+
+
 def test_nothing_to_tell_it_from():
     still, rng = np.zeros((2000, 1)), np.random.default_rng(0)
     with pytest.raises(ValueError, match="too few to find a repetition"):
@@ -235,6 +251,18 @@ def test_a_drift_is_told_from_an_offset(change):
     found = of_one(y, 6.3)
     assert found.drift / found.omega == pytest.approx(change, rel=0.1)
     assert found.omega == pytest.approx(2 * np.pi, rel=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:.* explain the records")  # of a multiple
+def test_a_speed_that_goes_to_and_fro_is_told():
+    """Twice in the record: no drift, and quarters have speeds of their own."""
+    psi = 2 * np.pi * T - 0.8 * np.cos(4 * np.pi * T / T[-1])
+    y = wave(psi) + 0.02 * np.random.default_rng(0).standard_normal(2000)
+    u, y = pd.Series(0.0, T, name="u"), pd.Series(y, T, name="y")
+    with pytest.warns(FrequencyMismatchWarning, match="the speed varies about .* azimuth="):
+        found = sklearn_hd.estimate_omega(u, y, 6.3)
+    assert found.drift == 0.0
+    assert abs(found.omega - 2 * np.pi) < found.std < 0.2
 
 
 # ---- fits ---------------------------------------------------------------------------------------
@@ -320,6 +348,20 @@ def test_frames_series_arrays_and_records_give_one_frequency():
     records = wing("nltp", snr=20, n_records=2)
     found = sklearn_hd.estimate_omega(records.inputs, records.outputs, 165.0)
     assert abs(found.omega - data.omega) < 1e-4 * data.omega
+
+
+def test_a_frequency_in_hertz_is_recognised():
+    rng, t = np.random.default_rng(0), np.arange(4000) / 100
+    u = np.repeat(rng.choice([-1.0, 1.0], 40), 100)
+    y = wave(20.0 * t) + 0.1 * u + 0.01 * rng.standard_normal(4000)
+    X, y = pd.DataFrame({"u": u}, t), pd.DataFrame({"y": y}, t)
+    pipe = make_pipeline(HarmonicAnalyzer(20.0 / (2.0 * np.pi)), MOESPRegressor())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pipe.fit(X, y)
+    told = [str(w.message) for w in caught if w.category is FrequencyMismatchWarning]
+    assert len(told) == 1
+    assert "has the frequency 20 rad/s and its harmonics, 2π times omega=3.1831" in told[0]
 
 
 def test_what_the_user_is_told():

@@ -31,13 +31,13 @@ def pipeline(omega=OMEGA, /, order="auto", block_rows=None, feedthrough="auto", 
     return Pipeline(steps)
 
 
-def machine(
-    n_rows=4000, samples=10.0, noise=0.03, feedback=0.0, growth=1.0, seed=0, start=0.0, rest=0
-):
+def machine(n_rows=4000, samples=10.0, noise=0.03, growth=1.0, seed=0, start=0.0, rest=0, **held):
     """A periodic innovations model of two states, its loads and its multipliers.
 
-    Returns inputs, outputs, the response to the inputs alone and the multipliers.
+    ``feedback`` of the output comes ``late`` rows later. Returns inputs, outputs, the response to
+    the inputs alone and the multipliers.
     """
+    feedback, late = held.get("feedback", 0.0), held.get("late", 1)
     rng = np.random.default_rng(seed)
     psi = 2 * np.pi / samples * np.arange(n_rows) + start
     c, s = np.cos(psi), np.sin(psi)
@@ -55,7 +55,7 @@ def machine(
     for k in range(n_rows):
         y[k] = C[k] @ x + e[k] + 0.7 * c[k] - 0.3 * np.sin(2 * psi[k])
         response[k] = C[k] @ alone
-        u[k] = reference[k] - feedback * (y[k - 1] if k else 0.0)
+        u[k] = reference[k] - feedback * (y[k - late] if k >= late else 0.0)
         x, alone = A[k] @ x + B[k] * u[k] + K * e[k], A[k] @ alone + B[k] * u[k]
     turn = np.linalg.multi_dot(A[: round(samples)][::-1]) if samples == round(samples) else None
     time = pd.Index((psi / OMEGA), name="time")
@@ -168,6 +168,23 @@ def test_a_machine_held_by_feedback_is_unstable_and_predicted_ahead():
     )
     one = model.predict_ahead(pipe[:1].transform(u), y).to_numpy()
     assert np.std((one - y.to_numpy())[100:]) < 1.05 * 0.1
+
+
+def test_feedback_within_a_row_is_no_feedthrough():
+    """With D free it would be a part of the machine: the data cannot tell them apart."""
+    u, y, _, multipliers = machine(6000, growth=1.22, feedback=0.25, late=0, noise=1.0)
+    with pytest.warns(InstabilityWarning, match="weighting='pbsid' if feedback held it"):
+        assert pipeline(order=2).fit(u, y)["identify"].feedthrough_
+    pipe = pipeline(order=2).set_params(identify__weighting="pbsid")
+    with (
+        pytest.warns(IdentifiabilityWarning, match=r"lower with D free; .* so D is zero; if no"),
+        pytest.warns(InstabilityWarning, match="or another order"),
+    ):
+        model = pipe.fit(u, y)["identify"]
+    assert not model.feedthrough_
+    assert "feedback within a row looks the same: D = 0" in model.feedthrough_reason_
+    found = np.sort_complex(model.eigenvalues_)
+    np.testing.assert_allclose(found, np.sort_complex(multipliers), rtol=0.02)
 
 
 @pytest.mark.slow

@@ -103,6 +103,15 @@ def allowed_block_rows(settings, data, asked, *, least=2, words=None):
     return i
 
 
+def warn_of_feedback(words):
+    """Warn that D is zero though inputs act at once: a feedback within the row looks the same."""
+    warn(
+        f"{words}; this can be a feedthrough or a feedback within the row, which look alike, so D "
+        f"is zero; if no feedback acts within a row, use feedthrough=True",
+        IdentifiabilityWarning,
+    )
+
+
 def warn_excitation(excited, block_rows, n_moving, span):
     """Warn of Hankel matrices of deficient rank."""
     need = 2 * block_rows * n_moving
@@ -282,10 +291,13 @@ def warn_of_growth(model, best, data):
     radius = np.max(np.abs(model.innovations.multipliers()))
     turns = data.longest * data.step / (2.0 * np.pi)
     folds = turns * np.log(max(radius, 1e-300))
+    way_out = "stable=True where the machine is stable, or another order"
+    if best.feedthrough:  # feedback within the row looks the same
+        way_out = f"weighting='pbsid' if feedback held it (D may be that feedback), {way_out}"
     warn(
         f"the model has a Floquet multiplier of size {radius:.4g}, so it grows by a factor of "
         f"{np.exp(min(folds, 700.0)):.3g} over the longest segment ({turns:.4g} turns): predict "
         f"overflows, or leaves the record where feedback held the machine; use predict_ahead "
-        f"there, stable=True where the machine is stable, or another order",
+        f"there, {way_out}",
         InstabilityWarning,
     )

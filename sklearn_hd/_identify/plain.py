@@ -13,6 +13,7 @@ from sklearn_hd._identify.checks import (
     allowed_block_rows,
     fewer_block_rows,
     rows_of_predictor,
+    warn_of_feedback,
 )
 from sklearn_hd._identify.stages import SubspaceFit, by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
@@ -115,11 +116,7 @@ class Choice:
             share, words = self._at_once(i, size)
             self._settle(share > 0.0 and not self.settings.predictor, words)
             if share > NOTABLE and self.settings.predictor:
-                warn(
-                    f"{words}; this can be a feedthrough or a feedback within the row, which look "
-                    f"alike, so D is zero; if no feedback acts within a row, use feedthrough=True",
-                    IdentifiabilityWarning,
-                )
+                warn_of_feedback(words)
         return self.settings
 
     def _at_once(self, i, size):

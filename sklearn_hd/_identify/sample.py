@@ -22,6 +22,7 @@ from sklearn_hd._identify.checks import (
     check_turns,
     or_hop,
     root_mean_square,
+    warn_of_feedback,
     warn_of_growth,
     warn_of_little,
     why_no_noise,
@@ -174,10 +175,7 @@ def identify(data, settings, experiment):
     layout, found = choice.layout, _Found.of(choice, best)
     unsure = found.against or not found.lasts
     if settings.order == "auto" and unsure and not searching():
-        most_left = max(AS_LITTLE * found.left, LITTLE)
-        few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
-        simpler = (_Found.of(choice, one, most_left) for one in few)
-        found = next((each for each in simpler if each and each.serves_for(found)), found)
+        found = _or_simpler(found, choice)
     model, chosen = found.model, found.chosen
     for message in found.against:
         warn(message, IdentifiabilityWarning)
@@ -223,27 +221,35 @@ class _Found:
     ----------
     chosen : Simulated
         What it was chosen by.
-    left : float
-        Of the outputs' variance, by a simulation.
+    left : Simulated
+        What it leaves after the steps.
     model : SampleModel
-    against : list of str
-        What speaks against it.
+    no_noise : str
+        Why what it leaves is no noise, "" if it is.
+    unconfirmed : str
+        What the second opinion does not confirm, "" if it confirms all.
     lasts : bool
         Whether a turn leaves something of every mode: others may stand for noise.
     """
 
     chosen: Simulated
-    left: float
+    left: Simulated
     model: SampleModel
-    against: list
+    no_noise: str
+    unconfirmed: str
     lasts: bool
+
+    @property
+    def against(self):
+        """What speaks against it."""
+        return [words for words in (self.no_noise, self.unconfirmed) if words]
 
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
 
         A mode between two that are too near for the record to tell is neither of them.
         """
-        if self.against or self.left <= AS_LITTLE * other.left:
+        if self.against or self.left.variance <= AS_LITTLE * other.left.variance:
             return not self.against
         exponents, omega = other.model.exponents(), other.model.omega
         known = Opinion(exponents, np.zeros(len(exponents)), omega, "")
@@ -254,10 +260,10 @@ class _Found:
         """The model of one of the orders and numbers of harmonics tried; None if it leaves more."""
         data, basis, layout = choice.data, choice.basis, choice.layout
         innovations, ahead = choice.refined(choice.whole(chosen), chosen.stable)
-        left = choice.compared(chosen.order, chosen.n_harmonics, innovations).variance
-        if not left <= most_left:
+        left = choice.compared(chosen.order, chosen.n_harmonics, innovations)
+        if not left.variance <= most_left:
             return None
-        against = [why_no_noise(choice.simulated, innovations, choice.predictor)]
+        no_noise = why_no_noise(choice.simulated, innovations, choice.predictor)
         model = SampleModel(
             innovations.in_units(*data.scales).about(*data.means).about_orbit(),
             basis.omega,
@@ -268,15 +274,29 @@ class _Found:
             basis.most_loads,
             data.means[0],
         )
-        lasts = True
+        unconfirmed, lasts = "", True
         if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
             exponents = model.exponents()
             lasts = bool(lasting(exponents, basis.omega).all())
             halves = _of_halves(model, choice, chosen)
             own = _of_its_likelihood(ahead, data, basis.omega)
             model = replace(model, opinion=more_doubtful(exponents, halves, own))
-            against.append(why_unconfirmed(exponents, model.opinion))
-        return cls(chosen, left, model, [words for words in against if words], lasts)
+            unconfirmed = why_unconfirmed(exponents, model.opinion)
+        return cls(chosen, left, model, no_noise, unconfirmed, lasts)
+
+
+def _or_simpler(found, choice):
+    """A model of fewer states in place of one in doubt: one that serves for it, or is better.
+
+    Better by the criterion, after steps of the likelihood: without them, a model of as many states
+    as the machine may leave more than one of too many.
+    """
+    most_left = max(AS_LITTLE * found.left.variance, LITTLE)
+    few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
+    simpler = [one for one in (_Found.of(choice, each, most_left) for each in few) if one]
+    serving = next((one for one in simpler if one.serves_for(found)), None)
+    noise_left = [one for one in simpler if not one.no_noise]
+    return serving or min([found, *noise_left], key=lambda one: one.left.bic)
 
 
 def _of_halves(model, whole, chosen):
@@ -357,7 +377,9 @@ def _layouts(data, settings, basis):
             aic, bic = sums.part(own).criteria(least)
             k = int(np.argmin(aic))
             found[count, feedthrough] = aic[k], bic[k], least + k
-    count = min(found, key=lambda key: found[key][0])[0]
+    fed_back = auto and settings.predictor  # D may stand for feedback within a row
+    allowed = [key for key in found if not (fed_back and key[1])]
+    count = min(allowed, key=lambda key: found[key][0])[0]
 
     def whole(feedthrough, lags):
         return replace(layout(count, feedthrough), n_lags=lags)
@@ -365,16 +387,21 @@ def _layouts(data, settings, basis):
     if not auto:
         lags, reason = found[count, settings.direct][2], "feedthrough={} was asked for"
         return [whole(settings.direct, lags)], reason.format(settings.feedthrough)
-    lags = [found[count, feedthrough][2] for feedthrough in (False, True)]
-    if not sums.part(whole(True, lags[1])).tells_feedthrough():
-        reason = (
-            "earlier rows predict an input almost exactly, so that the predictor cannot tell D; of "
-            "the models with D = 0 and with D free, the best has {}"
-        )
-        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], reason
     # a whole set of coefficients, which has to be worth it
     gain = found[count, False][1] - found[count, True][1]
     reason = f"the Bayesian information criterion of the predictor is {abs(gain):.3g} lower with "
+    if fed_back:
+        if gain > 0.0:
+            warn_of_feedback(f"{reason}D free")
+        which = "D free, but feedback within a row looks the same: {}"
+        return [whole(False, found[count, False][2])], reason + (which if gain > 0.0 else "{}")
+    lags = [found[count, feedthrough][2] for feedthrough in (False, True)]
+    if not sums.part(whole(True, lags[1])).tells_feedthrough():
+        unknown = (
+            "earlier rows predict an input almost exactly, so that the predictor cannot tell D; of "
+            "the models with D = 0 and with D free, the best has {}"
+        )
+        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], unknown
     return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"
 
 

@@ -303,7 +303,7 @@ def _warn_of_parts(exponents, apart, own, more, doubt):
     centre = value.real if r < n else value.imag
     warn(
         f"parts of the record disagree: {WORDS[name]} the {what} part of the exponent {value:.4g} "
-        f"goes from {centre + offsets[0]:.5g} to {centre + offsets[-1]:.5g} 1/s (standard "
+        f"lies from {centre + min(offsets):.5g} to {centre + max(offsets):.5g} 1/s (standard "
         f"deviation {np.sqrt(own[r]):.2g}), so the response is not that of one linear system; its "
         f"standard deviation is widened to {np.sqrt(own[r] + more[r]):.2g}; {doubt}; use smaller "
         f"motions, or fit the parts separately",

@@ -481,8 +481,8 @@ class ConvergenceDisplay(Display):
             )
         if len(history) == 0:
             raise ValueError(
-                "history is empty: nothing was minimised, because the match is exact or in closed "
-                "form"
+                "history is empty: nothing was minimised in a norm, because the match is exact, in "
+                "closed form, or by a likelihood (whose number of iterations is n_iter_)"
             )
         self.history = history
 

@@ -8,7 +8,8 @@ period, and what the inputs add,
     Y = X Vᵀ + U Gᵀ + noise,   row i about the time at which ψ = 2πi,
 
 at the true ω and at no other, where the patterns shift from row to row (a linear
-time-invariant system apart, to which any ω is true). The ω at which least is left of Y
+time-invariant system apart, to which any ω is true). Inputs that always move by a clock of
+their own leave few patterns at that clock, too. The ω at which least is left of Y
 beside a few patterns is the estimate: the singular value method for periods of varying
 amplitude (Kanjilal and Palit 1995), as a least squares problem whose linear part is
 eliminated (Golub and Pereyra 1973) and with inputs. Schwarz's criterion chooses the
@@ -135,6 +136,12 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
             f"no fundamental frequency stands out within {100 * span:.2g} % of omega={omega:.6g} "
             f"rad/s; widen the span, or check that the record is periodic"
         )
+    if periods.clocked(estimate):
+        raise ValueError(
+            f"what repeats itself at {estimate.omega:.6g} rad/s are the inputs: they always move, "
+            f"by a clock of their own, and the outputs have no motion of that frequency without "
+            f"them; give a record with inputs at rest, or with steps at uneven times"
+        )
     return estimate
 
 
@@ -144,6 +151,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     To be clear, the estimate has to be five standard deviations away (or drift by as many),
     half of it has to be left unexplained, and the phase has to go astray by a thousandth of a
     turn. A fraction that explains the record better is no mismatch: slow motion may look like it.
+    Nor is the clock of inputs that always move, where outputs have no motion of its frequency.
 
     Parameters
     ----------
@@ -167,7 +175,8 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     found = periods.estimate(*ends)
     off = abs(found.omega - omega) > BEYOND * found.std or found.drift != 0.0
     clear = found.residual_given > CLEAR * found.residual and found.turns > ASTRAY
-    return found if periods.tells(found, span) and off and clear else None
+    told = periods.tells(found, span) and off and clear
+    return found if told and not periods.clocked(found) else None
 
 
 def comb_in_spectrum(outputs, sample_time):
@@ -551,6 +560,23 @@ class _Periods:
         """Whether an estimate lies within the span, all but surely."""
         off = abs(estimate.omega / self.omega - 1.0)
         return off < 1.01 * span and estimate.std < span * self.omega
+
+    def clocked(self, estimate):
+        """Whether it is the frequency of inputs that always move, and of no motion beside them."""
+        inputs, _, step = self.given
+        place = estimate.omega, estimate.drift / self.length
+        a = self.coefficients(self.signals, *place, self.turns(*place))
+        Y, U = np.split(a[:, 1:], [self.n_outputs], axis=2)
+        parts = np.array([part.sum(axis=0) for part in np.array_split(Y, 4)])
+        whole, each = np.sum(parts.sum(axis=0) ** 2), np.sum(parts**2) / 4.0
+        lasts = whole > 8.0 * each  # a wave that lasts has 16 times, chance leaves 4
+        motion = np.sum(U**2, axis=(1, 2))
+        if lasts or np.mean(motion > 0.1 * motion.mean()) < 0.5:
+            return False
+        drive = _Periods([u[:, :0] for u in inputs], inputs, step, self.omega, *self.starts_given)
+        there = drive.fit(*place)
+        given = drive.fit(self.omega, 0.0, there.rank)
+        return bool(given.left + drive.floor > CLEAR * (there.left + drive.floor))
 
     def rivals(self, fit):
         """Fractions that explain the records better; multiples that these do not exclude."""
