@@ -7,6 +7,7 @@ from sklearn_hd._guards import searching, warn
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
@@ -16,9 +17,10 @@ from sklearn_hd.exceptions import (
 )
 
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
-LINES = 3  # harmonics of an orbit that are looked for
-TURNS = 16  # in a block that they are looked for in
+LINES = 20  # harmonics of an orbit that are looked for
+ROWS_PER_LINE = 5
 MOST_OF_IT = 0.5  # of an output's variance
+MOST_ROWS = 20_000  # that are looked at
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -69,31 +71,40 @@ def warn_of_mismatch(experiment):
 def _warn_of_hertz(experiment):
     """Warn if most of an output is an orbit of 2π times omega, and return whether."""
     piece = max(experiment.sampling.pieces, key=lambda piece: len(piece.places))
-    y, omega = np.nan_to_num(experiment.measured[piece.rows]), experiment.basis.omega
-    here, there = (_share_in_lines(y, piece.places, w) for w in (omega, 2.0 * np.pi * omega))
-    if there < MOST_OF_IT or here > there / 2.0:
+    rows, omega = slice(0, MOST_ROWS), experiment.basis.omega
+    y, places = np.nan_to_num(experiment.measured[piece.rows][rows]), piece.places[rows]
+    there = _share_in_lines(y, places, 2.0 * np.pi * omega)
+    if not np.any(there > MOST_OF_IT):
         return False
+    here = _share_in_lines(y, places, omega)
+    told = (there > MOST_OF_IT) & (here < there / 2.0)
+    if not told.any():
+        return False
+    k = int(np.argmax(np.where(told, there, 0.0)))
     warn(
-        f"{there:.0%} of an output's variance has the frequency {2.0 * np.pi * omega:.6g} rad/s "
-        f"and its harmonics, 2π times omega={omega:.6g}, and {here:.1%} has that of omega: omega "
-        f"is in rad/s; if it was given in Hz, multiply it by 2π",
+        f"{there[k]:.0%} of the variance of the output {experiment.output_names[k]!r} has the "
+        f"frequency {2.0 * np.pi * omega:.6g} rad/s and its harmonics, 2π times omega={omega:.6g}, "
+        f"and {max(here[k], 0.0):.0%} has that of omega: omega is in rad/s; if it was given in Hz, "
+        f"multiply it by 2π",
         FrequencyMismatchWarning,
     )
     return True
 
 
 def _share_in_lines(y, places, omega):
-    """Share of the variance of outputs in harmonics of a frequency, the largest."""
-    turns = (places - places[0]) * omega / (2.0 * np.pi)
-    block = max(1, int(len(turns) * TURNS / max(turns[-1], TURNS)))  # so that it may be off a bit
-    n = len(y) // block * block
-    about, power = y - y.mean(axis=0), 0.0
-    for k in range(1, LINES + 1):
-        wave = about[:n] * np.exp(-2j * np.pi * k * turns[:n, None])
-        lines = wave.reshape(-1, block, y.shape[1]).mean(axis=1)
-        power = power + 2.0 * np.mean(np.abs(lines) ** 2, axis=0)
-    variance = np.var(y, axis=0)
-    return float(np.max(power / np.where(variance > 0.0, variance, np.inf)))
+    """Share of the variance of each output in waves of a frequency and its harmonics, that last
+    from the first row to the last; as many as there are below half the sampling rate."""
+    step, n = np.median(np.diff(places)), len(y)
+    count = min(LINES, int(0.9 * np.pi / (omega * step)))
+    if count < 1 or n < ROWS_PER_LINE * (2 * count + 1):
+        return np.zeros(y.shape[1])
+    size = np.max(np.abs(y), axis=0)
+    y = y / np.where(size > 0.0, size, 1.0)
+    waves = harmonic_functions(omega * places, range(count + 1))
+    left = y - waves @ np.linalg.lstsq(waves, y, rcond=None)[0]
+    total = np.var(y, axis=0)
+    left = np.mean(left**2, axis=0) * n / (n - waves.shape[1])  # as noise would leave
+    return 1.0 - left / np.where(total > 0.0, total, np.inf)
 
 
 def words_of_omega(estimate, omega):
@@ -120,6 +131,12 @@ def way_out(estimate):
     slower = [rival for rival in estimate.rivals if rival < estimate.omega]
     if slower:
         return f"set omega={slower[0]:.9g}"
+    if estimate.of_inputs:
+        return (
+            "the inputs, too, repeat themselves so, and the outputs have no motion of that "
+            "frequency beside them: it may be the clock of the inputs; keep omega if it is known, "
+            "and hold inputs for uneven times"
+        )
     if estimate.drift:
         return "measure the azimuth and give azimuth=, or use records of constant speed"
     return f"set omega={estimate.omega:.9g}, or check the clock"

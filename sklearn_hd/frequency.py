@@ -72,7 +72,7 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
         If neither the records nor ``sample_time`` say when rows were sampled.
     IdentifiabilityWarning
         If a fraction of the frequency explains the records better, or a multiple explains them as
-        well.
+        well; if it may be the clock of inputs that always move.
 
     References
     ----------
@@ -95,7 +95,10 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     experiment = read_experiment(X, y, plain=PlainReading(timing=timing))
     segments = list(zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True))
     step = experiment.base.sample_time
-    found = _estimated(segments, step, guess, span)
+    starts = [time[0] for _, _, time in segments]
+    inputs, outputs = experiment.inputs, experiment.outputs
+    found = fundamental.estimate_omega(inputs, outputs, step, guess, span, starts)
+    found = _by_orbit(found, segments, step)
     if experiment.base.counted and sample_time is None:
         warn(
             "no times given: rows count as seconds, so omega is in rad per row; give sample_time=, "
@@ -112,6 +115,14 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
             f"{found.omega:.7g}), so no constant omega fits them; measure the azimuth and give "
             f"azimuth= to HarmonicAnalyzer, or use records of constant speed",
             FrequencyMismatchWarning,
+        )
+    if found.of_inputs:
+        warn(
+            f"the inputs, too, repeat themselves at {found.omega:.7g} rad/s, and the outputs have "
+            f"no motion of that frequency beside them: it is the clock of the inputs, or the "
+            f"machine's if inputs are given once a turn; hold inputs for uneven times, or leave "
+            f"them at rest for some periods",
+            IdentifiabilityWarning,
         )
     if found.rivals:
         others = ", ".join(f"{rival:.7g}" for rival in found.rivals)
@@ -130,23 +141,21 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     return found
 
 
-def _estimated(segments, step, guess, span):
-    """The estimate of segments (inputs, outputs, times), by their orbit where they show one."""
-    inputs, outputs, times = map(list, zip(*segments, strict=True))
-    starts = [time[0] for time in times]
-    found = fundamental.estimate_omega(inputs, outputs, step, guess, span, starts)
-    return _by_orbit(found, segments, step)
-
-
 def _as_parts_have_it(found, segments, step):
-    """The estimate as precise as parts of the longest segment agree to, with a warning."""
+    """The estimate as precise as parts of the longest segment agree to, with a warning.
+
+    Parts tell if each shows an orbit: what decays, or rests, has a frequency within its noise.
+    """
     longest = max(segments, key=lambda segment: len(segment[1]))
     length, estimates = len(longest[1]) // PARTS, []
     for k in range(PARTS):
-        part = [tuple(z[k * length : (k + 1) * length] for z in longest)]
+        u, y, time = (z[k * length : (k + 1) * length] for z in longest)
         try:
-            estimates.append(_estimated(part, step, found.omega, VARIES))
+            part = fundamental.estimate_omega([u], [y], step, found.omega, VARIES)
         except ValueError:  # it is too short, or at rest
+            return found
+        estimates.append(_by_orbit(part, [(u, y, time)], step))
+        if estimates[-1].omega == part.omega:
             return found
     omegas, stds = (np.array([getattr(e, name) for e in estimates]) for name in ("omega", "std"))
     off = np.abs(omegas - found.omega)

@@ -285,7 +285,7 @@ class StructuredMatcher(ModelStep):
             basis = replace(basis, output_trim=basis.output_trim + match.waveform)
         n_input_harmonics = None
         if of_samples and not self._likely:  # others came with the coordinates
-            n_input_harmonics = model.innovations.n_harmonics
+            n_input_harmonics = min(self._n_input_harmonics(), model.innovations.n_harmonics)
         return self._remember(match.model, basis, X, y, experiment, n_input_harmonics)
 
     def _of_samples(self, model, experiment):

@@ -69,9 +69,9 @@ class MOESPRegressor(ModelStep):
         same way. If something speaks against the model chosen, or a turn forgets one of its modes,
         models with fewer states take the same steps of the likelihood, the smallest first, three
         at most. The first is kept that nothing speaks against, and that leaves about as little, or
-        less than a hundredth of the motion's variance and has no mode that the other has not; else
-        of those that leave noise the one of the least criterion after these steps. A search leaves
-        this out.
+        less than a hundredth of the motion's variance and has no mode that the other has not. If
+        there is none and the model is in doubt, the criterion after these steps chooses between it
+        and those that leave noise. A search leaves this out.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows in the analysis
         window, plus two; 15 on plain data (fewer if the record is short); up to 60 with
@@ -84,7 +84,8 @@ class MOESPRegressor(ModelStep):
         noisy outputs: for data measured in closed loop use ``"pbsid"`` (predictor-based). It needs
         plain data, or ``reading="period"`` with feedback from earlier periods; with
         ``feedthrough=True``, feedback from earlier rows. ``reading="sample"`` is always
-        predictor-based and refuses ``"n4sid"`` and ``"cva"``; ``"pbsid"`` changes D there.
+        predictor-based and refuses ``"n4sid"`` and ``"cva"``; there ``"pbsid"`` only sets D to
+        zero.
     feedthrough : bool or "auto", default="auto"
         Whether D is free; otherwise it is zero. For plain data in memory ``"auto"`` simulates
         both, and D is free if that lowers the criterion, and the residuals by a hundredth. For

@@ -76,6 +76,7 @@ def test_of_arrays_training_rows_are_consecutive(n_splits, gap):
 
 
 @pytest.mark.parametrize("n_rows", [300, 600, 2000])
+@pytest.mark.slow
 def test_the_hole_of_a_fold_is_not_joined(n_rows):
     """Without noise every fold has the true model; KFold closes an array's hole by a jump."""
     u, y = ringing(n_rows)

@@ -155,6 +155,7 @@ def test_the_other_reading_is_taken_where_the_first_leaves_a_doubt():
     assert pipe.score(X, y) == pytest.approx(asked.score(X, y))
 
 
+@pytest.mark.slow
 def test_a_reading_that_was_asked_for_is_kept():
     X, y = shaken(0.02)
     pipe = make_pipeline(HarmonicAnalyzer(OMEGA, reading="period"), MOESPRegressor())

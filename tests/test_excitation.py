@@ -136,6 +136,7 @@ def test_few_harmonics_that_are_right_extrapolate_in_silence(reading, n_steps):
 
 
 @pytest.mark.parametrize("n_steps", [2, 3])
+@pytest.mark.slow
 def test_a_model_of_whole_periods_says_what_share_of_the_motion_is_new(n_steps):
     """Edges 10 of 32 samples later: 1 (1 + 4 + 1) f (1 − f) of 6 periods."""
     pipe = fitted(pipeline("period", n_steps), record(1))

@@ -151,6 +151,7 @@ def test_a_pole_that_moves_is_followed_at_the_mean_age(rng):
     assert lags[1] > 4000.0
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_the_effective_rows(rng):
     """200 rows alike and 200 effective ones: the same spread of a pole, within 40 %."""
     h = Forgetting(1.0).half_life * 200.0 / 2.885390

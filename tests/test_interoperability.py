@@ -391,6 +391,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
 
 
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.slow
 def test_grid_search_over_structures_and_harmonics(periodic):
     _, u, y = periodic
     halves = np.arange(len(u)) < len(u) // 2

@@ -80,6 +80,7 @@ def test_r2_by_simulation_is_the_estimators_own_score(lti, ltp_records):
         assert found == pipe.score(data.inputs, data.outputs, sample_weight=weight)
 
 
+@pytest.mark.slow
 def test_raw_measurements_score_as_their_pipeline_does(nltp):
     """The periodic trim is taken from both, as in score."""
     pipe = heave_pipeline(nltp.omega, trim_span=nltp.trim_span, n_states=3)

@@ -282,6 +282,7 @@ def test_what_the_map_of_whole_periods_leaves_is_noise():
 @pytest.mark.parametrize(("order", "told"), [(1, True), (2, False)])
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
+@pytest.mark.slow
 def test_a_likelihood_says_where_g_stands_for_states_that_are_missing(order, told):
     """Two slow modes as one: its exponent is known well, and wrong."""
     F = np.array([[[-0.23, 0.0], [0.3, -0.36]], [[0.0, 0.0], [0.05, 0.0]], np.zeros((2, 2))])

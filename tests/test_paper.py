@@ -187,6 +187,7 @@ def test_prediction_of_a_doublet_not_used_for_identification(case):
 @pytest.mark.parametrize(
     ("case", "order"), [(cases.LTI, 3), (cases.LTI_SIGNAL, 10), (cases.LTP, 16)]
 )
+@pytest.mark.slow
 def test_order_is_the_rank_that_the_window_gives(case, order):
     # LTI coefficients have the subsystem's own order; 10 and 16 are the exact ranks of the
     # windowed records at 4 and 8 rows a period, copies and window memory included

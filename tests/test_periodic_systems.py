@@ -340,6 +340,7 @@ def many_modes(sizes, seed, noise=0.05, n_columns=48):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_modes_that_stand_for_each_other_are_left_as_identified(seed):
     (identified, refined, kept), as_refined = many_modes([0.9, 0.43, 0.33, 0.3, 0.2], seed)
     assert refined > 10 * identified

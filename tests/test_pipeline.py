@@ -227,6 +227,7 @@ def test_a_slightly_wrong_frequency_does_little_harm(ltp):
     assert error(A, ltp.A_exact.to_numpy()) < 1e-4
 
 
+@pytest.mark.slow
 def test_extreme_units(ltp):
     """Factors of 1e±9 between the channels, and signals whose squares underflow."""
     plain = whole_pipeline(ltp.omega).fit(ltp.inputs, ltp.outputs)["reduce"].system_.poles()

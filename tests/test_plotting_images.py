@@ -87,6 +87,7 @@ def test_bode_of_twelve_outputs():
 
 
 @image
+@pytest.mark.slow
 def test_participation_of_seven_states():
     return ParticipationDisplay.from_system(cases.large_system(7), 2).figure_
 

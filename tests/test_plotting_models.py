@@ -283,6 +283,7 @@ def test_harmonic_transfer_functions_are_drawn_with_coherence():
         np.testing.assert_array_equal(std, measured.std[:, 1 + n, 0, 0])
 
 
+@pytest.mark.slow
 def test_the_record_is_taken_about_its_trim():
     u, y = cases.random_steps()
     u, y = u.iloc[: 16 * 300].copy(), y.iloc[: 16 * 300].copy()

@@ -194,6 +194,7 @@ def test_bad_responses():
 # ---- stabilization ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_modes_of_each_order_are_those_of_its_model():
     data, pipe = cases.wing(), cases.sliding()
     orders = [3, 9, 10]

@@ -178,6 +178,7 @@ def test_several_records_and_no_inputs(tmp_path):
     assert "from outputs alone" in page.text["head"]
 
 
+@pytest.mark.slow
 def test_names_are_escaped(tmp_path):
     u, y = lag(names=("<b>", "a&<script>"))
     path = report(plain().fit(u, y), u, y, tmp_path / "names.html", units={"<b>": "<i>"})

@@ -14,6 +14,7 @@ from sklearn_hd._identify.sample import _Found
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
+from sklearn_hd.systems import flapping_blade
 
 STEP = 0.01
 
@@ -221,6 +222,26 @@ def test_a_clock_that_is_slightly_off_is_told(reading):
     told = [str(each.message) for each in said if each.category is FrequencyMismatchWarning]
     assert len(told) == 1
     assert "the data repeat themselves at 165.247" in told[0]
+
+
+def test_one_doublet_of_two_measured_states_takes_no_third():
+    """Before steps of the likelihood two states leave more than three, after these less."""
+    system = flapping_blade(gamma=4.0)
+    rng, n = np.random.default_rng(0), 60 * 64
+    t, u = np.arange(n) * system.period / 64, np.zeros((n, 1))
+    u[512:518], u[518:524] = 1.0, -1.0
+    y = np.asarray(system.simulate(u, t))
+    y = y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+    time = pd.Index(t, name="time")
+    u, y = pd.DataFrame(u, time, ["u"]), pd.DataFrame(y, time, ["angle", "rate"])
+    analyzer = HarmonicAnalyzer(system.omega, reading="sample", output_harmonics=2)
+    with pytest.warns(IdentifiabilityWarning, match="exponents are in doubt"):
+        model = make_pipeline(analyzer, MOESPRegressor()).fit(u, y)[-1]
+    tried = pd.DataFrame(model.order_search_)
+    assert tried.loc[tried["bic"].idxmin(), "order"] > 2
+    assert model.order_ == 2
+    found = np.sort_complex(model.ltp_.floquet_exponents())
+    np.testing.assert_allclose(found, [-0.25 - 0.0331j, -0.25 + 0.0331j], atol=0.01)
 
 
 @pytest.mark.parametrize(

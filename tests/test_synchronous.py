@@ -45,6 +45,7 @@ WING = {
 
 
 @pytest.mark.parametrize("case", WING)
+@pytest.mark.slow
 def test_the_flapping_wing_comes_back_from_any_input(case):
     options, limit = WING[case]
     data = make_flapping_wing("ltp", n_periods=60, **({"start": 5} | options), random_state=3)
@@ -112,6 +113,7 @@ SLACK = {"defective": 1e-5}  # the square root of rounding splits a double expon
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.slow
 def test_the_system_comes_back(name):
     """F and G as functions of ψ, Floquet exponents, prediction."""
     system = SYSTEMS[name]

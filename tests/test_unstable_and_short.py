@@ -101,6 +101,7 @@ def test_an_unstable_orbit_through_the_sliding_analyzer():
 
 
 @pytest.mark.parametrize("pipe", [synchronous(), pipeline(1, 12)])
+@pytest.mark.slow
 def test_growth_that_hides_the_rest_is_the_reason_named(pipe):
     X, y = record(orbit(0.5), 60)
     first = messages(pipe, X, y)[0]
@@ -118,6 +119,7 @@ def test_an_input_that_begins_late_is_no_growth():
     assert messages(synchronous(), X.assign(u=late), y) == []
 
 
+@pytest.mark.slow
 def test_a_stable_orbit_is_not_called_unstable():
     X, y = record(orbit(-0.05), 60)
     noisy = y + 0.05 * y.std().to_numpy() * np.random.default_rng(0).standard_normal(y.shape)
@@ -184,6 +186,7 @@ def matched(data, **kwargs):
 
 @pytest.mark.filterwarnings("ignore:.*in residuals that are not noise")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine")
+@pytest.mark.slow
 def test_an_order_too_high_for_the_free_decays_is_in_doubt(noisy):
     """The third mode is noise's: the match keeps the multipliers identified, and does not grow."""
     with pytest.warns(IdentifiabilityWarning, match="in doubt: the model has .* the free decays"):

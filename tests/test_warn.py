@@ -52,6 +52,7 @@ def test_warnings_name_the_line_that_called(category, call):
 
 
 @pytest.mark.parametrize(("action", "times"), [("default", 1), ("always", 7), ("ignore", 0)])
+@pytest.mark.slow
 def test_a_search_says_a_thing_once_at_the_line_that_called(rng, action, times):
     """Seven fits, each with filters of scikit-learn's own, which make Python forget."""
     t = pd.Index(0.1 * np.arange(1200))

@@ -226,6 +226,7 @@ def test_periodic_inputs_bound_how_far_back_a_predictor_reaches(rng):
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.slow
 def test_trims_and_gains_go_together_period_by_period(weighting):
     """The constant direction of an averaged trim repeats itself in every block row."""
     data = make_flapping_wing("ltp", snr_db=40, random_state=100)

@@ -284,7 +284,7 @@ def why_no_noise(segments, innovations, predictor):
     )
 
 
-def warn_of_growth(model, best, data):
+def warn_of_growth(model, best, data, settings):
     """Of a model that grows e-fold over the longest segment."""
     if best.stable:
         return
@@ -292,7 +292,7 @@ def warn_of_growth(model, best, data):
     turns = data.longest * data.step / (2.0 * np.pi)
     folds = turns * np.log(max(radius, 1e-300))
     way_out = "stable=True where the machine is stable, or another order"
-    if best.feedthrough:  # feedback within the row looks the same
+    if best.feedthrough and settings.feedthrough == "auto":  # feedback looks the same
         way_out = f"weighting='pbsid' if feedback held it (D may be that feedback), {way_out}"
     warn(
         f"the model has a Floquet multiplier of size {radius:.4g}, so it grows by a factor of "

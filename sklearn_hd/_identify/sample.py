@@ -17,6 +17,7 @@ from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.checks import (
     MOST_PREDICTOR_ROWS,
+    NOTABLE,
     check_outputs_move,
     check_told_from_loads,
     check_turns,
@@ -180,7 +181,7 @@ def identify(data, settings, experiment):
     for message in found.against:
         warn(message, IdentifiabilityWarning)
     warn_of_little(layout, choice.n_rows, chosen, experiment.basis)
-    warn_of_growth(model, chosen, data)
+    warn_of_growth(model, chosen, data, settings)
     x0 = np.array([choice.start(model.innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(choice.n_rows, 1)))
     return SubspaceFit(
@@ -286,17 +287,22 @@ class _Found:
 
 
 def _or_simpler(found, choice):
-    """A model of fewer states in place of one in doubt: one that serves for it, or is better.
+    """A model of fewer states that serves for one in doubt, or is better by the criterion.
 
-    Better by the criterion, after steps of the likelihood: without them, a model of as many states
-    as the machine may leave more than one of too many.
+    After steps of the likelihood: before them, a model of as many states as the machine may leave
+    more than one of too many. An unstable model was simulated in pieces, and is not compared.
     """
     most_left = max(AS_LITTLE * found.left.variance, LITTLE)
-    few = islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
-    simpler = [one for one in (_Found.of(choice, each, most_left) for each in few) if one]
-    serving = next((one for one in simpler if one.serves_for(found)), None)
-    noise_left = [one for one in simpler if not one.no_noise]
-    return serving or min([found, *noise_left], key=lambda one: one.left.bic)
+    rivals = [found]
+    for one in islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER):
+        simpler = _Found.of(choice, one, most_left)
+        if simpler is None:
+            continue
+        if simpler.serves_for(found):
+            return simpler
+        if found.against and found.left.stable and not simpler.no_noise:
+            rivals.append(simpler)
+    return min(rivals, key=lambda rival: rival.left.bic)
 
 
 def _of_halves(model, whole, chosen):
@@ -390,18 +396,21 @@ def _layouts(data, settings, basis):
     # a whole set of coefficients, which has to be worth it
     gain = found[count, False][1] - found[count, True][1]
     reason = f"the Bayesian information criterion of the predictor is {abs(gain):.3g} lower with "
-    if fed_back:
-        if gain > 0.0:
-            warn_of_feedback(f"{reason}D free")
-        which = "D free, but feedback within a row looks the same: {}"
-        return [whole(False, found[count, False][2])], reason + (which if gain > 0.0 else "{}")
     lags = [found[count, feedthrough][2] for feedthrough in (False, True)]
-    if not sums.part(whole(True, lags[1])).tells_feedthrough():
-        unknown = (
+    tells = sums.part(whole(True, lags[1])).tells_feedthrough()
+    if not tells:
+        reason = (
             "earlier rows predict an input almost exactly, so that the predictor cannot tell D; of "
-            "the models with D = 0 and with D free, the best has {}"
+            "the models with D = 0 and with D free, the best has "
         )
-        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], unknown
+    if fed_back:
+        told = tells and gain > NOTABLE * sums.n_rows
+        if told:
+            warn_of_feedback(f"{reason}D free")
+            reason = f"{reason}D free, but feedback within a row looks the same: {{}}"
+        return [whole(False, lags[0])], reason if told else "weighting='pbsid' takes {}"
+    if not tells:
+        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], reason + "{}"
     return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"
 
 

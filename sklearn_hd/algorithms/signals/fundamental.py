@@ -40,6 +40,7 @@ CLEAR = 2.0  # times the mean square that is left; noise alone may leave 1.8 tim
 SLIGHT = 1.2  # times: what a first-order gain is held against, which CLEAR asks to be real
 RANKS = 7  # at most, that a first-order gain is sought at
 ASTRAY = 1e-3  # turns
+BESIDE = 4.0  # turns of the last harmonic over the record, by which another frequency is off
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
 NOISE = (
     2.0 * SHARED**2
@@ -68,6 +69,9 @@ class OmegaEstimate(NamedTuple):
     turns : float
         By how many turns the phase of the frequency searched about goes astray over the longest
         segment.
+    of_inputs : bool
+        Whether inputs that always move repeat themselves at it, and the outputs have no motion of
+        it beside them: it may be the clock of the inputs.
 
     References
     ----------
@@ -89,6 +93,7 @@ class OmegaEstimate(NamedTuple):
     residual: float
     residual_given: float
     turns: float
+    of_inputs: bool = False
 
 
 def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=None):
@@ -136,12 +141,6 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
             f"no fundamental frequency stands out within {100 * span:.2g} % of omega={omega:.6g} "
             f"rad/s; widen the span, or check that the record is periodic"
         )
-    if periods.clocked(estimate):
-        raise ValueError(
-            f"what repeats itself at {estimate.omega:.6g} rad/s are the inputs: they always move, "
-            f"by a clock of their own, and the outputs have no motion of that frequency without "
-            f"them; give a record with inputs at rest, or with steps at uneven times"
-        )
     return estimate
 
 
@@ -151,7 +150,6 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     To be clear, the estimate has to be five standard deviations away (or drift by as many),
     half of it has to be left unexplained, and the phase has to go astray by a thousandth of a
     turn. A fraction that explains the record better is no mismatch: slow motion may look like it.
-    Nor is the clock of inputs that always move, where outputs have no motion of its frequency.
 
     Parameters
     ----------
@@ -175,8 +173,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     found = periods.estimate(*ends)
     off = abs(found.omega - omega) > BEYOND * found.std or found.drift != 0.0
     clear = found.residual_given > CLEAR * found.residual and found.turns > ASTRAY
-    told = periods.tells(found, span) and off and clear
-    return found if told and not periods.clocked(found) else None
+    return found if periods.tells(found, span) and off and clear else None
 
 
 def comb_in_spectrum(outputs, sample_time):
@@ -554,6 +551,7 @@ class _Periods:
             float(fit.left + self.floor),
             float(given.left + self.floor),
             float(off * self.longest),
+            self.of_inputs(fit),
         )
 
     def tells(self, estimate, span):
@@ -561,22 +559,25 @@ class _Periods:
         off = abs(estimate.omega / self.omega - 1.0)
         return off < 1.01 * span and estimate.std < span * self.omega
 
-    def clocked(self, estimate):
-        """Whether it is the frequency of inputs that always move, and of no motion beside them."""
+    def of_inputs(self, fit):
+        """Whether inputs always move, at that frequency, and outputs have no wave of it that lasts.
+
+        At frequencies a little off the inputs' own leave far more of them.
+        """
         inputs, _, step = self.given
-        place = estimate.omega, estimate.drift / self.length
-        a = self.coefficients(self.signals, *place, self.turns(*place))
+        a = self.coefficients(self.signals, fit.omega, fit.slope, self.turns(fit.omega, fit.slope))
         Y, U = np.split(a[:, 1:], [self.n_outputs], axis=2)
         parts = np.array([part.sum(axis=0) for part in np.array_split(Y, 4)])
         whole, each = np.sum(parts.sum(axis=0) ** 2), np.sum(parts**2) / 4.0
-        lasts = whole > 8.0 * each  # a wave that lasts has 16 times, chance leaves 4
         motion = np.sum(U**2, axis=(1, 2))
+        lasts = whole > 8.0 * each  # a wave that lasts has 16 times, chance leaves 4
         if lasts or np.mean(motion > 0.1 * motion.mean()) < 0.5:
             return False
-        drive = _Periods([u[:, :0] for u in inputs], inputs, step, self.omega, *self.starts_given)
-        there = drive.fit(*place)
-        given = drive.fit(self.omega, 0.0, there.rank)
-        return bool(given.left + drive.floor > CLEAR * (there.left + drive.floor))
+        drive = _Periods([u[:, :0] for u in inputs], inputs, step, fit.omega, *self.starts_given)
+        there, off = drive.fit(fit.omega, fit.slope), BESIDE * self.units(1)[0]
+        beside = [drive.fit(fit.omega + side * off, fit.slope, there.rank) for side in (-1, 1)]
+        least = min(near.left for near in beside)
+        return bool(least + drive.floor > CLEAR * (there.left + drive.floor))
 
     def rivals(self, fit):
         """Fractions that explain the records better; multiples that these do not exclude."""

@@ -124,6 +124,7 @@ def test_at_an_awkward_clock_a_form_is_stable_where_its_machine_is(n_phases, sti
 
 @pytest.mark.parametrize("n_phases", [4.4, 16.216, 31.9])
 @pytest.mark.parametrize("stiffness", [1.4, 2.0])
+@pytest.mark.slow
 def test_exponents_of_steps_are_those_of_the_machine_at_any_clock(n_phases, stiffness):
     """And their derivatives; a step made longer errs by the square of what is added."""
     M = np.zeros((3, 3, 3))

@@ -147,6 +147,7 @@ def test_one_pattern_of_missing_outputs_has_a_closed_form(fitted):
 
 @pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("free_x0", [False, True])
+@pytest.mark.slow
 def test_a_step_promises_what_it_keeps(fitted, rng, missing, free_x0):
     """The gradient of the cost, S at its own optimum, is that of central differences."""
     form, segments, parameters = fitted

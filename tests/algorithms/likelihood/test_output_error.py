@@ -244,6 +244,7 @@ def test_eliminating_the_initial_state_is_the_schur_complement(oscillator, rng):
     assert bound.unidentified == ()
 
 
+@pytest.mark.slow
 def test_unstable_steps_are_refused_when_asked(rng):
     """Data of a growing motion pull a stable start across the border, unless held."""
     M = np.zeros((1, 2, 2))

@@ -99,6 +99,7 @@ def test_structured_model_matches_itself_without_a_start():
 
 
 @pytest.mark.parametrize(("n_masses", "n_outputs"), [(1, 1), (2, 1), (3, 1), (3, 3), (5, 1)])
+@pytest.mark.slow
 def test_fewer_outputs_than_states(n_masses, n_outputs):
     structure, truth = spring_chain(n_masses, n_outputs)
     random = np.random.default_rng(77)

@@ -123,6 +123,7 @@ def test_region_step_is_the_best_in_the_ball(shift):
 
 
 @pytest.mark.parametrize("first", [1.5, 3.0])
+@pytest.mark.slow
 def test_descent_falls_and_ends_near_a_stationary_point(first):
     problem = problem_of()
     descent = smooth_descent(problem, START, first=first, gap=1e-4)

@@ -54,6 +54,7 @@ def relative_error(found, expected):
     ],
     ids=["61 decades", "272 decades", "456 decades", "818 decades"],
 )
+@pytest.mark.slow
 def test_slow_and_fast_modes_together(exponents):
     F = transformed(np.diag(exponents))
     assert relative_error(floquet_exponents(F, OMEGA), exponents) < 1e-11
