@@ -152,9 +152,9 @@ def check_finite(values, names, time, what, missing=RAISE):
         kind = "NaN" if np.isnan(values[row, column]) else "infinity"
         raise ValueError(
             f"{what} contains {kind}: column {names[column]!r}, first at t = {at(time[row])} "
-            f"(row {row}); drop those rows (a gap starts a new segment), fill them, or set them "
-            f"to NaN and give HarmonicAnalyzer missing='gap', or the longest run of NaN to bridge "
-            f"in seconds"
+            f"(row {row}); set such values to NaN and give HarmonicAnalyzer missing=seconds, the "
+            f"longest run of NaN to bridge, or missing='gap' if runs are long (each starts a new "
+            f"segment); or fill them, or drop those rows"
         )
 
 

@@ -8,7 +8,7 @@ from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-from sklearn_hd.algorithms.signals.fundamental import omega_mismatch
+from sklearn_hd.algorithms.signals.fundamental import FEWEST, omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
     FrequencyMismatchWarning,
@@ -18,7 +18,7 @@ from sklearn_hd.exceptions import (
 
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
-ROWS_PER_LINE = 5
+ROWS_PER_LINE = 5  # at least, for each coefficient of these
 MOST_OF_IT = 0.5  # of an output's variance
 MOST_ROWS = 20_000  # that are looked at
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
@@ -73,6 +73,8 @@ def _warn_of_hertz(experiment):
     piece = max(experiment.sampling.pieces, key=lambda piece: len(piece.places))
     rows, omega = slice(0, MOST_ROWS), experiment.basis.omega
     y, places = np.nan_to_num(experiment.measured[piece.rows][rows]), piece.places[rows]
+    if (places[-1] - places[0]) * omega < 2.0 * np.pi * FEWEST:
+        return False  # any few waves make a short record
     there = _share_in_lines(y, places, 2.0 * np.pi * omega)
     if not np.any(there > MOST_OF_IT):
         return False
@@ -94,9 +96,10 @@ def _warn_of_hertz(experiment):
 def _share_in_lines(y, places, omega):
     """Share of the variance of each output in waves of a frequency and its harmonics, that last
     from the first row to the last; as many as there are below half the sampling rate."""
-    step, n = np.median(np.diff(places)), len(y)
-    count = min(LINES, int(0.9 * np.pi / (omega * step)))
-    if count < 1 or n < ROWS_PER_LINE * (2 * count + 1):
+    n, count = len(y), 0
+    if n >= ROWS_PER_LINE:
+        count = min(LINES, int(0.9 * np.pi / (omega * np.median(np.diff(places)))))
+    if count == 0 or n < ROWS_PER_LINE * (2 * count + 1):
         return np.zeros(y.shape[1])
     size = np.max(np.abs(y), axis=0)
     y = y / np.where(size > 0.0, size, 1.0)

@@ -404,11 +404,11 @@ def _layouts(data, settings, basis):
             "the models with D = 0 and with D free, the best has "
         )
     if fed_back:
-        told = tells and gain > NOTABLE * sums.n_rows
-        if told:
-            warn_of_feedback(f"{reason}D free")
-            reason = f"{reason}D free, but feedback within a row looks the same: {{}}"
-        return [whole(False, lags[0])], reason if told else "weighting='pbsid' takes {}"
+        zero = [whole(False, lags[0])]
+        if not tells or gain <= NOTABLE * sums.n_rows:
+            return zero, "weighting='pbsid' takes {}"
+        warn_of_feedback(f"{reason}D free")
+        return zero, f"{reason}D free, but feedback within a row looks the same: {{}}"
     if not tells:
         return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], reason + "{}"
     return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"
