@@ -284,8 +284,9 @@ class StructuredMatcher(ModelStep):
         if match.waveform is not None:
             basis = replace(basis, output_trim=basis.output_trim + match.waveform)
         n_input_harmonics = None
-        if of_samples and not self._likely:  # others came with the coordinates
-            n_input_harmonics = min(self._n_input_harmonics(), model.innovations.n_harmonics)
+        if of_samples and not self._likely and match.periodic is not None:
+            found = match.periodic.highest("G")  # some came with the coordinates
+            n_input_harmonics = min(found, model.innovations.n_harmonics)
         return self._remember(match.model, basis, X, y, experiment, n_input_harmonics)
 
     def _of_samples(self, model, experiment):
