@@ -24,7 +24,7 @@ __all__ = ["OmegaEstimate", "estimate_omega"]
 
 PARTS = 4  # of the longest segment, that are compared
 VARIES = 0.1  # of a speed, searched to either side in a part
-FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by a fifth of that
+FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up to a third of that
 TELLS = 2.0  # standard deviations by which a drift has to differ from none for halves to deny it
 
 

@@ -1,6 +1,7 @@
 """``reading="sample"``: periodic innovations models of records in service."""
 
 import pickle
+import warnings
 
 import control
 import numpy as np
@@ -185,6 +186,24 @@ def test_feedback_within_a_row_is_no_feedthrough():
     assert "feedback within a row looks the same: D = 0" in model.feedthrough_reason_
     found = np.sort_complex(model.eigenvalues_)
     np.testing.assert_allclose(found, np.sort_complex(multipliers), rtol=0.02)
+
+
+def test_d_is_not_blamed_on_feedback_where_no_predictor_tells_it():
+    """Inputs that earlier rows predict: D is zero without a word."""
+    fine = np.arange(60_000) / 400.0
+    u = np.sin(2.3 * fine) + 0.5 * np.sin(0.71 * fine)  # moves between samples: D helps
+    x = np.zeros(60_000)
+    for k in range(59_999):
+        x[k + 1] = x[k] + ((-8.0 + 2.0 * np.cos(OMEGA * fine[k])) * x[k] + u[k]) / 400.0
+    time = pd.Index(fine[::20], name="time")
+    y = x[::20] + 1e-4 * np.random.default_rng(0).standard_normal(3000)
+    u, y = pd.DataFrame(u[::20], time, ["u"]), pd.DataFrame(y, time, ["y"])
+    pipe = pipeline(order=1).set_params(identify__weighting="pbsid")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        model = pipe.fit(u, y)["identify"]
+    assert not [each for each in said if "feedback within the row" in str(each.message)]
+    assert model.feedthrough_reason_ == "weighting='pbsid' takes D = 0"
 
 
 @pytest.mark.slow
