@@ -95,6 +95,7 @@ def test_exact_hd_model_predicts_the_time_periodic_response():
     np.testing.assert_allclose(r2(signal, ltp), [0.9997, 0.9977], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_nonlinear_perturbation_is_the_linear_one_for_small_doublets():
     for subsystem in ("heave", "flap"):
         small = {**SHORT, "subsystem": subsystem, "amplitude": 1e-4}

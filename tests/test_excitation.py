@@ -307,6 +307,7 @@ def test_of_inputs_at_one_phase_the_smoothest_input_matrix_is_good_at_another(no
     assert np.sum(off**2) < 0.1 * np.sum(motion**2)
 
 
+@pytest.mark.slow
 def test_harmonics_that_coordinates_bring_need_no_record():
     """Floquet coordinates give G more harmonics than the samples determined, or can."""
     F = [[[-1.0, 0.0], [0.0, -3.0]], [[0.3, 0.2], [0.0, 0.5]], [[0.0, 0.4], [0.3, 0.0]]]

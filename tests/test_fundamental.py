@@ -158,6 +158,7 @@ def test_to_a_system_that_is_not_periodic_any_frequency_is_right():
 
 
 @pytest.mark.filterwarnings("ignore:.* explain the records")  # of multiples
+@pytest.mark.slow
 def test_the_clock_of_an_input_is_said_to_be_one():
     """Steps held for a third of 51 samples; the turn has 52.4."""
     rng = np.random.default_rng(0)
@@ -267,6 +268,7 @@ def test_a_drift_is_told_from_an_offset(change):
 
 
 @pytest.mark.filterwarnings("ignore:.* explain the records")  # of a multiple
+@pytest.mark.slow
 def test_a_speed_that_goes_to_and_fro_is_told():
     """Twice in the record: no drift, and quarters have speeds of their own."""
     psi = 2 * np.pi * T - 0.8 * np.cos(4 * np.pi * T / T[-1])
@@ -324,9 +326,8 @@ def test_pairs_and_azimuths_at_a_wrong_frequency():
     assert isinstance(pipe.fit(turning, single.outputs).predict(turning), pd.DataFrame)
 
 
-@pytest.mark.parametrize(
-    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.slow
 def test_what_repeats_itself_goes_on_over_gaps(seed):
     """A trim left in the outputs keeps its phase over a gap of no whole number of periods."""
     t = np.arange(3000) / 32
@@ -363,6 +364,7 @@ def test_frames_series_arrays_and_records_give_one_frequency():
     assert abs(found.omega - data.omega) < 1e-4 * data.omega
 
 
+@pytest.mark.slow
 def test_a_frequency_in_hertz_is_recognised():
     rng, t = np.random.default_rng(0), np.arange(4000) / 100
     u = np.repeat(rng.choice([-1.0, 1.0], 40), 100)
@@ -394,6 +396,7 @@ def test_a_right_frequency_is_not_taken_for_one_in_hertz(samples, kind):
     assert np.all((share < 0.5) | (_share_in_lines(y[:, None], psi, 1.0) > share / 2.0))
 
 
+@pytest.mark.slow
 def test_what_decays_has_no_speed_that_varies():
     data = make_flapping_wing("ltp", snr=40, random_state=0)
     found = sklearn_hd.estimate_omega(data.inputs, data.outputs, data.omega)

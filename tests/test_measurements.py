@@ -193,6 +193,7 @@ def test_identification_on_a_spin_up(spun, by_seconds, by_azimuth):
     assert by_azimuth["identify"].system_.input_labels == ["u_0"]
 
 
+@pytest.mark.slow
 def test_predictions_answer_every_row_of_the_user(spun, by_azimuth):
     X, y = spun
     for stop in (2, 3):

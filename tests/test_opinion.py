@@ -229,12 +229,13 @@ def test_a_model_that_is_known_is_not_in_doubt():
     ("reading", "frequency", "words"),
     [
         ("period", 0.37, STILL),
-        pytest.param("period", 0.0, "in doubt: .* the free decays", marks=pytest.mark.slow),
-        pytest.param("sample", 0.37, STILL, marks=pytest.mark.slow),
-        pytest.param("sample", 0.0, STILL, marks=pytest.mark.slow),
+        ("period", 0.0, "in doubt: .* the free decays"),
+        ("sample", 0.37, STILL),
+        ("sample", 0.0, STILL),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*(in doubt|do not determine)")
+@pytest.mark.slow
 def test_a_drift_or_a_tone_of_the_outputs_is_no_mode_without_a_word(reading, frequency, words):
     u, y, _ = record(0.01)
     psi = y.index.to_numpy()
@@ -319,11 +320,12 @@ def reduced(noise, **options):
     "noise",
     [
         0.0,
-        pytest.param(0.001, marks=pytest.mark.slow),
-        pytest.param(0.05, marks=pytest.mark.slow),
+        0.001,
+        0.05,
         0.2,
     ],
 )
+@pytest.mark.slow
 def test_the_verdicts_and_the_warning_agree(noise):
     reducer, told = reduced(noise)
     doubted = reducer.modes_["verdict"].isin(["ambiguous", "second-order"]).any()

@@ -66,10 +66,11 @@ def pipeline(omega=2.0, **analysis):
         (32, doublet, 10),
         (27.3, doublet, 6),
         (16.21, steps, 6),
-        pytest.param(61, steps, 25, marks=pytest.mark.slow),
-        pytest.param(60.7, steps, 25, marks=pytest.mark.slow),
+        (61, steps, 25),
+        (60.7, steps, 25),
     ],
 )
+@pytest.mark.slow
 def test_every_row_is_on_the_orbit_the_last_one_too(samples, inputs, n_harmonics):
     """Errors of a thousandth of the motion, which is a fiftieth of the orbit."""
     X, y, still = record(samples, inputs, n_harmonics, 60 if inputs is doublet else 200)
@@ -92,7 +93,8 @@ def test_units_of_outputs_change_predictions_by_these_alone(inputs, scale):
 
 
 @pytest.mark.parametrize("off", [1e-6, -1e-5, 1e-4, 3e-3])
-@pytest.mark.parametrize("inputs", [doublet, pytest.param(steps, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("inputs", [doublet, steps])
+@pytest.mark.slow
 def test_a_frequency_that_is_off_costs_a_word_and_nothing_else(inputs, off):
     X, y, still = record(32, inputs, 10, 120)
     exact = pipeline().fit(X, y)

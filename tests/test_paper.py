@@ -158,6 +158,7 @@ def test_nonlinear_data_at_two_percent_beat_the_paper():
     assert run(cases.NLTP).e_percent < run(cases.NLTP).case.paper_percent
 
 
+@pytest.mark.slow
 def test_both_subsystems_give_the_six_by_six_matrix():
     row = paper.full_row(run(cases.LTI_SIGNAL), run(cases.FLAP), seconds=0.0)
     assert row["e_percent"] <= 2.0 * published(1, "full 6 × 6 (LTI signals)", "2 %")

@@ -164,6 +164,7 @@ def test_the_spectrum_integrates_to_the_variances():
     assert 0.5 < area < 2.5  # two outputs; segments of the record hold less of its slow part
 
 
+@pytest.mark.slow
 def test_a_click_picks_a_mode_and_a_second_one_drops_it():
     display = cases.stabilization()
     figure, line = display.figure_, display.points_["all"][0]

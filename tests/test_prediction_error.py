@@ -65,15 +65,12 @@ def loss(model, u, y, *, predicts):
         (load_slicot_example, 2, False, "prediction_error", -2.4771824147),
         (load_slicot_example, 4, True, "output_error", -2.4833844691),
         (load_slicot_example, 4, False, "output_error", -2.4823752296),
-        pytest.param(
-            load_power_plant, 2, False, "prediction_error", 11.0085897735, marks=pytest.mark.slow
-        ),
-        pytest.param(
-            load_power_plant, 4, True, "prediction_error", 7.2320608960, marks=pytest.mark.slow
-        ),
+        (load_power_plant, 2, False, "prediction_error", 11.0085897735),
+        (load_power_plant, 4, True, "prediction_error", 7.2320608960),
         (load_power_plant, 2, True, "output_error", 11.2335953218),
     ],
 )
+@pytest.mark.slow
 def test_losses_are_those_of_an_independent_optimiser(load, order, feedthrough, criterion, best):
     record = load()
     u, y = (each - each.mean() for each in (record.inputs, record.outputs))

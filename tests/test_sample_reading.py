@@ -171,6 +171,7 @@ def test_a_machine_held_by_feedback_is_unstable_and_predicted_ahead():
     assert np.std((one - y.to_numpy())[100:]) < 1.05 * 0.1
 
 
+@pytest.mark.slow
 def test_feedback_within_a_row_is_no_feedthrough():
     """With D free it would be a part of the machine: the data cannot tell them apart."""
     u, y, _, multipliers = machine(6000, growth=1.22, feedback=0.25, late=0, noise=1.0)
@@ -313,6 +314,7 @@ def test_copies_are_the_same():
     assert pickle.loads(pickle.dumps(frame)).basis.reading == "sample"
 
 
+@pytest.mark.slow
 def test_a_trim_that_is_given_is_used():
     u, y, response, _ = machine(3000, rest=600)
     pipe = pipeline(trim_span=(0.0, 60.0), load_harmonics=2).fit(u, y)
@@ -342,7 +344,8 @@ def test_a_model_of_nothing_says_so():
         pipeline().fit(u, y)
 
 
-@pytest.mark.parametrize("off", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3])
+@pytest.mark.parametrize("off", [1e-4, 1e-3])
+@pytest.mark.slow
 def test_an_omega_that_is_off_is_told_and_mended(off):
     u, y, _, multipliers = machine(5000)
     pipe = pipeline(OMEGA * (1.0 + off))

@@ -64,11 +64,12 @@ def test_equal_outputs_leak_no_warning():
 @pytest.mark.parametrize(
     "load",
     [
-        pytest.param("rest", marks=pytest.mark.slow),
+        "rest",
         "wave",
-        pytest.param("zero", marks=pytest.mark.slow),
+        "zero",
     ],
 )
+@pytest.mark.slow
 def test_an_output_of_loads_alone_leaves_the_others_their_model(load):
     """What rounding leaves of an output that only repeats itself was identified like motion."""
     u, y = record()
@@ -224,6 +225,7 @@ def test_a_clock_that_is_slightly_off_is_told(reading):
     assert "the data repeat themselves at 165.247" in told[0]
 
 
+@pytest.mark.slow
 def test_one_doublet_of_two_measured_states_takes_no_third():
     """Before steps of the likelihood two states leave more than three, after these less."""
     system = flapping_blade(gamma=4.0)

@@ -84,7 +84,8 @@ def apart(found, wanted):
 # ---- the state from which predictions begin ------------------------------------------------------
 
 
-@pytest.mark.parametrize("mean", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
+@pytest.mark.parametrize("mean", [0.0, 0.05])
+@pytest.mark.slow
 def test_predictions_begin_on_the_forced_motion(mean):
     """With a mode that lasts 300 turns; the record's mean is 1.6 standard deviations away."""
     F = np.zeros((3, 2, 2))
@@ -135,10 +136,9 @@ def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
     same_exponents(found, system, rtol=0.02)
 
 
-@pytest.mark.parametrize(
-    "seed", [1, pytest.param(7, marks=pytest.mark.slow), pytest.param(13, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("seed", [1, 7, 13])
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.slow
 def test_orders_of_no_periodic_system_are_passed_over(seed):
     """Of fast modes noise leaves multipliers of either sign; machines have even numbers below 0."""
     rng, n = np.random.default_rng(seed), 4
@@ -210,12 +210,13 @@ def test_without_a_structure_the_match_is_the_model_identified(fitted, measured)
 @pytest.mark.parametrize(
     "samples",
     [
-        pytest.param(16.0, marks=pytest.mark.slow),
+        16.0,
         16.216,
         7.3,
-        pytest.param(50.01, marks=pytest.mark.slow),
+        50.01,
     ],
 )
+@pytest.mark.slow
 def test_entries_are_those_of_the_machine(samples, criterion):
     pipe = pipeline(2.0, order=2, structure=SWINGING, criterion=criterion)
     u, y = record(mathieu(), samples)

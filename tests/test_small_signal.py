@@ -152,6 +152,7 @@ def test_two_amplitudes_of_one_sign_take_out_the_quadratic_term():
     assert error_by_period(data, "extrapolate") < 0.01
 
 
+@pytest.mark.slow
 def test_predictions_and_scores_read_records_as_they_are(pair):
     pipe = pipeline(pair, "odd").fit(pair.inputs, pair.outputs)
     predicted = pipe.predict(pair.inputs)

@@ -43,17 +43,14 @@ def test_families_of_a_periodic_system_are_found_whatever_the_phase(excitation):
 @pytest.mark.parametrize(
     "seed",
     [
-        pytest.param(
-            5020, marks=pytest.mark.slow
-        ),  # doublet at any phase, Hann: with u alone an exponent was wrong by half its decay
+        5020,  # doublet at any phase, Hann: with u alone an exponent was wrong by half its decay
         5087,  # multisine, Hann: no gap in the order, exponents off by some percent
-        pytest.param(
-            5145, marks=pytest.mark.slow
-        ),  # the same, HD: six modes kept where four leave 1e-12 of the variance
+        5145,  # the same, HD: six modes kept where four leave 1e-12 of the variance
         3092,  # three coefficients of five states: the order all but filled the rank
         3160,  # a mode that dies to 6e-4 within two periods is no memory of the window
     ],
 )
+@pytest.mark.slow
 def test_modes_are_found_where_inputs_move_within_the_hop(seed):
     row = study.run(seed, 0.0)
     assert (row["precision"], row["recall"]) == (1.0, 1.0)

@@ -159,6 +159,7 @@ def test_fewer_outputs_than_states_give_floquet_coordinates(name):
 
 @pytest.mark.parametrize("mean", [[[0.3], [0.0]], [[0.0], [0.0]]])
 @pytest.mark.parametrize("structure", [HarmonicStructure(G=1, Q=1), HarmonicStructure(), None])
+@pytest.mark.slow
 def test_a_periodic_input_matrix_and_a_feedthrough(structure, mean):
     G = np.array([[[0.0], [1.0]], [[0.2], [-0.4]], [[0.1], [0.3]]])
     Q = np.array([mean, [[0.0], [0.2]], [[-0.1], [0.0]]])
@@ -358,8 +359,9 @@ def test_a_matrix_structure_goes_through_the_closed_form():
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
-@pytest.mark.parametrize("noise", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
+@pytest.mark.parametrize("noise", [0.05, 0.2])
 @pytest.mark.parametrize("system", [mathieu(), deflection_only(), coupled()])
+@pytest.mark.slow
 def test_the_order_under_noise(system, noise):
     u, y = record(system, noise=noise, n_periods=100, n_changes=8)
     pipe = synchronous(system.omega)[:2]

@@ -205,10 +205,9 @@ def test_the_score_is_a_share_of_the_motion(reading):
     assert scores[0] < 0.999
 
 
-@pytest.mark.parametrize(
-    "criterion", ["output_error", pytest.param("prediction_error", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("criterion", ["output_error", "prediction_error"])
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")  # of the span
+@pytest.mark.slow
 def test_likelihoods_correct_a_trim_that_was_not_settled(criterion):
     """The span holds a motion of the record: exponents and trim are those of the machine."""
     u, y, wave = machine(60, [12, 30], noise=0.01, x0=(0.3, 0.0))

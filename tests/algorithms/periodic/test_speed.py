@@ -42,6 +42,7 @@ def test_any_speed_nearby_leads_to_the_true_one(off):
     assert found.turns == pytest.approx(abs(off) * T[-1], rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_true_speed_stays_to_the_last_digit():
     for seed in range(20):
         u = steps(seed)
@@ -105,12 +106,13 @@ def test_a_long_record_is_looked_at_in_places():
 @pytest.mark.parametrize(
     "off",
     [
-        pytest.param(0.0, marks=pytest.mark.slow),
+        0.0,
         1e-5,
-        pytest.param(1e-3, marks=pytest.mark.slow),
+        1e-3,
         0.01,
     ],
 )
+@pytest.mark.slow
 def test_without_an_orbit_speeds_stay_as_given(kind, off):
     data = make_flapping_wing(kind, n_periods=60, start=5, random_state=0)
     u, y = (frame.to_numpy() for frame in (data.inputs, data.outputs))

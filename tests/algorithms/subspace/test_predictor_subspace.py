@@ -36,6 +36,7 @@ def by_definition(u, y, feedthrough):
 
 @pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize(("m", "n_outputs"), [(1, 1), (2, 1), (1, 3), (2, 4), (0, 2)])
+@pytest.mark.slow
 def test_rows_remembered_are_those_of_the_least_criterion(rng, m, n_outputs, feedthrough):
     """Over records in which one row more, or less, is a close call."""
     chosen = []
