@@ -222,7 +222,10 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         x0 : array_like or dict, optional
             State at the start of each segment: one vector, shape (n_states,), for all; one row per
             segment; or a dict (or a DataFrame's rows) by record. The label of a record is a tuple
-            if several index levels precede the time. Zero by default.
+            if several index levels precede the time. None is rest: zero, or, for a model of samples
+            whose inputs at fit held their trim (their mean is larger than their motion), the state
+            in trim: of the inputs in the first two turns if they rest there, else of their mean at
+            fit.
 
         Returns
         -------
@@ -250,7 +253,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         experiment = self._experiment(X)
         simulators = self._simulators(experiment)
         self._warn_of_inputs(experiment, simulators)
-        starts = self._starts(x0, experiment, simulators[0].model)
+        starts = self._starts(x0, experiment, simulators)
         outputs = [
             late(
                 simulator.outputs(start, recompose=not self.predicts_harmonics_),
@@ -267,9 +270,11 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
                 simulators = self._simulators(experiment, exact=False)
             self._excitation.warn(experiment, simulators)
 
-    def _starts(self, x0, experiment, model=None):
-        """One initial state a segment."""
-        model = self.model_ if model is None else model
+    def _starts(self, x0, experiment, simulators):
+        """One initial state a segment; at rest if none is given."""
+        if x0 is None:
+            return [simulator.at_rest() for simulator in simulators]
+        model = simulators[0].model
         return initial_states(x0, experiment.base, model.n_states, model.state_names)
 
     def _at_rows(self, outputs, simulators, experiment):
@@ -535,7 +540,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         samples = self._samples_ahead(experiment)
         starts, unread = [None] * len(simulators), leads(experiment)[1]
         if x0 is not None:
-            starts = self._starts(x0, experiment, simulators[0].model)
+            starts = self._starts(x0, experiment, simulators)
         parts = zip(simulators, experiment.outputs, starts, strict=True)
         outputs = [
             late(

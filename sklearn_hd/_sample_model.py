@@ -4,10 +4,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd.algorithms.periodic.behind_samples import behind_samples, samples_of
 from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, PeriodicInnovations, Rows
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.trim import QUIET, TURN, changes, energy_by_turn
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
 
@@ -70,6 +73,8 @@ class SampleModel:
         Harmonics of the forced response; −1 where there is none, not even a mean.
     input_mean : ndarray, shape (2 L + 1, m), or None
         Fourier coefficients of the inputs' periodic mean at fit; None is zero.
+    trim_in_inputs : bool
+        Whether that is larger than the inputs' motion about it: they were given as measured.
     opinion : Opinion or None
         What another way has found of its exponents.
     delays : Delays or None
@@ -87,6 +92,7 @@ class SampleModel:
     feedthrough: bool = False
     n_loads: int = -1
     input_mean: np.ndarray | None = None
+    trim_in_inputs: bool = False
     opinion: object = None
     delays: object = None
     split: tuple | None = None
@@ -210,6 +216,22 @@ class SampleSimulator:
     def outputs(self, x0, *, recompose=True, n_samples=None):
         """Outputs, trim not added, of all samples or the first of them."""
         return self._checked(self._first(n_samples).simulated(self.drive[:n_samples], x0))
+
+    def at_rest(self):
+        """State of a machine at rest: zero, or, where inputs hold their trim, that in trim.
+
+        The trim is what the inputs do in the first two turns if they rest there, else their
+        periodic mean at fit.
+        """
+        model, psi, inputs = self.model, self.psi, self.model.input_mean
+        if not model.trim_in_inputs:
+            return np.zeros(model.n_states)
+        first = psi < psi[:1] + 2.0 * TURN
+        (energy,), _ = energy_by_turn([changes(self.drive, psi)], [psi])
+        if not first.all() and energy[0] <= QUIET * np.mean(energy):
+            functions = harmonic_functions(psi[first], range(len(inputs) // 2 + 1))
+            inputs = linalg.lstsq(functions, self.drive[first])[0]
+        return model.innovations.forced_state(inputs, psi[0])
 
     def free(self, n_samples):
         """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""

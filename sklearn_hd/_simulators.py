@@ -71,6 +71,10 @@ class SegmentSimulator:
         """Rows of the model whose samples all lie before some sample."""
         return self.basis.n_read_within(self.time, stop)
 
+    def at_rest(self):
+        """State of a machine at rest: zero, as inputs and outputs are."""
+        return np.zeros(self.model.n_states)
+
     def forced(self):
         """Outputs without inputs and states, trim not added: none."""
         return np.zeros((len(self.time), 1))
@@ -273,11 +277,11 @@ def initial_states(x0, base, n_states, state_names=None):
 
     Parameters
     ----------
-    x0 : array_like, Series, DataFrame, dict or None
+    x0 : array_like, Series, DataFrame or dict
         One vector for all segments, one row a segment, or one vector a record:
         in a dict, or in a DataFrame whose index holds the labels of the
         records. Labels of Series and columns of DataFrames that name the
-        states put them in order. None is zero.
+        states put them in order.
     base : TimeBase
     n_states : int
     state_names : sequence of str, optional
@@ -287,8 +291,6 @@ def initial_states(x0, base, n_states, state_names=None):
     states : ndarray, shape (n_segments, n_states)
     """
     n_segments = len(base.segments)
-    if x0 is None:
-        return np.zeros((n_segments, n_states))
     if isinstance(x0, pd.Series):
         x0 = _in_order(x0.to_frame().T, state_names).iloc[0]
     if isinstance(x0, pd.DataFrame):

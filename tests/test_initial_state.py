@@ -72,6 +72,36 @@ def test_predictions_from_it_are_what_score_compares(fitted, two_records, readin
     np.testing.assert_allclose(found, simulated + forced, atol=1e-9)
 
 
+def raw(seed, quiet, trim=40.0):
+    """Raw inputs and outputs of the machine: ±1 about the trim after some turns in it."""
+    lead, n = 960, 1600  # 60 turns, in which the start dies away, and 100
+    moves = np.repeat(np.random.default_rng(seed).choice([-1.0, 1.0], n // 20), 20)
+    u = trim + np.concatenate([np.zeros(lead + 16 * quiet), moves[16 * quiet :]])
+    t = np.arange(len(u)) * MACHINE.period / 16
+    y = np.asarray(MACHINE.simulate(u[:, None], t))
+    index = pd.Index(t[lead:] - t[lead], name="time")
+    return pd.DataFrame({"u": u[lead:]}, index), pd.DataFrame(y[lead:], index, ["y", "v"])
+
+
+@pytest.mark.parametrize(("quiet", "most"), [(6, 0.001), (0, 0.2)])
+def test_raw_records_begin_in_trim(quiet, most):
+    """From the state zero the first turns would be the machine's answer to its trim."""
+    pipe = pipeline("sample").fit(*raw(1, 6))
+    u, y = raw(2, quiet)
+    motion = (y - raw(2, 100)[1]).std()
+    errors = ((pipe.predict(u, x0=x0) - y)[:96] / motion for x0 in (None, np.zeros(2)))
+    begun, from_zero = (float(np.sqrt((error**2).mean()).max()) for error in errors)
+    assert begun < most < 2.0 < from_zero
+
+
+def test_inputs_about_zero_begin_at_zero():
+    """An input that is held from the first sample on is a step."""
+    pipe = pipeline("sample").fit(*raw(1, 6, trim=0.0))
+    u, _ = raw(2, 0, trim=0.0)
+    step = 0.0 * u + 1.0
+    np.testing.assert_array_equal(pipe.predict(step), pipe.predict(step, x0=np.zeros(2)))
+
+
 def test_arrays_give_arrays_and_plain_models_exact_states(rng):
     u = rng.standard_normal((400, 1))
     x, y = np.zeros((401, 2)), np.zeros((400, 1))

@@ -274,6 +274,7 @@ class _Found:
             layout.feedthrough,
             basis.most_loads,
             data.means[0],
+            bool(np.any(np.abs(data.means[0][0]) > data.scales[0])),
         )
         unconfirmed, lasts = "", True
         if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:

@@ -180,6 +180,10 @@ class PeriodicSimulator:
         self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
         self.response = response
 
+    def at_rest(self):
+        """State of a machine at rest: zero, as inputs and outputs are."""
+        return np.zeros(self.model.n_states)
+
     def forced(self):
         """Outputs without inputs and states, trim not added: none."""
         return np.zeros((len(self.time), 1))

@@ -274,6 +274,20 @@ class PeriodicInnovations:
         whole[:, :, -1] = sampled_harmonics(values[:, :, -1:], H)[:, :, 0]
         return replace(self, coefficients=whole)
 
+    def forced_state(self, inputs, psi):
+        """State at an azimuth of the periodic motion that periodic inputs force.
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (2 L + 1, m)
+            Fourier coefficients.
+        psi : float
+            rad.
+        """
+        driven = self.about(-inputs, np.zeros((len(inputs), len(self.covariance))))
+        orbit = driven._orbit(len(driven.coefficients) // 2)
+        return evaluate_harmonics(orbit, np.array([psi]))[0]
+
     def _orbit(self, n_harmonics):
         """Fourier coefficients of x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), at equally spaced azimuths."""
         n, K = self.n_states, n_harmonics
