@@ -56,8 +56,6 @@ class LikelihoodResult:
         That step, of all parameters of the form.
     unidentified : tuple of str
         Parameters that the data do not determine.
-    fit_percent : ndarray, shape (l,)
-        100 (1 − |ŷ − y| / |y − mean y|).
     problem : Problem
     point : Point
         Where the search ended.
@@ -79,7 +77,6 @@ class LikelihoodResult:
     relative_decrease: float
     step: np.ndarray
     unidentified: tuple
-    fit_percent: np.ndarray
     problem: Problem
     point: Point
     correction: float
@@ -247,19 +244,7 @@ def result_of(problem, search):
         relative_decrease=system.promised / n_residuals,
         step=system.step(0.0),
         unidentified=tuple(np.array(form.structure.parameter_names, dtype=object)[unknown[:k]]),
-        fit_percent=fit_percent(problem, point.rss),
         problem=problem,
         point=point,
         correction=correction,
     )
-
-
-def fit_percent(problem, rss):
-    """100 (1 − |ŷ − y| / |y − mean y|) of each output; NaN for one that is constant."""
-    mean = sum(np.sum(record.outputs, axis=0) for record in problem.records) / problem.counts
-    spread = sum(
-        np.sum(np.where(record.present, record.outputs - mean, 0.0) ** 2, axis=0)
-        for record in problem.records
-    )
-    spread = np.where(spread > 0, spread, np.nan)
-    return 100.0 * (1.0 - np.sqrt(rss / spread))

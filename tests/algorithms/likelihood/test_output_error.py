@@ -135,7 +135,6 @@ def test_noise_free_records_give_the_truth(oscillator, rng, free_initial_state):
     assert result.unidentified == ()
     np.testing.assert_allclose(result.theta, theta, rtol=1e-12)
     np.testing.assert_allclose(result.x0, x0, atol=1e-12)
-    np.testing.assert_allclose(result.fit_percent, 100.0)
     assert np.all(result.theta_std < 1e-12)
 
 
