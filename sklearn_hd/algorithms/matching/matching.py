@@ -48,8 +48,6 @@ class MatchResult:
     theta_least_squares : ndarray, shape (k,)
         The match in the mean square over frequency: where the model does not lie in the
         structure, usually the better estimate of the parameters.
-    hinf_error_least_squares : float
-        ‖W_o (G_c − G_s) W_i‖_∞ there.
     feedthrough_floor : float
         Lower bound of ``hinf_error`` that the fixed entries of D_s leave: the error at
         infinite frequency. 0 where D_s can equal D_c.
@@ -87,7 +85,6 @@ class MatchResult:
     relative_error: float
     peak_frequency: float
     theta_least_squares: np.ndarray
-    hinf_error_least_squares: float
     feedthrough_floor: float
     exact: bool
     converged: bool
@@ -248,7 +245,6 @@ def _result(problem, fit, fits, exact, start=None, descent=None):
         relative_error=value,
         peak_frequency=peak,
         theta_least_squares=fit.theta,
-        hinf_error_least_squares=problem.peak(fit.theta)[0] * problem.unit,
         feedthrough_floor=problem.feedthrough_floor() * problem.unit,
         exact=exact,
         converged=bool(left <= tolerance),
