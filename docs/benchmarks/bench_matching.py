@@ -186,7 +186,7 @@ def exact_case(name, seed):
 
 def descend(problem, theta, max_iter):
     """Quasi-Newton descent in the exact norm, by the gradient at the highest peak."""
-    directions = problem.step_directions(theta)
+    directions = problem.linearised(theta, problem.grid)[2]
     memory = {}
 
     def value(step):
