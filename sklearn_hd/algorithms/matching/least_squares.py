@@ -220,27 +220,15 @@ def fit_from_the_right(problem, theta, max_iter=100):
     return None
 
 
-def fit_from(problem, start, max_iter):
-    """Least-squares match from a :class:`Start`, or None if no stable model is reached."""
-    problem = problem.limited(start.theta, _RUNAWAY)  # once: from line to line it would grow
-    if start.near and problem.abscissa(start.theta) < 0:
-        return levenberg_marquardt(problem, start.theta, max_iter=max_iter)
-    return fit_from_the_right(problem, start.theta, max_iter)
+def fit_from(problem, theta, near, max_iter):
+    """Least-squares match from a start, or None if no stable model is reached.
 
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Parameters to start from.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-    near : bool
-        Whether to search in this valley: on the axis, without the lines to its right.
+    A near one is searched in its valley: on the axis, without the lines to its right.
     """
-
-    theta: np.ndarray
-    near: bool
+    problem = problem.limited(theta, _RUNAWAY)  # once: from line to line it would grow
+    if near and problem.abscissa(theta) < 0:
+        return levenberg_marquardt(problem, theta, max_iter=max_iter)
+    return fit_from_the_right(problem, theta, max_iter)
 
 
 def local_fits(problem, starts, *, max_iter=100, near=1e-6):
@@ -251,7 +239,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
     Parameters
     ----------
     problem : MatchingProblem
-    starts : iterable of Start
+    starts : iterable of (ndarray, bool)
+        θ, and whether it is near, as for :func:`fit_from`.
     max_iter : int
         Largest number of steps from each.
     near : float
@@ -267,9 +256,9 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
         If no start led to a stable model.
     """
     fits, n_starts = [], 0
-    for start in starts:
+    for theta, is_near in starts:
         n_starts += 1
-        fit = fit_from(problem, start, max_iter)
+        fit = fit_from(problem, theta, is_near, max_iter)
         if fit is None or any(_same(fit, other) for other in fits):
             continue
         fits = sorted([*fits, fit], key=lambda each: each.residual)

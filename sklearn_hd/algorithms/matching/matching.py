@@ -18,7 +18,6 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.matching.least_squares import (
     GridFit,
-    Start,
     draw_transformation,
     levenberg_marquardt,
     local_fits,
@@ -268,9 +267,7 @@ def least_norm(problem, fits, starts, max_iter):
     """
     problem = problem.limited(fits[0].theta, _RUNAWAY)
     others = [(problem.peak(fit.theta)[0], fit) for fit in fits[1:]]
-    others += [
-        (problem.peak(start.theta)[0], GridFit(start.theta, np.inf, np.inf, ())) for start in starts
-    ]
+    others += [(problem.peak(theta)[0], GridFit(theta, np.inf, np.inf, ())) for theta, _ in starts]
     others = [each for each in others if np.isfinite(each[0])]
     others.sort(key=lambda each: each[0])
     ways = [fits[0], *(fit for _, fit in others[: _DESCENTS - 1])]
@@ -287,31 +284,32 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
     The closed form; theta0; changes of state that agree with C_s, first as the states at
     theta0 suggest, then at random; where C_s leaves no choice, the first start shaken
     by half.
+    With each, whether it is near (:func:`~sklearn_hd.algorithms.matching.least_squares.fit_from`).
     """
     if problem.structure.n_parameters == 0:
-        yield Start(np.empty(0), near=True)
+        yield np.empty(0), True
         return
     first = theta0
     transformation = output_transformation(problem) if closed_form or theta0 is None else None
     if transformation is not None:
         projected = problem.inside(project_transformed(problem, transformation))
         first = projected if first is None else first
-        yield Start(projected, near=True)
+        yield projected, True
     if theta0 is not None:
-        yield Start(theta0, near=False)
+        yield theta0, False
         if problem.abscissa(theta0) < 0:  # else the same again, which would count as found twice
-            yield Start(theta0, near=True)
+            yield theta0, True
     if first is None:
-        yield Start(problem.inside(_plain_start(problem)), near=False)
+        yield problem.inside(_plain_start(problem)), False
     random = np.random.default_rng(random_state)
     for k in range(n_starts):
         transformation = draw_transformation(problem, theta0, random, spread=float(k > 0))
         if transformation is not None:
             drawn = project_transformed(problem, transformation)
-            yield Start(problem.inside(drawn), near=k % 2 == 0)
+            yield problem.inside(drawn), k % 2 == 0
         elif first is not None:
             shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
-            yield Start(problem.inside(shaken), near=k % 2 == 1)
+            yield problem.inside(shaken), k % 2 == 1
 
 
 def _plain_start(problem):
