@@ -30,6 +30,7 @@ from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
+TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
 _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become rounding
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
 _NOTHING_LEFT = 1e-31  # sum of squares, relative to that of G_c
@@ -116,7 +117,7 @@ class GridFit:
         return len(self.history)
 
 
-def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
+def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100):
     """Least-squares match on the line Re s = shift, from a start with its poles left of it.
 
     Parameters
@@ -127,8 +128,6 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
         α in rad/s.
     max_iter : int
         Largest number of Jacobians.
-    tol : float
-        Relative decrease of the sum of squares, promised to first order, at which to stop.
 
     Returns
     -------
@@ -139,7 +138,7 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
     costs = [cost]
     while len(costs) <= max_iter:
         steps = _steps(problem, theta, residual, jacobian)
-        if steps.promised <= tol * cost:
+        if steps.promised <= TOLERANCE * cost:
             break
         accepted = False
         while not accepted and damping < _DAMPING_LIMIT:
@@ -195,7 +194,7 @@ class _FreeSteps:
         return step, self._projected**2 @ kept
 
 
-def fit_from_the_right(problem, theta, max_iter=100):
+def fit_from_the_right(problem, theta, max_iter):
     """Least-squares match on the axis, through lines that come down on it from the right.
 
     The lines begin at the fastest pole of G_c (further right if the start is unstable)
@@ -231,7 +230,7 @@ def fit_from(problem, theta, near, max_iter):
     return fit_from_the_right(problem, theta, max_iter)
 
 
-def local_fits(problem, starts, *, max_iter=100, near=1e-6):
+def local_fits(problem, starts, *, max_iter, near):
     """Different least-squares matches reached from some starts, the best first.
 
     Stops early at an exact match.
@@ -339,16 +338,16 @@ def project_transformed(problem, T):
     return problem.structure.project(stacked, rows[:, None] * columns)[0]
 
 
-def solve_similarity(problem, theta, max_iter=10):
+def solve_similarity(problem, theta):
     """Parameters near θ, and T, that solve the equations of an exact match.
+
+    It takes ten steps of Gauss and Newton, or fewer.
 
     Parameters
     ----------
     problem : MatchingProblem
     theta : ndarray, shape (k,)
         Near the solution (response within 1e-6, say).
-    max_iter : int
-        Gauss-Newton steps.
 
     Returns
     -------
@@ -368,7 +367,7 @@ def solve_similarity(problem, theta, max_iter=10):
     columns = np.concatenate([_sizes(states_c), problem.input_scales])
     weights = rows[:, None] * columns
     best = theta, _similarity_residual(problem, theta, T, weights)
-    for _ in range(max_iter):
+    for _ in range(10):
         theta, T = _gauss_newton_step(problem, theta, T, weights)
         residual = _similarity_residual(problem, theta, T, weights)
         if not residual < 0.5 * best[1]:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.matching.least_squares import (
+    TOLERANCE,
     GridFit,
     draw_transformation,
     levenberg_marquardt,
@@ -201,7 +202,6 @@ def match_structure(
     return _result(problem, fit, fits, False, start, descent)
 
 
-TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
 _CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
 _DESCENTS = 3  # matches and starts that go down
