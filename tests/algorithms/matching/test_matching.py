@@ -481,7 +481,7 @@ def test_a_direction_that_fades_on_the_way_does_not_hold_up_the_others():
 @pytest.mark.parametrize(("promised", "converged"), [(1e-3, True), (1.2, False)])
 def test_a_bound_that_is_down_at_no_minimum_has_not_converged(monkeypatch, promised, converged):
     """A certificate of more than the norm itself says that the descent ended nowhere."""
-    seen = Certificate(np.ones(1), np.ones(1), np.ones(1), 1.0, promised)
+    seen = Certificate(np.ones(1), np.ones(1), np.ones(1), promised)
 
     def ended(problem, fits, starts, max_iter):
         return fits[0], SmoothDescent(fits[0].theta, (problem.peak(fits[0].theta)[0],), 1.0, seen)
