@@ -25,7 +25,6 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     exponent_slopes,
     part_scores,
     propagate_std,
-    whole_covariance,
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 
@@ -97,17 +96,16 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     k, n, own = len(places), len(slopes), fit.structure.n_parameters
     slopes = np.pad(slopes[:, :own], [(0, 0), (0, k - own)])
     plain = propagate_std(slopes, fit.covariance)
-    into = np.eye(result.step.size)[places] if fit.into is None else fit.into
+    into = np.eye(len(result.point.theta))[places] if fit.into is None else fit.into
     gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
-    moves = gradients[k:] @ result.step
+    moves = gradients[k:] @ result.system.step(0.0)
     stopped = partial(_warn_of_steps, result, settings, exponents, moves, omega=fit.form.omega)
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
         stopped(plain, 0.0)
         return Trust(fit.covariance, exponents, plain, "information", None)
     tests, part, alike = _tests(experiment, sampled)
-    divisions = _divisions(result)
-    parts = part_scores(result.problem, result.point, divisions)
-    white = whole_covariance(result)
+    parts = part_scores(result, _divisions(result))
+    white = result.system.covariance(gauge=True)[0] * result.correction
     robust = tests is not None and not tests["passed"].all()
     found = parts["time"].sandwich(white) if robust else white
     own, by_noise = (
@@ -222,7 +220,7 @@ def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
     steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)
-    more = result.relative_decrease * part
+    more = result.system.promised / result.n_residuals * part
     if np.all(steps <= 1.0) and more <= MOST_SYSTEMATIC:
         return
     words = f"explain another {more:.2g} of the motion's variance"

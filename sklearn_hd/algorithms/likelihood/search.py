@@ -9,7 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem, likelihood_problem
+from sklearn_hd.algorithms.likelihood.likelihood import (
+    LinearSystem,
+    Point,
+    Problem,
+    likelihood_problem,
+)
 
 STALLED = 1e-2  # fall of the cost, in all where no step pays, per residual at rounding
 FIRST_DAMPING = 1e-6
@@ -50,15 +55,13 @@ class LikelihoodResult:
     n_iter : int
         Jacobians taken.
     converged : bool
-    relative_decrease : float
-        Fall of the weighted sum of squares, relative to it, that another step promises.
-    step : ndarray
-        That step, of all parameters of the form.
     unidentified : tuple of str
         Parameters that the data do not determine.
     problem : Problem
     point : Point
         Where the search ended.
+    system : LinearSystem
+        For another step from there.
     correction : float
         For the degrees of freedom that the fit has used, in the covariances.
     """
@@ -74,11 +77,10 @@ class LikelihoodResult:
     n_parameters: int
     n_iter: int
     converged: bool
-    relative_decrease: float
-    step: np.ndarray
     unidentified: tuple
     problem: Problem
     point: Point
+    system: LinearSystem
     correction: float
 
     @property
@@ -241,10 +243,9 @@ def result_of(problem, search):
         n_parameters=n_fitted + n_noises,
         n_iter=search.n_iter,
         converged=search.converged,
-        relative_decrease=system.promised / n_residuals,
-        step=system.step(0.0),
         unidentified=tuple(np.array(form.structure.parameter_names, dtype=object)[unknown[:k]]),
         problem=problem,
         point=point,
+        system=system,
         correction=correction,
     )

@@ -295,14 +295,12 @@ class Comparison:
     p_value: np.ndarray
 
 
-def part_scores(problem, point, divisions):
+def part_scores(result, divisions):
     """Scores and information of the parts of several divisions of a record.
 
     Parameters
     ----------
-    problem : Problem
-    point : Point
-        Where a search ended.
+    result : LikelihoodResult
     divisions : dict of list of ndarray of int, shapes (n_samples,)
         Part of each row of each record.
 
@@ -310,14 +308,13 @@ def part_scores(problem, point, divisions):
     -------
     parts : dict of Parts
     """
-    spread = problem.spread(point.moments)
-    system = problem.linearise(point, spread)
+    problem, point, system = result.problem, result.point, result.system
     width = system.R.shape[1]
     sums = {
         name: np.zeros((1 + max(int(part.max()) for part in parts), width, width))
         for name, parts in divisions.items()
     }
-    for segment, begin, block in problem.whitened(point, spread):
+    for segment, begin, block in problem.whitened(point, problem.spread(point.moments)):
         states = system.states[segment]
         start = block[: len(block) - width]
         rest = block[len(block) - width :]
@@ -329,13 +326,6 @@ def part_scores(problem, point, divisions):
                 some = rest[:, which == part].reshape(width, -1)
                 sums[name][part] += some @ some.T
     return {name: Parts(-G[:, :-1, -1], G[:, :-1, :-1]) for name, G in sums.items()}
-
-
-def whole_covariance(result):
-    """Covariance of all parameters, gain and loads included, if white noise is left."""
-    problem, point = result.problem, result.point
-    covariance, _ = problem.linearise(point).covariance(gauge=True)
-    return covariance * result.correction
 
 
 def spectral_peak(segments):

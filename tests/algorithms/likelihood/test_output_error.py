@@ -270,7 +270,7 @@ def test_criteria_count_everything_estimated(oscillator, rng):
     assert result.aic == pytest.approx(2 * cost + 2 * d)
     assert result.bic == pytest.approx(2 * cost + d * np.log(N))
     assert result.sigma[0] == pytest.approx(np.sqrt(rss / (N - 10)))
-    assert result.relative_decrease < 1e-8
+    assert result.system.promised < 1e-8 * N
 
 
 def test_noise_levels_may_be_given(oscillator, rng):
