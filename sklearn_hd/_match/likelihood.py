@@ -19,7 +19,7 @@ from scipy import sparse
 
 from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import warn
-from sklearn_hd._match import Match, Uncertainty, periodic_match
+from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
 from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
@@ -90,6 +90,7 @@ def match_likelihood(match, structure, experiment, settings, opinion):
         delays = data.deviations(delays, trust.covariance[fit.structure.n_parameters :])
         warn_of_doubt(delays)
         sampled = replace(sampled, delays=delays)
+    trust = _without_delays(fit, trust)
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
     else:
@@ -104,6 +105,12 @@ def match_likelihood(match, structure, experiment, settings, opinion):
     return replace(
         refined, model=model, n_iter=fit.result.n_iter, sampled=sampled, waveform=waveform
     )
+
+
+def _without_delays(fit, trust):
+    """What a fit says of the parameters of its structure alone."""
+    k = fit.structure.n_parameters
+    return replace(trust, covariance=trust.covariance[:k, :k])
 
 
 def _trim_error(fit, trust, experiment, delays):
@@ -126,7 +133,7 @@ def _periodic(match, fit, basis, trust):
     periodic = replace(match.periodic, coefficients=fit.structure.coefficients(fit.theta))
     affine, seen = periodic.decomposed_structure(fit.structure, basis)
     refined = periodic_match(fit.structure, fit.theta, periodic, match.model, basis)
-    return replace(refined, uncertainty=uncertainty_of(fit, trust, affine, seen))
+    return replace(refined, uncertainty=replace(trust, affine=affine, seen=seen))
 
 
 def _invariant(match, structure, fit, trust):
@@ -137,7 +144,7 @@ def _invariant(match, structure, fit, trust):
         model=match.model.in_continuous_time(*matrices, state_names=match.model.state_names),
         theta=fit.theta,
         found=None,  # that of the start
-        uncertainty=uncertainty_of(fit, trust, structure.affine, everything),
+        uncertainty=replace(trust, affine=structure.affine, seen=everything),
     )
 
 
@@ -152,24 +159,6 @@ def _n_harmonics_of_outputs(match, structure):
 def _n_harmonics_of_feedthrough(periodic):
     """Highest harmonic of Q in a match; None where Q is zero."""
     return periodic.highest("Q") if np.any(periodic.matrices()[3]) else None
-
-
-def uncertainty_of(fit, trust, affine, seen):
-    """What a fit says of its own precision."""
-    result, k = fit.result, fit.structure.n_parameters
-    return Uncertainty(
-        trust.covariance[:k, :k],
-        result.sigma,
-        result.aic,
-        result.bic,
-        trust.exponents,
-        trust.exponents_std,
-        affine,
-        seen,
-        kind=trust.kind,
-        tests=trust.tests,
-        doubt=trust.doubt,
-    )
 
 
 def _open_counts(match, structure):
@@ -340,7 +329,7 @@ def match_free(model, experiment, settings):
     fit, sampled = (_free if complete else _near)(start, data, settings)
     trust = trusted(fit, experiment, sampled, fit.theta, settings, model.opinion)
     warn_of_slow(fit, trust, experiment)
-    uncertainty, structure = uncertainty_of(fit, trust, None, None), fit.structure
+    uncertainty, structure = _without_delays(fit, trust), fit.structure
     if of_samples:
         match = match_samples(sampled, experiment, None, None)
         match = replace(match, names=structure.parameter_names, theta=fit.theta)
