@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy import sparse
 
 from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import warn
@@ -33,7 +32,6 @@ from sklearn_hd.algorithms.likelihood.search import (
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
@@ -386,7 +384,7 @@ def _free(start, data, settings):
     moved = replace(innovations, coefficients=entries, gain=gain, covariance=found.result.spread)
     sampled = replace(start, innovations=moved, n_loads=data.n_loads)
     own = entries[: 2 * moved.n_harmonics + 1, :, :-1]
-    structure = _structure(own.shape, n, start.feedthrough)
+    structure = PeriodicStructure.all_free(own.shape, n, start.feedthrough)
     theta = structure.nearest(own)
     places = _places(structure, found.coefficients.shape)
     into = found.slopes[:, places].T
@@ -405,7 +403,7 @@ def _near(start, data, settings):
     """The most likely model near the start, by the entries of A, B, C, D and K."""
     innovations = start.innovations
     own = innovations.coefficients[: 2 * innovations.n_harmonics + 1, :, :-1]
-    structure = _structure(own.shape, start.n_states, start.feedthrough)
+    structure = PeriodicStructure.all_free(own.shape, start.n_states, start.feedthrough)
     gain = innovations.gain if innovations.gain.any() else None
     fit = data.fit(structure, structure.nearest(own), settings, gain0=gain)
     like = Match(None, (), fit.theta, None, sampled=start)
@@ -423,20 +421,3 @@ def _as_samples(model):
     names = model.input_names, model.output_names
     how = {"feedthrough": model.feedthrough, "delays": model.delays}
     return SampleModel(innovations, 2.0 * np.pi / model.dt, model.dt, *names, **how)
-
-
-def _structure(shape, n, feedthrough):
-    """[A B; C D](ψ) of some harmonics, all entries parameters, D only where there is one."""
-    free = np.ones(shape, dtype=bool)
-    free[:, n:, n:] = feedthrough
-    places = np.flatnonzero(free)
-    basis = sparse.csr_array(
-        (np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), free.size)
-    )
-    labels = harmonic_labels(range(len(free) // 2 + 1))
-    names = []
-    for h, i, j in np.argwhere(free):
-        row, column = i - n * (i >= n), j - n * (j >= n)
-        label = "" if len(free) == 1 else f"_{labels[h]}"
-        names.append(f"{'ABCD'[2 * (i >= n) + (j >= n)]}[{row},{column}]{label}")
-    return PeriodicStructure(np.zeros(shape), basis, n, tuple(names))
