@@ -222,7 +222,7 @@ def result_of(problem, search):
     form, point, n_residuals = problem.form, search.point, problem.n_residuals
     k, gauge = form.structure.n_parameters, form.discrete or form.gauge
     system = problem.linearise(point)
-    n_theta = int(np.sum(system.kept)) if gauge else len(point.theta)  # no similarities
+    n_theta = int(np.sum(system.steps.kept)) if gauge else len(point.theta)  # no similarities
     n_fitted = n_theta + problem.n_waveforms + (point.x0.size if problem.free_x0 else 0)
     covariance, unknown = system.covariance(gauge=gauge)
     spread, n_noises, correction = problem.spread(point.moments), 0, 1.0

@@ -44,6 +44,47 @@ _WIDTH = 1e-300  # between a bound and a parameter on it: the routine wants an i
 _NOTHING = np.empty(0)  # the parameters of G_c
 
 
+class FreeSteps:
+    """Steps s that minimise |r + J s|² + damping |s|².
+
+    In |s|² columns of J count as if they had length one.
+
+    Parameters
+    ----------
+    factor : ndarray, shape (n_rows, k)
+        Triangular factor of J, its columns divided by their lengths.
+    rest : ndarray, shape (n_rows,)
+        r in the same coordinates.
+    size : ndarray, shape (k,)
+        Lengths of the columns.
+    least : float, default=0
+        Singular value of the factor below which a direction is left out.
+
+    Attributes
+    ----------
+    singular, adjoint : ndarray
+        Of the factor: singular values, and their right vectors.
+    kept : ndarray of bool
+        Which of them are not left out.
+    promised : float
+        Decrease of |r + J s|² without damping.
+    """
+
+    def __init__(self, factor, rest, size, least=0.0):
+        left, self.singular, self.adjoint = linalg.svd(factor, full_matrices=False)
+        self.size, self.kept = size, self.singular >= least
+        self._projected = np.where(self.kept, left.T @ rest, 0.0)
+        self.promised = self._projected @ self._projected
+
+    def damped(self, damping):
+        """Step and the decrease of |r + J s|² that it promises."""
+        known = np.where(self.kept, self.singular, 1.0)
+        weight = np.where(self.kept, known / (known**2 + damping), 0.0)
+        step = -(self.adjoint.T @ (weight * self._projected)) / self.size
+        kept = 1.0 - (damping / (known**2 + damping)) ** 2
+        return step, self._projected**2 @ kept
+
+
 class BoundedSteps:
     """Steps s that minimise |r + J s|² + damping |s|² subject to lower ≤ s ≤ upper.
 
@@ -167,31 +208,11 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100):
 
 def _steps(problem, theta, residual, jacobian):
     if not problem.bounded:
-        return _FreeSteps(residual, jacobian)
-    return BoundedSteps(residual, jacobian, problem.lower - theta, problem.upper - theta)
-
-
-class _FreeSteps:
-    """Steps that minimise |r + J s|² + damping |s|², columns of J scaled to length one.
-
-    ``promised`` is the decrease of |r + J s|² without damping.
-    """
-
-    def __init__(self, residual, jacobian):
-        self._size = column_sizes(jacobian)
+        size = column_sizes(jacobian)
         # the same from the triangular factor, whose orthogonal one is never formed
-        R = triangle(np.column_stack([jacobian / self._size, residual]))
-        factor, rest = R[: len(self._size), :-1], R[: len(self._size), -1]
-        left, self._singular, self._adjoint = linalg.svd(factor, full_matrices=False)
-        self._projected = left.T @ rest
-        self.promised = self._projected @ self._projected
-
-    def damped(self, damping):
-        """Step and the decrease it promises."""
-        weight = self._singular / (self._singular**2 + damping)
-        step = -(self._adjoint.T @ (weight * self._projected)) / self._size
-        kept = 1.0 - (damping / (self._singular**2 + damping)) ** 2
-        return step, self._projected**2 @ kept
+        R = triangle(np.column_stack([jacobian / size, residual]))[: len(size)]
+        return FreeSteps(R[:, :-1], R[:, -1], size)
+    return BoundedSteps(residual, jacobian, problem.lower - theta, problem.upper - theta)
 
 
 def fit_from_the_right(problem, theta, max_iter):
