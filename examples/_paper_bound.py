@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_hd import HarmonicStructure
+from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information, propagate_std
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate
 from sklearn_hd.algorithms.signals.fourier import recompose
@@ -76,7 +77,7 @@ def periodic_bound_percent(data, snr, n_harmonics=(4, 1)):
     theta = np.linalg.lstsq(basis.T, (exact - structure.constant).ravel())[0]
     sigma = data.outputs_clean.to_numpy().std(axis=0) / snr
     record = [(data.inputs_clean.to_numpy(), data.outputs_clean.to_numpy(), 0)]
-    found = fisher_information(structure, theta, record, data.omega, samples, sigma)
+    found = fisher_information(Form(structure, data.omega, samples), theta, record, sigma)
 
     def heave(coefficients):
         hd = LTPSystem(coefficients[:, :2, :2], np.zeros((2, 1)), omega=data.omega)

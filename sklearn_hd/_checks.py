@@ -87,6 +87,22 @@ def real_array(name, values, wanted):
     return array
 
 
+def check_weight(sample_weight, n_samples):
+    """Weights as an array of floats, one for each row, or None."""
+    if sample_weight is None:
+        return None
+    try:
+        weight = np.asarray(sample_weight, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError("sample_weight holds values that are not numbers") from None
+    if weight.shape != (n_samples,) or not np.all((weight >= 0.0) & np.isfinite(weight)):
+        raise ValueError(
+            f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
+            f"each of the {n_samples} rows"
+        )
+    return weight
+
+
 def check_frequencies(frequencies):
     """Frequencies as a finite array of one dimension."""
     wanted = "finite real numbers in rad/s, in one dimension"

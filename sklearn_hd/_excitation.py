@@ -164,9 +164,10 @@ class Information:
         if not energy > 0.0 or not np.all(np.isfinite(factors)):
             return None
         system = eliminate_states(factors, simulator.model.n_states)
-        singular = np.maximum(system.singular, DEPENDENT)  # below, nothing is told
-        root = system.adjoint.T / singular / system.size[:, None]
-        rest = np.sum(system.R[:, -1] ** 2) - np.sum(system.projected**2)
+        steps = system.steps
+        singular = np.maximum(steps.singular, DEPENDENT)  # below, nothing is told
+        root = steps.adjoint.T / singular / steps.size[:, None]
+        rest = np.sum(system.R[:, -1] ** 2) - steps.promised
         noise, left = (np.sqrt(max(float(rest), 0.0) / each) for each in (n_values, energy))
         noise *= np.sqrt(spectral_peak(rests))
         input_scale = np.sqrt(np.where(squares > 0.0, squares, n_rows) / n_rows)

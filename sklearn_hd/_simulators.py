@@ -8,6 +8,7 @@ import pandas as pd
 from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_hd._checks import check_weight
 from sklearn_hd._guards import extremes, warn
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.delays import both_values, leads
@@ -498,17 +499,9 @@ def power_of_two(values):
 
 def weights_of(rows, sample_weight, n_samples):
     """Weights of the rows that count, after checking that there is one for each row."""
-    if sample_weight is None:
+    weight = check_weight(sample_weight, n_samples)
+    if weight is None:
         return None
-    try:
-        weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are not numbers") from None
-    if weight.shape != (n_samples,) or not np.isfinite(weight).all() or weight.min() < 0.0:
-        raise ValueError(
-            f"sample_weight has shape {weight.shape}; give one finite weight of at least zero for "
-            f"each of the {n_samples} rows"
-        )
     if not weight[rows].any():
         raise ValueError(
             f"sample_weight is zero on all {len(rows)} rows that are scored (warm-up and "

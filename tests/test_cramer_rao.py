@@ -74,10 +74,9 @@ def errors_and_intervals(case, wing, n_seeds, *, free_initial_state=True):
     record = as_records([(u, None, 0)], 1, 2)[0]
     clean = simulate(response, record, np.zeros(structure.n_states))[1]
     noise = clean.std(axis=0) / 20
-    options = {"observe": observe, "free_initial_state": free_initial_state}
-    bound = fisher_information(
-        structure, theta, [(u, None, 0)], ltp.omega, N_PHASES, noise, **options
-    )
+    form = Form(structure, ltp.omega, N_PHASES, observe)
+    options = {"free_initial_state": free_initial_state}
+    bound = fisher_information(form, theta, [(u, None, 0)], noise, **options)
     size = np.max(np.abs(structure.coefficients(theta)), axis=0)
     errors, stds = [], []
     for seed in range(n_seeds):
@@ -85,10 +84,7 @@ def errors_and_intervals(case, wing, n_seeds, *, free_initial_state=True):
         y = clean + noise * rng.standard_normal(clean.shape)
         start = 0.02 * size * rng.standard_normal(structure.constant.shape)
         result = output_error_of(
-            Form(structure, ltp.omega, N_PHASES, observe),
-            [(u, y, 0)],
-            theta + structure.basis @ start.ravel(),
-            free_initial_state=free_initial_state,
+            form, [(u, y, 0)], theta + structure.basis @ start.ravel(), **options
         )
         assert result.converged
         errors.append(result.theta - theta)

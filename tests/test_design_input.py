@@ -79,9 +79,9 @@ def test_the_deviations_are_the_bound_of_the_record(designed):
     theta = structure.nearest(COEFFICIENTS)
     for X, name in ((designed.inputs, ""), (doublet(), "_at_hand")):
         record = [(X.to_numpy(), None, 0)]
-        sigma = [NOISE] * 2
-        found = fisher_information(structure, theta, record, SYSTEM.omega, SPP, sigma)
-        exponents, slopes = exponent_slopes(Form(structure, SYSTEM.omega, SPP), theta)
+        form, sigma = Form(structure, SYSTEM.omega, SPP), [NOISE] * 2
+        found = fisher_information(form, theta, record, sigma)
+        exponents, slopes = exponent_slopes(form, theta)
         std = propagate_std(slopes, found.covariance)
         np.testing.assert_allclose(designed.exponents["exponent"], exponents, rtol=1e-9)
         np.testing.assert_allclose(designed.exponents[f"std_real{name}"], std.real, rtol=1e-9)

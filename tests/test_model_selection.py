@@ -165,7 +165,7 @@ def test_fit_percent_of_sizes_whose_squares_are_no_numbers():
     assert fit_percent([[1e-150], [0.0]], [[0.0], [1e200]]) == -np.inf
     with pytest.raises(ValueError, match="sample_weight holds values that are not numbers"):
         fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[10**400, 1])
-    with pytest.raises(ValueError, match="must hold 2 numbers of at least 0"):
+    with pytest.raises(ValueError, match="each of the 2 rows"):
         fit_percent([[1.0], [0.0]], [[0.0], [1.0]], sample_weight=[np.inf, 1])
 
 
@@ -234,8 +234,10 @@ def test_scorers_word_what_is_wrong(lti):
         fit_percent(y, np.where(np.arange(8).reshape(4, 2) == 3, np.nan, y))
     with pytest.raises(ValueError, match="have different indices; align them first"):
         fit_percent(pd.Series([1.0, 2.0]), pd.Series([1.0, 2.0], index=[1, 2]))
-    with pytest.raises(ValueError, match=r"sample_weight of shape \(3,\) must hold 4 numbers"):
+    with pytest.raises(ValueError, match=r"sample_weight has shape \(3,\); give one .* 4 rows"):
         fit_percent(y, y, sample_weight=np.ones(3))
+    with pytest.raises(ValueError, match="sample_weight is zero on all 4 rows; give some"):
+        fit_percent(y, y, sample_weight=np.zeros(4))
 
 
 # ---- scikit-learn's searches ---------------------------------------------------------------------

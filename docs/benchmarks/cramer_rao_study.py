@@ -139,9 +139,8 @@ class Case:
             theta = output_error_of(
                 Form(structure, self.omega, SPP), record, theta, sigma=sigma
             ).theta
-        found = fisher_information(
-            structure, theta, record, self.omega, SPP, sigma, observe=observe
-        )
+        form = Form(structure, self.omega, SPP, observe)
+        found = fisher_information(form, theta, record, sigma)
         A, slopes = self.heave(structure, theta)
         bias = 100 * np.linalg.norm(A - self.exact) / np.linalg.norm(self.exact)
         spread = np.einsum("kij,kl,lij->", slopes, found.covariance, slopes)

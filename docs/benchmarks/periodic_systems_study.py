@@ -39,6 +39,7 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
 from sklearn_hd.systems import (
     LTPSystem,
@@ -218,7 +219,7 @@ def bound(name, u, sigma, spp):
     """Cramér-Rao bound on the rms error of the N = 1 state matrix, the start not known."""
     system, slopes = SYSTEMS[name](), state_matrix_slopes(name)
     structure, theta = true_parameters(system, true_harmonics(system))
-    found = fisher_information(structure, theta, [(u, None, 0)], system.omega, spp, sigma)
+    found = fisher_information(Form(structure, system.omega, spp), theta, [(u, None, 0)], sigma)
     return np.sqrt(np.einsum("kij,kl,lij->", slopes, found.covariance, slopes))
 
 

@@ -133,7 +133,7 @@ def _refined(model, machine):
     except ValueError:  # no continuous model: fractions of a sample mean nothing
         return None
     whole = np.block([[A, B], [model.C, model.D]])
-    structure = _all_free(whole.shape, model.n_states)
+    structure = PeriodicStructure.all_free((1, *whole.shape), model.n_states)
     cells = Cells.of(delays.seconds / dt, delays.n_inputs, delays.free)
 
     size, most = output_scale(origin), most_samples(origin)
@@ -167,16 +167,6 @@ def _refined(model, machine):
     std, k = np.full(len(delays.names), np.nan), structure.n_parameters
     std[cells.fractions.free] = np.sqrt(np.diag(found.covariance)[k:]) * dt
     return delays.at(cells.samples * dt, std)
-
-
-def _all_free(shape, n):
-    """[F G; C 0], all other entries parameters."""
-    free = np.ones(shape, dtype=bool)
-    free[n:, n:] = False
-    places = np.flatnonzero(free)
-    ones = np.ones(len(places)), (np.arange(len(places)), places)
-    basis = sparse.csr_array(ones, shape=(len(places), free.size))
-    return PeriodicStructure(np.zeros((1, *shape)), basis, n, tuple(map(str, places)))
 
 
 def identify_frame(X, y, settings, *delays):

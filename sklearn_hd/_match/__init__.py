@@ -253,7 +253,8 @@ class Uncertainty:
     kind : {"information", "robust"}
         What the covariance is made of.
     tests : dict of list, or None
-        Columns of the residual tests of the record fitted.
+        Columns of the residual tests of the record fitted; None where a simulation overflows, or
+        rows are few.
     doubt : str or None
         What of the model does not stand; None if it stands, whatever its residuals are.
     """
@@ -264,8 +265,8 @@ class Uncertainty:
     bic: float
     exponents: np.ndarray
     exponents_std: np.ndarray
-    affine: AffineStructure | None
-    seen: np.ndarray | None
+    affine: AffineStructure | None = None
+    seen: np.ndarray | None = None
     dt: float = 0.0
     kind: str = "information"
     tests: object = None

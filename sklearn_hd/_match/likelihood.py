@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy import sparse
 
 from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import warn
-from sklearn_hd._match import Match, Uncertainty, periodic_match
+from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
 from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
@@ -33,7 +32,6 @@ from sklearn_hd.algorithms.likelihood.search import (
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import harmonic_labels
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
@@ -90,6 +88,7 @@ def match_likelihood(match, structure, experiment, settings, opinion):
         delays = data.deviations(delays, trust.covariance[fit.structure.n_parameters :])
         warn_of_doubt(delays)
         sampled = replace(sampled, delays=delays)
+    trust = _without_delays(fit, trust)
     if periodic is None:
         refined = _invariant(match, structure, fit, trust)
     else:
@@ -104,6 +103,12 @@ def match_likelihood(match, structure, experiment, settings, opinion):
     return replace(
         refined, model=model, n_iter=fit.result.n_iter, sampled=sampled, waveform=waveform
     )
+
+
+def _without_delays(fit, trust):
+    """What a fit says of the parameters of its structure alone."""
+    k = fit.structure.n_parameters
+    return replace(trust, covariance=trust.covariance[:k, :k])
 
 
 def _trim_error(fit, trust, experiment, delays):
@@ -126,7 +131,7 @@ def _periodic(match, fit, basis, trust):
     periodic = replace(match.periodic, coefficients=fit.structure.coefficients(fit.theta))
     affine, seen = periodic.decomposed_structure(fit.structure, basis)
     refined = periodic_match(fit.structure, fit.theta, periodic, match.model, basis)
-    return replace(refined, uncertainty=uncertainty_of(fit, trust, affine, seen))
+    return replace(refined, uncertainty=replace(trust, affine=affine, seen=seen))
 
 
 def _invariant(match, structure, fit, trust):
@@ -137,7 +142,7 @@ def _invariant(match, structure, fit, trust):
         model=match.model.in_continuous_time(*matrices, state_names=match.model.state_names),
         theta=fit.theta,
         found=None,  # that of the start
-        uncertainty=uncertainty_of(fit, trust, structure.affine, everything),
+        uncertainty=replace(trust, affine=structure.affine, seen=everything),
     )
 
 
@@ -152,24 +157,6 @@ def _n_harmonics_of_outputs(match, structure):
 def _n_harmonics_of_feedthrough(periodic):
     """Highest harmonic of Q in a match; None where Q is zero."""
     return periodic.highest("Q") if np.any(periodic.matrices()[3]) else None
-
-
-def uncertainty_of(fit, trust, affine, seen):
-    """What a fit says of its own precision."""
-    result, k = fit.result, fit.structure.n_parameters
-    return Uncertainty(
-        trust.covariance[:k, :k],
-        result.sigma,
-        result.aic,
-        result.bic,
-        trust.exponents,
-        trust.exponents_std,
-        affine,
-        seen,
-        kind=trust.kind,
-        tests=trust.tests,
-        doubt=trust.doubt,
-    )
 
 
 def _open_counts(match, structure):
@@ -340,7 +327,7 @@ def match_free(model, experiment, settings):
     fit, sampled = (_free if complete else _near)(start, data, settings)
     trust = trusted(fit, experiment, sampled, fit.theta, settings, model.opinion)
     warn_of_slow(fit, trust, experiment)
-    uncertainty, structure = uncertainty_of(fit, trust, None, None), fit.structure
+    uncertainty, structure = _without_delays(fit, trust), fit.structure
     if of_samples:
         match = match_samples(sampled, experiment, None, None)
         match = replace(match, names=structure.parameter_names, theta=fit.theta)
@@ -397,7 +384,7 @@ def _free(start, data, settings):
     moved = replace(innovations, coefficients=entries, gain=gain, covariance=found.result.spread)
     sampled = replace(start, innovations=moved, n_loads=data.n_loads)
     own = entries[: 2 * moved.n_harmonics + 1, :, :-1]
-    structure = _structure(own.shape, n, start.feedthrough)
+    structure = PeriodicStructure.all_free(own.shape, n, start.feedthrough)
     theta = structure.nearest(own)
     places = _places(structure, found.coefficients.shape)
     into = found.slopes[:, places].T
@@ -416,7 +403,7 @@ def _near(start, data, settings):
     """The most likely model near the start, by the entries of A, B, C, D and K."""
     innovations = start.innovations
     own = innovations.coefficients[: 2 * innovations.n_harmonics + 1, :, :-1]
-    structure = _structure(own.shape, start.n_states, start.feedthrough)
+    structure = PeriodicStructure.all_free(own.shape, start.n_states, start.feedthrough)
     gain = innovations.gain if innovations.gain.any() else None
     fit = data.fit(structure, structure.nearest(own), settings, gain0=gain)
     like = Match(None, (), fit.theta, None, sampled=start)
@@ -434,20 +421,3 @@ def _as_samples(model):
     names = model.input_names, model.output_names
     how = {"feedthrough": model.feedthrough, "delays": model.delays}
     return SampleModel(innovations, 2.0 * np.pi / model.dt, model.dt, *names, **how)
-
-
-def _structure(shape, n, feedthrough):
-    """[A B; C D](ψ) of some harmonics, all entries parameters, D only where there is one."""
-    free = np.ones(shape, dtype=bool)
-    free[:, n:, n:] = feedthrough
-    places = np.flatnonzero(free)
-    basis = sparse.csr_array(
-        (np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), free.size)
-    )
-    labels = harmonic_labels(range(len(free) // 2 + 1))
-    names = []
-    for h, i, j in np.argwhere(free):
-        row, column = i - n * (i >= n), j - n * (j >= n)
-        label = "" if len(free) == 1 else f"_{labels[h]}"
-        names.append(f"{'ABCD'[2 * (i >= n) + (j >= n)]}[{row},{column}]{label}")
-    return PeriodicStructure(np.zeros(shape), basis, n, tuple(names))

@@ -240,10 +240,10 @@ class RecordData:
         if settings.predicts and like is not None:
             form = form.with_gain(like.form.n_gain_harmonics)
             found = fit_gain(form, self.segments, start, like.result.gain, **options)
-            return Fit(structure, form, found.result, self)
+            return Fit(structure, form, found, self)
         if settings.predicts:
             found = prediction_error(form, self.segments, start, gain0=gain0, **options)
-            return Fit(structure, found.form, found.result, self)
+            return Fit(structure, found.problem.form, found, self)
         result = output_error_of(
             form, self.segments, start, sigma=sigma, input_sigma=settings.input_noise, **options
         )

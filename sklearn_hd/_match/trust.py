@@ -6,13 +6,14 @@ only where an exponent is then not known, the second opinion contradicts it, or 
 noise is a part of the motion.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._guards import warn
+from sklearn_hd._match import Uncertainty
 from sklearn_hd._opinion import CONTRADICTS, SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators
@@ -25,7 +26,6 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     exponent_slopes,
     part_scores,
     propagate_std,
-    whole_covariance,
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 
@@ -38,39 +38,6 @@ ALARM = 1e-4  # level of the tests at fit: a tenth of that of residual_tests, wh
 MOST_SYSTEMATIC = 1e-2  # of the motion's variance, in what noise alone would leave
 ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
-
-
-@dataclass(frozen=True, eq=False)
-class Trust:
-    """Deviations, and what they rest on.
-
-    Attributes
-    ----------
-    covariance : ndarray, shape (k, k)
-        Of the structure's parameters, then of free delays.
-    exponents, exponents_std : complex ndarray, shape (n,)
-    kind : {"information", "robust"}
-    tests : dict of list, or None
-        Columns of the residual tests; None where a simulation overflows, or rows are few.
-    doubt : str or None
-        What of the model does not stand; None if it stands, whatever its residuals are.
-    """
-
-    covariance: np.ndarray
-    exponents: np.ndarray
-    exponents_std: np.ndarray
-    kind: str
-    tests: dict | None
-    doubt: str | None = None
-
-    @property
-    def coloured(self):
-        """Whether what is left is noise that goes with the noise before."""
-        return self.kind == "robust" and _coloured(
-            name
-            for name, passed in zip(self.tests["test"], self.tests["passed"], strict=True)
-            if not passed
-        )
 
 
 def trusted(fit, experiment, sampled, parameters, settings, opinion):
@@ -90,24 +57,25 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
 
     Returns
     -------
-    trust : Trust
+    trust : Uncertainty
+        Covariance of the structure's parameters, then of free delays; no model yet.
     """
     result, places = fit.result, fit.places
     exponents, slopes = exponent_slopes(fit.form, parameters)
     k, n, own = len(places), len(slopes), fit.structure.n_parameters
     slopes = np.pad(slopes[:, :own], [(0, 0), (0, k - own)])
     plain = propagate_std(slopes, fit.covariance)
-    into = np.eye(result.step.size)[places] if fit.into is None else fit.into
+    into = np.eye(len(result.point.theta))[places] if fit.into is None else fit.into
     gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
-    moves = gradients[k:] @ result.step
+    moves = gradients[k:] @ result.system.step(0.0)
+    of_fit = result.sigma, result.aic, result.bic, exponents
     stopped = partial(_warn_of_steps, result, settings, exponents, moves, omega=fit.form.omega)
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
         stopped(plain, 0.0)
-        return Trust(fit.covariance, exponents, plain, "information", None)
+        return Uncertainty(fit.covariance, *of_fit, plain)
     tests, part, alike = _tests(experiment, sampled)
-    divisions = _divisions(result)
-    parts = part_scores(result.problem, result.point, divisions)
-    white = whole_covariance(result)
+    parts = part_scores(result, _divisions(result))
+    white = result.system.covariance(gauge=True)[0] * result.correction
     robust = tests is not None and not tests["passed"].all()
     found = parts["time"].sandwich(white) if robust else white
     own, by_noise = (
@@ -139,7 +107,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     known = np.isfinite(fit.covariance)
     covariance = np.where(known, covariance, fit.covariance)
     stored = None if tests is None else tests.reset_index().to_dict("list")
-    return Trust(covariance, exponents, std, kind, stored, doubt)
+    return Uncertainty(covariance, *of_fit, std, kind=kind, tests=stored, doubt=doubt)
 
 
 def _beside(std, exponents, opinion):
@@ -222,7 +190,7 @@ def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
     steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)
-    more = result.relative_decrease * part
+    more = result.system.promised / result.n_residuals * part
     if np.all(steps <= 1.0) and more <= MOST_SYSTEMATIC:
         return
     words = f"explain another {more:.2g} of the motion's variance"
@@ -287,6 +255,15 @@ def _coloured(failed):
     return all(name.startswith("autocorrelation") for name in failed)
 
 
+def _by_noise(trust):
+    """Whether what is left is noise that goes with the noise before."""
+    return trust.kind == "robust" and _coloured(
+        name
+        for name, passed in zip(trust.tests["test"], trust.tests["passed"], strict=True)
+        if not passed
+    )
+
+
 def _warn_of_parts(exponents, apart, own, more, doubt):
     """Warn of parts of the record that put an exponent elsewhere, and what that leaves."""
     n, told = len(exponents), None
@@ -328,7 +305,7 @@ def warn_of_slow(fit, trust, experiment):
             IdentifiabilityWarning,
         )
         return
-    excited = fit.result.gain is not None or (trust.doubt and trust.coloured)
+    excited = fit.result.gain is not None or (trust.doubt and _by_noise(trust))
     total = -slowest * sum(spans)
     if excited and 0.0 < total < TIME_CONSTANTS:
         warn(

@@ -104,8 +104,6 @@ class Fitted:
     X, y : as given
     units : dict
     last : ModelStep
-    handed : DataFrame or ndarray
-        X as the last step takes it.
     experiment : Experiment
     analyzer, identifier, reducer, matcher : steps or None
     residuals : ResidualDisplay or None
@@ -122,7 +120,6 @@ class Fitted:
     y: object
     units: dict
     last: ModelStep
-    handed: object
     experiment: Experiment
     analyzer: HarmonicAnalyzer | None
     identifier: MOESPRegressor | None
@@ -161,7 +158,7 @@ def read_fitted(pipe, X, y, units):
         residuals, tests = _tested(pipe, X, y, units)
     steps = analyzer, identifier, reducer, matcher
     found = experiment, *steps, residuals, tests, run, words_of(raised)
-    return Fitted(pipe, X, y, units, last, handed, *found)
+    return Fitted(pipe, X, y, units, last, *found)
 
 
 def _tested(pipe, X, y, units):

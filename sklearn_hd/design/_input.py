@@ -209,8 +209,9 @@ def design_input(
     n_periods = _whole_periods(length, quiet, plant)
     rng, which = check_random_state(random_state), _which(exponents, plant)
     coarse = plant.at(plant.rows_of_search)
-    plant.check_growth(coarse, quiet + n_periods)
-    family = KINDS[kind](n_periods * coarse.n_phases, len(amplitude), coarse.n_phases)
+    plant.check_growth(coarse.form, quiet + n_periods)
+    rows = coarse.form.n_phases
+    family = KINDS[kind](n_periods * rows, len(amplitude), rows)
     most = np.inf
     if energy is not None:
         check_positive("energy", energy, "seconds", "that of a doublet is the time it lasts")
@@ -223,12 +224,12 @@ def design_input(
         return np.vstack([np.zeros((quiet * per_period, len(amplitude))), levels * scale])
 
     def cost(levels):
-        u = record(levels, coarse.n_phases)
-        return coarse.bound.cost(plant.with_load(u), which)
+        u = record(levels, rows)
+        return coarse.cost(plant.with_load(u), which)
 
     best, lowest, n_evaluations = exchange(family, cost, n_trials, rng)
     fine = plant.at(plant.n_phases)
-    u = record(family.inputs(best, plant.n_phases // coarse.n_phases), plant.n_phases)
+    u = record(family.inputs(best, plant.n_phases // rows), plant.n_phases)
     if not np.isfinite(lowest):
         raise ValueError(plant.why_unknown(fine, u))
     used = np.sum((u / amplitude) ** 2) * plant.period / plant.n_phases
@@ -252,14 +253,6 @@ def _check_told(told, used):
 
 
 # ---- what is to be identified ------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Clock:
-    """A plant at some number of samples a period."""
-
-    n_phases: int
-    bound: ExponentBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,9 +280,9 @@ class _Plant:
         return next((d for d in divisors if d >= least), self.n_phases)
 
     def at(self, n_phases):
-        """The plant at fewer samples per period, whose noise averages those in between."""
+        """The bound at fewer samples per period, whose noise averages those in between."""
         sigma = self.sigma * np.sqrt(n_phases / self.n_phases)
-        return _Clock(n_phases, ExponentBound(self.form(n_phases), self.theta, sigma))
+        return ExponentBound(self.form(n_phases), self.theta, sigma)
 
     def form(self, n_phases):
         return Form(self.structure, self.omega, n_phases)
@@ -298,9 +291,8 @@ class _Plant:
         """Inputs, with an additional one that is 1 if loads are also unknown."""
         return u if self.n_loads < 0 else np.hstack([u, np.ones((len(u), 1))])
 
-    def check_growth(self, clock, n_periods):
+    def check_growth(self, form, n_periods):
         """Raise ValueError if the motion grows too large."""
-        form = clock.bound.form
         radius = form.radius(form.response(self.theta, sensitivities=False))
         if radius > 1.0 and not n_periods * np.log(radius) < np.log(TOO_LARGE):
             raise ValueError(
@@ -309,9 +301,8 @@ class _Plant:
                 f"close a control loop around the machine first"
             )
 
-    def why_unknown(self, clock, u):
+    def why_unknown(self, bound, u):
         """Why the exponents are not determined, and the way out."""
-        bound = clock.bound
         names = bound.information([(self.with_load(u), None, 0)]).unidentified
         return (
             f"no input tried within this budget determines the exponents: the outputs do not "
@@ -337,18 +328,18 @@ class _Plant:
 
     def compared(self, fine, coarse, u, at_hand):
         """Tables of the exponents and of the knowledge at each phase."""
-        found = fine.bound.information([(self.with_load(u), None, 0)])
-        std = fine.bound.std_of(found)
-        pulses, index = self._pulses(coarse.n_phases)
+        found = fine.information([(self.with_load(u), None, 0)])
+        std = fine.std_of(found)
+        pulses, index = self._pulses(coarse.form.n_phases)
         table = pd.DataFrame(
-            {"exponent": fine.bound.exponents, "std_real": std.real, "std_imag": std.imag}
+            {"exponent": fine.exponents, "std_real": std.real, "std_imag": std.imag}
         )
-        phases = pd.DataFrame({"designed": coarse.bound.doubts(found, pulses)}, index)
+        phases = pd.DataFrame({"designed": coarse.doubts(found, pulses)}, index)
         if at_hand is not None:
-            before = fine.bound.std_of(at_hand)
+            before = fine.std_of(at_hand)
             table["std_real_at_hand"], table["std_imag_at_hand"] = before.real, before.imag
             table["gain"] = np.abs(before) / np.abs(std)
-            phases["at_hand"] = coarse.bound.doubts(at_hand, pulses)
+            phases["at_hand"] = coarse.doubts(at_hand, pulses)
         return table, phases
 
     def _pulses(self, n_phases):

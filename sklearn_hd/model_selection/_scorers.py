@@ -8,7 +8,7 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.metadata_routing import MetadataRequest
 
-from sklearn_hd._checks import check_count
+from sklearn_hd._checks import check_count, check_weight
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._simulators import compared, power_of_two
 from sklearn_hd._tables import as_container, to_float
@@ -214,7 +214,11 @@ def fit_percent(y_true, y_pred, *, sample_weight=None):
             raise ValueError(
                 f"{name} is not finite in row {row}, output {column}; drop those rows from both"
             )
-    weight = _check_weight(sample_weight, len(y))
+    weight = check_weight(sample_weight, len(y))
+    if weight is None:
+        weight = np.ones(len(y))
+    elif not weight.any():
+        raise ValueError(f"sample_weight is zero on all {len(y)} rows; give some of them a weight")
     units = power_of_two(np.vstack([y, y_hat])), power_of_two(y)  # so that squares are numbers
     weight = weight / weight.max()
     error = np.sqrt(weight @ (y / units[0] - y_hat / units[0]) ** 2)
@@ -235,22 +239,6 @@ def _check_comparable(truth, predicted):
     both = all(isinstance(data, pd.DataFrame | pd.Series) for data in (truth, predicted))
     if both and not truth.index.equals(predicted.index):
         raise ValueError("y_true and y_pred have different indices; align them first")
-
-
-def _check_weight(sample_weight, n_samples):
-    if sample_weight is None:
-        return np.ones(n_samples)
-    try:
-        weight = np.asarray(sample_weight, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError("sample_weight holds values that are not numbers") from None
-    fits = weight.shape == (n_samples,) and np.all((weight >= 0.0) & np.isfinite(weight))
-    if not fits or not np.any(weight > 0.0):
-        raise ValueError(
-            f"sample_weight of shape {weight.shape} must hold {n_samples} numbers of at least 0, "
-            f"not all of them 0"
-        )
-    return weight
 
 
 def fit_percent_scorer(output=None):

@@ -82,7 +82,6 @@ def free_form(
     gain=None,
     predicts=True,
     max_iter=100,
-    tol=1e-8,
     n_starts=0,
     random_state=0,
 ):
@@ -102,9 +101,8 @@ def free_form(
         Of K(ψ), where to start.
     predicts : bool
         Whether there is a gain; none is taken where it does not pay (Schwarz's criterion).
-    max_iter, tol
-        As for :func:`~sklearn_hd.algorithms.likelihood.output_error.output_error_of`, for each
-        start.
+    max_iter : int
+        Largest number of Jacobians from each start.
     n_starts, random_state : int
         Further starts of time-invariant models, at random.
 
@@ -125,7 +123,7 @@ def free_form(
     if gain is not None:
         closed = columns.copy()
         closed[:, :n] -= product(gain * size, C)[:count]
-    settings = {"max_iter": max_iter, "tol": tol}
+    settings = {"max_iter": max_iter, "tol": 1e-8}
     family = _family(form, segments, free, size, count if predicts else 0, predicts)
     order = (closed, columns) if predicts else (columns, closed)
     charts = _charts(family, order)

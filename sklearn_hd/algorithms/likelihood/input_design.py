@@ -28,7 +28,7 @@ from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.predictor import as_records, output_sensitivities
 from sklearn_hd.algorithms.likelihood.uncertainty import (
     exponent_slopes,
-    information_of,
+    fisher_information,
     propagate_std,
 )
 from sklearn_hd.algorithms.linalg.rounding import EPS
@@ -69,7 +69,7 @@ class ExponentBound:
 
     def information(self, segments):
         """Of θ, as :class:`~.uncertainty.FisherInformation` has it."""
-        return information_of(self.form, self.theta, segments, self.sigma)
+        return fisher_information(self.form, self.theta, segments, self.sigma)
 
     def std(self, segments):
         """Smallest standard deviations of the exponents.

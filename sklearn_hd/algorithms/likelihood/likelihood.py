@@ -30,7 +30,7 @@ from sklearn_hd.algorithms.likelihood.predictor import (
 )
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, HALF, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-from sklearn_hd.algorithms.matching.least_squares import BoundedSteps
+from sklearn_hd.algorithms.matching.least_squares import BoundedSteps, FreeSteps
 
 ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
@@ -67,47 +67,26 @@ class LinearSystem:
         Of each segment.
     R : ndarray, shape (k + 1, k + 1)
         Triangular factor of the weighted [J r], its projection on x0 taken out.
-    size : ndarray, shape (k,)
-        Length of J's columns before that.
     states : list of ndarray, shape (n, k + 1)
         The best change of x0 is −states [step; 1].
+    steps : FreeSteps or BoundedSteps
+        Free ones count J's columns by their length before that, and leave out rounding.
     """
 
     factors: list
     R: np.ndarray
-    size: np.ndarray
     states: list
     promised_by_states: float
-    left: np.ndarray = field(init=False)
-    singular: np.ndarray = field(init=False)
-    adjoint: np.ndarray = field(init=False)
-
-    def __post_init__(self):
-        scaled = self.R[:, :-1] / self.size
-        left, singular, adjoint = linalg.svd(scaled, full_matrices=False)
-        object.__setattr__(self, "left", left)
-        object.__setattr__(self, "singular", singular)
-        object.__setattr__(self, "adjoint", adjoint)
-
-    @property
-    def kept(self):
-        """Singular values that are not rounding; J's columns have length one or less."""
-        return self.singular > DEPENDENT
-
-    @property
-    def projected(self):
-        return np.where(self.kept, self.left.T @ self.R[:, -1], 0.0)
+    steps: FreeSteps | BoundedSteps
 
     @property
     def promised(self):
         """Fall of the weighted sum of squares to first order."""
-        return float(self.projected @ self.projected) + self.promised_by_states
+        return float(self.steps.promised) + self.promised_by_states
 
     def step(self, damping):
         """Change of θ, of least norm in scaled coordinates."""
-        known = np.where(self.kept, self.singular, 1.0)
-        weight = np.where(self.kept, known / (known**2 + damping), 0.0)
-        return -(self.adjoint.T @ (weight * self.projected)) / self.size
+        return self.steps.damped(damping)[0]
 
     def left_at(self, step, x0_step):
         """Weighted sum of squares at a step if the outputs were linear in it."""
@@ -120,42 +99,22 @@ class LinearSystem:
         """The same for steps between bounds."""
         if not (np.any(np.isfinite(lower)) or np.any(np.isfinite(upper))):
             return self
-        steps = BoundedSteps(self.R[:, -1], self.R[:, :-1], lower, upper)
-        return BoundedSystem(self.factors, self.states, self.promised_by_states, steps)
+        return replace(self, steps=BoundedSteps(self.R[:, -1], self.R[:, :-1], lower, upper))
 
     def covariance(self, *, gauge=False):
         """(JᵀJ)⁻¹, and which parameters are not identified.
 
         With a gauge, directions that move no output do not count: (JᵀJ)⁺.
         """
-        kept = self.kept
-        root = self.adjoint[kept].T / self.singular[kept] / self.size[:, None]
+        kept, adjoint = self.steps.kept, self.steps.adjoint
+        root = adjoint[kept].T / self.steps.singular[kept] / self.steps.size[:, None]
         covariance = root @ root.T
-        unknown = np.linalg.norm(self.adjoint[~kept], axis=0) > UNKNOWN
+        unknown = np.linalg.norm(adjoint[~kept], axis=0) > UNKNOWN
         if gauge:
             return covariance, np.zeros_like(unknown)
         covariance[unknown, :] = covariance[:, unknown] = np.nan
         covariance[unknown, unknown] = np.inf
         return covariance, unknown
-
-
-@dataclass(frozen=True, eq=False)
-class BoundedSystem:
-    """A :class:`LinearSystem` for steps between bounds."""
-
-    factors: list
-    states: list
-    promised_by_states: float
-    steps: BoundedSteps
-
-    left_at = LinearSystem.left_at
-
-    @property
-    def promised(self):
-        return self.steps.promised + self.promised_by_states
-
-    def step(self, damping):
-        return self.steps.damped(damping)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -504,7 +463,9 @@ def eliminate_states(factors, n0):
         promised += shares[:, -1] @ shares[:, -1]
         R = linalg.qr(np.vstack([R, rest]), mode="r", check_finite=False)[0][:width]
     size = np.sqrt(squares[:-1])
-    return LinearSystem(factors, R, np.where(size > 0, size, 1.0), states, float(promised))
+    size = np.where(size > 0, size, 1.0)
+    steps = FreeSteps(R[:, :-1] / size, R[:, -1], size, DEPENDENT)
+    return LinearSystem(factors, R, states, float(promised), steps)
 
 
 def _range(matrix):

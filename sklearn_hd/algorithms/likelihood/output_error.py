@@ -19,13 +19,7 @@ import numpy as np
 
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import noisy_input_problem
-from sklearn_hd.algorithms.likelihood.search import (
-    Search,
-    fit_percent,
-    result_of,
-    search,
-    start,
-)
+from sklearn_hd.algorithms.likelihood.search import Search, result_of, search, start
 
 SETTLED = 1e-3  # relative change of noise levels; far below their own error
 SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
@@ -132,12 +126,10 @@ def _with_noisy_inputs(problem, found, input_sigma, options):
         if settled:
             break
     found = Search(found.point, n_iter, found.converged and settled)
-    plain = problem.point(found.point.theta, found.point.x0)
     result = result_of(noisy, found)
     return replace(
         result,
         spread=np.diag(sigma**2),
         cost=noisy.likelihood(found.point),
         n_parameters=result.n_parameters + (len(sigma) if problem.sigma is None else 0),
-        fit_percent=fit_percent(problem, plain.rss),
     )

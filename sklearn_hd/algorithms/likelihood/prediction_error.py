@@ -14,14 +14,12 @@ A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable lin
 their application to system identification", Automatica 40 (2004).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.search import (
-    LikelihoodResult,
     OverflowingStartError,
     cost_of_start,
     result_of,
@@ -34,20 +32,6 @@ from sklearn_hd.algorithms.periodic.periodic_structure import functions_of_turn
 RATIOS = 10.0 ** np.arange(-8, 3, 2)  # of noise in states and outputs, in parts of their size
 MOST_HARMONICS = 4  # of K
 MOST_TURNS = 400  # of the Riccati equation
-
-
-@dataclass(frozen=True, eq=False)
-class PredictionError:
-    """What a fit found, and of which form.
-
-    Attributes
-    ----------
-    form : Form
-    result : LikelihoodResult
-    """
-
-    form: Form
-    result: LikelihoodResult
 
 
 def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_iter=50, tol=1e-8):
@@ -69,32 +53,33 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
 
     Returns
     -------
-    found : PredictionError
+    result : LikelihoodResult
+        Its problem has the form found.
     """
     settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
     first, gain = first_gain(form, segments, theta0, gain0)
     best = fit_gain(form.with_gain(first), segments, theta0, gain, **settings)
-    theta = best.result.without_gain
+    theta = best.without_gain
     without = form.with_gain(None)
     if without.radius(without.response(theta, sensitivities=False)) < 1.0:
         simulated = fit_gain(without, segments, theta, None, **settings)
-        if simulated.result.bic <= best.result.bic:
+        if simulated.bic <= best.bic:
             return simulated
-    if not best.result.converged:  # more harmonics would not be judged
+    if not best.converged:  # more harmonics would not be judged
         return best
     for counts in (range(first + 1, most_harmonics(form) + 1), range(first - 1, -1, -1)):
         for count in counts:
-            theta, gain = best.result.without_gain, best.result.gain
+            theta, gain = best.without_gain, best.gain
             if count < first:
                 gain = first_gain(form, segments, theta, gain, [count])[1]
             try:
                 found = fit_gain(form.with_gain(count), segments, theta, gain, **settings)
             except OverflowingStartError:
                 break  # no gain of so few harmonics has a stable predictor
-            if found.result.aic >= best.result.aic or not found.result.converged:
+            if found.aic >= best.aic or not found.converged:
                 break
             best = found
-        if best.form.n_gain_harmonics > first:
+        if best.problem.form.n_gain_harmonics > first:
             break
     return best
 
@@ -111,7 +96,7 @@ def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-
         bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
     point = start(problem, np.concatenate([theta0, wider]))
     found = search(problem, point, bounds=bounds, max_iter=max_iter, tol=tol, keep_stable=True)
-    return PredictionError(form, result_of(problem, found))
+    return result_of(problem, found)
 
 
 def most_harmonics(form):

@@ -9,7 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem, likelihood_problem
+from sklearn_hd.algorithms.likelihood.likelihood import (
+    LinearSystem,
+    Point,
+    Problem,
+    likelihood_problem,
+)
 
 STALLED = 1e-2  # fall of the cost, in all where no step pays, per residual at rounding
 FIRST_DAMPING = 1e-6
@@ -50,17 +55,13 @@ class LikelihoodResult:
     n_iter : int
         Jacobians taken.
     converged : bool
-    relative_decrease : float
-        Fall of the weighted sum of squares, relative to it, that another step promises.
-    step : ndarray
-        That step, of all parameters of the form.
     unidentified : tuple of str
         Parameters that the data do not determine.
-    fit_percent : ndarray, shape (l,)
-        100 (1 − |ŷ − y| / |y − mean y|).
     problem : Problem
     point : Point
         Where the search ended.
+    system : LinearSystem
+        For another step from there.
     correction : float
         For the degrees of freedom that the fit has used, in the covariances.
     """
@@ -76,12 +77,10 @@ class LikelihoodResult:
     n_parameters: int
     n_iter: int
     converged: bool
-    relative_decrease: float
-    step: np.ndarray
     unidentified: tuple
-    fit_percent: np.ndarray
     problem: Problem
     point: Point
+    system: LinearSystem
     correction: float
 
     @property
@@ -223,7 +222,7 @@ def result_of(problem, search):
     form, point, n_residuals = problem.form, search.point, problem.n_residuals
     k, gauge = form.structure.n_parameters, form.discrete or form.gauge
     system = problem.linearise(point)
-    n_theta = int(np.sum(system.kept)) if gauge else len(point.theta)  # no similarities
+    n_theta = int(np.sum(system.steps.kept)) if gauge else len(point.theta)  # no similarities
     n_fitted = n_theta + problem.n_waveforms + (point.x0.size if problem.free_x0 else 0)
     covariance, unknown = system.covariance(gauge=gauge)
     spread, n_noises, correction = problem.spread(point.moments), 0, 1.0
@@ -244,22 +243,9 @@ def result_of(problem, search):
         n_parameters=n_fitted + n_noises,
         n_iter=search.n_iter,
         converged=search.converged,
-        relative_decrease=system.promised / n_residuals,
-        step=system.step(0.0),
         unidentified=tuple(np.array(form.structure.parameter_names, dtype=object)[unknown[:k]]),
-        fit_percent=fit_percent(problem, point.rss),
         problem=problem,
         point=point,
+        system=system,
         correction=correction,
     )
-
-
-def fit_percent(problem, rss):
-    """100 (1 − |ŷ − y| / |y − mean y|) of each output; NaN for one that is constant."""
-    mean = sum(np.sum(record.outputs, axis=0) for record in problem.records) / problem.counts
-    spread = sum(
-        np.sum(np.where(record.present, record.outputs - mean, 0.0) ** 2, axis=0)
-        for record in problem.records
-    )
-    spread = np.where(spread > 0, spread, np.nan)
-    return 100.0 * (1.0 - np.sqrt(rss / spread))

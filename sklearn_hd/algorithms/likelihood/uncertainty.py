@@ -30,7 +30,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import welch
 from scipy.stats import chi2
 
-from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
 from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents, on_branch
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -68,37 +67,22 @@ class FisherInformation:
         return np.sqrt(np.diag(self.covariance))
 
 
-def fisher_information(
-    structure,
-    theta,
-    segments,
-    omega,
-    n_phases,
-    sigma,
-    *,
-    observe=None,
-    free_initial_state=True,
-    x0=None,
-):
+def fisher_information(form, theta, segments, sigma, *, free_initial_state=True, x0=None):
     """Fisher matrix and Cramér-Rao bound of the parameters of a periodic system.
 
         I = Σ_k (∂ŷ[k]/∂θ)ᵀ Σ⁻¹ (∂ŷ[k]/∂θ),   Σ = diag(σ_i²)
 
     Parameters
     ----------
-    structure : PeriodicStructure
+    form : Form
+        Of the structure whose parameters they are, at any clock.
     theta : array_like, shape (k,)
         Where to take it: the truth for the bound.
     segments : list of (inputs, outputs, first_phase)
         As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error_of`; outputs only
         tell by NaN which samples are missing, and may be None.
-    omega : float
-        Fundamental frequency, rad/s.
-    n_phases : int
-        Samples a period.
     sigma : array_like, shape (l,)
         Standard deviations of the outputs' noise.
-    observe : ndarray, shape (n_phases, l, l_model), optional
     free_initial_state : bool, default=True
         Whether the initial states are unknown.
     x0 : array_like, shape (n_segments, n), optional
@@ -116,22 +100,17 @@ def fisher_information(
     --------
     The gain of a static system, of input 1, over 4 samples: σ / √4.
 
+    >>> from sklearn_hd.algorithms.likelihood.forms import Form
     >>> from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
     >>> gain = PeriodicStructure(np.zeros((1, 2, 2)), [[[[0.0, 0.0], [0.0, 1.0]]]], 1, ["gain"])
-    >>> bound = fisher_information(gain, [2.0], [(np.ones((4, 1)), None, 0)], 1.0, 8, [0.1])
+    >>> record = [(np.ones((4, 1)), None, 0)]
+    >>> bound = fisher_information(Form(gain, 1.0, 8), [2.0], record, [0.1])
     >>> float(bound.theta_std[0])
     0.05
     """
-    form, theta = Form(structure, omega, n_phases, observe), np.asarray(theta, dtype=float)
-    starts = np.zeros((len(segments), structure.n_states)) if x0 is None else np.asarray(x0, float)
-    return information_of(form, theta, segments, sigma, free_initial_state, starts)
-
-
-def information_of(form, theta, segments, sigma, free_initial_state=True, x0=None):
-    """The same of a form, at any clock."""
     problem = likelihood_problem(form, segments, free_initial_state)
-    starts = np.zeros((len(segments), form.n_states)) if x0 is None else x0
-    point = Point(theta, starts, None, 0.0, 0.0)
+    starts = np.zeros((len(segments), form.n_states)) if x0 is None else np.asarray(x0, dtype=float)
+    point = Point(np.asarray(theta, dtype=float), starts, None, 0.0, 0.0)
     system = problem.linearise(point, np.diag(np.asarray(sigma, dtype=float) ** 2))
     covariance, unknown = system.covariance()
     J = system.R[:, :-1]
@@ -316,14 +295,12 @@ class Comparison:
     p_value: np.ndarray
 
 
-def part_scores(problem, point, divisions):
+def part_scores(result, divisions):
     """Scores and information of the parts of several divisions of a record.
 
     Parameters
     ----------
-    problem : Problem
-    point : Point
-        Where a search ended.
+    result : LikelihoodResult
     divisions : dict of list of ndarray of int, shapes (n_samples,)
         Part of each row of each record.
 
@@ -331,14 +308,13 @@ def part_scores(problem, point, divisions):
     -------
     parts : dict of Parts
     """
-    spread = problem.spread(point.moments)
-    system = problem.linearise(point, spread)
+    problem, point, system = result.problem, result.point, result.system
     width = system.R.shape[1]
     sums = {
         name: np.zeros((1 + max(int(part.max()) for part in parts), width, width))
         for name, parts in divisions.items()
     }
-    for segment, begin, block in problem.whitened(point, spread):
+    for segment, begin, block in problem.whitened(point, problem.spread(point.moments)):
         states = system.states[segment]
         start = block[: len(block) - width]
         rest = block[len(block) - width :]
@@ -350,13 +326,6 @@ def part_scores(problem, point, divisions):
                 some = rest[:, which == part].reshape(width, -1)
                 sums[name][part] += some @ some.T
     return {name: Parts(-G[:, :-1, -1], G[:, :-1, :-1]) for name, G in sums.items()}
-
-
-def whole_covariance(result):
-    """Covariance of all parameters, gain and loads included, if white noise is left."""
-    problem, point = result.problem, result.point
-    covariance, _ = problem.linearise(point).covariance(gauge=True)
-    return covariance * result.correction
 
 
 def spectral_peak(segments):

@@ -30,6 +30,7 @@ from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
+TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
 _DAMPING_LIMIT = 1e10  # times the squared singular values: steps have become rounding
 _STALLED = 1e-12  # relative fall of the sum of squares in one step
 _NOTHING_LEFT = 1e-31  # sum of squares, relative to that of G_c
@@ -41,6 +42,47 @@ _HELD_UP = 5, 0.9  # over so many lines, α must fall below this share: a pole r
 _LEAST_DAMPING = 1e-14  # of a step that counts as free of damping
 _WIDTH = 1e-300  # between a bound and a parameter on it: the routine wants an interval
 _NOTHING = np.empty(0)  # the parameters of G_c
+
+
+class FreeSteps:
+    """Steps s that minimise |r + J s|² + damping |s|².
+
+    In |s|² columns of J count as if they had length one.
+
+    Parameters
+    ----------
+    factor : ndarray, shape (n_rows, k)
+        Triangular factor of J, its columns divided by their lengths.
+    rest : ndarray, shape (n_rows,)
+        r in the same coordinates.
+    size : ndarray, shape (k,)
+        Lengths of the columns.
+    least : float, default=0
+        Singular value of the factor below which a direction is left out.
+
+    Attributes
+    ----------
+    singular, adjoint : ndarray
+        Of the factor: singular values, and their right vectors.
+    kept : ndarray of bool
+        Which of them are not left out.
+    promised : float
+        Decrease of |r + J s|² without damping.
+    """
+
+    def __init__(self, factor, rest, size, least=0.0):
+        left, self.singular, self.adjoint = linalg.svd(factor, full_matrices=False)
+        self.size, self.kept = size, self.singular >= least
+        self._projected = np.where(self.kept, left.T @ rest, 0.0)
+        self.promised = self._projected @ self._projected
+
+    def damped(self, damping):
+        """Step and the decrease of |r + J s|² that it promises."""
+        known = np.where(self.kept, self.singular, 1.0)
+        weight = np.where(self.kept, known / (known**2 + damping), 0.0)
+        step = -(self.adjoint.T @ (weight * self._projected)) / self.size
+        kept = 1.0 - (damping / (known**2 + damping)) ** 2
+        return step, self._projected**2 @ kept
 
 
 class BoundedSteps:
@@ -116,7 +158,7 @@ class GridFit:
         return len(self.history)
 
 
-def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
+def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100):
     """Least-squares match on the line Re s = shift, from a start with its poles left of it.
 
     Parameters
@@ -127,8 +169,6 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
         α in rad/s.
     max_iter : int
         Largest number of Jacobians.
-    tol : float
-        Relative decrease of the sum of squares, promised to first order, at which to stop.
 
     Returns
     -------
@@ -139,7 +179,7 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
     costs = [cost]
     while len(costs) <= max_iter:
         steps = _steps(problem, theta, residual, jacobian)
-        if steps.promised <= tol * cost:
+        if steps.promised <= TOLERANCE * cost:
             break
         accepted = False
         while not accepted and damping < _DAMPING_LIMIT:
@@ -168,34 +208,14 @@ def levenberg_marquardt(problem, theta, *, shift=0.0, max_iter=100, tol=1e-8):
 
 def _steps(problem, theta, residual, jacobian):
     if not problem.bounded:
-        return _FreeSteps(residual, jacobian)
+        size = column_sizes(jacobian)
+        # the same from the triangular factor, whose orthogonal one is never formed
+        R = triangle(np.column_stack([jacobian / size, residual]))[: len(size)]
+        return FreeSteps(R[:, :-1], R[:, -1], size)
     return BoundedSteps(residual, jacobian, problem.lower - theta, problem.upper - theta)
 
 
-class _FreeSteps:
-    """Steps that minimise |r + J s|² + damping |s|², columns of J scaled to length one.
-
-    ``promised`` is the decrease of |r + J s|² without damping.
-    """
-
-    def __init__(self, residual, jacobian):
-        self._size = column_sizes(jacobian)
-        # the same from the triangular factor, whose orthogonal one is never formed
-        R = triangle(np.column_stack([jacobian / self._size, residual]))
-        factor, rest = R[: len(self._size), :-1], R[: len(self._size), -1]
-        left, self._singular, self._adjoint = linalg.svd(factor, full_matrices=False)
-        self._projected = left.T @ rest
-        self.promised = self._projected @ self._projected
-
-    def damped(self, damping):
-        """Step and the decrease it promises."""
-        weight = self._singular / (self._singular**2 + damping)
-        step = -(self._adjoint.T @ (weight * self._projected)) / self._size
-        kept = 1.0 - (damping / (self._singular**2 + damping)) ** 2
-        return step, self._projected**2 @ kept
-
-
-def fit_from_the_right(problem, theta, max_iter=100):
+def fit_from_the_right(problem, theta, max_iter):
     """Least-squares match on the axis, through lines that come down on it from the right.
 
     The lines begin at the fastest pole of G_c (further right if the start is unstable)
@@ -220,30 +240,18 @@ def fit_from_the_right(problem, theta, max_iter=100):
     return None
 
 
-def fit_from(problem, start, max_iter):
-    """Least-squares match from a :class:`Start`, or None if no stable model is reached."""
-    problem = problem.limited(start.theta, _RUNAWAY)  # once: from line to line it would grow
-    if start.near and problem.abscissa(start.theta) < 0:
-        return levenberg_marquardt(problem, start.theta, max_iter=max_iter)
-    return fit_from_the_right(problem, start.theta, max_iter)
+def fit_from(problem, theta, near, max_iter):
+    """Least-squares match from a start, or None if no stable model is reached.
 
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Parameters to start from.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-    near : bool
-        Whether to search in this valley: on the axis, without the lines to its right.
+    A near one is searched in its valley: on the axis, without the lines to its right.
     """
+    problem = problem.limited(theta, _RUNAWAY)  # once: from line to line it would grow
+    if near and problem.abscissa(theta) < 0:
+        return levenberg_marquardt(problem, theta, max_iter=max_iter)
+    return fit_from_the_right(problem, theta, max_iter)
 
-    theta: np.ndarray
-    near: bool
 
-
-def local_fits(problem, starts, *, max_iter=100, near=1e-6):
+def local_fits(problem, starts, *, max_iter, near):
     """Different least-squares matches reached from some starts, the best first.
 
     Stops early at an exact match.
@@ -251,7 +259,8 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
     Parameters
     ----------
     problem : MatchingProblem
-    starts : iterable of Start
+    starts : iterable of (ndarray, bool)
+        θ, and whether it is near, as for :func:`fit_from`.
     max_iter : int
         Largest number of steps from each.
     near : float
@@ -267,9 +276,9 @@ def local_fits(problem, starts, *, max_iter=100, near=1e-6):
         If no start led to a stable model.
     """
     fits, n_starts = [], 0
-    for start in starts:
+    for theta, is_near in starts:
         n_starts += 1
-        fit = fit_from(problem, start, max_iter)
+        fit = fit_from(problem, theta, is_near, max_iter)
         if fit is None or any(_same(fit, other) for other in fits):
             continue
         fits = sorted([*fits, fit], key=lambda each: each.residual)
@@ -350,16 +359,16 @@ def project_transformed(problem, T):
     return problem.structure.project(stacked, rows[:, None] * columns)[0]
 
 
-def solve_similarity(problem, theta, max_iter=10):
+def solve_similarity(problem, theta):
     """Parameters near θ, and T, that solve the equations of an exact match.
+
+    It takes ten steps of Gauss and Newton, or fewer.
 
     Parameters
     ----------
     problem : MatchingProblem
     theta : ndarray, shape (k,)
         Near the solution (response within 1e-6, say).
-    max_iter : int
-        Gauss-Newton steps.
 
     Returns
     -------
@@ -379,7 +388,7 @@ def solve_similarity(problem, theta, max_iter=10):
     columns = np.concatenate([_sizes(states_c), problem.input_scales])
     weights = rows[:, None] * columns
     best = theta, _similarity_residual(problem, theta, T, weights)
-    for _ in range(max_iter):
+    for _ in range(10):
         theta, T = _gauss_newton_step(problem, theta, T, weights)
         residual = _similarity_residual(problem, theta, T, weights)
         if not residual < 0.5 * best[1]:

@@ -17,8 +17,8 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.matching.least_squares import (
+    TOLERANCE,
     GridFit,
-    Start,
     draw_transformation,
     levenberg_marquardt,
     local_fits,
@@ -48,8 +48,6 @@ class MatchResult:
     theta_least_squares : ndarray, shape (k,)
         The match in the mean square over frequency: where the model does not lie in the
         structure, usually the better estimate of the parameters.
-    hinf_error_least_squares : float
-        ‖W_o (G_c − G_s) W_i‖_∞ there.
     feedthrough_floor : float
         Lower bound of ``hinf_error`` that the fixed entries of D_s leave: the error at
         infinite frequency. 0 where D_s can equal D_c.
@@ -87,7 +85,6 @@ class MatchResult:
     relative_error: float
     peak_frequency: float
     theta_least_squares: np.ndarray
-    hinf_error_least_squares: float
     feedthrough_floor: float
     exact: bool
     converged: bool
@@ -205,7 +202,6 @@ def match_structure(
     return _result(problem, fit, fits, False, start, descent)
 
 
-TOLERANCE = 1e-8  # relative decrease of the sum of squares that counts as none
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
 _CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
 _DESCENTS = 3  # matches and starts that go down
@@ -248,7 +244,6 @@ def _result(problem, fit, fits, exact, start=None, descent=None):
         relative_error=value,
         peak_frequency=peak,
         theta_least_squares=fit.theta,
-        hinf_error_least_squares=problem.peak(fit.theta)[0] * problem.unit,
         feedthrough_floor=problem.feedthrough_floor() * problem.unit,
         exact=exact,
         converged=bool(left <= tolerance),
@@ -272,9 +267,7 @@ def least_norm(problem, fits, starts, max_iter):
     """
     problem = problem.limited(fits[0].theta, _RUNAWAY)
     others = [(problem.peak(fit.theta)[0], fit) for fit in fits[1:]]
-    others += [
-        (problem.peak(start.theta)[0], GridFit(start.theta, np.inf, np.inf, ())) for start in starts
-    ]
+    others += [(problem.peak(theta)[0], GridFit(theta, np.inf, np.inf, ())) for theta, _ in starts]
     others = [each for each in others if np.isfinite(each[0])]
     others.sort(key=lambda each: each[0])
     ways = [fits[0], *(fit for _, fit in others[: _DESCENTS - 1])]
@@ -291,31 +284,32 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
     The closed form; theta0; changes of state that agree with C_s, first as the states at
     theta0 suggest, then at random; where C_s leaves no choice, the first start shaken
     by half.
+    With each, whether it is near (:func:`~sklearn_hd.algorithms.matching.least_squares.fit_from`).
     """
     if problem.structure.n_parameters == 0:
-        yield Start(np.empty(0), near=True)
+        yield np.empty(0), True
         return
     first = theta0
     transformation = output_transformation(problem) if closed_form or theta0 is None else None
     if transformation is not None:
         projected = problem.inside(project_transformed(problem, transformation))
         first = projected if first is None else first
-        yield Start(projected, near=True)
+        yield projected, True
     if theta0 is not None:
-        yield Start(theta0, near=False)
+        yield theta0, False
         if problem.abscissa(theta0) < 0:  # else the same again, which would count as found twice
-            yield Start(theta0, near=True)
+            yield theta0, True
     if first is None:
-        yield Start(problem.inside(_plain_start(problem)), near=False)
+        yield problem.inside(_plain_start(problem)), False
     random = np.random.default_rng(random_state)
     for k in range(n_starts):
         transformation = draw_transformation(problem, theta0, random, spread=float(k > 0))
         if transformation is not None:
             drawn = project_transformed(problem, transformation)
-            yield Start(problem.inside(drawn), near=k % 2 == 0)
+            yield problem.inside(drawn), k % 2 == 0
         elif first is not None:
             shaken = first * (1.0 + random.uniform(-0.5, 0.5, len(first)))
-            yield Start(problem.inside(shaken), near=k % 2 == 1)
+            yield problem.inside(shaken), k % 2 == 1
 
 
 def _plain_start(problem):

@@ -252,7 +252,7 @@ class MatchingProblem:
         return np.concatenate([self.grid, np.setdiff1d(np.concatenate([tops, extra]), self.grid)])
 
     def linearised(self, theta, frequencies):
-        """E, its slopes and :meth:`step_directions`.
+        """E, its slopes and the directions of steps (:meth:`_step_directions`).
 
         Parameters
         ----------
@@ -280,21 +280,18 @@ class MatchingProblem:
         high = np.where(np.isfinite(high), high, 10.0 * self.grid[-2])
         return np.minimum(low, high), high
 
-    def step_directions(self, theta):
-        """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long, or less.
-
-        Less where parameters would move by more than many times their own size: on the way to
-        infinity (a pole that becomes a feedthrough) the response saturates, and one such
-        direction would hold up the others.
-        """
-        return self._step_directions(theta, *self.residual_and_jacobian(theta))
-
     def moving_scales(self, theta):
         """By how much each parameter alone moves the response as far as the residual is long."""
         residual, jacobian = self.residual_and_jacobian(theta)
         return max(linalg.norm(residual), 1e-300) / column_sizes(jacobian)
 
     def _step_directions(self, theta, residual, jacobian):
+        """M of θ → θ + M ζ: a unit ζ moves the response as far as the residual is long, or less.
+
+        Less where parameters would move by more than many times their own size: on the way to
+        infinity (a pole that becomes a feedthrough) the response saturates, and one such
+        direction would hold up the others.
+        """
         size, length = column_sizes(jacobian), linalg.norm(residual)
         _, singular, adjoint = linalg.svd(triangle(jacobian / size), full_matrices=False)
         kept = singular > RANK * singular.max(initial=0.0)

@@ -216,18 +216,14 @@ class Certificate:
         σ_max(E) there.
     weights : ndarray, shape (n_active,)
         Of their gradients in the convex combination nearest to zero; they sum to 1.
-    distance : float
-        Length of that combination, in units of the norm, where θ is counted in moves of the
-        response as long as the residual; bounds that are touched take their share.
     predicted_decrease : float
-        Upper bound of the decrease, relative to the norm, that the linearised response
-        allows within one such move. 0 at a stationary point.
+        Upper bound of the decrease, relative to the norm, that the linearised response allows
+        within one move of it as long as the residual. 0 at a stationary point.
     """
 
     frequencies: np.ndarray
     errors: np.ndarray
     weights: np.ndarray
-    distance: float
     predicted_decrease: float
 
 
@@ -561,8 +557,8 @@ class _Point:
         for |ζ| ≤ 1.
         """
         slopes = self.slopes(mu)
-        total, distance = slopes.bound.weights.sum(), float(np.linalg.norm(slopes.gradient))
-        floor = (1.0 - mu * self.walls.n_walls - distance) / (total * value)
+        total, rise = slopes.bound.weights.sum(), np.linalg.norm(slopes.gradient)
+        floor = (1.0 - mu * self.walls.n_walls - rise) / (total * value)
         order = np.argsort(self.frequencies)
         weights = slopes.bound.weights.sum(axis=1)[order] / total
         frequencies, heights = self.frequencies[order], self.bound.sizes[order, 0]
@@ -572,6 +568,5 @@ class _Point:
         hills = [hill for hill in hills if weights[hill].sum() > _LEAST_WEIGHT]
         tops = [hill[np.argmax(heights[hill])] for hill in hills]
         shares = np.array([weights[hill].sum() for hill in hills])
-        distance = distance / (total * value)
         fall = float(max(0.0, 1.0 - floor))
-        return Certificate(frequencies[tops], heights[tops], shares / shares.sum(), distance, fall)
+        return Certificate(frequencies[tops], heights[tops], shares / shares.sum(), fall)

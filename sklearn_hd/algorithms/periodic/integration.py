@@ -141,10 +141,10 @@ def runge_kutta(f, x, u, t, width, n_steps):
     return x
 
 
-def solve_shooting(
-    f, period, x0, inputs, *, free=(), targets=(), tolerance=1e-10, max_iterations=20
-):
+def solve_shooting(f, period, x0, inputs, *, free=(), targets=()):
     """Initial state (and free inputs) of a periodic solution, by Newton's method.
+
+    It takes twenty steps at most, and goes on until rounding stops it, usually near 1e-13.
 
     Parameters
     ----------
@@ -160,22 +160,18 @@ def solve_shooting(
         Inputs to be found.
     targets : sequence of (int, float)
         State and its mean, as many as there are free inputs.
-    tolerance : float, default=1e-10
-        Largest defect accepted, relative to the largest size of each state. The
-        iteration goes on until rounding stops it, usually near 1e-13.
-    max_iterations : int, default=20
 
     Returns
     -------
     x0 : ndarray, shape (n,)
     inputs : ndarray, shape (m,)
     defect : float
-        Largest relative defect reached.
+        Largest defect reached, relative to the largest size of each state.
 
     Raises
     ------
     TrimError
-        If the defect does not fall to the tolerance, or an orbit diverges within a period.
+        If the defect does not fall to 1e-10, or an orbit diverges within a period.
 
     Examples
     --------
@@ -197,7 +193,7 @@ def solve_shooting(
         return _relative_defect(f, period, z[:n], inputs_of(z), targets)
 
     best, size, previous = z, np.inf, np.inf
-    for _ in range(max_iterations):
+    for _ in range(20):
         residual = defect(z)
         newest = float(np.max(np.abs(residual), initial=0.0))
         if newest < size:
@@ -206,11 +202,11 @@ def solve_shooting(
             break
         previous = newest
         z = z - np.linalg.lstsq(_difference_matrix(defect, z, residual), residual)[0]
-    if not size <= tolerance:
+    if not size <= 1e-10:
         raise TrimError(
             f"shooting reached a relative defect of {size:.3g} after one period (tolerance "
-            f"{tolerance:.3g}); give a guess closer to the periodic solution, such as a "
-            f"harmonic-balance trim with more harmonics"
+            f"1e-10); give a guess closer to the periodic solution, such as a harmonic-balance "
+            f"trim with more harmonics"
         )
     return best[:n], inputs_of(best), size
 

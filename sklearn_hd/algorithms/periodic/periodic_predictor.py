@@ -265,14 +265,14 @@ class LagSums:
             spent = np.sum(values * shrunk) / self.n_rows
             score = np.sum(np.log(left)) - 2.0 * len(left) * np.log(max(1.0 - spent, EPS))
             if best is None or score < best[0]:
-                best = score, ridge / values[-1], found
-        _, ridge, found = best
+                best = score, found
+        _, found = best
         coefficients = vectors @ found / size[:, None]
         crossed = coefficients.T @ self.products
         left = self.squares - crossed - crossed.T + coefficients.T @ self.gram @ coefficients
         loads, D, lags = self.layout.split(coefficients)
         covariance = left / self.n_rows
-        return Predictor(self.layout, coefficients, loads, D, lags, covariance, float(ridge))
+        return Predictor(self.layout, coefficients, loads, D, lags, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,8 +289,6 @@ class Predictor:
     lags : ndarray, shape (p, q, m + l, l)
     covariance : ndarray, shape (l, l)
         Of what the regression leaves.
-    ridge : float
-        In parts of the largest eigenvalue of the scaled sums.
     """
 
     layout: Layout
@@ -299,7 +297,6 @@ class Predictor:
     D: np.ndarray
     lags: np.ndarray
     covariance: np.ndarray
-    ridge: float
 
 
 def azimuth_drift(segments, means, predictor):

@@ -31,7 +31,7 @@ from sklearn_hd.algorithms.periodic.floquet import (
     state_units,
 )
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, harmonic_labels
 
 LONGEST_STEP = 1.0  # |F| h and K ω h of one collocation step; at 1 it errs by 1e-15
 MAX_SUBSTEPS = 256  # within one sample; whatever moves faster was not seen by the samples
@@ -96,6 +96,21 @@ class PeriodicStructure:
             structure.n_states,
             structure.parameter_names,
         )
+
+    @classmethod
+    def all_free(cls, shape, n, feedthrough=False):
+        """[A B; C D](ψ) of a shape, every entry a parameter, of D only where it says so."""
+        free = np.ones(shape, dtype=bool)
+        free[:, n:, n:] = feedthrough
+        places = np.flatnonzero(free)
+        ones = np.ones(len(places)), (np.arange(len(places)), places)
+        basis = sparse.csr_array(ones, shape=(len(places), free.size))
+        labels, names = harmonic_labels(range(len(free) // 2 + 1)), []
+        for h, i, j in np.argwhere(free):
+            row, column = i - n * (i >= n), j - n * (j >= n)
+            label = "" if len(free) == 1 else f"_{labels[h]}"
+            names.append(f"{'ABCD'[2 * (i >= n) + (j >= n)]}[{row},{column}]{label}")
+        return cls(np.zeros(shape), basis, n, tuple(names))
 
     @property
     def n_parameters(self):

@@ -144,7 +144,7 @@ def estimate_omega(inputs, outputs, sample_time, omega=None, span=SPAN, starts=N
     return estimate
 
 
-def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
+def omega_mismatch(inputs, outputs, sample_time, omega, starts=None):
     """The estimate, if the record says clearly that the frequency given is another's.
 
     To be clear, the estimate has to be five standard deviations away (or drift by as many),
@@ -153,7 +153,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
 
     Parameters
     ----------
-    inputs, outputs, sample_time, omega, span, starts
+    inputs, outputs, sample_time, omega, starts
         As in :func:`estimate_omega`.
 
     Returns
@@ -167,13 +167,13 @@ def omega_mismatch(inputs, outputs, sample_time, omega, span=SPAN, starts=None):
     home = periods.at_home()
     if home and not periods.may_gain():
         return None
-    ends = periods.beside() if home else periods.search(span)
+    ends = periods.beside() if home else periods.search(SPAN)
     if ends is None:
         return None
     found = periods.estimate(*ends)
     off = abs(found.omega - omega) > BEYOND * found.std or found.drift != 0.0
     clear = found.residual_given > CLEAR * found.residual and found.turns > ASTRAY
-    return found if periods.tells(found, span) and off and clear else None
+    return found if periods.tells(found, SPAN) and off and clear else None
 
 
 def comb_in_spectrum(outputs, sample_time):

@@ -221,10 +221,9 @@ def test_a_periodic_innovations_model_is_found_within_its_deviations(rng):
     gain = np.zeros((3, 2, 2))
     gain[0], gain[1] = [[0.35, 0.1], [-0.2, 0.3]], [[0.1, 0.0], [0.15, -0.1]]
     segments = [simulated(form, theta, gain, rng, 6000)]
-    found = prediction_error(form, segments, 1.05 * theta)
-    result = found.result
+    result = prediction_error(form, segments, 1.05 * theta)
     assert result.converged
-    assert found.form.n_gain_harmonics >= 1
+    assert result.problem.form.n_gain_harmonics >= 1
     z = (result.theta - theta) / result.theta_std
     assert np.sqrt(np.mean(z**2)) < 1.5
     assert np.max(np.abs(z)) < 3.5
@@ -250,7 +249,7 @@ def test_its_deviations_are_those_of_many_records(rng):
     gain = np.array([[[0.4, 0.1], [-0.2, 0.3]]])
     for _ in range(12):
         segments = [simulated(form, theta[kept], gain, rng, 700)]
-        result = fit_gain(form.with_gain(0), segments, theta[kept], gain).result
+        result = fit_gain(form.with_gain(0), segments, theta[kept], gain)
         covariance, _ = result.problem.linearise(result.point).covariance()
         z.append((result.theta - theta[kept]) / np.sqrt(np.diag(covariance)[:4]))
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
@@ -267,7 +266,7 @@ def test_no_gain_where_no_noise_moves_the_states(n_records, most):
     for seed in range(n_records):
         rng = np.random.default_rng(seed)
         segments = [simulated(form, theta, None, rng, 200, spread=np.diag([0.04, 0.02]))]
-        taken += prediction_error(form, segments, theta).result.gain is not None
+        taken += prediction_error(form, segments, theta).gain is not None
     assert taken <= most
 
 
@@ -280,8 +279,8 @@ def test_a_gain_where_noise_moves_the_states():
         gain = np.array([[[0.3, 0.0], [0.0, 0.3]]])
         segments = [simulated(form, theta, gain, rng, 400)]
         found = prediction_error(form, segments, theta)
-        assert found.result.gain is not None
-        assert found.form.n_gain_harmonics == 0  # nothing turns
+        assert found.gain is not None
+        assert found.problem.form.n_gain_harmonics == 0  # nothing turns
 
 
 def test_an_unstable_machine_with_a_stable_predictor_is_found(rng):
@@ -295,12 +294,12 @@ def test_an_unstable_machine_with_a_stable_predictor_is_found(rng):
     segments = [simulated(form, theta, gain[None], rng, 300)]
     assert np.std(segments[0][1]) > 100 * np.sqrt(SPREAD[0, 0])
     found = prediction_error(form, segments, theta)
-    assert found.result.converged
-    found_A = structure.coefficients(found.result.theta)[0, :2, :2]
+    assert found.converged
+    found_A = structure.coefficients(found.theta)[0, :2, :2]
     one, other = (np.sort_complex(np.linalg.eigvals(M)) for M in (found_A, A))
     np.testing.assert_allclose(one, other, atol=5e-3)
-    response = found.form.response(found.result.point.theta, sensitivities=False)
-    assert found.form.radius(response) < 1.0
+    response = found.problem.form.response(found.point.theta, sensitivities=False)
+    assert found.problem.form.radius(response) < 1.0
     grows = theta.copy()
     grows[0] = 1e3
     with pytest.raises(ValueError, match="overflows"):  # what a simulation cannot do
@@ -312,9 +311,9 @@ def test_a_record_cut_in_two_tells_nearly_the_same(rng):
     form = Form(structure, OMEGA, 8)
     gain = np.array([[[0.35, 0.1], [-0.2, 0.3]]])
     u, y, _ = simulated(form, theta, gain, rng, 2400)
-    whole = fit_gain(form.with_gain(0), [(u, y, 0)], theta, gain).result
+    whole = fit_gain(form.with_gain(0), [(u, y, 0)], theta, gain)
     cut = [(u[:1203], y[:1203], 0), (u[1203:], y[1203:], 1203)]
-    cut = fit_gain(form.with_gain(0), cut, theta, gain).result
+    cut = fit_gain(form.with_gain(0), cut, theta, gain)
     assert len(cut.x0) == 2
     assert np.max(np.abs(cut.theta - whole.theta) / whole.theta_std) < 0.5
     np.testing.assert_allclose(cut.theta_std, whole.theta_std, rtol=0.05)
@@ -375,7 +374,7 @@ def test_bounds_hold_for_the_structure_and_leave_the_gain_free(rng):
     lower, upper = np.full(len(theta), -np.inf), np.full(len(theta), np.inf)
     upper[0] = theta[0] - 0.2
     start = np.minimum(theta, upper)
-    found = prediction_error(form, segments, start, bounds=(lower, upper)).result
+    found = prediction_error(form, segments, start, bounds=(lower, upper))
     assert found.theta[0] <= upper[0]
     assert found.gain is not None
 
@@ -391,5 +390,5 @@ def test_an_awkward_clock_is_fitted_too(rng):
     y = simulate(form.response(theta, sensitivities=False), record, np.zeros(2))[1]
     y = y + 0.02 * rng.standard_normal(y.shape)
     gain = gain_of(form.with_gain(0), rng, 0.01).reshape(1, 2, 2)
-    result = prediction_error(form, [(u, y, psi)], 1.03 * theta, gain0=gain).result
+    result = prediction_error(form, [(u, y, psi)], 1.03 * theta, gain0=gain)
     assert np.max(np.abs(result.theta - theta) / result.theta_std) < 4.0

@@ -1,7 +1,6 @@
 """Laws of deviations from parts of a record."""
 
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     by_direction,
     by_size,
     part_scores,
-    whole_covariance,
 )
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 
@@ -41,8 +39,8 @@ def line(rng, noise, slope=2.0):
 def fit(u, y, divisions):
     form = static()
     result = output_error_of(form, [(u, y, 0)], [0.0, 0.0])
-    parts = part_scores(result.problem, result.point, divisions)
-    return result, parts, whole_covariance(result)
+    white = result.system.covariance(gauge=True)[0] * result.correction
+    return result, part_scores(result, divisions), white
 
 
 BLOCKS = [np.minimum(np.arange(N) * 40 // N, 39)]
@@ -137,9 +135,8 @@ def test_known_noise_is_taken_as_known(rng):
     u, y = line(rng, rng.standard_normal(N))
     problem = likelihood_problem(static(), [(u, y, 0)], True, sigma=[2.0])
     point = problem.point(np.zeros(2), np.zeros((1, 0)))
-    result = SimpleNamespace(problem=problem, point=point, correction=1.0)
-    expected = np.linalg.inv(u.T @ u) * 4.0
-    np.testing.assert_allclose(whole_covariance(result), expected, rtol=1e-9)
+    found, _ = problem.linearise(point).covariance(gauge=True)
+    np.testing.assert_allclose(found, np.linalg.inv(u.T @ u) * 4.0, rtol=1e-9)
 
 
 # ---- divisions ----------------------------------------------------------------------------

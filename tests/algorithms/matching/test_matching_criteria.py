@@ -96,7 +96,6 @@ def test_certificate_is_a_convex_combination_of_gradients_that_vanishes():
     problem = MatchingProblem.build(*OSCILLATORS, SECOND_ORDER.affine)
     assert certificate.weights.sum() == pytest.approx(1.0)
     assert np.all(certificate.weights > 0)
-    assert certificate.distance < 1e-3
     np.testing.assert_allclose(certificate.errors, result.relative_error, rtol=1e-3)
     steps = 1e-6 * np.eye(5)
     gradients = np.array(

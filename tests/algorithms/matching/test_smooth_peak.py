@@ -56,7 +56,7 @@ def test_one_pass_over_the_frequencies_gives_what_several_do(shape):
     np.testing.assert_allclose(error, wanted[0], atol=1e-12)
     np.testing.assert_allclose(error, problem.error(theta, frequencies), atol=1e-12)
     np.testing.assert_allclose(slope, wanted[1], atol=1e-12)
-    whole = problem.step_directions(theta)
+    whole = problem.linearised(theta, problem.grid)[2]
     np.testing.assert_allclose(directions @ directions.T, whole @ whole.T, rtol=1e-8, atol=1e-10)
 
 
@@ -134,7 +134,7 @@ def test_descent_falls_and_ends_near_a_stationary_point(first):
     assert history[0] == problem.peak(START)[0]
     assert history[-1] == problem.peak(theta)[0]
     assert history[-1] < 0.9 * history[0]
-    directions = problem.step_directions(theta)
+    directions = problem.linearised(theta, problem.grid)[2]
     random = np.random.default_rng(5)
     for _ in range(50):
         step = directions @ random.standard_normal(directions.shape[1]) * 1e-2
