@@ -175,9 +175,7 @@ def test_without_a_record_at_hand_nothing_is_compared():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings(
-    "ignore:the match does not reproduce"
-)  # of a structure without all harmonics
+@pytest.mark.filterwarnings("ignore:the matched model's response")  # the structure lacks harmonics
 @pytest.mark.parametrize("reading", ["period", "sample"])
 def test_of_a_pipeline_the_deviations_at_hand_are_those_of_its_fit(reading):
     t = PERIOD / SPP * np.arange(60 * SPP)

@@ -471,8 +471,8 @@ def _unlike(sampled, model, experiment):
     if not share > UNLIKE:
         return None
     return (
-        f"the match does not reproduce {share:.2g} of the variance of the identified model's "
-        f"response to the inputs",
+        f"the matched model's response to the inputs differs from the identified model's by "
+        f"{share:.2g} times its variance",
         IdentifiabilityWarning,
     )
 
