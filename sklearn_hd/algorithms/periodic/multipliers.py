@@ -115,10 +115,8 @@ def without_noise_growth(Phi, directions, lifted):
 def multiplier_deviations(Phi, directions, lifted):
     """Multipliers of a map, and the standard deviations of their logarithms, refined or not.
 
-    Those of noise as large as what is left of the lifted outputs, or as its strongest direction
-    where one stands out of white noise (Marchenko and Pastur, 1967): what a linear map does not
-    explain has one pattern within the period. Of z² − s z + p an error e = z δs − δp moves a root
-    by δz, δz² + (2 z − s) δz = e: by √e where the root is double.
+    Those of white noise as large as what is left of the lifted outputs. Of z² − s z + p an error
+    e = z δs − δp moves a root by δz, δz² + (2 z − s) δz = e: by √e where the root is double.
 
     Parameters
     ----------
@@ -137,12 +135,7 @@ def multiplier_deviations(Phi, directions, lifted):
     elimination = _Elimination(edges, Modes(directions), target, LARGEST_RESPONSE)
     coefficients = [characteristic(block) for block in blocks]
     R = elimination.factor(np.concatenate(coefficients))
-    n_free, n_columns = cost_of_a_state(directions, lifted)[0], lifted[0].shape[1]
-    variance = np.sum(R[:, -1] ** 2) / n_free
-    rest = left_by(Phi, directions, target, coefficients)
-    if not _is_rounding(rest, target):
-        edge = np.sqrt(n_free / n_columns) + np.sqrt(n_columns)
-        variance = max(variance, (np.linalg.norm(rest, 2) / edge) ** 2)
+    variance = np.sum(R[:, -1] ** 2) / cost_of_a_state(directions, lifted)[0]
     spread = linalg.pinv(R[: len(Phi), : len(Phi)]) * np.sqrt(variance)
     found = []
     for own, rows in zip(coefficients, np.split(spread, edges), strict=True):
@@ -483,18 +476,17 @@ def outgrows_numbers(Phi, n_periods):
     return n_periods * np.log(largest) > np.log(LARGEST_RESPONSE)
 
 
-def left_by(Phi, directions, target, steps=None):
+def left_by(Phi, directions, target):
     """Lifted outputs less what inputs and as many states as Φ has can explain.
 
     The states move in n of the directions in which n modes could answer to every input and
     initial state: the best n of them (reduced-rank regression, Anderson, 1951). All of
-    them together would fit the noise, the more the more directions the inputs have. ``steps``
-    has the polynomials of Φ, where they are not those of its single modes.
+    them together would fit the noise, the more the more directions the inputs have.
     """
-    modes, steps = Modes(directions), polynomials(Phi) if steps is None else steps
+    modes = Modes(directions)
     Q = orthonormal_range(modes.inputs)
     left = target - Q @ (Q.T @ target)
-    Q = orthonormal_range(modes.responses(steps)[1], beyond=Q)
+    Q = orthonormal_range(modes.responses(polynomials(Phi))[1], beyond=Q)
     within = Q.T @ left
     U = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
     return left - Q @ (U @ (U.T @ within))
@@ -508,7 +500,8 @@ def leaves_white_noise(Phi, directions, lifted):
     """
     target = compact(np.vstack(lifted))
     rest = left_by(Phi, directions, target)
-    return _is_rounding(rest, target) or _is_white(rest, lifted[0].shape[1])
+    rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
+    return bool(rounding) or _is_white(rest, lifted[0].shape[1])
 
 
 def without_noise(Phi, directions, lifted):
@@ -524,10 +517,6 @@ def without_noise(Phi, directions, lifted):
     Q = orthonormal_range(np.hstack([modes.inputs, modes.responses(polynomials(steps))[1]]))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
-
-
-def _is_rounding(rest, target):
-    return bool(np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target))
 
 
 def _is_white(rest, n_columns):

@@ -176,36 +176,6 @@ def test_a_double_multiplier_is_known_to_the_square_root_of_the_noise(rng, apart
     np.testing.assert_allclose(np.log(found[1] / found[0]) / np.log(1e4), power, atol=0.02)
 
 
-def test_deviations_are_those_of_the_strongest_direction_of_what_is_left(rng):
-    """Of white noise those of its size; of noise in one direction, as large in all, those of it."""
-    n, q, level = 400, 24, 1e-3
-    w = rng.standard_normal((n, 1))
-    x = np.zeros(n + 1)
-    for k in range(n):
-        x[k + 1] = 0.8 * x[k] + w[k, 0]
-    clean, one = np.outer(x[:n], rng.standard_normal(q)), np.eye(q)[:1]
-    white = level * rng.standard_normal((n, q))
-    striped = level * np.sqrt(q) * rng.standard_normal((n, 1)) * one
-    of_white, of_stripe = (
-        multiplier_deviations(np.array([[0.8]]), [w], [clean + noise])[1][0]
-        for noise in (white, striped)
-    )
-    inflation = np.sqrt(q) / (1.0 + np.sqrt(q / n))
-    np.testing.assert_allclose(of_stripe / of_white, inflation, rtol=0.2)
-    np.testing.assert_allclose(of_white, _white_deviation(w, x, clean, level), rtol=0.1)
-
-
-def _white_deviation(w, x, clean, level):
-    """Of log 0.8 where an answer to w in every direction is fitted, by the Cramér-Rao bound."""
-    slope = np.zeros(len(x))
-    for k in range(len(w)):
-        slope[k + 1] = 0.8 * slope[k] + x[k]
-    free = np.stack([x[:-1], w[:, 0], 0.8 ** np.arange(len(w))], axis=1)
-    moved = slope[:-1] - free @ np.linalg.lstsq(free, slope[:-1])[0]
-    size = np.linalg.norm(clean) / np.linalg.norm(x[:-1])
-    return level / (0.8 * np.linalg.norm(moved) * size)
-
-
 @pytest.mark.parametrize("values", [[-0.3], [0.6, -0.01], [-0.5, -0.2, -0.001], [0.5, 0.2]])
 def test_a_map_turned_back_keeps_all_but_one_sign(rng, values):
     V = rng.standard_normal((len(values), len(values)))
