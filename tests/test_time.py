@@ -197,10 +197,7 @@ def two_steps(omega, **params):
 
 
 @pytest.mark.parametrize("reading", ["sliding", "period"])
-@pytest.mark.parametrize(
-    "seconds",
-    [1.0, -1e4, UNIX],
-)
+@pytest.mark.parametrize("seconds", [1.0, -1e4, UNIX])
 @pytest.mark.slow
 def test_models_do_not_depend_on_the_origin_of_time(flown, seconds, reading):
     """At 1.7e9 s a score of 0.961 fell, down to -29943, for phases of ωt that were rounded."""

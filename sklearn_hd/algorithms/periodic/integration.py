@@ -17,6 +17,8 @@ from scipy.integrate import ode
 
 from sklearn_hd.exceptions import TrimError
 
+CLOSED = 1e-10  # of each state's largest size, that an orbit may miss its start by
+
 
 def integrate(f, x0, u, t, *, rtol=1e-12, atol=1e-13, first_step=None):
     """States of ẋ = f(x, u, t) at the sample times, u held between them.
@@ -202,11 +204,11 @@ def solve_shooting(f, period, x0, inputs, *, free=(), targets=()):
             break
         previous = newest
         z = z - np.linalg.lstsq(_difference_matrix(defect, z, residual), residual)[0]
-    if not size <= 1e-10:
+    if not size <= CLOSED:
         raise TrimError(
             f"shooting reached a relative defect of {size:.3g} after one period (tolerance "
-            f"1e-10); give a guess closer to the periodic solution, such as a harmonic-balance "
-            f"trim with more harmonics"
+            f"{CLOSED:.3g}); give a guess closer to the periodic solution, such as a "
+            f"harmonic-balance trim with more harmonics"
         )
     return best[:n], inputs_of(best), size
 
