@@ -2,6 +2,7 @@
 
 import os
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -23,6 +24,13 @@ NIGHTLY = settings.default.max_examples > 100
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the processors: BLAS would take them twice
     threadpool_limits(1)
+
+
+@pytest.fixture(autouse=True)
+def _no_figures_left():
+    """Tests of one worker share pyplot: none leaves a figure to the next."""
+    yield
+    plt.close("all")
 
 
 @pytest.fixture(scope="session")

@@ -26,12 +26,6 @@ from sklearn_hd.plotting import (
 )
 
 
-@pytest.fixture(autouse=True)
-def _no_figures_left():
-    yield
-    plt.close("all")
-
-
 @lru_cache
 def made(name):
     """A display on a figure of its own, and how many figures that made."""

@@ -52,12 +52,6 @@ def without_letters(figure):
     return figure
 
 
-@pytest.fixture(autouse=True)
-def _no_figures_left():
-    yield
-    plt.close("all")
-
-
 @pytest.mark.parametrize("name", cases.DISPLAYS)
 @image
 @pytest.mark.slow

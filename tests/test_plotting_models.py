@@ -4,7 +4,6 @@ import copy
 from dataclasses import replace
 
 import control
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import plotting_cases as cases
@@ -25,12 +24,6 @@ from sklearn_hd.plotting import (
     SingularValueDisplay,
 )
 from sklearn_hd.systems import LTPSystem, estimate_harmonic_transfer_function
-
-
-@pytest.fixture(autouse=True)
-def _no_figures_left():
-    yield
-    plt.close("all")
 
 
 def points(line):

@@ -1,6 +1,5 @@
 """Displays of models of samples at their azimuths: what they draw is the model's, and true."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import plotting_cases as cases
 import pytest
@@ -24,12 +23,6 @@ from sklearn_hd.plotting import (
     StabilizationDisplay,
 )
 from sklearn_hd.systems import estimate_harmonic_transfer_function
-
-
-@pytest.fixture(autouse=True)
-def _no_figures_left():
-    yield
-    plt.close("all")
 
 
 def true_loads(time):

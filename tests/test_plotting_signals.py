@@ -1,6 +1,5 @@
 """Displays of signals: harmonics, responses, and how orders and structures were chosen."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import plotting_cases as cases
@@ -17,12 +16,6 @@ from sklearn_hd.plotting import (
     ResponseDisplay,
     StabilizationDisplay,
 )
-
-
-@pytest.fixture(autouse=True)
-def _no_figures_left():
-    yield
-    plt.close("all")
 
 
 def finite(line):

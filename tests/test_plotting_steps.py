@@ -1,19 +1,12 @@
 """Step responses, pole maps and picks of modes: what is drawn is right."""
 
 import control
-import matplotlib.pyplot as plt
 import numpy as np
 import plotting_cases as cases
 import pytest
 from matplotlib.backend_bases import MouseEvent
 
 from sklearn_hd.plotting import BodeDisplay, EigenvalueDisplay, StepResponseDisplay
-
-
-@pytest.fixture(autouse=True)
-def _no_figures_left():
-    yield
-    plt.close("all")
 
 
 def lag(pole=-2.0, gain=3.0, direct=0.5, **options):
