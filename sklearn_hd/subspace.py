@@ -71,7 +71,8 @@ class MOESPRegressor(ModelStep):
         at most. The first is kept that nothing speaks against, and that leaves about as little, or
         less than a hundredth of the motion's variance and has no mode that the other has not. If
         there is none and the model is in doubt, the criterion after these steps chooses between it
-        and those that leave noise. A search leaves this out.
+        and those that leave noise. Where products of states pay (``nonlinear_degrees_``), models
+        with fewer states are compared by their predictions beside these. A search leaves this out.
     block_rows : int or None, default=None
         Block rows i of the past, and of the future. None takes twice the rows in the analysis
         window, plus two; 15 on plain data (fewer if the record is short); up to 60 with
@@ -173,6 +174,11 @@ class MOESPRegressor(ModelStep):
         Of each simulated model: ``order``, ``feedthrough``, ``stable`` (no mode grows e-fold),
         ``share`` of the outputs that is left (root mean square), ``variance`` left (geometric mean
         over outputs), ``bic``, ``n_harmonics``. Empty if none was simulated.
+    nonlinear_degrees_ : tuple of int
+        With ``reading="sample"``: degrees of products of states and inputs that were further
+        inputs of the fit, because a linear model alone leaves more (Akaike's criterion). The model
+        is that of small motions then, and its score on a record of large ones is lower. Empty if a
+        linear model holds.
     kalman_gain_ : ndarray, shape (order, n_outputs)
         K, if identified; Fourier coefficients, shape (2 H + 1, order, n_outputs), if it varies.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)
@@ -415,7 +421,7 @@ class MOESPRegressor(ModelStep):
         self.order_, self.block_rows_, self.x0_ = found.order, found.block_rows, found.x0
         self.singular_values_, self.noise_floor_ = found.singular_values, found.noise_floor
         self.feedthrough_reason_ = found.feedthrough_reason
-        self.order_search_ = found.order_search
+        self.order_search_, self.nonlinear_degrees_ = found.order_search, found.degrees
         return self._remember(found.model, basis, X, y, experiment)
 
     @property

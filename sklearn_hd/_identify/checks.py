@@ -243,11 +243,19 @@ def warn_of_little(layout, n_rows, best, basis):
         )
 
 
-def why_no_noise(segments, innovations, predictor):
+def why_no_noise(segments, innovations, predictor, small=None):
     """Why what predictions leave is no noise: so much more than the predictor they come from.
 
     The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
     same where states, order or harmonics have lost what it knew.
+
+    Parameters
+    ----------
+    segments : list of (inputs, outputs, psi)
+    innovations : PeriodicInnovations
+    predictor : Predictor
+    small : SmallMotions or None
+        Where products of states and inputs are further inputs: what these leave, too, counts.
 
     Returns
     -------
@@ -268,7 +276,7 @@ def why_no_noise(segments, innovations, predictor):
     n_rows = sum(map(len, left))
     if not all(np.max(np.abs(e), initial=0.0) < OVERFLOW for e in left):
         return ""  # an InstabilityWarning says so
-    covariance = sum(e.T @ e for e in left) / n_rows
+    covariance = sum(e.T @ e for e in left) / n_rows if small is None else small.covariance
     floor = SENSOR_NOISE**2 * np.eye(n_outputs)
     own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))
     more = own - its

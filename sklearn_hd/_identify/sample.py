@@ -5,6 +5,7 @@
 3. States by one singular value decomposition of what it knows of the outputs to come.
 4. Matrices, K and loads by least squares; order and harmonics by simulation (Schwarz's criterion).
 5. Steps of the likelihood from there, which bring back what the lags have lost.
+6. Products of states and inputs as further inputs, where a linear model does not hold.
 """
 
 from dataclasses import dataclass, replace
@@ -32,7 +33,11 @@ from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import (
+    SmallMotions,
+    most_likely,
+    of_small_motions,
+)
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -174,9 +179,10 @@ def identify(data, settings, experiment):
         )
     choice, best, reason, tried = _Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, best)
-    unsure = found.against or not found.lasts
-    if settings.order == "auto" and unsure and not searching():
-        found = _or_simpler(found, choice)
+    if settings.order == "auto" and not searching():
+        found = _beside_products(found, choice)
+        if found.against or not found.lasts:
+            found = _or_simpler(found, choice)
     model, chosen = found.model, found.chosen
     for message in found.against:
         warn(message, IdentifiabilityWarning)
@@ -194,6 +200,7 @@ def identify(data, settings, experiment):
         reason,
         tried,
         doubt=0.0 if model.opinion is None else model.opinion.doubt(model.exponents()),
+        degrees=found.degrees,
     )
 
 
@@ -231,6 +238,10 @@ class _Found:
         What the second opinion does not confirm, "" if it confirms all.
     lasts : bool
         Whether a turn leaves something of every mode: others may stand for noise.
+    degrees : tuple of int
+        Of products of states and inputs that are further inputs; empty where they do not pay.
+    bic_of_predictions : float
+        With products; infinite without them.
     """
 
     chosen: Simulated
@@ -239,6 +250,8 @@ class _Found:
     no_noise: str
     unconfirmed: str
     lasts: bool
+    degrees: tuple = ()
+    bic_of_predictions: float = np.inf
 
     @property
     def against(self):
@@ -260,11 +273,12 @@ class _Found:
     def of(cls, choice, chosen, most_left=np.inf):
         """The model of one of the orders and numbers of harmonics tried; None if it leaves more."""
         data, basis, layout = choice.data, choice.basis, choice.layout
-        innovations, ahead = choice.refined(choice.whole(chosen), chosen.stable)
+        refined = choice.refined(choice.whole(chosen), chosen.stable)
+        innovations = refined.innovations
         left = choice.compared(chosen.order, chosen.n_harmonics, innovations)
         if not left.variance <= most_left:
             return None
-        no_noise = why_no_noise(choice.simulated, innovations, choice.predictor)
+        no_noise = why_no_noise(choice.simulated, innovations, choice.predictor, refined.small)
         model = SampleModel(
             innovations.in_units(*data.scales).about(*data.means).about_orbit(),
             basis.omega,
@@ -280,11 +294,25 @@ class _Found:
         if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
             exponents = model.exponents()
             lasts = bool(lasting(exponents, basis.omega).all())
-            halves = _of_halves(model, choice, chosen)
-            own = _of_its_likelihood(ahead, data, basis.omega)
-            model = replace(model, opinion=more_doubtful(exponents, halves, own))
+            halves = _of_halves(model, choice, chosen, refined)
+            others = _of_its_likelihood(refined, data, basis.omega)
+            model = replace(model, opinion=more_doubtful(exponents, halves, *others))
             unconfirmed = why_unconfirmed(exponents, model.opinion)
-        return cls(chosen, left, model, no_noise, unconfirmed, lasts)
+        bic = choice.bic_of_predictions(chosen, refined)
+        return cls(chosen, left, model, no_noise, unconfirmed, lasts, refined.degrees, bic)
+
+
+def _beside_products(found, choice):
+    """Where products pay, a model of fewer states if its predictions are better by the criterion.
+
+    Without products, states stand for the second order of the response.
+    """
+    rivals = [found]
+    if np.isfinite(found.bic_of_predictions):
+        most_left = STEPS_GAIN * max(found.left.variance, LITTLE)
+        for one in islice(choice.simpler(found.chosen, most_left), MOST_SIMPLER):
+            rivals.append(_Found.of(choice, one))
+    return min(rivals, key=lambda rival: rival.bic_of_predictions)
 
 
 def _or_simpler(found, choice):
@@ -306,7 +334,7 @@ def _or_simpler(found, choice):
     return min(rivals, key=lambda rival: rival.left.bic)
 
 
-def _of_halves(model, whole, chosen):
+def _of_halves(model, whole, chosen, refined):
     """Exponents of the two halves of a record, of the same order, lags and harmonics.
 
     Each half has as much of the outputs' motion: of a record that is at rest for long, and of a
@@ -333,22 +361,27 @@ def _of_halves(model, whole, chosen):
         sums = LagSums.of(segments, layout)
         choice = _Choice(half, sums, fixed, whole.basis, whole.steps)
         found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
-        found, _ = choice.refined(found, chosen.stable)
-        exponents.append(replace(model, innovations=found).exponents())
+        found = choice.refined(found, chosen.stable, refined.degrees)
+        exponents.append(replace(model, innovations=found.innovations).exponents())
     omega = whole.basis.omega
     return of_halves(model.exponents(), exponents, omega, data.duration(omega))
 
 
-def _of_its_likelihood(ahead, data, omega):
-    """Where a further step of its likelihood leads the exponents; None without such steps.
+def _of_its_likelihood(refined, data, omega):
+    """Where a further step of its likelihood leads the exponents, and steps on smaller motions.
 
-    Where steps have not come to an end, that is elsewhere.
+    Where steps have not come to an end, and where products have not taken up all by which a
+    machine is not linear, that is elsewhere.
     """
-    if ahead is None:
-        return None
-    exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
-    way = "a further step of its likelihood has"
-    return Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
+    small = refined.small
+    ways = (
+        (refined.ahead, "a further step of its likelihood has"),
+        (None if small is None else small.of_smaller, "the smaller motions of the record have"),
+    )
+    for ahead, way in ways:
+        if ahead is not None:
+            exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
+            yield Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
 
 
 # ---- the predictor ---------------------------------------------------------------------------
@@ -536,6 +569,30 @@ def _positive(covariance):
     return covariance + LEAST_NOISE**2 * np.eye(len(covariance))
 
 
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A model after steps of its likelihood.
+
+    Attributes
+    ----------
+    innovations : PeriodicInnovations
+    ahead : (ndarray, ndarray), or None
+        Where a further step leads the logarithms of its multipliers, and their deviations; None
+        without steps.
+    small : SmallMotions or None
+        Where products of states and inputs pay; their linear part is the model then.
+    """
+
+    innovations: PeriodicInnovations
+    ahead: tuple | None = None
+    small: SmallMotions | None = None
+
+    @property
+    def degrees(self):
+        """Of products that are further inputs."""
+        return () if self.small is None else self.small.degrees
+
+
 class _Choice:
     """The order and the harmonics of the matrices, by what simulations of the record leave.
 
@@ -622,19 +679,27 @@ class _Choice:
             if best is not None and best.variance <= most_left:
                 yield best
 
-    def refined(self, innovations, stable):
+    def refined(self, innovations, stable, degrees=None):
         """A model with the gain of its Kalman filter, after steps of its likelihood.
 
-        And where a further one leads the logarithms of its multipliers, with their deviations.
+        Products of states and inputs are further inputs, of some degrees, or where they pay (None).
+
+        Returns
+        -------
+        refined : _Refined
         """
         asked, count = self.basis.n_input_harmonics, innovations.n_harmonics
         layout = replace(self.layout, n_input_harmonics=count if asked is None else asked)
         most_growth = GROWN / self.data.longest if stable else np.inf
         start = innovations.filtered(self._noise(innovations))
-        if not self.steps:
-            return start, None
-        found = most_likely(start, self.data.segments, layout, SENSOR_NOISE, most_growth)
-        return (start, None) if found is None else found
+        likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
+        found = most_likely(start, *likelihood) if self.steps else None
+        if found is None:
+            return _Refined(start)
+        small = of_small_motions(found[0], *likelihood, degrees)
+        if small is None:
+            return _Refined(*found)
+        return _Refined(small.innovations, small.ahead, small)
 
     def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
@@ -687,16 +752,29 @@ class _Choice:
         moves = self.total > 0.0
         shares = sum(np.sum(each**2, axis=0) for each in left)[moves] / self.total[moves]
         logs = np.log(shares + SENSOR_NOISE**2)
-        m, n_outputs = self.data.n_inputs, self.data.n_outputs
-        n_free = order * (order + m + n_outputs) + D * m * n_outputs
-        first = self.layout.n_harmonics  # those beyond belong to the coordinates
         n_rows = sum(len(y) for _, y, _ in pieces)
-        spent = (2 * first + 1) * np.log(n_rows) + 4 * (count - first)
-        bic = n_rows * np.sum(logs) + n_free * spent
+        bic = n_rows * np.sum(logs) + self._spent(order, count, self.data.n_inputs, n_rows)
         bic += order * sum(np.log(len(y)) for _, y, _ in pieces)
         share, variance = np.sqrt(np.mean(shares)), np.exp(np.mean(logs))
         stable = longest * own < GROWN
         return Simulated(order, D, bool(stable), *map(float, (share, variance, bic)), count)
+
+    def _spent(self, order, count, n_inputs, n_rows):
+        """What the criterion counts for coefficients of so many states, harmonics and inputs."""
+        D, n_outputs = self.layout.feedthrough, self.data.n_outputs
+        n_free = order * (order + n_inputs + n_outputs) + D * n_inputs * n_outputs
+        first = self.layout.n_harmonics  # those beyond belong to the coordinates
+        return n_free * ((2 * first + 1) * np.log(n_rows) + 4 * (count - first))
+
+    def bic_of_predictions(self, chosen, refined):
+        """The criterion of one-step predictions with products as inputs; infinite without."""
+        small = refined.small
+        if small is None:
+            return np.inf
+        n_rows = sum(len(y) for _, y, _ in self.data.segments)
+        floor = SENSOR_NOISE**2 * np.eye(self.data.n_outputs)
+        left = n_rows * np.linalg.slogdet(small.covariance + floor)[1]
+        return left + self._spent(chosen.order, chosen.n_harmonics, small.n_inputs, n_rows)
 
     def start(self, innovations, s):
         """State at the first row of a segment, in the units of the signals."""

@@ -72,6 +72,8 @@ class SubspaceFit:
         What the trim of the outputs is off by, where it is identified together with the dynamics.
     doubt : float
         How far an exponent may be off, in parts of its rate, by the opinion that doubts most.
+    degrees : tuple of int
+        Of products of states and inputs, beside which the model is that of small motions.
     """
 
     model: LTIModel
@@ -84,6 +86,7 @@ class SubspaceFit:
     tried: tuple = ()
     forced: np.ndarray | None = None
     doubt: float = 0.0
+    degrees: tuple = ()
 
     @property
     def order_search(self):

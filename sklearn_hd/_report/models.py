@@ -33,6 +33,12 @@ def order_section(fitted):
         "noise floor of the singular values": digits(step.noise_floor_, 3),
         "feedthrough": f"{digits(bool(step.feedthrough_))}: {step.feedthrough_reason_}",
     }
+    if step.nonlinear_degrees_:
+        degrees = " and ".join(map(str, step.nonlinear_degrees_))
+        facts["not linear"] = (
+            f"products of {degrees} states and inputs were further inputs of the fit: the model is "
+            f"that of small motions, and its score on a record of large ones is lower"
+        )
     search = pd.DataFrame(step.order_search_)
     tried = ""
     if len(search):

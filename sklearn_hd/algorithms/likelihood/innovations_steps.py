@@ -6,22 +6,34 @@ Regressions on a few lags lose what noise hides in them. Gauss-Newton steps in a
 coefficients of A, B, C, D, K and the loads, damped while they do not pay (Levenberg, Marquardt),
 bring it back. Coordinates are free: damping holds them. Initial states are fitted at each step.
 
+Of a machine that is not linear a linear model takes on what it can of the higher orders of the
+response, and its exponents are off by that. So products q of two states or inputs, then of three,
+about their periodic means, become further inputs where they pay (Akaike's criterion):
+
+    x[k+1] = A(ψ_k) x + B(ψ_k) u + N(ψ_k) q + a(ψ_k) + K(ψ_k) e
+
+A, B, C and D then are those of small motions. With q of the states known before, that is linear.
+
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
-Reference: L. Ljung, *System Identification*, 1999, sections 7.4 and 10.2.
+References: L. Ljung, *System Identification*, 1999, sections 7.4 and 10.2; J. Paduart et al.,
+"Identification of nonlinear systems using polynomial nonlinear state space models", Automatica 46
+(2010), for time-invariant machines.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations_with_replacement
+from math import comb
 
 import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.residual_tests import sensitivities
-from sklearn_hd.algorithms.linalg.rounding import RANK
-from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, harmonic_functions
 
 MOST_STEPS = 8  # of exact data, whose likelihood has no end
 MOST_NUMBERS = 5e6  # sensitivities of a record: of more, each step takes a second
@@ -29,9 +41,19 @@ VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
+DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
 
 
-def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf):
+def most_likely(
+    innovations,
+    segments,
+    layout,
+    sensor_noise,
+    most_growth=np.inf,
+    *,
+    least_fall=0.0,
+    counted=None,
+):
     """A model after steps of its likelihood, as many as pay.
 
     Parameters
@@ -46,6 +68,10 @@ def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf)
     most_growth : float
         Of a simulation, e-folds a sample: no step leads beyond it, nor to multipliers that no
         periodic system has.
+    least_fall : float
+        Of −log L, in all, for which steps are worth it.
+    counted : list of ndarray of bool, optional
+        Which rows of each segment count; all by default.
 
     Returns
     -------
@@ -53,26 +79,30 @@ def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf)
         The model; the logarithms of its multipliers to which a further step would lead, and
         their standard deviations, √(σ²_real + σ²_imag). None where the record is so long, or the
         model so large, that steps would take long, where the record is too short for so many
-        coefficients, and where the predictor forgets nothing.
+        coefficients, where the predictor forgets nothing, and where steps are not worth it.
     """
     H = max(len(innovations.coefficients) // 2, layout.n_loads)
     coefficients = resize_harmonics(innovations.coefficients, H)
     innovations = replace(innovations, coefficients=coefficients)
     form = _Form.of(innovations, layout)
-    n_free, n_values = len(form.places), sum(y.size for _, y, _ in segments)
+    counted = [slice(None)] * len(segments) if counted is None else counted
+    n_values = sum(y[some].size for (_, y, _), some in zip(segments, counted, strict=True))
+    n_free = len(form.places)
     if n_free * n_values > MOST_NUMBERS or n_values < VALUES_PER_PARAMETER * n_free:
         return None
-    at = _fitted(innovations, segments, sensor_noise)
+    at = _fitted(innovations, segments, sensor_noise, counted)
     if at is None:
         return None
-    damping, system = FIRST_DAMPING, form.system(at)
+    damping, system, first = FIRST_DAMPING, form.system(at), at.cost
+    if system.promised < least_fall:
+        return None
     for _ in range(MOST_STEPS):
         trial = None
         while trial is None and damping < DAMPING_LIMIT and system.promised > ENOUGH:
             moved = form.moved(at.innovations, system.step(damping))
             with np.errstate(over="ignore", invalid="ignore"):  # of a step too far
                 if moved.growth() < most_growth and moved.is_possible():
-                    trial = _fitted(moved, segments, sensor_noise, at.cost)
+                    trial = _fitted(moved, segments, sensor_noise, counted, at.cost)
             damping *= 10.0 if trial is None else 0.1
         if trial is None:
             break
@@ -80,10 +110,148 @@ def most_likely(innovations, segments, layout, sensor_noise, most_growth=np.inf)
         system = form.system(at)
         if fall < ENOUGH:
             break
+    if first - at.cost < least_fall:
+        return None
     logarithms, slopes = form.slopes(at.innovations)
     deviations = at.left * np.sqrt(np.sum(np.abs(slopes @ system.root) ** 2, axis=1))
     ahead = logarithms + slopes @ system.step(damping)
     return replace(at.innovations, covariance=at.covariance), (ahead, deviations)
+
+
+@dataclass(frozen=True, eq=False)
+class SmallMotions:
+    """The linear part of a model to which products of states and inputs are further inputs.
+
+    Attributes
+    ----------
+    innovations : PeriodicInnovations
+        K is that of the model without products, for which they are noise.
+    ahead, of_smaller : (ndarray, ndarray)
+        Where a further step leads the logarithms of its multipliers, and their deviations. By all
+        rows, and by the half of them with the smaller motion (None if they are too few).
+    covariance : ndarray, shape (l, l)
+        Of what products leave, too.
+    n_inputs : int
+        Inputs and products.
+    degrees : tuple of int
+        Of the products.
+    """
+
+    innovations: PeriodicInnovations
+    ahead: tuple
+    of_smaller: tuple | None
+    covariance: np.ndarray
+    n_inputs: int
+    degrees: tuple
+
+
+def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, degrees=None):
+    """The linear part of a model to which products of states and inputs are further inputs.
+
+    Parameters
+    ----------
+    innovations : PeriodicInnovations
+        A model after steps of its likelihood.
+    segments, layout, sensor_noise, most_growth
+        As for ``most_likely``.
+    degrees : sequence of int, optional
+        Of the products; those that pay by default, and only then smaller motions are asked, too.
+
+    Returns
+    -------
+    small : SmallMotions or None
+        None where no products pay, or steps are not to be had.
+    """
+    n, m = innovations.n_states, innovations.n_inputs
+    layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
+    per_input = (n + (layout.n_outputs if layout.feedthrough else 0)) * layout.n_functions
+    n_values = sum(y.size for _, y, _ in segments)
+    model, ahead, driven, taken = innovations, None, segments, ()
+    for degree in DEGREES if degrees is None else degrees:
+        motion = _motion(model, driven, m)
+        if motion is None or comb(n + m + degree - 1, degree) * per_input * n_values > MOST_NUMBERS:
+            break
+        wider = _with_products(driven, motion, layout.n_loads, degree)
+        n_inputs = wider[0][0].shape[1]
+        more = n_inputs - model.n_inputs
+        found = most_likely(
+            _with_inputs(model, model.n_inputs, more),
+            wider,
+            replace(layout, n_inputs=n_inputs),
+            sensor_noise,
+            most_growth,
+            least_fall=more * per_input if degrees is None else -np.inf,
+        )
+        if found is not None:
+            (model, ahead), driven, taken = found, wider, (*taken, degree)
+    if ahead is None:
+        return None
+    smaller = None
+    if degrees is None and motion is not None:
+        smaller = most_likely(
+            model,
+            driven,
+            replace(layout, n_inputs=model.n_inputs),
+            sensor_noise,
+            most_growth,
+            counted=_smaller_half(motion),
+        )
+    linear = replace(_with_inputs(model, m, 0), gain=innovations.gain)
+    at = _fitted(linear, segments, sensor_noise, [slice(None)] * len(segments))
+    if at is None:  # with that gain it forgets nothing
+        linear = replace(linear, gain=model.gain)
+    else:
+        linear = replace(linear, covariance=at.covariance)
+    of_smaller = None if smaller is None else smaller[1]
+    return SmallMotions(linear, ahead, of_smaller, model.covariance, model.n_inputs, taken)
+
+
+def _motion(innovations, segments, m):
+    """States that a model predicts and the first m inputs, beside ψ; None where they overflow."""
+    motion = []
+    for u, y, psi in segments:
+        rows = innovations.rows(psi)
+        x0 = rows.initial_state(u, y, innovations.covariance)
+        motion.append((np.hstack([rows.innovations(u, y, x0)[0], u[:, :m]]), psi))
+    finite = all(np.max(np.abs(z), initial=0.0) < OVERFLOW for z, _ in motion)
+    return motion if finite else None
+
+
+def _with_products(segments, motion, n_loads, degree):
+    """Segments whose inputs have all products of so many signals of their motion beside them."""
+    which = np.array(list(combinations_with_replacement(range(motion[0][0].shape[1]), degree)))
+    products = [(np.prod(z[:, which], axis=2), psi) for z, psi in _about_means(motion, n_loads)]
+    products = [q for q, _ in _about_means(products, n_loads)]
+    size = _sizes(products)
+    both = zip(segments, products, strict=True)
+    return [(np.hstack([u, q / size]), y, psi) for (u, y, psi), q in both]
+
+
+def _smaller_half(motion):
+    """Rows of each segment in which the motion is below its median."""
+    size = _sizes([z for z, _ in motion])
+    square = [np.sum((z / size) ** 2, axis=1) for z, _ in motion]
+    median = np.median(np.concatenate(square))
+    return [each <= median for each in square]
+
+
+def _sizes(signals):
+    """Root mean squares of signals over all segments; one where there is no motion."""
+    size = np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
+    return np.where(size > 0.0, size, 1.0)
+
+
+def _about_means(signals, n_harmonics):
+    """Signals of all segments without their periodic means."""
+    means = fitted_harmonics(signals, n_harmonics)
+    return [(z - evaluate_harmonics(means, psi), psi) for z, psi in signals]
+
+
+def _with_inputs(innovations, kept, more):
+    """A model of its first inputs, and of more that have no effect."""
+    M, n = innovations.coefficients, innovations.n_states
+    without = np.zeros((*M.shape[:2], more))
+    return replace(innovations, coefficients=np.dstack([M[..., : n + kept], without, M[..., -1:]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,13 +304,14 @@ class _Form:
         """Normal equations of a step, initial states eliminated."""
         W, k = at.weights, len(self.places)
         gram, slope = np.zeros((k, k)), np.zeros(k)
-        for rows, u, x, e, psi in at.parts:
+        for (rows, u, x, e, psi), some in zip(at.parts, at.counted, strict=True):
             functions = harmonic_functions(psi, range(self.n_harmonics + 1))
             loads = harmonic_functions(psi, range(self.n_loads + 1))
             J = sensitivities(rows, u, x, e, functions, loads, feedthrough=self.feedthrough)
-            J = (W @ J[..., self.kept]).reshape(e.size, k)
-            start = linalg.qr((W @ rows.started()).reshape(e.size, -1), mode="economic")[0]
-            J, left = J - start @ (start.T @ J), (e @ W.T).ravel()
+            J, free, left = J[some][..., self.kept], rows.started()[some], e[some]
+            J, free = ((W @ each).reshape(left.size, -1) for each in (J, free))
+            start = linalg.qr(free, mode="economic")[0]
+            J, left = J - start @ (start.T @ J), (left @ W.T).ravel()
             gram, slope = gram + J.T @ J, slope + J.T @ left
         return _System.of(gram, slope)
 
@@ -219,6 +388,8 @@ class _Fitted:
     ----------
     innovations : PeriodicInnovations
     parts : list of (rows, inputs, states, residuals, psi)
+    counted : list of slice, or of ndarray of bool
+        Which rows of them count.
     covariance, weights : ndarray, shape (l, l)
         Of the residuals, and what makes them white beside the least noise.
     cost : float
@@ -227,6 +398,7 @@ class _Fitted:
 
     innovations: PeriodicInnovations
     parts: list
+    counted: list
     covariance: np.ndarray
     weights: np.ndarray
     cost: float
@@ -238,7 +410,7 @@ class _Fitted:
         return float(np.sqrt(np.trace(weighted) / len(weighted)))
 
 
-def _fitted(innovations, segments, sensor_noise, below=np.inf):
+def _fitted(innovations, segments, sensor_noise, counted, below=np.inf):
     """A model with the initial states that fit best; None if it does not cost less."""
     parts, outputs = [], np.vstack([y for _, y, _ in segments])
     size = np.diag(np.mean(outputs**2, axis=0))
@@ -249,7 +421,7 @@ def _fitted(innovations, segments, sensor_noise, below=np.inf):
             return None  # no predictor that forgets
         x, e = rows.innovations(u, y, rows.initial_state(u, y, size))
         parts.append((rows, u, x, e, psi))
-    left = np.vstack([e for _, _, _, e, _ in parts])
+    left = np.vstack([e[some] for (_, _, _, e, _), some in zip(parts, counted, strict=True)])
     if not np.isfinite(left).all():
         return None
     covariance = left.T @ left / len(left)
@@ -258,4 +430,4 @@ def _fitted(innovations, segments, sensor_noise, below=np.inf):
     cost = len(left) * float(np.sum(np.log(np.diag(root))))
     if not cost < below:
         return None
-    return _Fitted(innovations, parts, covariance, linalg.inv(root), cost)
+    return _Fitted(innovations, parts, counted, covariance, linalg.inv(root), cost)
