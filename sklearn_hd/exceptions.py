@@ -17,6 +17,10 @@ class IdentifiabilityWarning(UserWarning):
     """The data do not determine some parameters or modes."""
 
 
+class CoordinatesWarning(UserWarning):
+    """States have no physical meaning; nothing of the model is in doubt."""
+
+
 class TimeBaseWarning(UserWarning):
     """The time base was assumed (rows count as samples), not read from an index."""
 

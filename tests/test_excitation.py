@@ -23,7 +23,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import (
     input_slopes,
 )
 from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+from sklearn_hd.exceptions import CoordinatesWarning, ExcitationWarning, IdentifiabilityWarning
 from sklearn_hd.systems import LTPSystem, duffing
 
 SPP, TRIM = 32, 8  # samples a period of 2π; periods at rest before the inputs
@@ -324,7 +324,7 @@ def test_harmonics_that_coordinates_bring_need_no_record():
         ("identify", MOESPRegressor(2)),
         ("match", StructuredMatcher(structure=HarmonicStructure())),
     ]
-    with pytest.warns(IdentifiabilityWarning, match="Floquet coordinates"):
+    with pytest.warns(CoordinatesWarning, match="Floquet coordinates"):
         pipe = Pipeline(steps).fit(*held_steps(0))
     match, identify = pipe["match"], pipe["identify"]
     assert match.match_.periodic.highest("G") > identify.n_harmonics_

@@ -15,7 +15,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd._simulators import scored_simulation
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning
 
 MACHINE = mathieu()
 
@@ -140,7 +140,7 @@ def test_segments_of_one_record_are_counted(fitted, whole):
 def test_states_of_floquet_coordinates_do_as_well():
     u, y = record(deflection_only(), n_periods=40, samples=16)
     pipe = pipeline("period")
-    with pytest.warns(IdentifiabilityWarning, match="Floquet coordinates"):
+    with pytest.warns(CoordinatesWarning, match="Floquet coordinates"):
         pipe.fit(u, y)
     frame = pipe[:3].transform(u.iloc[160:])
     x0 = pipe["match"].initial_state(frame, y.iloc[160:])

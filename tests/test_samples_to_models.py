@@ -18,7 +18,7 @@ from sklearn_hd import (
 )
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, InstabilityWarning
 from sklearn_hd.systems import LTPSystem
 
 OSCILLATOR = MatrixStructure([[0, 1], ["-k", "-d"]], [[0], ["b"]])
@@ -279,7 +279,7 @@ def test_one_output_leads_to_floquet_coordinates():
     system = deflection_only()
     u, y = record(system)
     pipe = pipeline(2.0, order=2, structure=HarmonicStructure())
-    with pytest.warns(IdentifiabilityWarning, match="Floquet coordinates"):
+    with pytest.warns(CoordinatesWarning, match="Floquet coordinates"):
         pipe.fit(u, y)
     assert pipe["match"].ltp_.state_names == ("z1", "z2")
     same_exponents(pipe["match"].ltp_.floquet_exponents(), system, rtol=0.01)

@@ -16,7 +16,12 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MatrixStructure, MOESPRegressor
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.exceptions import (
+    CoordinatesWarning,
+    ExcitationWarning,
+    IdentifiabilityWarning,
+    InstabilityWarning,
+)
 from sklearn_hd.systems import LTPSystem, flapping_blade
 
 KEPT = {"w": [0], "phi_dot": [1]}
@@ -145,9 +150,7 @@ def test_fewer_outputs_than_states_give_floquet_coordinates(name):
     system = FEWER_OUTPUTS[name]
     u, y = record(system, n_periods=120, n_changes=20)
     pipe = synchronous(system.omega)
-    with pytest.warns(
-        IdentifiabilityWarning, match=r"in Floquet coordinates, .* measure more outputs"
-    ):
+    with pytest.warns(CoordinatesWarning, match=r"in Floquet coordinates, .* measure more outputs"):
         pipe.fit(u, y)
     found = pipe["match"].ltp_
     assert found.state_names == tuple(f"z{i + 1}" for i in range(system.n_states))
@@ -483,7 +486,7 @@ def test_floquet_coordinates_have_finite_deviations(system):
     """Once the scale of each mode is held, which no output tells."""
     u, y = record(system, noise=0.005, n_changes=8, n_periods=80)
     pipe = synchronous(system.omega, HarmonicStructure(G=2), order=2, criterion="output_error")
-    with pytest.warns(IdentifiabilityWarning, match="Floquet coordinates"):
+    with pytest.warns(CoordinatesWarning, match="Floquet coordinates"):
         match = pipe.fit(u, y)["match"]
     assert np.isfinite(match.theta_std_).all()
     assert np.isfinite(match.eigenvalues_["std_real"]).all()

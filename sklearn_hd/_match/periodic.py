@@ -34,7 +34,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
 from sklearn_hd.algorithms.signals.fourier import input_directions, sampled_harmonics
 from sklearn_hd.algorithms.signals.trim import NOTABLE
 from sklearn_hd.algorithms.subspace.innovations import predicted_states
-from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, InstabilityWarning
 
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
@@ -413,7 +413,7 @@ def warn_coordinates(periodic):
             f"the outputs {list(periodic.output_names)} do not determine the "
             f"{periodic.n_states} states: the model is in Floquet coordinates, in which its "
             f"states have no physical meaning; measure more outputs for that",
-            IdentifiabilityWarning,
+            CoordinatesWarning,
         )
 
 

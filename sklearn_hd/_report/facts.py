@@ -33,7 +33,12 @@ from sklearn_hd.subspace import MOESPRegressor
 
 LEVEL = 0.95
 REACH = norm.ppf(0.5 + 0.5 * LEVEL)  # standard deviations to either side
-HARMLESS = ("TimeBaseWarning", "JitterWarning", "ResamplingWarning")  # of how rows were read
+HARMLESS = (  # of how rows were read, and of coordinates
+    "CoordinatesWarning",
+    "TimeBaseWarning",
+    "JitterWarning",
+    "ResamplingWarning",
+)
 ANCHORS = {  # of the section that shows what a warning is about
     "ExcitationWarning": "data",
     "FrequencyMismatchWarning": "harmonics",
