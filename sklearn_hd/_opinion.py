@@ -271,7 +271,7 @@ def what_it_has(exponents, opinion, k):
     if not np.isfinite(apart + size):
         return f"{opinion.way} nothing that confirms it"
     if apart <= spread and error > DOUBT:
-        return f"{opinion.way} it, too, but only to ± {size:.2g} 1/s"
+        return f"{opinion.way} it only to within ± {size:.2g} 1/s"
     return f"{opinion.way} {_within(nearest, size)} 1/s next to it"
 
 
