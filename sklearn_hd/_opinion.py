@@ -48,6 +48,8 @@ class Opinion:
     complete : bool
         Whether it has every mode that lasts: more are too many, and those that it is sure of and a
         model has not are missing.
+    of_small_motions : bool
+        Whether a linear model of this record, whose motions are large, is off by what is apart.
     """
 
     exponents: np.ndarray
@@ -58,6 +60,7 @@ class Opinion:
     duration: float = np.inf
     needed: bool = False
     complete: bool = False
+    of_small_motions: bool = False
 
     def of(self, exponents, way):
         """The opinion that some exponents are, known as well as this one knows them."""

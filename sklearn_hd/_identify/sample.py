@@ -295,8 +295,10 @@ class _Found:
             exponents = model.exponents()
             lasts = bool(lasting(exponents, basis.omega).all())
             halves = _of_halves(model, choice, chosen, refined)
-            others = _of_its_likelihood(refined, data, basis.omega)
-            model = replace(model, opinion=more_doubtful(exponents, halves, *others))
+            opinions = [halves, *_of_its_likelihood(refined, data, basis.omega)]
+            if refined.degrees:  # whose exponents are those of small motions
+                opinions = [*opinions[1:], halves]
+            model = replace(model, opinion=more_doubtful(exponents, *opinions))
             unconfirmed = why_unconfirmed(exponents, model.opinion)
         bic = choice.bic_of_predictions(chosen, refined)
         return cls(chosen, left, model, no_noise, unconfirmed, lasts, refined.degrees, bic)
@@ -381,7 +383,8 @@ def _of_its_likelihood(refined, data, omega):
     for ahead, way in ways:
         if ahead is not None:
             exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
-            yield Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
+            found = Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
+            yield replace(found, of_small_motions=small is not None)
 
 
 # ---- the predictor ---------------------------------------------------------------------------

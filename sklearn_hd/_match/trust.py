@@ -113,12 +113,14 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
 def _beside(std, exponents, opinion):
     """Deviations of exponents, wider by what a second opinion is apart by more than both may err.
 
-    A bias that all parts of a record share shows in no comparison of these.
+    A bias that all parts of a record share shows in no comparison of these. By all that it is
+    apart where it is known that a linear model does not hold.
     """
     if opinion is None:
         return std
     apart, deviations = opinion.beside(exponents)
     told = np.abs(apart) > CONTRADICTS * np.hypot(np.abs(std), deviations)
+    told |= opinion.of_small_motions
     more = np.where(told & lasting(exponents, opinion.omega), apart, 0.0)
     wider = np.empty_like(std)  # 1j times infinity would be NaN
     wider.real, wider.imag = np.hypot(std.real, more.real), np.hypot(std.imag, more.imag)
