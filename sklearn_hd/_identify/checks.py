@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
-from sklearn_hd._guards import searching, warn
+from sklearn_hd._guards import warn
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
@@ -255,15 +255,13 @@ def why_no_noise(segments, innovations, predictor, small=None):
     innovations : PeriodicInnovations
     predictor : Predictor
     small : SmallMotions or None
-        Where products of states and inputs are further inputs: what these leave, too, counts.
+        With products of states and inputs as further inputs: what these leave, too, counts.
 
     Returns
     -------
     words : str
         Empty where nothing speaks against the model.
     """
-    if searching():
-        return ""
     layout, n = predictor.layout, innovations.n_states
     if sum(len(y) for _, y, _ in segments) < ROWS_PER_COLUMN * layout.n_columns:
         return ""  # the predictor itself is noise

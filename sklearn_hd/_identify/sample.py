@@ -278,7 +278,6 @@ class _Found:
         left = choice.compared(chosen.order, chosen.n_harmonics, innovations)
         if not left.variance <= most_left:
             return None
-        no_noise = why_no_noise(choice.simulated, innovations, choice.predictor, refined.small)
         model = SampleModel(
             innovations.in_units(*data.scales).about(*data.means).about_orbit(),
             basis.omega,
@@ -290,7 +289,7 @@ class _Found:
             data.means[0],
             bool(np.any(np.abs(data.means[0][0]) > data.scales[0])),
         )
-        unconfirmed, lasts = "", True
+        unconfirmed, lasts, no_noise = "", True, "" if searching() else refined.no_noise
         if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
             exponents = model.exponents()
             lasts = bool(lasting(exponents, basis.omega).all())
@@ -582,12 +581,15 @@ class _Refined:
     ahead : (ndarray, ndarray), or None
         Where a further step leads the logarithms of its multipliers, and their deviations; None
         without steps.
+    no_noise : str
+        Why what a linear model leaves is no noise, "" if it is.
     small : SmallMotions or None
         Where products of states and inputs pay; their linear part is the model then.
     """
 
     innovations: PeriodicInnovations
     ahead: tuple | None = None
+    no_noise: str = ""
     small: SmallMotions | None = None
 
     @property
@@ -685,7 +687,8 @@ class _Choice:
     def refined(self, innovations, stable, degrees=None):
         """A model with the gain of its Kalman filter, after steps of its likelihood.
 
-        Products of states and inputs are further inputs, of some degrees, or where they pay (None).
+        Products of states and inputs are further inputs, of some degrees, or where they pay (None)
+        and the linear predictor knows no more than they do: else states or harmonics are missing.
 
         Returns
         -------
@@ -697,12 +700,14 @@ class _Choice:
         start = innovations.filtered(self._noise(innovations))
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
         found = most_likely(start, *likelihood) if self.steps else None
-        if found is None:
-            return _Refined(start)
-        small = of_small_motions(found[0], *likelihood, degrees)
-        if small is None:
-            return _Refined(*found)
-        return _Refined(small.innovations, small.ahead, small)
+        model, ahead = (start, None) if found is None else found
+        small = None if found is None else of_small_motions(model, *likelihood, degrees)
+        compared = self.simulated, model, self.predictor
+        if degrees is None and small is not None and why_no_noise(*compared, small):
+            small = None  # states or harmonics are missing, for which products stand
+        if small is not None:
+            return _Refined(small.innovations, small.ahead, "", small)
+        return _Refined(model, ahead, why_no_noise(*compared))
 
     def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""

@@ -309,7 +309,7 @@ class _Form:
             loads = harmonic_functions(psi, range(self.n_loads + 1))
             J = sensitivities(rows, u, x, e, functions, loads, feedthrough=self.feedthrough)
             J, free, left = J[some][..., self.kept], rows.started()[some], e[some]
-            J, free = ((W @ each).reshape(left.size, -1) for each in (J, free))
+            J, free = ((W @ each).reshape(left.size, each.shape[-1]) for each in (J, free))
             start = linalg.qr(free, mode="economic")[0]
             J, left = J - start @ (start.T @ J), (left @ W.T).ravel()
             gram, slope = gram + J.T @ J, slope + J.T @ left
