@@ -375,8 +375,9 @@ def _of_its_likelihood(refined, data, omega):
     machine is not linear, that is elsewhere.
     """
     small = refined.small
+    step = "a further step of its likelihood has" if small is None else "small motions have"
     ways = (
-        (refined.ahead, "a further step of its likelihood has"),
+        (refined.ahead, step),
         (None if small is None else small.of_smaller, "the smaller motions of the record have"),
     )
     for ahead, way in ways:
