@@ -147,6 +147,7 @@ def test_harmonics_of_F_too_few_for_the_system(oscillation):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*(exponents are in doubt|neither decay nor grow)")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.CoordinatesWarning")
 def test_a_frequency_that_is_off_by_one_percent():
     """The rotor turns at 2.02 rad/s, 2 is given: said, one way or the other."""
     system = mathieu(omega=2.02)
@@ -154,11 +155,11 @@ def test_a_frequency_that_is_off_by_one_percent():
     u = steps(np.random.default_rng(0), len(t), 1, 32)
     y = pd.DataFrame(system.simulate(u, t), t, ["y", "v"])
     u = pd.DataFrame(u, t, ["u1"])
-    for order, message in (("auto", "do not determine|are not noise"), (2, "are not noise")):
+    for order in ("auto", 2):
         pipe = synchronous(2.0, order=order)
         with (
             pytest.warns(FrequencyMismatchWarning, match=r"at 2\.02\d+ ± .* not at omega=2 rad"),
-            pytest.warns(IdentifiabilityWarning, match=message),
+            pytest.warns(IdentifiabilityWarning, match="are not noise"),
         ):
             pipe.fit(u, y)
 

@@ -331,6 +331,6 @@ def test_harmonics_that_coordinates_bring_need_no_record():
     assert match._excitation.n_harmonics == identify.n_harmonics_
     assert pipe.score(*held_steps(1)) > 0.999
     few = Pipeline([*steps[:2], ("match", StructuredMatcher(structure=HarmonicStructure(G=0)))])
-    with pytest.warns(IdentifiabilityWarning):
+    with pytest.warns(CoordinatesWarning):
         few.fit(*held_steps(0))
     assert few["match"]._excitation.n_harmonics == 0  # a structure that allows fewer keeps its own

@@ -224,6 +224,7 @@ def test_likelihoods_correct_a_trim_that_was_not_settled(criterion):
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")  # the order
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.InstabilityWarning")
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.CoordinatesWarning")
 @pytest.mark.slow
 def test_a_mode_that_outlasts_the_record_does_not_carry_the_trim_away():
     """One state too many stands for a constant: trim and state could cancel at any size."""
