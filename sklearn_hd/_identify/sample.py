@@ -18,16 +18,18 @@ from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.checks import (
     MOST_PREDICTOR_ROWS,
-    NOTABLE,
     check_outputs_move,
     check_told_from_loads,
     check_turns,
-    or_hop,
     root_mean_square,
-    warn_of_feedback,
     warn_of_growth,
     warn_of_little,
     why_no_noise,
+)
+from sklearn_hd._identify.predictor_layout import (
+    compared_rows,
+    predictor_layouts,
+    rows_told,
 )
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
@@ -45,21 +47,15 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovati
 from sklearn_hd.algorithms.periodic.periodic_predictor import (
     SENSOR_NOISE,
     LagSums,
-    Layout,
     StateSums,
     forced_mean,
     futures_known,
 )
-from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
-MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
-MOST_HARMONICS = 3  # of the predictor, where the data choose
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 20  # tried by order="auto"
-ROWS_COMPARED = 10_000  # of a longer record, choices are made on
-PLACES = 8  # evenly over it, at which these lie
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
@@ -109,21 +105,6 @@ class Samples:
     def n_outputs(self):
         """Number of outputs."""
         return len(self.scales[1])
-
-
-def _compared_rows(segments):
-    """Segments, and slices of them, that choices are made on: a long record may begin at rest."""
-    ends = np.cumsum([len(y) for _, y, _ in segments])
-    if ends[-1] <= ROWS_COMPARED:
-        return [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(segments)]
-    length = ROWS_COMPARED // PLACES
-    starts = np.linspace(0, ends[-1] - length, PLACES).astype(int)
-    found = []
-    for s, (_, y, _) in enumerate(segments):
-        for start in starts - (ends[s] - len(y)):
-            rows = slice(max(0, start), min(start + length, len(y)))
-            found += [(s, rows)] if rows.stop > rows.start else []
-    return found
 
 
 def asked_block_rows(basis, settings):
@@ -180,9 +161,7 @@ def identify(data, settings, experiment):
     choice, best, reason, tried = _Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, best)
     if settings.order == "auto" and not searching():
-        found = _beside_products(found, choice)
-        if found.against or not found.lasts:
-            found = _or_simpler(found, choice)
+        found = _or_simpler(found, choice)
     model, chosen = found.model, found.chosen
     for message in found.against:
         warn(message, IdentifiabilityWarning)
@@ -303,35 +282,32 @@ class _Found:
         return cls(chosen, left, model, no_noise, unconfirmed, lasts, refined.degrees, bic)
 
 
-def _beside_products(found, choice):
-    """Where products pay, a model of fewer states if its predictions are better by the criterion.
-
-    Without products, states stand for the second order of the response.
-    """
-    rivals = [found]
-    if np.isfinite(found.bic_of_predictions):
-        most_left = STEPS_GAIN * max(found.left.variance, LITTLE)
-        for one in islice(choice.simpler(found.chosen, most_left), MOST_SIMPLER):
-            rivals.append(_Found.of(choice, one))
-    return min(rivals, key=lambda rival: rival.bic_of_predictions)
-
-
 def _or_simpler(found, choice):
     """A model of fewer states that serves for one in doubt, or is better by the criterion.
 
     After steps of the likelihood: before them, a model of as many states as the machine may leave
-    more than one of too many. An unstable model was simulated in pieces, and is not compared.
+    more than one of too many. Without products, states stand for the second order of the response:
+    where these pay, the criterion of predictions beside them comes first. An unstable model was
+    simulated in pieces, and is not compared.
     """
     most_left = max(AS_LITTLE * found.left.variance, LITTLE)
+    simpler = (
+        _Found.of(choice, one, np.inf if found.degrees else most_left)
+        for one in islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER)
+    )
+    if found.degrees:
+        simpler = list(simpler)
+        found = min([found, *simpler], key=lambda one: one.bic_of_predictions)
+    if not found.against and found.lasts:
+        return found
     rivals = [found]
-    for one in islice(choice.simpler(found.chosen, STEPS_GAIN * most_left), MOST_SIMPLER):
-        simpler = _Found.of(choice, one, most_left)
-        if simpler is None:
+    for one in simpler:
+        if one is None or one.chosen.order >= found.chosen.order or one.left.variance > most_left:
             continue
-        if simpler.serves_for(found):
-            return simpler
-        if found.against and found.left.stable and not simpler.no_noise:
-            rivals.append(simpler)
+        if one.serves_for(found):
+            return one
+        if found.against and found.left.stable and not one.no_noise:
+            rivals.append(one)
     return min(rivals, key=lambda rival: rival.left.bic)
 
 
@@ -355,7 +331,7 @@ def _of_halves(model, whole, chosen, refined):
             part = tuple(z[rows] for z in segment)
             half += [part] if len(part[1]) > 2 * layout.n_lags else []
     for segments in halves:
-        if _told(replace(data, segments=segments), layout.n_lags) < layout.n_columns:
+        if rows_told(replace(data, segments=segments), layout.n_lags) < layout.n_columns:
             return None
         half = replace(data, segments=segments)
         fixed = replace(whole.settings, order=chosen.order)
@@ -385,119 +361,6 @@ def _of_its_likelihood(refined, data, omega):
             exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
             found = Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
             yield replace(found, of_small_motions=small is not None)
-
-
-# ---- the predictor ---------------------------------------------------------------------------
-
-
-def _layouts(data, settings, basis):
-    """Lags, harmonics and feedthrough of the predictor, and why D is free or zero.
-
-    Two, with D = 0 and with D free, where inputs are so smooth that a predictor cannot tell.
-    """
-    most, lags = _most(data, settings, basis)
-    shortest = _shortest(data, settings)
-    auto = settings.feedthrough == "auto"
-
-    def layout(count, feedthrough):
-        return Layout(
-            data.n_inputs,
-            data.n_outputs,
-            lags,
-            count,
-            count if basis.n_input_harmonics is None else min(count, basis.n_input_harmonics),
-            basis.most_loads,
-            feedthrough,
-        )
-
-    compared = [[z[rows] for z in data.segments[s]] for s, rows in _compared_rows(data.segments)]
-    sums = LagSums.of(compared, layout(most, auto or settings.direct))
-    least = lags if settings.block_rows is not None else shortest
-    found = {}
-    for count in range(most + 1):
-        for feedthrough in (False, True) if auto else (settings.direct,):
-            own = layout(count, feedthrough)
-            aic, bic = sums.part(own).criteria(least)
-            k = int(np.argmin(aic))
-            found[count, feedthrough] = aic[k], bic[k], least + k
-    fed_back = auto and settings.predictor  # D may stand for feedback within a row
-    allowed = [key for key in found if not (fed_back and key[1])]
-    count = min(allowed, key=lambda key: found[key][0])[0]
-
-    def whole(feedthrough, lags):
-        return replace(layout(count, feedthrough), n_lags=lags)
-
-    if not auto:
-        lags, reason = found[count, settings.direct][2], "feedthrough={} was asked for"
-        return [whole(settings.direct, lags)], reason.format(settings.feedthrough)
-    # a whole set of coefficients, which has to be worth it
-    gain = found[count, False][1] - found[count, True][1]
-    reason = f"the Bayesian information criterion of the predictor is {abs(gain):.3g} lower with "
-    lags = [found[count, feedthrough][2] for feedthrough in (False, True)]
-    tells = sums.part(whole(True, lags[1])).tells_feedthrough()
-    if not tells:
-        reason = (
-            "earlier rows predict an input almost exactly, so that the predictor cannot tell D; of "
-            "the models with D = 0 and with D free, the best has "
-        )
-    if fed_back:
-        zero = [whole(False, lags[0])]
-        if not tells or gain <= NOTABLE * sums.n_rows:
-            return zero, "weighting='pbsid' takes {}"
-        warn_of_feedback(f"{reason}D free")
-        return zero, f"{reason}D free, but feedback within a row looks the same: {{}}"
-    if not tells:
-        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], reason + "{}"
-    return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"
-
-
-def _told(data, lags):
-    """Rows with so many before them: short segments have few, or none."""
-    return sum(max(0, len(y) - lags) for _, y, _ in data.segments)
-
-
-def _shortest(data, settings):
-    """Fewest lags, which have to tell as many states as asked for."""
-    return 2 if settings.order == "auto" else max(2, -(-settings.order // data.n_outputs))
-
-
-def _most(data, settings, basis):
-    """Most harmonics and lags that the record allows, of those asked for."""
-    n_rows, longest = sum(len(y) for _, y, _ in data.segments), data.longest
-    asked, shortest = settings.block_rows, _shortest(data, settings)
-    if asked is not None and asked < shortest:
-        raise ValueError(
-            f"order={settings.order} exceeds the {asked * data.n_outputs} that block_rows={asked} "
-            f"with {data.n_outputs} output(s) tell; lower order, or raise block_rows"
-        )
-    if asked is None and shortest > MOST_PREDICTOR_ROWS:
-        raise ValueError(
-            f"order={settings.order} with {data.n_outputs} output(s) takes {shortest} lags, and "
-            f"{MOST_PREDICTOR_ROWS} are tried at most; lower order, or give block_rows={shortest} "
-            f"or more"
-        )
-    given = basis.n_harmonics
-    most = min(MOST_HARMONICS if given is None else given, basis.most_harmonics)
-    least = asked or shortest
-    for count in range(most, -1 if given is None else most - 1, -1):
-        per_lag = (data.n_inputs + data.n_outputs) * (2 * count + 1)
-        first = 2 * basis.most_loads + 1
-        lags = min(
-            MOST_PREDICTOR_ROWS, max((MOST_COLUMNS - first) // per_lag, shortest), longest // 3
-        )
-        while lags > shortest and _told(data, lags) < ROWS_PER_COLUMN * (first + lags * per_lag):
-            lags -= 1
-        lags = lags if asked is None else asked
-        if lags >= shortest and n_rows >= 2 * lags * per_lag and longest >= 3 * lags:
-            return count, lags
-    need = max(2 * least * per_lag, 3 * least)
-    raise ValueError(
-        f"the {data.facts.span()} give {n_rows} rows, the longest segment {longest}, too few for "
-        f"a predictor of {least} lags with {count} harmonic(s) of "
-        f"{data.n_inputs + data.n_outputs} signals: {need} rows in one segment would do"
-        f"{data.facts.why_short}; use a longer record, fewer block_rows, a lower order, or a "
-        f"smaller output_harmonics in HarmonicAnalyzer{or_hop(basis)}"
-    )
 
 
 # ---- states and matrices ---------------------------------------------------------------------
@@ -557,7 +420,7 @@ class _States:
         Of the rows that choices are made on, or of all.
         """
         whole = [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(data.segments)]
-        for s, rows in _compared_rows(data.segments) if some else whole:
+        for s, rows in compared_rows(data.segments) if some else whole:
             first, x, e = self.parts[s]
             u, y, psi = data.segments[s]
             start, stop = max(rows.start, first), min(rows.stop, first + len(x) - 1)
@@ -622,7 +485,7 @@ class _Choice:
     def of(cls, data, settings, basis, steps=True):
         """With lags and harmonics of the predictor that suit the data; the best model; why D is
         free or not; and all models tried, those with its D first."""
-        layouts, reason = _layouts(data, settings, basis)
+        layouts, reason = predictor_layouts(data, settings, basis)
         choices = [
             cls(data, LagSums.of(data.segments, layout), settings, basis, steps)
             for layout in layouts
@@ -703,12 +566,12 @@ class _Choice:
         found = most_likely(start, *likelihood) if self.steps else None
         model, ahead = (start, None) if found is None else found
         small = None if found is None else of_small_motions(model, *likelihood, degrees)
-        compared = self.simulated, model, self.predictor
-        if degrees is None and small is not None and why_no_noise(*compared, small):
-            small = None  # states or harmonics are missing, for which products stand
-        if small is not None:
-            return _Refined(small.innovations, small.ahead, "", small)
-        return _Refined(model, ahead, why_no_noise(*compared))
+        compared, no_noise = (self.simulated, model, self.predictor), ""
+        if degrees is None and (small is None or why_no_noise(*compared, small)):
+            small, no_noise = None, why_no_noise(*compared)
+        if small is None:
+            return _Refined(model, ahead, no_noise)
+        return _Refined(small.innovations, small.ahead, no_noise, small)
 
     def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
@@ -813,7 +676,7 @@ def _as_fairly_compared(unstable, choices):
 
 def _simulated(segments, skipped):
     """Rows that choices are made on, those without a whole predictor left out."""
-    for s, rows in _compared_rows(segments):
+    for s, rows in compared_rows(segments):
         u, y, psi = (z[rows] for z in segments[s])
         if len(y) > 2 * skipped:
             yield u[skipped:], y[skipped:], psi[skipped:]

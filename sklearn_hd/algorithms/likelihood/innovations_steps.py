@@ -6,8 +6,8 @@ Regressions on a few lags lose what noise hides in them. Gauss-Newton steps in a
 coefficients of A, B, C, D, K and the loads, damped while they do not pay (Levenberg, Marquardt),
 bring it back. Coordinates are free: damping holds them. Initial states are fitted at each step.
 
-Of a machine that is not linear a linear model takes on what it can of the higher orders of the
-response, and its exponents are off by that. So products q of two states or inputs, then of three,
+A linear model of a machine that is not linear takes on what it can of the response's higher
+orders, and its exponents are off by that. So products q of two states or inputs, then of three,
 about their periodic means, become further inputs where they pay (Akaike's criterion):
 
     x[k+1] = A(ψ_k) x + B(ψ_k) u + N(ψ_k) q + a(ψ_k) + K(ψ_k) e
@@ -168,7 +168,7 @@ def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, d
     n_values = sum(y.size for _, y, _ in segments)
     model, ahead, driven, taken = innovations, None, segments, ()
     for degree in DEGREES if degrees is None else degrees:
-        motion = _motion(model, driven, m)
+        motion = _motion(model, driven, m, layout.n_loads)
         if motion is None or comb(n + m + degree - 1, degree) * per_input * n_values > MOST_NUMBERS:
             break
         wider = _with_products(driven, motion, layout.n_loads, degree)
@@ -180,7 +180,7 @@ def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, d
             replace(layout, n_inputs=n_inputs),
             sensor_noise,
             most_growth,
-            least_fall=more * per_input if degrees is None else -np.inf,
+            least_fall=more * per_input if degrees is None else 0.0,
         )
         if found is not None:
             (model, ahead), driven, taken = found, wider, (*taken, degree)
@@ -206,21 +206,24 @@ def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, d
     return SmallMotions(linear, ahead, of_smaller, model.covariance, model.n_inputs, taken)
 
 
-def _motion(innovations, segments, m):
-    """States that a model predicts and the first m inputs, beside ψ; None where they overflow."""
+def _motion(innovations, segments, m, n_loads):
+    """States that a model predicts and the first m inputs about their periodic means, beside ψ.
+
+    None where they overflow.
+    """
     motion = []
     for u, y, psi in segments:
         rows = innovations.rows(psi)
         x0 = rows.initial_state(u, y, innovations.covariance)
         motion.append((np.hstack([rows.innovations(u, y, x0)[0], u[:, :m]]), psi))
     finite = all(np.max(np.abs(z), initial=0.0) < OVERFLOW for z, _ in motion)
-    return motion if finite else None
+    return _about_means(motion, n_loads) if finite else None
 
 
 def _with_products(segments, motion, n_loads, degree):
     """Segments whose inputs have all products of so many signals of their motion beside them."""
     which = np.array(list(combinations_with_replacement(range(motion[0][0].shape[1]), degree)))
-    products = [(np.prod(z[:, which], axis=2), psi) for z, psi in _about_means(motion, n_loads)]
+    products = [(np.prod(z[:, which], axis=2), psi) for z, psi in motion]
     products = [q for q, _ in _about_means(products, n_loads)]
     size = _sizes(products)
     both = zip(segments, products, strict=True)
