@@ -146,6 +146,12 @@ axes[1].set_xlabel("size of the steps")
 print(found["doubts of the linear model"].iloc[-1])
 
 # %%
-# Which model is better depends on the use. For stability, and for a controller that keeps motions
-# small, it is the first: it predicts the record of small motions from one of large ones. To
-# simulate motions as large as those of the record, it is the second.
+# What was learned
+# ----------------
+# - From records of large motions, ``reading="sample"`` of :class:`~sklearn_hd.HarmonicAnalyzer`
+#   (which the default takes, as the input never rests) finds the modes of small ones, and predicts
+#   a record of these. ``nonlinear_degrees_`` of :class:`~sklearn_hd.MOESPRegressor` says so.
+# - One linear model, by ``criterion="output_error"`` of :class:`~sklearn_hd.StructuredMatcher`,
+#   simulates motions as large as those of the record better. Its exponents are in doubt, and a
+#   warning names both.
+# - The equations: :doc:`theory </theory>`.

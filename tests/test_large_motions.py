@@ -1,57 +1,88 @@
 """Records of motions so large that a linear model does not hold: exponents of small motions."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.pipeline import make_pipeline
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, report
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 OMEGA, SAMPLES, TURNS = 2.0, 16, 160
 
 
-def derivative(t, x, u, cubic, drag):
+def oscillator(cubic=0.0, drag=0.0):
     """Mathieu's equation with a cubic spring, or a drag that grows with the speed squared."""
-    stiffness = 1.3 + 0.5 * np.cos(OMEGA * t)
-    force = cubic * x[0] ** 3 + drag * abs(x[1]) * x[1]
-    return np.array([x[1], -0.2 * x[1] - stiffness * x[0] - force + u])
+
+    def derivative(t, x, u):
+        stiffness = 1.3 + 0.5 * np.cos(OMEGA * t)
+        force = cubic * x[0] ** 3 + drag * abs(x[1]) * x[1]
+        return np.array([x[1], -0.2 * x[1] - stiffness * x[0] - force + u])
+
+    return derivative
 
 
-def step(t, x, u, h, machine):
+def compressor(t, x, u):
+    """Flow and pressure of a compressor whose throttle pulsates (Greitzer's model)."""
+    flow = x[0] / 0.5 - 1.0
+    rise = 0.3 + 0.6 * (1.0 + 1.5 * flow - 0.5 * flow**3)
+    through = (0.8 + 0.1 * np.cos(2.2 * t) + u) * np.sqrt(x[1])
+    return np.array([0.9 * (rise - x[1]), (x[0] - through) / 0.9])
+
+
+def step(derivative, t, x, u, h):
     """One step of Runge and Kutta, of fourth order."""
-    k1 = derivative(t, x, u, *machine)
-    k2 = derivative(t + h / 2, x + h / 2 * k1, u, *machine)
-    k3 = derivative(t + h / 2, x + h / 2 * k2, u, *machine)
-    k4 = derivative(t + h, x + h * k3, u, *machine)
+    k1 = derivative(t, x, u)
+    k2 = derivative(t + h / 2, x + h / 2 * k1, u)
+    k3 = derivative(t + h / 2, x + h / 2 * k2, u)
+    k4 = derivative(t + h, x + h * k3, u)
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def transition(derivative, omega, orbit, size=1e-5):
+    """Over one turn, about a state of the orbit, by central differences."""
+
+    def turned(x, n=1024):
+        h = 2.0 * np.pi / omega / n
+        for k in range(n):
+            x = step(derivative, k * h, x, 0.0, h)
+        return x
+
+    moves = size * np.eye(len(orbit))
+    return np.column_stack([turned(orbit + m) - turned(orbit - m) for m in moves]) / (2.0 * size)
+
+
+def oscillations(u, derivative, omega, samples, x, noise, rng):
+    """Inputs and outputs as frames, noise in parts of the outputs' motion."""
+    y, h = np.empty((len(u), 2)), 2.0 * np.pi / omega / samples
+    for k in range(len(u)):
+        y[k] = x
+        for part in range(4):
+            x = step(derivative, (k + part / 4) * h, x, u[k], h / 4)
+    turn = y[:samples].mean(axis=0)
+    y += noise * (y - turn).std(axis=0) * rng.standard_normal(y.shape)
+    index = pd.Index(h * np.arange(len(u)), name="time")
+    return pd.DataFrame({"u": u}, index), pd.DataFrame(y, index, ["y", "v"])
 
 
 def exponent():
     """Of small motions, 1/s, with an imaginary part between 0 and ω/2."""
-    n, phi = 64 * SAMPLES, np.eye(2)
-    h = 2.0 * np.pi / OMEGA / n
-    for k in range(n):
-        phi = np.column_stack([step(k * h, x, 0.0, h, (0.0, 0.0)) for x in phi.T])
-    found = np.log(np.linalg.eigvals(phi).astype(complex)) * OMEGA / (2.0 * np.pi)
+    multipliers = np.linalg.eigvals(transition(oscillator(), OMEGA, np.zeros(2))).astype(complex)
+    found = np.log(multipliers) * OMEGA / (2.0 * np.pi)
     return found.real[0] + 1j * abs(found.imag[0])
 
 
-def record(size=0.12, cubic=0.0, drag=0.0, noise=0.01, seed=3):
+def record(size=0.12, noise=0.01, seed=3, **machine):
     """Random steps of an input, the position and the speed, as frames."""
-    rng, n, h = np.random.default_rng(seed), SAMPLES * TURNS, 2.0 * np.pi / OMEGA / SAMPLES
+    rng, n = np.random.default_rng(seed), SAMPLES * TURNS
     u, k = np.zeros(n), 0
     while k < n:
         width = int(rng.integers(2, 40))
         u[k : k + width] = size * rng.choice([-1, 0, 1])
         k += width
-    x, y = np.zeros(2), np.empty((n, 2))
-    for k in range(n):
-        y[k] = x
-        for part in range(4):
-            x = step((k + part / 4) * h, x, u[k], h / 4, (cubic, drag))
-    y += noise * y.std(axis=0) * rng.standard_normal(y.shape)
-    index = pd.Index(h * np.arange(n), name="time")
-    return pd.DataFrame({"u": u}, index), pd.DataFrame(y, index, ["y", "v"])
+    return oscillations(u, oscillator(**machine), OMEGA, SAMPLES, np.zeros(2), noise, rng)
 
 
 def fitted(u, y):
@@ -68,10 +99,49 @@ def error(model):
     return np.max(np.abs(folded - truth)) / abs(truth.real)
 
 
-@pytest.mark.parametrize(("cubic", "most"), [(0.0, 0.01), (0.6, 0.02)])
-def test_exponents_are_those_of_small_motions(cubic, most):
+@pytest.mark.parametrize(("cubic", "most", "degree"), [(0.0, 0.01, None), (0.6, 0.02, 3)])
+def test_exponents_are_those_of_small_motions(cubic, most, degree):
     """A linear model of the same record is 20 to 30 % off where the spring is cubic."""
-    assert error(fitted(*record(cubic=cubic))) < most  # warnings are errors here
+    model = fitted(*record(cubic=cubic))  # warnings are errors here
+    assert error(model) < most
+    assert (degree in model.nonlinear_degrees_) == (degree is not None)
+    small, y = record(size=0.03, seed=9, cubic=cubic)
+    frame = HarmonicAnalyzer(OMEGA, reading="sample").fit_transform(small, y)
+    assert model.score(frame, y) > 0.998
+
+
+@pytest.mark.slow
+def test_the_report_says_that_the_model_is_of_small_motions(tmp_path):
+    u, y = record(cubic=0.6)
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA, reading="sample"), MOESPRegressor()).fit(u, y)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        report(pipe, u, y, tmp_path / "report.html")
+    assert "the model is that of small motions" in (tmp_path / "report.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_a_state_does_not_stand_for_the_second_order():
+    """Without products a third state does, and both halves of the record agree on it."""
+    omega, samples, rng = 2.2, 32, np.random.default_rng(26)
+    start, h = np.array([0.94725932, 1.48191793]), 2.0 * np.pi / omega / 1024
+    for k in range(10 * 1024):  # onto the orbit
+        start = step(compressor, k * h, start, 0.0, h)
+    u = np.zeros(60 * samples)
+    at = samples // 2
+    while at < len(u):
+        width, size = int(samples * rng.uniform(0.3, 0.8)), 0.02 * rng.choice([-1, 1])
+        for n, sign in ((3, 1), (2, -1), (1, 1), (1, -1)):
+            u[at : at + n * width] = size * sign
+            at += n * width
+        at += int(samples * rng.uniform(0, 4))
+    u, y = oscillations(u, compressor, omega, samples, start, 0.01, rng)
+    model = MOESPRegressor().fit(HarmonicAnalyzer(omega, reading="sample").fit_transform(u, y), y)
+    assert model.order_ == 2
+    assert 2 in model.nonlinear_degrees_
+    true = np.linalg.eigvals(transition(compressor, omega, start)).astype(complex)
+    rate = np.log(np.abs(true)).mean() * omega / (2.0 * np.pi)
+    np.testing.assert_allclose(model.ltp_.floquet_exponents().real, rate, rtol=0.1)
 
 
 def test_what_products_do_not_take_up_is_told():
