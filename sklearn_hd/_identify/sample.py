@@ -348,19 +348,21 @@ def _of_its_likelihood(refined, data, omega):
     """Where a further step of its likelihood leads the exponents, and steps on smaller motions.
 
     Where steps have not come to an end, and where products have not taken up all by which a
-    machine is not linear, that is elsewhere.
+    machine is not linear, that is elsewhere. Beside products its deviations are the model's own.
     """
+    scale, about = omega / (2.0 * np.pi), {"duration": data.duration(omega)}
     small = refined.small
-    step = "a further step of its likelihood has" if small is None else "small motions have"
-    ways = (
-        (refined.ahead, step),
-        (None if small is None else small.of_smaller, "the smaller motions of the record have"),
-    )
-    for ahead, way in ways:
-        if ahead is not None:
-            exponents, deviations = (omega / (2.0 * np.pi) * each for each in ahead)
-            found = Opinion(exponents, deviations, omega, way, duration=data.duration(omega))
-            yield replace(found, of_small_motions=small is not None)
+    if small is None:
+        if refined.ahead is not None:
+            way = "a further step of its likelihood has"
+            yield Opinion(*(scale * each for each in refined.ahead), omega, way, **about)
+        return
+    about["of_small_motions"] = True
+    own = (scale * each for each in refined.ahead)
+    yield Opinion(*own, omega, "small motions have", own=True, **about)
+    if small.of_smaller is not None:
+        smaller = (scale * each for each in small.of_smaller)
+        yield Opinion(*smaller, omega, "the smaller motions of the record have", **about)
 
 
 # ---- states and matrices ---------------------------------------------------------------------
