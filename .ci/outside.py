@@ -88,8 +88,7 @@ def install(wheel, work):
 
 def test(python, sdist, work, arguments):
     """Run pytest beside the sdist's tests, pages and examples, where no package lies."""
-    with tarfile.open(sdist) as archive:
-        archive.extractall(work, filter="data")
+    shutil.unpack_archive(sdist, work)
     here = work / STEM
     require(not here.is_relative_to(ROOT), f"{here} lies in the checkout; set TMPDIR elsewhere")
     shutil.rmtree(here / "sklearn_hd")
