@@ -39,6 +39,7 @@ from sklearn_hd.algorithms.likelihood.innovations_steps import (
     SmallMotions,
     most_likely,
     of_small_motions,
+    predicting,
 )
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
@@ -56,7 +57,6 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 20  # tried by order="auto"
-LEAST_NOISE = 1e-6  # of an output's motion, where data are exact
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
@@ -315,8 +315,8 @@ def _of_halves(model, whole, chosen, refined):
     """Exponents of the two halves of a record, of the same order, lags and harmonics.
 
     Each half has as much of the outputs' motion: of a record that is at rest for long, and of a
-    chirp, half of the rows may tell nothing. None where a half is too short for the predictor, or
-    one turn does not tell exponents apart.
+    chirp, half of the rows may tell nothing. None where a half is too short for the predictor or
+    for the products, or one turn does not tell exponents apart.
     """
     data, layout = whole.data, whole.layout
     ends = np.cumsum([len(y) for _, y, _ in data.segments])
@@ -339,6 +339,8 @@ def _of_halves(model, whole, chosen, refined):
         choice = _Choice(half, sums, fixed, whole.basis, whole.steps)
         found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
         found = choice.refined(found, chosen.stable, refined.degrees)
+        if found.degrees != refined.degrees:
+            return None
         exponents.append(replace(model, innovations=found.innovations).exponents())
     omega = whole.basis.omega
     return of_halves(model.exponents(), exponents, omega, data.duration(omega))
@@ -399,7 +401,7 @@ class _States:
                 f"order={asked} exceeds the {bound} that {layout.n_lags} lags with {n_outputs} "
                 f"output(s) tell; lower order or raise block_rows"
             )
-        root = linalg.cholesky(_positive(predictor.covariance), lower=True)
+        root = linalg.cholesky(_with_sensor_noise(predictor.covariance), lower=True)
         white = np.kron(np.eye(n_future), linalg.inv(root).T)
         known = [futures_known(segment, predictor, n_future) for segment in data.segments]
         gram = sum(white.T @ (ahead.T @ ahead) @ white for _, ahead in known)
@@ -432,9 +434,9 @@ class _States:
                 yield x[own, :order], following, u[rows], y[rows], e[own], psi[rows]
 
 
-def _positive(covariance):
-    """A covariance with what rounding leaves of exact data added to its diagonal."""
-    return covariance + LEAST_NOISE**2 * np.eye(len(covariance))
+def _with_sensor_noise(covariance):
+    """A covariance of outputs with the least noise of a sensor added."""
+    return covariance + SENSOR_NOISE**2 * np.eye(len(covariance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -555,6 +557,7 @@ class _Choice:
 
         Products of states and inputs are further inputs, of some degrees, or where they pay (None)
         and the linear predictor knows no more than they do: else states or harmonics are missing.
+        Steps simulate, without the gain, if predictions leave less than a sensor's noise.
 
         Returns
         -------
@@ -565,15 +568,28 @@ class _Choice:
         most_growth = GROWN / self.data.longest if stable else np.inf
         start = innovations.filtered(self._noise(innovations))
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
-        found = most_likely(start, *likelihood) if self.steps else None
+        found, gain = most_likely(start, *likelihood) if self.steps else None, None
+        if found is not None and stable and self._is_exact(found[0]):
+            simulated = most_likely(replace(start, gain=0.0 * start.gain), *likelihood)
+            if simulated is not None:
+                found, gain = simulated, start.gain
         model, ahead = (start, None) if found is None else found
-        small = None if found is None else of_small_motions(model, *likelihood, degrees)
+        small = None if found is None else of_small_motions(model, *likelihood, degrees, gain)
+        model = model if gain is None else predicting(model, self.data.segments, gain, SENSOR_NOISE)
         compared, no_noise = (self.simulated, model, self.predictor), ""
         if degrees is None and (small is None or why_no_noise(*compared, small)):
             small, no_noise = None, why_no_noise(*compared)
         if small is None:
             return _Refined(model, ahead, no_noise)
         return _Refined(small.innovations, small.ahead, no_noise, small)
+
+    def _is_exact(self, model):
+        """Whether one-step predictions leave less of each output than the least noise of a sensor.
+
+        Those of a model, or of the predictor.
+        """
+        least = np.minimum(np.diag(model.covariance), self.predictor.left)
+        return bool(np.all(least <= SENSOR_NOISE**2))
 
     def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
@@ -592,7 +608,7 @@ class _Choice:
             total, n_rows = total + noise.T @ noise, n_rows + len(noise)
         noise = total / n_rows
         n_outputs = self.data.n_outputs
-        noise[-n_outputs:, -n_outputs:] = _positive(noise[-n_outputs:, -n_outputs:])
+        noise[-n_outputs:, -n_outputs:] = _with_sensor_noise(noise[-n_outputs:, -n_outputs:])
         return noise
 
     def _counts(self):
@@ -646,8 +662,7 @@ class _Choice:
         if small is None:
             return np.inf
         n_rows = sum(len(y) for _, y, _ in self.data.segments)
-        floor = SENSOR_NOISE**2 * np.eye(self.data.n_outputs)
-        left = n_rows * np.linalg.slogdet(small.covariance + floor)[1]
+        left = n_rows * np.linalg.slogdet(_with_sensor_noise(small.covariance))[1]
         return left + self._spent(chosen.order, chosen.n_harmonics, small.n_inputs, n_rows)
 
     def start(self, innovations, s):

@@ -14,6 +14,9 @@ about their periodic means, become further inputs where they pay (Akaike's crite
 
 A, B, C and D then are those of small motions. With q of the states known before, that is linear.
 
+Exact outputs tell a predictor where the states are, whatever drives them: one-step predictions
+then leave nothing that a model could be better by. Steps of such a record simulate (K = 0).
+
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
 References: L. Ljung, *System Identification*, 1999, sections 7.4 and 10.2; J. Paduart et al.,
@@ -145,7 +148,9 @@ class SmallMotions:
     degrees: tuple
 
 
-def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, degrees=None):
+def of_small_motions(
+    innovations, segments, layout, sensor_noise, most_growth, degrees=None, gain=None
+):
     """The linear part of a model to which products of states and inputs are further inputs.
 
     Parameters
@@ -156,6 +161,8 @@ def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, d
         As for ``most_likely``.
     degrees : sequence of int, optional
         Of the products; those that pay by default, and only then smaller motions are asked, too.
+    gain : ndarray, optional
+        Of the predictor whose states are multiplied, if steps simulate; the model's by default.
 
     Returns
     -------
@@ -168,7 +175,8 @@ def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, d
     n_values = sum(y.size for _, y, _ in segments)
     model, ahead, driven, taken = innovations, None, segments, ()
     for degree in DEGREES if degrees is None else degrees:
-        motion = _motion(model, driven, m, layout.n_loads)
+        predictor = model if gain is None else predicting(model, driven, gain, sensor_noise)
+        motion = _motion(predictor, driven, m, layout.n_loads)
         if motion is None or comb(n + m + degree - 1, degree) * per_input * n_values > MOST_NUMBERS:
             break
         wider = _with_products(driven, motion, layout.n_loads, degree)
@@ -196,14 +204,22 @@ def of_small_motions(innovations, segments, layout, sensor_noise, most_growth, d
             most_growth,
             counted=_smaller_half(motion),
         )
-    linear = replace(_with_inputs(model, m, 0), gain=innovations.gain)
-    at = _fitted(linear, segments, sensor_noise, [slice(None)] * len(segments))
-    if at is None:  # with that gain it forgets nothing
-        linear = replace(linear, gain=model.gain)
-    else:
-        linear = replace(linear, covariance=at.covariance)
+    if gain is not None:
+        model = predicting(model, driven, gain, sensor_noise)
+    linear = _with_inputs(model, m, 0)
+    linear = predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
     of_smaller = None if smaller is None else smaller[1]
     return SmallMotions(linear, ahead, of_smaller, model.covariance, model.n_inputs, taken)
+
+
+def predicting(innovations, segments, gain, sensor_noise):
+    """A model with another gain and what it leaves, or as it is if that is less."""
+    everything = [slice(None)] * len(segments)
+    own = _fitted(innovations, segments, sensor_noise, everything)
+    below = np.inf if own is None else own.cost
+    at = _fitted(replace(innovations, gain=gain), segments, sensor_noise, everything, below)
+    at = own if at is None else at
+    return innovations if at is None else replace(at.innovations, covariance=at.covariance)
 
 
 def _motion(innovations, segments, m, n_loads):

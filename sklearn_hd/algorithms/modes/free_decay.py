@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg
 from scipy.fft import dct
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
+from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
     cost_of_a_state,
     is_noise,
@@ -44,6 +44,7 @@ MOST_STATES = 12
 ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
+SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
 PATIENCE = 2
 SURE = 2.0  # standard deviations that an estimate may be off by
 
@@ -59,9 +60,9 @@ class FreeDecay:
     states : list of ndarray, shapes (n_periods_s, n)
     multipliers : complex ndarray, shape (n,)
     deviations : ndarray, shape (n,)
-        Standard deviations of their logarithms. What they change by without the first period of
-        each decay, whose motion is the largest, counts too: all of it where more than noise is
-        left, else what is beyond the errors of the rest.
+        Standard deviations of their logarithms. What they change by as the motion becomes smaller
+        counts, too: without the first period of each decay (all of it where more than noise is
+        left, else what is beyond the errors of the rest), and in the second half of the decays.
     turned : float
         A negative multiplier that was turned back, 0 if none was.
     """
@@ -194,14 +195,32 @@ def free_decay(decays, order=None, compare=True):
     found = FreeDecay(Phi, states, *multiplier_deviations(Phi, ones, decays), turned)
     if not compare:
         return found
-    later = [y[1:] for y in decays if len(y) > 2]
-    smaller = free_decay(later, n, False) if later else None
-    if smaller is not None:
-        allowed = SURE * smaller.deviations if is_noise(left, *sizes) else 0.0
-        gaps = apart(logarithms(found.multipliers), logarithms(smaller.multipliers))
-        moved = np.min(np.maximum(gaps - allowed, 0.0), axis=1)
-        found = replace(found, deviations=np.hypot(found.deviations, moved))
-    return found
+    allowed = SURE if is_noise(left, *sizes) else 0.0
+    moved = np.maximum(_changes(found, decays, 1, allowed), _until_no_motion(found, decays))
+    return replace(found, deviations=np.hypot(found.deviations, moved))
+
+
+def _changes(found, decays, start, n_deviations):
+    """What logarithms change by without the first periods, beyond some deviations of the rest."""
+    later = [y[start:] for y in decays if len(y) > start + 1]
+    rest = free_decay(later, len(found.multipliers), False) if later else None
+    if rest is None:
+        return np.zeros(len(found.multipliers))
+    gaps = apart(logarithms(found.multipliers), logarithms(rest.multipliers))
+    return np.min(np.maximum(gaps - n_deviations * rest.deviations, 0.0), axis=1)
+
+
+def _until_no_motion(found, decays):
+    """What logarithms of slow modes change by until the motion is gone, if they go with it.
+
+    By their change once half of the slowest one's motion is gone, or in half of the decays.
+    """
+    size, half = np.abs(found.multipliers), min(map(len, decays)) // 2
+    slowest = np.max(np.minimum(size, 1.0 - EPS))
+    start = int(np.clip(np.log(0.5) / np.log(slowest), 1, max(half, 1)))
+    left = size**start
+    moved = _changes(found, decays, start, SURE) / np.maximum(np.abs(1.0 - left), EXACT)
+    return np.where(left < SLOW, 0.0, moved)
 
 
 def is_product(logs, factors, tolerance):

@@ -271,8 +271,10 @@ class LagSums:
         crossed = coefficients.T @ self.products
         left = self.squares - crossed - crossed.T + coefficients.T @ self.gram @ coefficients
         loads, D, lags = self.layout.split(coefficients)
+        of_lags = lags[:, :, self.layout.n_inputs :].reshape(-1, len(left))
         covariance = left / self.n_rows
-        return Predictor(self.layout, coefficients, loads, D, lags, covariance)
+        as_measured = np.diag(covariance) - SENSOR_NOISE**2 * np.sum(of_lags**2, axis=0)
+        return Predictor(self.layout, coefficients, loads, D, lags, covariance, as_measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +290,9 @@ class Predictor:
     D : ndarray, shape (q, m, l)
     lags : ndarray, shape (p, q, m + l, l)
     covariance : ndarray, shape (l, l)
-        Of what the regression leaves.
+        Of what the regression leaves, if lagged outputs have SENSOR_NOISE.
+    left : ndarray, shape (l,)
+        Variance that it leaves of the outputs as measured.
     """
 
     layout: Layout
@@ -297,6 +301,7 @@ class Predictor:
     D: np.ndarray
     lags: np.ndarray
     covariance: np.ndarray
+    left: np.ndarray
 
 
 def azimuth_drift(segments, means, predictor):

@@ -105,6 +105,29 @@ def test_deviations_hold_under_noise():
     assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("rate", "drag"), [(0.0, 0.1), (0.02, 0.2), (0.1, 0.5), (-0.004, 0.1)])
+def test_slow_modes_say_what_they_change_by_until_the_motion_is_gone(rate, drag, noise):
+    """A drag that goes with the motion: da/dt = −(rate + drag a) a; the record tells a trend."""
+    rng = np.random.default_rng(3)
+    size = [0.1]
+    for _ in range(40 * 64):
+        size.append(size[-1] * np.exp(-(rate + drag * size[-1]) / 64))
+    turned = np.array(size[:-1:64]) * np.exp(0.7j * np.arange(40))
+    shape = rng.standard_normal(PHASES) + 1j * rng.standard_normal(PHASES)
+    y = np.outer(turned, shape).real
+    found = free_decay([y + noise * y.std() * rng.standard_normal(y.shape)], 2)
+    off = np.abs(np.log(np.abs(found.multipliers)) + rate)
+    assert np.all(off > 5e-3)  # the motion is large
+    assert np.all(off < 2.0 * found.deviations)
+    assert np.all(found.deviations < 2.0 * off)
+
+
+def test_slow_modes_of_a_linear_machine_do_not_change():
+    found = free_decay(decays_of([0.99, 0.5], n_periods=40))
+    assert found.deviations.max() < 1e-6
+
+
 @pytest.mark.slow
 def test_the_order_under_noise():
     orders = [

@@ -127,6 +127,13 @@ def test_exact_data_lead_to_the_predictor_for_a_little_sensor_noise():
     np.testing.assert_allclose(found.lags[:, 0, 1, 0], [0.9 - g, 0.9 * g], atol=2e-3)
     np.testing.assert_allclose(found.lags[:, 0, 0, 0], [1.0, g], atol=2e-3)
     assert 0.0 < found.covariance.item() < SENSOR_NOISE**2
+    assert abs(found.left.item()) < 1e-3 * SENSOR_NOISE**2
+    noisy = y + 0.1 * rng.standard_normal(y.shape)
+    found = LagSums.of([(u, noisy, STEP * np.arange(5000))], own).predictor()
+    e = noisy[2:] - sum(
+        np.hstack([u, noisy])[2 - s : 5000 - s] @ found.lags[s - 1, 0] for s in (1, 2)
+    )
+    np.testing.assert_allclose(found.left, np.mean((e - found.loads[0]) ** 2, axis=0), rtol=1e-6)
 
 
 def test_what_is_known_of_outputs_to_come():
