@@ -13,12 +13,12 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 OMEGA, SAMPLES, TURNS = 2.0, 16, 160
 
 
-def oscillator(cubic=0.0, drag=0.0):
-    """Mathieu's equation with a cubic spring, or a drag that grows with the speed squared."""
+def oscillator(cubic=0.0, drag=0.0, square=0.0):
+    """Mathieu's equation with a spring that is not linear, or drag of the speed squared."""
 
     def derivative(t, x, u):
         stiffness = 1.3 + 0.5 * np.cos(OMEGA * t)
-        force = cubic * x[0] ** 3 + drag * abs(x[1]) * x[1]
+        force = square * x[0] ** 2 + cubic * x[0] ** 3 + drag * abs(x[1]) * x[1]
         return np.array([x[1], -0.2 * x[1] - stiffness * x[0] - force + u])
 
     return derivative
@@ -111,6 +111,17 @@ def test_exponents_are_those_of_small_motions(cubic, noise, most, degree):
     small, y = record(size=0.03, seed=9, cubic=cubic)
     frame = HarmonicAnalyzer(OMEGA, reading="sample").fit_transform(small, y)
     assert model.score(frame, y) > 0.998
+
+
+def test_loads_are_those_of_a_machine_at_rest():
+    """Motions in a spring that is softer on one side shift the mean; without them nothing does."""
+    u, y = record(square=0.5, size=0.1)
+    analyzer = HarmonicAnalyzer(OMEGA, reading="sample")
+    model = MOESPRegressor().fit(analyzer.fit_transform(u, y), y)
+    assert 2 in model.nonlinear_degrees_
+    still = model.predict(analyzer.transform(0.0 * u))
+    assert abs(y["y"].mean()) > 0.015 * y["y"].std()
+    assert np.max(np.sqrt(np.mean(still**2, axis=0)) / y.std()) < 0.005
 
 
 @pytest.mark.slow

@@ -258,7 +258,7 @@ class _Found:
         if not left.variance <= most_left:
             return None
         model = SampleModel(
-            innovations.in_units(*data.scales).about(*data.means).about_orbit(),
+            refined.at_rest.in_units(*data.scales).about(*data.means).about_orbit(),
             basis.omega,
             basis.sample_time,
             basis.input_signals,
@@ -315,8 +315,8 @@ def _of_halves(model, whole, chosen, refined):
     """Exponents of the two halves of a record, of the same order, lags and harmonics.
 
     Each half has as much of the outputs' motion: of a record that is at rest for long, and of a
-    chirp, half of the rows may tell nothing. None where a half is too short for the predictor or
-    for the products, or one turn does not tell exponents apart.
+    chirp, half of the rows may tell nothing. None where a half is too short for the predictor, or
+    one turn does not tell exponents apart.
     """
     data, layout = whole.data, whole.layout
     ends = np.cumsum([len(y) for _, y, _ in data.segments])
@@ -339,8 +339,6 @@ def _of_halves(model, whole, chosen, refined):
         choice = _Choice(half, sums, fixed, whole.basis, whole.steps)
         found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
         found = choice.refined(found, chosen.stable, refined.degrees)
-        if found.degrees != refined.degrees:
-            return None
         exponents.append(replace(model, innovations=found.innovations).exponents())
     omega = whole.basis.omega
     return of_halves(model.exponents(), exponents, omega, data.duration(omega))
@@ -459,6 +457,11 @@ class _Refined:
     ahead: tuple | None = None
     no_noise: str = ""
     small: SmallMotions | None = None
+
+    @property
+    def at_rest(self):
+        """The model with the loads of a machine at rest."""
+        return self.innovations if self.small is None else self.small.at_rest
 
     @property
     def degrees(self):

@@ -129,6 +129,8 @@ class SmallMotions:
     ----------
     innovations : PeriodicInnovations
         K is that of the model without products, for which they are noise.
+    at_rest : PeriodicInnovations
+        The same with the loads of a machine at rest: those above hold the products' means, too.
     ahead, of_smaller : (ndarray, ndarray)
         Where a further step leads the logarithms of its multipliers, and their deviations. By all
         rows, and by the half of them with the smaller motion (None if they are too few).
@@ -141,6 +143,7 @@ class SmallMotions:
     """
 
     innovations: PeriodicInnovations
+    at_rest: PeriodicInnovations
     ahead: tuple
     of_smaller: tuple | None
     covariance: np.ndarray
@@ -174,12 +177,13 @@ def of_small_motions(
     per_input = (n + (layout.n_outputs if layout.feedthrough else 0)) * layout.n_functions
     n_values = sum(y.size for _, y, _ in segments)
     model, ahead, driven, taken = innovations, None, segments, ()
+    means = np.zeros((2 * layout.n_loads + 1, m))
     for degree in DEGREES if degrees is None else degrees:
         predictor = model if gain is None else predicting(model, driven, gain, sensor_noise)
         motion = _motion(predictor, driven, m, layout.n_loads)
         if motion is None or comb(n + m + degree - 1, degree) * per_input * n_values > MOST_NUMBERS:
             break
-        wider = _with_products(driven, motion, layout.n_loads, degree)
+        wider, its_means = _with_products(driven, motion, layout.n_loads, degree)
         n_inputs = wider[0][0].shape[1]
         more = n_inputs - model.n_inputs
         found = most_likely(
@@ -192,6 +196,7 @@ def of_small_motions(
         )
         if found is not None:
             (model, ahead), driven, taken = found, wider, (*taken, degree)
+            means = np.hstack([means, its_means])
     if ahead is None:
         return None
     smaller = None
@@ -208,8 +213,11 @@ def of_small_motions(
         model = predicting(model, driven, gain, sensor_noise)
     linear = _with_inputs(model, m, 0)
     linear = predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
+    at_rest = _with_inputs(model.about(means, np.zeros((len(means), layout.n_outputs))), m, 0)
+    gain = resize_harmonics(linear.gain, at_rest.n_harmonics)
+    at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
     of_smaller = None if smaller is None else smaller[1]
-    return SmallMotions(linear, ahead, of_smaller, model.covariance, model.n_inputs, taken)
+    return SmallMotions(linear, at_rest, ahead, of_smaller, model.covariance, model.n_inputs, taken)
 
 
 def predicting(innovations, segments, gain, sensor_noise):
@@ -237,13 +245,17 @@ def _motion(innovations, segments, m, n_loads):
 
 
 def _with_products(segments, motion, n_loads, degree):
-    """Segments whose inputs have all products of so many signals of their motion beside them."""
+    """Segments whose inputs have all products of so many signals of their motion beside them.
+
+    About their periodic means, and these.
+    """
     which = np.array(list(combinations_with_replacement(range(motion[0][0].shape[1]), degree)))
     products = [(np.prod(z[:, which], axis=2), psi) for z, psi in motion]
-    products = [q for q, _ in _about_means(products, n_loads)]
+    means = fitted_harmonics(products, n_loads)
+    products = [q - evaluate_harmonics(means, psi) for q, psi in products]
     size = _sizes(products)
     both = zip(segments, products, strict=True)
-    return [(np.hstack([u, q / size]), y, psi) for (u, y, psi), q in both]
+    return [(np.hstack([u, q / size]), y, psi) for (u, y, psi), q in both], means / size
 
 
 def _smaller_half(motion):
