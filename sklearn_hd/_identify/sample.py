@@ -39,7 +39,6 @@ from sklearn_hd.algorithms.likelihood.innovations_steps import (
     SmallMotions,
     most_likely,
     of_small_motions,
-    predicting,
 )
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
@@ -560,7 +559,8 @@ class _Choice:
 
         Products of states and inputs are further inputs, of some degrees, or where they pay (None)
         and the linear predictor knows no more than they do: else states or harmonics are missing.
-        Steps simulate, without the gain, if predictions leave less than a sensor's noise.
+        Steps simulate, without the gain, if predictions leave less than a sensor's noise and
+        products take up most of what a simulation leaves.
 
         Returns
         -------
@@ -571,14 +571,15 @@ class _Choice:
         most_growth = GROWN / self.data.longest if stable else np.inf
         start = innovations.filtered(self._noise(innovations))
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
-        found, gain = most_likely(start, *likelihood) if self.steps else None, None
-        if found is not None and stable and self._is_exact(found[0]):
+        found = most_likely(start, *likelihood) if self.steps else None
+        model, ahead = (start, None) if found is None else found
+        small = None
+        if stable and found is not None and self._is_exact(model):
             simulated = most_likely(replace(start, gain=0.0 * start.gain), *likelihood)
             if simulated is not None:
-                found, gain = simulated, start.gain
-        model, ahead = (start, None) if found is None else found
-        small = None if found is None else of_small_motions(model, *likelihood, degrees, gain)
-        model = model if gain is None else predicting(model, self.data.segments, gain, SENSOR_NOISE)
+                small = of_small_motions(simulated[0], *likelihood, degrees, start.gain)
+        if small is None and found is not None:
+            small = of_small_motions(model, *likelihood, degrees)
         compared, no_noise = (self.simulated, model, self.predictor), ""
         if degrees is None and (small is None or why_no_noise(*compared, small)):
             small, no_noise = None, why_no_noise(*compared)

@@ -15,7 +15,8 @@ about their periodic means, become further inputs where they pay (Akaike's crite
 A, B, C and D then are those of small motions. With q of the states known before, that is linear.
 
 Exact outputs tell a predictor where the states are, whatever drives them: one-step predictions
-then leave nothing that a model could be better by. Steps of such a record simulate (K = 0).
+then leave nothing for products to take up. Products of such a record are those of a simulation
+(K = 0), if they take up half of what it leaves.
 
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
@@ -44,6 +45,7 @@ VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
+LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
 DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
 
 
@@ -165,7 +167,7 @@ def of_small_motions(
     degrees : sequence of int, optional
         Of the products; those that pay by default, and only then smaller motions are asked, too.
     gain : ndarray, optional
-        Of the predictor whose states are multiplied, if steps simulate; the model's by default.
+        Of a predictor, for a model that simulates; the model's by default.
 
     Returns
     -------
@@ -179,7 +181,7 @@ def of_small_motions(
     model, ahead, driven, taken = innovations, None, segments, ()
     means = np.zeros((2 * layout.n_loads + 1, m))
     for degree in DEGREES if degrees is None else degrees:
-        predictor = model if gain is None else predicting(model, driven, gain, sensor_noise)
+        predictor = model if gain is None else _predicting(model, driven, gain, sensor_noise)
         motion = _motion(predictor, driven, m, layout.n_loads)
         if motion is None or comb(n + m + degree - 1, degree) * per_input * n_values > MOST_NUMBERS:
             break
@@ -210,9 +212,12 @@ def of_small_motions(
             counted=_smaller_half(motion),
         )
     if gain is not None:
-        model = predicting(model, driven, gain, sensor_noise)
+        shares = (_left(each, sensor_noise) for each in (model, innovations))
+        if np.divide(*shares) > 1.0 - LEAST_TAKEN_UP:
+            return None
+        model = _predicting(model, driven, gain, sensor_noise)
     linear = _with_inputs(model, m, 0)
-    linear = predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
+    linear = _predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
     at_rest = _with_inputs(model.about(means, np.zeros((len(means), layout.n_outputs))), m, 0)
     gain = resize_harmonics(linear.gain, at_rest.n_harmonics)
     at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
@@ -220,7 +225,7 @@ def of_small_motions(
     return SmallMotions(linear, at_rest, ahead, of_smaller, model.covariance, model.n_inputs, taken)
 
 
-def predicting(innovations, segments, gain, sensor_noise):
+def _predicting(innovations, segments, gain, sensor_noise):
     """A model with another gain and what it leaves, or as it is if that is less."""
     everything = [slice(None)] * len(segments)
     own = _fitted(innovations, segments, sensor_noise, everything)
@@ -228,6 +233,12 @@ def predicting(innovations, segments, gain, sensor_noise):
     at = _fitted(replace(innovations, gain=gain), segments, sensor_noise, everything, below)
     at = own if at is None else at
     return innovations if at is None else replace(at.innovations, covariance=at.covariance)
+
+
+def _left(innovations, sensor_noise):
+    """The variance that a model leaves beside that of the sensors, geometric mean of outputs."""
+    M = innovations.covariance
+    return np.linalg.det(M + sensor_noise**2 * np.eye(len(M))) ** (1.0 / len(M))
 
 
 def _motion(innovations, segments, m, n_loads):

@@ -62,7 +62,7 @@ class FreeDecay:
     deviations : ndarray, shape (n,)
         Standard deviations of their logarithms. What they change by as the motion becomes smaller
         counts, too: without the first period of each decay (all of it where more than noise is
-        left, else what is beyond the errors of the rest), and in the second half of the decays.
+        left, else what is beyond the errors of the rest), and of slow modes until it is gone.
     turned : float
         A negative multiplier that was turned back, 0 if none was.
     """
