@@ -559,8 +559,8 @@ class _Choice:
 
         Products of states and inputs are further inputs, of some degrees, or where they pay (None)
         and the linear predictor knows no more than they do: else states or harmonics are missing.
-        Steps simulate, without the gain, if predictions leave less than a sensor's noise and
-        products take up most of what a simulation leaves.
+        If predictions leave less than the noise of a sensor, products are those of a simulation,
+        where these take up half of what it leaves.
 
         Returns
         -------
@@ -574,7 +574,7 @@ class _Choice:
         found = most_likely(start, *likelihood) if self.steps else None
         model, ahead = (start, None) if found is None else found
         small = None
-        if stable and found is not None and self._is_exact(model):
+        if stable and found is not None and degrees != () and self._is_exact(model):
             simulated = most_likely(replace(start, gain=0.0 * start.gain), *likelihood)
             if simulated is not None:
                 small = of_small_motions(simulated[0], *likelihood, degrees, start.gain)
@@ -590,7 +590,7 @@ class _Choice:
     def _is_exact(self, model):
         """Whether one-step predictions leave less of each output than the least noise of a sensor.
 
-        Those of a model, or of the predictor.
+        Those of a model or of the predictor, whichever leave less of it.
         """
         least = np.minimum(np.diag(model.covariance), self.predictor.left)
         return bool(np.all(least <= SENSOR_NOISE**2))

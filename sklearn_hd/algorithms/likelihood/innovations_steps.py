@@ -16,7 +16,7 @@ A, B, C and D then are those of small motions. With q of the states known before
 
 Exact outputs tell a predictor where the states are, whatever drives them: one-step predictions
 then leave nothing for products to take up. Products of such a record are those of a simulation
-(K = 0), if they take up half of what it leaves.
+(K = 0), if all together take up half of what it leaves.
 
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
@@ -130,7 +130,8 @@ class SmallMotions:
     Attributes
     ----------
     innovations : PeriodicInnovations
-        K is that of the model without products, for which they are noise.
+        K is that of the model without products, for which they are noise, or that of the
+        simulation (0), whichever leaves less.
     at_rest : PeriodicInnovations
         The same with the loads of a machine at rest: those above hold the products' means, too.
     ahead, of_smaller : (ndarray, ndarray)
@@ -201,6 +202,9 @@ def of_small_motions(
             means = np.hstack([means, its_means])
     if ahead is None:
         return None
+    least = 1.0 - LEAST_TAKEN_UP if gain is not None and degrees is None else np.inf
+    if _left(model, sensor_noise) > least * _left(innovations, sensor_noise):
+        return None
     smaller = None
     if degrees is None and motion is not None:
         smaller = most_likely(
@@ -212,14 +216,11 @@ def of_small_motions(
             counted=_smaller_half(motion),
         )
     if gain is not None:
-        shares = (_left(each, sensor_noise) for each in (model, innovations))
-        if np.divide(*shares) > 1.0 - LEAST_TAKEN_UP:
-            return None
         model = _predicting(model, driven, gain, sensor_noise)
     linear = _with_inputs(model, m, 0)
     linear = _predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
     at_rest = _with_inputs(model.about(means, np.zeros((len(means), layout.n_outputs))), m, 0)
-    gain = resize_harmonics(linear.gain, at_rest.n_harmonics)
+    gain = resize_harmonics(linear.gain, len(at_rest.coefficients) // 2)
     at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
     of_smaller = None if smaller is None else smaller[1]
     return SmallMotions(linear, at_rest, ahead, of_smaller, model.covariance, model.n_inputs, taken)
@@ -236,9 +237,8 @@ def _predicting(innovations, segments, gain, sensor_noise):
 
 
 def _left(innovations, sensor_noise):
-    """The variance that a model leaves beside that of the sensors, geometric mean of outputs."""
-    M = innovations.covariance
-    return np.linalg.det(M + sensor_noise**2 * np.eye(len(M))) ** (1.0 / len(M))
+    """The variance that a model leaves of all outputs, beside that of their sensors."""
+    return np.trace(innovations.covariance) + innovations.n_outputs * sensor_noise**2
 
 
 def _motion(innovations, segments, m, n_loads):
@@ -258,7 +258,12 @@ def _motion(innovations, segments, m, n_loads):
 def _with_products(segments, motion, n_loads, degree):
     """Segments whose inputs have all products of so many signals of their motion beside them.
 
-    About their periodic means, and these.
+    Returns
+    -------
+    segments : list of (inputs, outputs, psi)
+        Products are about their periodic means, and of like size.
+    means : ndarray, shape (2 L + 1, n_products)
+        What was taken out of them, as Fourier coefficients.
     """
     which = np.array(list(combinations_with_replacement(range(motion[0][0].shape[1]), degree)))
     products = [(np.prod(z[:, which], axis=2), psi) for z, psi in motion]

@@ -45,6 +45,7 @@ ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
+LEAST_GONE = 0.05  # of a mode's motion, to tell what the rest of it leads to
 PATIENCE = 2
 SURE = 2.0  # standard deviations that an estimate may be off by
 
@@ -213,13 +214,15 @@ def _changes(found, decays, start, n_deviations):
 def _until_no_motion(found, decays):
     """What logarithms of slow modes change by until the motion is gone, if they go with it.
 
-    By their change once half of the slowest one's motion is gone, or in half of the decays.
+    By their change once half of the slowest one's motion is gone, or in half of the longest decay.
+    A motion that hardly shrinks tells nothing of smaller ones.
     """
-    size, half = np.abs(found.multipliers), min(map(len, decays)) // 2
-    slowest = np.max(np.minimum(size, 1.0 - EPS))
+    size, half = np.abs(found.multipliers), max(map(len, decays)) // 2
+    slowest = np.clip(np.max(size), TINY, 1.0 - EPS)
     start = int(np.clip(np.log(0.5) / np.log(slowest), 1, max(half, 1)))
     left = size**start
-    moved = _changes(found, decays, start, SURE) / np.maximum(np.abs(1.0 - left), EXACT)
+    gone = np.abs(1.0 - left)
+    moved = _changes(found, decays, start, SURE) / np.where(gone < LEAST_GONE, 1.0, gone)
     return np.where(left < SLOW, 0.0, moved)
 
 

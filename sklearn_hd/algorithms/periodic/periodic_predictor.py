@@ -292,7 +292,7 @@ class Predictor:
     covariance : ndarray, shape (l, l)
         Of what the regression leaves, if lagged outputs have SENSOR_NOISE.
     left : ndarray, shape (l,)
-        Variance that it leaves of the outputs as measured.
+        Variance that it leaves of the outputs as measured; not below zero but for rounding.
     """
 
     layout: Layout

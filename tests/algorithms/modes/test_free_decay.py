@@ -105,9 +105,10 @@ def test_deviations_hold_under_noise():
     assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
+@pytest.mark.parametrize("lengths", [[40], [40, 3]])
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize(("rate", "drag"), [(0.0, 0.1), (0.02, 0.2), (0.1, 0.5), (-0.004, 0.1)])
-def test_slow_modes_say_what_they_change_by_until_the_motion_is_gone(rate, drag, noise):
+def test_slow_modes_say_what_they_change_by_until_the_motion_is_gone(rate, drag, noise, lengths):
     """A drag that goes with the motion: da/dt = −(rate + drag a) a; the record tells a trend."""
     rng = np.random.default_rng(3)
     size = [0.1]
@@ -116,16 +117,25 @@ def test_slow_modes_say_what_they_change_by_until_the_motion_is_gone(rate, drag,
     turned = np.array(size[:-1:64]) * np.exp(0.7j * np.arange(40))
     shape = rng.standard_normal(PHASES) + 1j * rng.standard_normal(PHASES)
     y = np.outer(turned, shape).real
-    found = free_decay([y + noise * y.std() * rng.standard_normal(y.shape)], 2)
+    y = [y[:n] + noise * y.std() * rng.standard_normal((n, PHASES)) for n in lengths]
+    found = free_decay(y, 2)
     off = np.abs(np.log(np.abs(found.multipliers)) + rate)
     assert np.all(off > 5e-3)  # the motion is large
     assert np.all(off < 2.0 * found.deviations)
     assert np.all(found.deviations < 2.0 * off)
 
 
-def test_slow_modes_of_a_linear_machine_do_not_change():
-    found = free_decay(decays_of([0.99, 0.5], n_periods=40))
-    assert found.deviations.max() < 1e-6
+@pytest.mark.parametrize("slow", [0.99, 1.0])
+def test_slow_modes_of_a_linear_machine_do_not_change(slow):
+    pair = slow * np.exp(0.7j * np.array([1, -1]))
+    assert free_decay(decays_of(pair, n_periods=40)).deviations.max() < 1e-6
+    for seed in range(20):
+        noisy = free_decay(decays_of(pair, n_periods=40, noise=1e-3, seed=seed), 2)
+        assert noisy.deviations.max() < 1e-3
+
+
+def test_decays_that_are_gone_after_a_period():
+    assert free_decay([np.outer(np.arange(20) == 0, np.ones(PHASES))], 1).deviations.size == 1
 
 
 @pytest.mark.slow
