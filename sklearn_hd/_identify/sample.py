@@ -56,6 +56,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
 MOST_STATES = 20  # tried by order="auto"
+LEAST_NOISE = 1e-6  # of an output's motion, where data are exact and no steps follow
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
@@ -387,8 +388,8 @@ class _States:
     bound: int
 
     @classmethod
-    def of(cls, data, predictor, settings):
-        """States that a predictor makes of the data."""
+    def of(cls, data, predictor, settings, noise):
+        """States that a predictor makes of the data, whose outputs have some noise at least."""
         layout, n_outputs = predictor.layout, data.n_outputs
         asked = 1 if settings.order == "auto" else settings.order
         n_future = layout.n_lags
@@ -398,7 +399,7 @@ class _States:
                 f"order={asked} exceeds the {bound} that {layout.n_lags} lags with {n_outputs} "
                 f"output(s) tell; lower order or raise block_rows"
             )
-        root = linalg.cholesky(_with_sensor_noise(predictor.covariance), lower=True)
+        root = linalg.cholesky(_with_noise(predictor.covariance, noise), lower=True)
         white = np.kron(np.eye(n_future), linalg.inv(root).T)
         known = [futures_known(segment, predictor, n_future) for segment in data.segments]
         gram = sum(white.T @ (ahead.T @ ahead) @ white for _, ahead in known)
@@ -431,9 +432,9 @@ class _States:
                 yield x[own, :order], following, u[rows], y[rows], e[own], psi[rows]
 
 
-def _with_sensor_noise(covariance):
-    """A covariance of outputs with the least noise of a sensor added."""
-    return covariance + SENSOR_NOISE**2 * np.eye(len(covariance))
+def _with_noise(covariance, noise=SENSOR_NOISE):
+    """A covariance of outputs with some noise added, that of a sensor by default."""
+    return covariance + noise**2 * np.eye(len(covariance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -478,7 +479,8 @@ class _Choice:
         layout = sums.layout
         self.data, self.settings, self.basis, self.steps = data, settings, basis, steps
         self.layout, self.n_rows, self.predictor = layout, sums.n_rows, sums.predictor()
-        self.states = states = _States.of(data, self.predictor, settings)
+        noise = SENSOR_NOISE if steps else LEAST_NOISE  # which steps take to be there, too
+        self.states = states = _States.of(data, self.predictor, settings, noise)
         self.tried, self.possible = [], []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
@@ -612,7 +614,7 @@ class _Choice:
             total, n_rows = total + noise.T @ noise, n_rows + len(noise)
         noise = total / n_rows
         n_outputs = self.data.n_outputs
-        noise[-n_outputs:, -n_outputs:] = _with_sensor_noise(noise[-n_outputs:, -n_outputs:])
+        noise[-n_outputs:, -n_outputs:] = _with_noise(noise[-n_outputs:, -n_outputs:])
         return noise
 
     def _counts(self):
@@ -666,7 +668,7 @@ class _Choice:
         if small is None:
             return np.inf
         n_rows = sum(len(y) for _, y, _ in self.data.segments)
-        left = n_rows * np.linalg.slogdet(_with_sensor_noise(small.covariance))[1]
+        left = n_rows * np.linalg.slogdet(_with_noise(small.covariance))[1]
         return left + self._spent(chosen.order, chosen.n_harmonics, small.n_inputs, n_rows)
 
     def start(self, innovations, s):
