@@ -82,6 +82,7 @@ class SampleModel:
     split : tuple of ndarray of int, or None
         Whole samples of the delays of inputs and outputs, where the matrices hold the rest: there
         are two of each input then, its new value and the old one.
+    state_names : tuple of str, or None
     """
 
     innovations: PeriodicInnovations
@@ -96,8 +97,8 @@ class SampleModel:
     opinion: object = None
     delays: object = None
     split: tuple | None = None
+    state_names: tuple | None = None
 
-    state_names = None
     windowed = False
     closed_loop = True  # its predictor holds, feedback or none
 

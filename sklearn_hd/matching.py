@@ -10,11 +10,10 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_choice, check_count, check_fraction, check_positive
 from sklearn_hd._guards import one_blas_thread, searching, warn, within_range
-from sklearn_hd._match import PeriodicSimulator
-from sklearn_hd._match.affine import LIKELIHOODS, NormSettings, match_affine, match_samples
+from sklearn_hd._match import LIKELIHOODS, MatchSettings
+from sklearn_hd._match.affine import match_affine, match_samples
 from sklearn_hd._match.likelihood import match_free, match_likelihood, warn_closed_loop
 from sklearn_hd._match.periodic import match_periodic
-from sklearn_hd._match.record_data import LikelihoodSettings
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import WAY_OUT, contradictions, doubtful, lacks, warn_unconfirmed
 from sklearn_hd._records.data import to_continuous
@@ -292,14 +291,13 @@ class StructuredMatcher(ModelStep):
     def _of_samples(self, model, experiment):
         """Match a model of samples at their azimuths."""
         periodic = isinstance(self.structure, HarmonicStructure) or not model.time_invariant
-        noise = _checked_together(self, experiment.basis, periodic, periodic)
-        if not self._likely:
-            return match_samples(model, experiment, self.structure, self._norm_settings())
-        settings = self._likelihood_settings(noise)
-        if self.structure is None:
+        settings = self._settings(_checked_together(self, experiment.basis, periodic, periodic))
+        if settings.likely and self.structure is None:
             return match_free(model, experiment, settings)
-        match = match_samples(model, experiment, self.structure, self._norm_settings())
-        return match_likelihood(match, self.structure, experiment, settings, model.opinion)
+        match = match_samples(model, experiment, self.structure, settings)
+        if settings.likely:
+            match = match_likelihood(match, self.structure, experiment, settings, model.opinion)
+        return match
 
     def _of_rows(self, model, experiment):
         """Match a time-invariant model of rows, harmonics or whole periods."""
@@ -308,21 +306,19 @@ class StructuredMatcher(ModelStep):
         lifted = experiment.basis.reading == "period" and model.dt > 0.0
         structure = HarmonicStructure() if lifted and self.structure is None else self.structure
         periodic = isinstance(structure, HarmonicStructure)
-        settings = self._likelihood_settings(
-            _checked_together(self, experiment.basis, lifted, periodic)
-        )
-        if self._likely and structure is None and not experiment.basis.harmonic:
+        settings = self._settings(_checked_together(self, experiment.basis, lifted, periodic))
+        if settings.likely and structure is None and not experiment.basis.harmonic:
             return match_free(model, experiment, settings)
         opinion = model.opinion
         if lifted:
-            simulated = not (periodic and self._likely)
+            simulated = not (periodic and settings.likely)
             route = structure if periodic else HarmonicStructure()
             match = match_periodic(model, experiment, route, simulated)
             model = match.model
         if not (lifted and periodic):
             model = to_continuous(model, experiment)
-            match = match_affine(model, experiment, structure, self._norm_settings())
-        if self._likely:
+            match = match_affine(model, experiment, structure, settings)
+        if settings.likely:
             match = match_likelihood(match, structure, experiment, settings, opinion)
         return match
 
@@ -331,9 +327,11 @@ class StructuredMatcher(ModelStep):
         """Whether the record's likelihood decides."""
         return self.criterion in LIKELIHOODS
 
-    def _likelihood_settings(self, noise):
-        starts = self.n_starts, self.random_state
-        return LikelihoodSettings(self.criterion, self.max_iter, noise, *starts)
+    def _settings(self, input_noise):
+        names = ("criterion", "output_weights", "input_weights")
+        names += ("n_starts", "random_state", "max_iter")
+        known = {name: getattr(self, name) for name in names}
+        return MatchSettings(**known, input_noise=input_noise)
 
     def _check_settings(self):
         check_choice("criterion", self.criterion, CRITERIA)
@@ -353,11 +351,6 @@ class StructuredMatcher(ModelStep):
             for value in noise.values() if isinstance(noise, Mapping) else [noise]:
                 check_positive("input_noise", value, "units of the input", hint)
 
-    def _norm_settings(self):
-        names = ("criterion", "output_weights", "input_weights")
-        names += ("n_starts", "random_state", "max_iter")
-        return NormSettings(**{name: getattr(self, name) for name in names})
-
     def _simulators(self, experiment, *, exact=True):
         sampled = self.match_.sampled
         if sampled is not None and not self.predicts_harmonics_:
@@ -368,12 +361,7 @@ class StructuredMatcher(ModelStep):
         periodic = self.match_.periodic
         if periodic is None or self.predicts_harmonics_:
             return super()._simulators(experiment, exact=exact)
-        basis = experiment.basis
-        response = periodic.sampled(basis.samples_per_period)
-        return [
-            PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
-            for u, time in zip(experiment.inputs, experiment.times(), strict=True)
-        ]
+        return sample_simulators(periodic.sampled(experiment.base.sample_time), experiment)
 
     @property
     def _split(self):

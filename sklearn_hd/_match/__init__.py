@@ -10,18 +10,51 @@ import numpy as np
 from sklearn_hd._checks import check_frequencies
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._readings import highest_harmonic
-from sklearn_hd._sample_model import AtSamples, SampleModel
+from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
-from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.lti.simulation import step_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import MatchResult
-from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+from sklearn_hd.algorithms.periodic.behind_samples import samples_of
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels
-from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
+
+LIKELIHOODS = ("output_error", "prediction_error")
+
+
+@dataclass(frozen=True, eq=False)
+class MatchSettings:
+    """How to match, as the matcher was told.
+
+    Attributes
+    ----------
+    criterion : {"hinf", "least_squares", "output_error", "prediction_error"}
+        The last two start from the mean square.
+    output_weights, input_weights : as given
+    n_starts, random_state, max_iter : int
+    input_noise : ndarray, shape (m,), or None
+    """
+
+    criterion: str
+    output_weights: object
+    input_weights: object
+    n_starts: int
+    random_state: int | None
+    max_iter: int
+    input_noise: np.ndarray | None
+
+    @property
+    def likely(self):
+        """Whether a likelihood continues from the match."""
+        return self.criterion in LIKELIHOODS
+
+    @property
+    def predicts(self):
+        """Whether the model has a Kalman gain."""
+        return self.criterion == "prediction_error"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +109,16 @@ class PeriodicModel:
             output_names=self.output_names,
         )
 
-    def sampled(self, n_phases):
-        """Transition and output matrices of the samples of one period."""
-        fixed = PeriodicStructure(
-            self.coefficients, np.zeros((0, self.coefficients.size)), self.n_states, ()
-        )
-        return sampled_response(fixed, [], self.omega, n_phases, sensitivities=False)
+    def sampled(self, dt):
+        """Its samples, as a SampleModel without a forced response."""
+        n, step = self.n_states, self.omega * dt
+        moved = samples_of(self.coefficients, n, self.omega, step)
+        moved = np.concatenate([moved, np.zeros((*moved.shape[:2], 1))], axis=2)
+        n_outputs, names = len(self.output_names), (self.input_names, self.output_names)
+        no_gain = np.zeros((1, n, n_outputs)), np.eye(n_outputs)
+        innovations = PeriodicInnovations(moved, *no_gain, step)
+        direct, states = bool(self.matrices()[3].any()), self.state_names
+        return SampleModel(innovations, self.omega, dt, *names, direct, state_names=states)
 
     def time_invariant(self, basis):
         """Harmonic decomposition between the coefficients that a basis keeps (Eq. 8).
@@ -158,76 +195,6 @@ def kept_places(signals):
             blocks = (0,) if k == 0 else (2 * k - 1, 2 * k)
             places += [block * len(signals) + i for block in blocks]
     return places
-
-
-class PeriodicSimulator:
-    """Free simulation of a periodic model over one segment, linear in its initial state.
-
-    Parameters
-    ----------
-    model : PeriodicModel
-    response : SampledResponse
-        Of the model, over the samples of one period.
-    phase : ndarray of int, shape (n_samples,)
-        Sample within the period.
-    inputs : ndarray, shape (n_samples, m)
-    time : ndarray, shape (n_samples,)
-    """
-
-    steps_at_samples = True
-
-    def __init__(self, model, response, phase, inputs, time):
-        self.model, self.time, self.inputs, self.phase = model, time, inputs, phase
-        self.response = response
-
-    def at_rest(self):
-        """State of a machine at rest: zero, as inputs and outputs are."""
-        return np.zeros(self.model.n_states)
-
-    def forced(self):
-        """Outputs without inputs and states, trim not added: none."""
-        return np.zeros((len(self.time), 1))
-
-    def outputs(self, x0, *, recompose=True, n_samples=None):
-        """Outputs, trim not added, of all samples or the first of them."""
-        inputs = self.inputs[:n_samples]
-        states = self._states(inputs, x0)
-        if not np.max(np.abs(states), initial=0.0) < OVERFLOW:
-            raise UnstableModelError(
-                f"the simulation overflows: the model's largest Floquet multiplier is "
-                f"{self.response.spectral_radius:.4g} (a stable model has less than 1); change the "
-                f"order of the identified model, or simulate a shorter span"
-            )
-        extended = np.concatenate([states, inputs], axis=-1)
-        return np.einsum("tla,ta->tl", self._at(self.response.Out, slice(n_samples)), extended)
-
-    def free(self, n_samples):
-        """Outputs of the first samples for each unit initial state, (n, n_samples, n_outputs)."""
-        n = self.model.n_states
-        states = self._states(np.zeros((n_samples, self.inputs.shape[1])), np.eye(n))
-        return np.einsum(
-            "tla,kta->ktl", self._at(self.response.Out, slice(n_samples))[..., :n], states
-        )
-
-    def at_samples(self, some=slice(None)):
-        """The model at (some of) its samples."""
-        n, count = self.model.n_states, len(self.model.coefficients) // 2
-        step, seen = (self._at(M, some) for M in (self.response.Psi, self.response.Out))
-        matrices = step[..., :n], step[..., n:], seen[..., :n], seen[..., n:], None
-        return AtSamples.of(*matrices, self.inputs[some], count)
-
-    def _at(self, matrices, some):
-        return matrices[self.phase[some] % len(matrices)]
-
-    def _states(self, inputs, x0):
-        n = self.model.n_states
-        Psi = self.response.Psi
-        turned = np.roll(Psi, -(self.phase[0] % len(Psi)), axis=0)
-        which = np.arange(len(inputs)) % len(Psi)
-        forcing = np.einsum("tij,tj->ti", turned[which, :, n:], inputs)
-        forcing = np.broadcast_to(forcing, (*x0.shape[:-1], *forcing.shape))
-        with np.errstate(over="ignore", invalid="ignore"):
-            return propagate_periodic(turned[:, :, :n], forcing, x0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ Closed form from a model of samples at their azimuths to the continuous one behi
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Real
 
 import numpy as np
@@ -21,13 +21,13 @@ from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._guards import warn
-from sklearn_hd._match import Match, PeriodicModel, PeriodicSimulator, periodic_match
+from sklearn_hd._match import Match, PeriodicModel, periodic_match
 from sklearn_hd._match.periodic import state_outputs, warn_coordinates
 from sklearn_hd._readings import coefficient_names, highest_harmonic
 from sklearn_hd._records.data import input_scale, output_scale, to_continuous
+from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.simulation import frequency_response
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic.behind_samples import nearest_steps, turn_of
@@ -37,37 +37,11 @@ from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning, UnstableModelError
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
-LIKELIHOODS = ("output_error", "prediction_error")
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 RUNAWAY = 1e4  # speed of a pole, relative to the model's fastest, that is a feedthrough's
 FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
 MOST_ROWS = 10_000  # of a segment, on which responses are compared
 UNLIKE = 1e-2  # of the response's variance, that a structure may leave without a word
-
-
-@dataclass(frozen=True, eq=False)
-class NormSettings:
-    """How to match.
-
-    Attributes
-    ----------
-    criterion : {"hinf", "least_squares", "output_error", "prediction_error"}
-        The last two start from the mean square.
-    output_weights, input_weights : as given to the matcher
-    n_starts, random_state, max_iter : int
-    """
-
-    criterion: str
-    output_weights: object
-    input_weights: object
-    n_starts: int
-    random_state: int | None
-    max_iter: int
-
-    @property
-    def likely(self):
-        """Whether a likelihood continues from the match."""
-        return self.criterion in LIKELIHOODS
 
 
 def match_affine(model, experiment, structure, settings):
@@ -80,7 +54,7 @@ def match_affine(model, experiment, structure, settings):
     experiment : Experiment
     structure : MatrixStructure, HarmonicStructure or None
         None leaves the model as it is.
-    settings : NormSettings
+    settings : MatchSettings
 
     Returns
     -------
@@ -170,27 +144,23 @@ def _match_decomposition(model, experiment, structure, settings):
 
 def _check_record(periodic, experiment, error):
     """Raise ValueError if a periodic model explains less of the record than nothing at all."""
-    basis, left, there = experiment.basis, 0.0, 0.0
-    response = periodic.sampled(basis.samples_per_period)
-    parts = zip(experiment.inputs, experiment.outputs, experiment.times(), strict=True)
-    for u, y, time in parts:
-        simulator = PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
-        forced = simulator.outputs(np.zeros(periodic.n_states))
-        free = simulator.free(len(y)).reshape(periodic.n_states, -1).T
-        size = column_sizes(free)
-        rest = (y - forced).ravel()
-        rest = rest - free / size @ linalg.lstsq(free / size, rest, cond=EXACT)[0]
-        left = left + np.sum(rest.reshape(y.shape) ** 2, axis=0)
+    sampled, left, there = periodic.sampled(experiment.base.sample_time), 0.0, 0.0
+    for simulator, y in zip(
+        sample_simulators(sampled, experiment), experiment.outputs, strict=True
+    ):
+        rest = simulator.form.left(simulator.drive, y)
+        left = left + (np.full(y.shape[1], np.inf) if rest is None else np.sum(rest**2, axis=0))
         there = there + np.sum(y**2, axis=0)
     share = np.max(left[there > 0.0] / there[there > 0.0], initial=0.0)
     if share > 1.0:
+        radius = np.max(np.abs(sampled.eigenvalues()))
         raise UnstableModelError(
             f"the matched periodic model leaves {share:.3g} times the variance of an output in its "
             f"own training record, even from the best initial state (largest Floquet multiplier "
-            f"{response.spectral_radius:.3g}), although its harmonic decomposition is within "
-            f"{error:.2g} of the identified model: too few harmonics are kept to determine the "
-            f"periodic model; identify with HarmonicAnalyzer(reading='period'), fit to the record "
-            f"itself (criterion='output_error'), or keep the model as it is (structure=None)"
+            f"{radius:.3g}), although its harmonic decomposition is within {error:.2g} of the "
+            f"identified model: too few harmonics are kept to determine the periodic model; "
+            f"identify with HarmonicAnalyzer(reading='period'), fit to the record itself "
+            f"(criterion='output_error'), or keep the model as it is (structure=None)"
         )
 
 
@@ -334,7 +304,7 @@ def match_samples(model, experiment, structure, settings):
     experiment : Experiment
     structure : MatrixStructure, HarmonicStructure or None
         None leaves the model as it is.
-    settings : NormSettings
+    settings : MatchSettings
 
     Returns
     -------

@@ -50,7 +50,7 @@ def match_likelihood(match, structure, experiment, settings, opinion):
     structure : MatrixStructure, HarmonicStructure or None
         As asked for; numbers of harmonics that it leaves open are chosen here.
     experiment : Experiment
-    settings : LikelihoodSettings
+    settings : MatchSettings
     opinion : Opinion or None
         The second opinion of the record.
 
@@ -213,7 +213,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     open_to : str
         Names of the matrices whose number of harmonics is chosen.
     data : RecordData
-    settings : LikelihoodSettings
+    settings : MatchSettings
 
     Returns
     -------
@@ -314,7 +314,7 @@ def match_free(model, experiment, settings):
     model : LTIModel or SampleModel
         Of rows, or of samples at their azimuths.
     experiment : Experiment
-    settings : LikelihoodSettings
+    settings : MatchSettings
 
     Returns
     -------

@@ -426,9 +426,9 @@ def warn_growing(periodic, model, experiment):
     """Of a periodic model that grows e-fold within a segment, where that identified does not."""
     if _grows(model, experiment):  # it has been warned of
         return
-    longest, basis = longest_span(experiment), experiment.basis
-    radius = periodic.sampled(basis.samples_per_period).spectral_radius
-    folds = np.log(max(radius, 1e-300)) * longest * basis.omega / (2.0 * np.pi)
+    fastest = np.max(periodic.to_system().floquet_exponents().real)
+    radius = np.exp(fastest * 2.0 * np.pi / periodic.omega)
+    folds = fastest * longest_span(experiment)
     if folds > 1.0:
         warn(
             f"the matched periodic model has a Floquet multiplier of size {radius:.4g}, so it "

@@ -36,31 +36,6 @@ ALIGNED = 1e-6  # of a sample, by which the first may miss a phase
 
 
 @dataclass(frozen=True, eq=False)
-class LikelihoodSettings:
-    """How to fit.
-
-    Attributes
-    ----------
-    criterion : {"output_error", "prediction_error"}
-    max_iter : int
-    input_noise : ndarray, shape (m,), or None
-    n_starts, random_state : int
-        Further starts at random, of models with all entries free.
-    """
-
-    criterion: str
-    max_iter: int
-    input_noise: np.ndarray | None = None
-    n_starts: int = 0
-    random_state: int | None = 0
-
-    @property
-    def predicts(self):
-        """Whether the model has a Kalman gain."""
-        return self.criterion == "prediction_error"
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """A fit of a structure, with the form and the record that it was fitted to.
 
@@ -192,7 +167,8 @@ class RecordData:
         if like is not None:
             return through_cells(data.cells, within)[0]
         few, size = min(FEW_STEPS_IN_CELLS, settings.max_iter), output_scale(data.experiment)
-        alike = partial(within, settings=LikelihoodSettings("output_error", few), sigma=size)
+        quick = {"criterion": "output_error", "max_iter": few, "input_noise": None}
+        alike = partial(within, settings=replace(settings, **quick), sigma=size)
         cost = partial(data._least, structure, theta, size)
         return most_likely(data.cells, most_samples(data.experiment.origin), cost, alike, within)[0]
 

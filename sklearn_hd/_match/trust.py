@@ -51,7 +51,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
         The fitted model.
     parameters : ndarray
         All of the form.
-    settings : LikelihoodSettings
+    settings : MatchSettings
     opinion : Opinion or None
         The second opinion of the record.
 
