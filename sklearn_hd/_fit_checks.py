@@ -232,7 +232,7 @@ def warn_of_growth(model, experiment):
     """Warn if a model of periodic motion has a mode that grows e-fold within a segment."""
     if not experiment.basis.harmonic or model.n_states == 0 or searching():
         return
-    rate, longest = growth_rate(model), longest_span(experiment)
+    rate, longest = growth_rate(model.A, model.dt), longest_span(experiment)
     period = 2.0 * np.pi / experiment.basis.omega
     folds, multiplier = rate * longest, np.exp(min(rate * period, 700.0))
     if folds > 1.0:
@@ -252,7 +252,7 @@ def warn_of_unstable(model, n_rows):
     Candidates of a search are not checked: their scores show it, and the final model is fitted
     outside.
     """
-    folds = growth_rate(model) * model.dt
+    folds = growth_rate(model.A, model.dt) * model.dt
     if folds * n_rows < GROWN:  # as it may by the error of an integrator
         return
     if searching():
@@ -266,12 +266,17 @@ def warn_of_unstable(model, n_rows):
     )
 
 
-def growth_rate(model):
+def growth_rate(A, dt):
     """Largest real part of the exponents of a model, 1/s; −inf without states."""
-    values = np.linalg.eigvals(model.A)
-    if model.dt > 0.0:
-        values = np.log(np.maximum(np.abs(values), 1e-300)) / model.dt
+    values = np.linalg.eigvals(A)
+    if dt > 0.0:
+        values = np.log(np.maximum(np.abs(values), 1e-300)) / dt
     return float(np.max(values.real, initial=-np.inf))
+
+
+def grows(A, dt, experiment):
+    """Whether a mode of a model grows e-fold within the longest segment."""
+    return growth_rate(A, dt) * longest_span(experiment) > 1.0
 
 
 def longest_span(experiment):

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from sklearn_hd._fit_checks import (
     check_motion,
-    longest_span,
+    grows,
     warn_of_growth,
 )
 from sklearn_hd._frame import Lifted
@@ -31,7 +31,7 @@ from sklearn_hd._opinion import (
     of_multipliers,
     warn_unconfirmed,
 )
-from sklearn_hd._records.data import lifted_periods, output_scale, rows_read
+from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
@@ -195,10 +195,7 @@ def _excitation(experiment, settings):
                 f"HarmonicAnalyzer(reading='sample'), with hop=1 if they change at each sample"
             )
         warn(words, ExcitationWarning)
-    if experiment.basis.output_trim is None:
-        return directions
-    # what a trim is off by repeats itself each period
-    return [np.hstack([w, np.ones((len(w), 1))]) for w in directions]
+    return beside_trim(directions, experiment.basis)
 
 
 def _order(found, bound, experiment, data, settings):
@@ -230,12 +227,13 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
     nonlinear machine away from its orbit: its own map is that of its free decays, and products of
     their multipliers are second-order responses. So are those that the whole record alone has.
     """
+    period = 2.0 * np.pi / experiment.basis.omega
     Phi, turned = _refined(A, C, experiment, data, unit, settings.stable)
     raw, stretches = decays_at_rest(experiment)
     decays = smooth_parts(raw)
     still = free_decay(decays, None if settings.order == "auto" else settings.order)
     less = still is None or noise is not None
-    less = less or (settings.stable and _grows(still.Phi, experiment))
+    less = less or (settings.stable and grows(still.Phi, period, experiment))
     auto = settings.order == "auto"
     linear = less or _linear(Phi, still, decays, experiment, data)
     if less or (linear and not (auto and _of_second_order(Phi, still, decays))):
@@ -264,7 +262,7 @@ def _refined(A, C, experiment, data, unit, stable):
     """The map of largest likelihood for the raw periods, or that identified if it leaves less,
     and the negative multiplier that was turned back: one whose sign the record does not tell."""
     directions, lifted = data.excitation, _raw_periods(experiment)
-    if _grows(A, experiment):
+    if grows(A, 2.0 * np.pi / experiment.basis.omega, experiment):
         refined = without_noise_growth(A, directions, lifted)
     else:
         refined = refine_multipliers(A, directions, lifted, 1.0 if stable else None)
@@ -344,12 +342,6 @@ def _less(data, waveform, basis):
     off = basis.output_coefficients(waveform, time, np.zeros(1, dtype=int))
     outputs = [Y - off for Y in data.outputs]
     return Records(data.inputs, outputs, data.facts, data.kept, data.excitation)
-
-
-def _grows(A, experiment):
-    """Whether a mode grows e-fold within the longest segment."""
-    n_periods = longest_span(experiment) * experiment.basis.omega / (2.0 * np.pi)
-    return np.max(np.abs(linalg.eigvals(A)), initial=0.0) > np.exp(1.0 / n_periods)
 
 
 def _predicted_states(matrices, K, starts, data, y_scale):

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._fit_checks import growth_rate, longest_span
+from sklearn_hd._fit_checks import grows, longest_span
 from sklearn_hd._guards import warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
@@ -122,7 +122,7 @@ def _without_feedthrough(model, experiment, structure, scale):
             other = _from_equation_error(model, experiment, structure, scale)
             if other is not None and other.systematic <= MOST_SYSTEMATIC:
                 return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
-    elif _grows(model, experiment):
+    elif grows(model.A, model.dt, experiment):
         return found  # no simulation compares two ways
     elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
@@ -417,14 +417,9 @@ def warn_coordinates(periodic):
         )
 
 
-def _grows(model, experiment):
-    """Whether a discrete model grows e-fold within a segment."""
-    return growth_rate(model) * longest_span(experiment) > 1.0
-
-
 def warn_growing(periodic, model, experiment):
     """Of a periodic model that grows e-fold within a segment, where that identified does not."""
-    if _grows(model, experiment):  # it has been warned of
+    if grows(model.A, model.dt, experiment):  # it has been warned of
         return
     fastest = np.max(periodic.to_system().floquet_exponents().real)
     radius = np.exp(fastest * 2.0 * np.pi / periodic.omega)

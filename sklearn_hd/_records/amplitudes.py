@@ -3,13 +3,12 @@
 Models are fitted to these; ``predict`` and ``score`` read records as they are.
 """
 
-import itertools
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 
 from sklearn_hd._guards import warn
-from sklearn_hd._records.sampling import Piece, Sampling
+from sklearn_hd._records.sampling import regrouped
 from sklearn_hd.algorithms.signals.amplitudes import (
     extrapolation_weights,
     n_distinct,
@@ -146,18 +145,7 @@ def _combined(experiment, records, combinations):
             labels.append(lead)
             grids.append(times[records[lead][place]][:n])
             clock.append(clocks[records[lead][place]][:n])
-    edges = np.cumsum([0, *map(len, grids)])
-    segments = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-    base = replace(
-        experiment.base, time=np.concatenate(grids), segments=segments, records=tuple(labels)
-    )
-    pieces = tuple(
-        Piece(rows, grid, grid, base.sample_time)
-        for rows, grid in zip(segments, grids, strict=True)
-    )
-    sampling = Sampling(base, pieces, len(base.time), np.concatenate(clock))
-    measured = np.vstack(values["outputs"])  # trim subtracted: one row of the user's a row of grid
-    return replace(experiment, base=base, sampling=sampling, measured=measured, **values)
+    return regrouped(experiment, values, grids, clock, labels)  # outputs without their trim
 
 
 def _clocks(experiment):

@@ -111,15 +111,10 @@ def _sample_basis(analyzer, inputs, output_names, timing, omega):
     hop = check_count("hop", hop, 1, "1 reads every sample")
     thinned = "" if hop == 1 else f", of which hop={hop} leaves {samples / hop:.4g}"
     check_rate(samples / hop, highest, f"{words} samples a turn{thinned}")
-    basis = READINGS["sample"](
-        omega=omega,
-        sample_time=step * hop,
-        samples_per_period=samples / hop,
+    basis = replace(
+        _samples(inputs, omega, hop, timing),
         window=analyzer.window,
-        hop=hop,
-        inputs=tuple((name, (0,)) for name in inputs.names),
         outputs=tuple((name, (0,)) for name in output_names),
-        timing=timing,
         n_harmonics=asked["output_harmonics"],
         n_input_harmonics=asked["input_harmonics"],
         n_load_harmonics=asked["load_harmonics"],

@@ -13,7 +13,6 @@ shows a common shift as another phase of F(ψ), which nobody knows beforehand un
 fixes it. So where all delays are "auto" the first output is taken for undelayed.
 """
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -21,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from sklearn_hd._guards import warn
-from sklearn_hd._records.sampling import Piece, Sampling
+from sklearn_hd._records.sampling import regrouped
 from sklearn_hd.algorithms.signals.resampling import ON_GRID, advanced, arriving, lagged
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -215,17 +214,8 @@ def _cut(experiment, first, last):
     blocks = {name: [getattr(experiment, name)[s][kept[s]] for s in some] for name in names}
     grids = [times[s][kept[s]] for s in some]
     clock = [experiment.sampling.clock[experiment.base.segments[s]][kept[s]] for s in some]
-    edges = np.cumsum([0, *map(len, grids)])
-    segments = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-    records = tuple(experiment.base.records[s] for s in some)
-    base = replace(experiment.base, time=np.concatenate(grids), segments=segments, records=records)
-    pieces = tuple(
-        Piece(rows, grid, grid, base.sample_time)
-        for rows, grid in zip(segments, grids, strict=True)
-    )
-    sampling = Sampling(base, pieces, len(base.time), np.concatenate(clock))
-    measured = np.vstack(blocks["outputs"])  # one row of the user's a row of the grid
-    return replace(experiment, base=base, sampling=sampling, measured=measured, **blocks)
+    records = [experiment.base.records[s] for s in some]
+    return regrouped(experiment, blocks, grids, clock, records)
 
 
 def warn_of_doubt(delays):

@@ -293,3 +293,30 @@ def _filled(values):
     """Signals about their means, zero where they are missing."""
     values = values - np.nanmean(values, axis=0)
     return np.where(np.isnan(values), 0.0, values)
+
+
+def regrouped(experiment, blocks, grids, clock, records):
+    """An experiment of other segments, whose rows are those of the grid.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    blocks : dict of list of ndarray
+        What it holds of each segment; "outputs" is also what was measured.
+    grids, clock : list of ndarray
+        Times of each segment on the grid and by the index.
+    records : list
+        Label of the record of each segment.
+    """
+    edges = np.cumsum([0, *map(len, grids)])
+    segments = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
+    base = replace(
+        experiment.base, time=np.concatenate(grids), segments=segments, records=tuple(records)
+    )
+    pieces = tuple(
+        Piece(rows, grid, grid, base.sample_time)
+        for rows, grid in zip(segments, grids, strict=True)
+    )
+    sampling = Sampling(base, pieces, len(base.time), np.concatenate(clock))
+    measured = np.vstack(blocks["outputs"])
+    return replace(experiment, base=base, sampling=sampling, measured=measured, **blocks)

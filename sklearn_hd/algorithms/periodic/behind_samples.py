@@ -399,7 +399,7 @@ def samples_of(coefficients, n_states, omega, step):
     """
     n = n_states
     F, G = _trimmed(coefficients[:, :n, :n]), _trimmed(coefficients[:, :n, n:])
-    n_points = FEWEST // 4
+    n_points = FEWEST
     while True:
         psi = 2.0 * np.pi * np.arange(n_points) / n_points
         matrices = (lambda at, M=M: evaluate_harmonics(M, at) for M in (F, G))
