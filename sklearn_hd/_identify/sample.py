@@ -35,11 +35,8 @@ from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
-from sklearn_hd.algorithms.likelihood.innovations_steps import (
-    SmallMotions,
-    most_likely,
-    of_small_motions,
-)
+from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
+from sklearn_hd.algorithms.likelihood.small_motions import SmallMotions, of_small_motions
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -100,6 +97,16 @@ class Samples:
     def n_inputs(self):
         """Number of inputs."""
         return len(self.scales[0])
+
+    @property
+    def trim_in_inputs(self):
+        """Whether the inputs' mean is larger than their motion about it."""
+        return bool(np.any(np.abs(self.means[0][0]) > self.scales[0]))
+
+    @property
+    def rest(self):
+        """Inputs of a machine at rest, as Fourier coefficients: zero, or their mean."""
+        return -(not self.trim_in_inputs) * self.means[0] / self.scales[0]
 
     @property
     def n_outputs(self):
@@ -266,7 +273,7 @@ class _Found:
             layout.feedthrough,
             basis.most_loads,
             data.means[0],
-            bool(np.any(np.abs(data.means[0][0]) > data.scales[0])),
+            data.trim_in_inputs,
         )
         unconfirmed, lasts, no_noise = "", True, "" if searching() else refined.no_noise
         if not searching() and basis.samples_per_period <= MOST_ROWS_A_TURN:
@@ -575,13 +582,14 @@ class _Choice:
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
         found = most_likely(start, *likelihood) if self.steps else None
         model, ahead = (start, None) if found is None else found
-        small = None
-        if stable and found is not None and degrees != () and self._is_exact(model):
-            simulated = most_likely(replace(start, gain=0.0 * start.gain), *likelihood)
-            if simulated is not None:
-                small = of_small_motions(simulated[0], *likelihood, degrees, start.gain)
-        if small is None and found is not None:
-            small = of_small_motions(model, *likelihood, degrees)
+        small, about = None, (self.data.rest, degrees)
+        if found is not None and degrees != ():
+            small = of_small_motions(model, *likelihood, *about)
+            if stable and self._is_exact((small or model).covariance):
+                simulated = most_likely(replace(start, gain=0.0 * start.gain), *likelihood)
+                if simulated is not None:
+                    found = of_small_motions(simulated[0], *likelihood, *about, start.gain)
+                    small = found or small
         compared, no_noise = (self.simulated, model, self.predictor), ""
         if degrees is None and (small is None or why_no_noise(*compared, small)):
             small, no_noise = None, why_no_noise(*compared)
@@ -589,12 +597,12 @@ class _Choice:
             return _Refined(model, ahead, no_noise)
         return _Refined(small.innovations, small.ahead, no_noise, small)
 
-    def _is_exact(self, model):
+    def _is_exact(self, covariance):
         """Whether one-step predictions leave less of each output than the least noise of a sensor.
 
         Those of a model or of the predictor, whichever leave less of it.
         """
-        least = np.minimum(np.diag(model.covariance), self.predictor.left)
+        least = np.minimum(np.diag(covariance), self.predictor.left)
         return bool(np.all(least <= SENSOR_NOISE**2))
 
     def kept(self):

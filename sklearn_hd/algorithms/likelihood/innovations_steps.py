@@ -6,38 +6,22 @@ Regressions on a few lags lose what noise hides in them. Gauss-Newton steps in a
 coefficients of A, B, C, D, K and the loads, damped while they do not pay (Levenberg, Marquardt),
 bring it back. Coordinates are free: damping holds them. Initial states are fitted at each step.
 
-A linear model of a machine that is not linear takes on what it can of the response's higher
-orders, and its exponents are off by that. So products q of two states or inputs, then of three,
-about their periodic means, become further inputs where they pay (Akaike's criterion):
-
-    x[k+1] = A(ψ_k) x + B(ψ_k) u + N(ψ_k) q + a(ψ_k) + K(ψ_k) e
-
-A, B, C and D then are those of small motions. With q of the states known before, that is linear.
-
-Exact outputs tell a predictor where the states are, whatever drives them: one-step predictions
-then leave nothing for products to take up. Products of such a record are those of a simulation
-(K = 0), if all together take up half of what it leaves.
-
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
-References: L. Ljung, *System Identification*, 1999, sections 7.4 and 10.2; J. Paduart et al.,
-"Identification of nonlinear systems using polynomial nonlinear state space models", Automatica 46
-(2010), for time-invariant machines.
+Reference: L. Ljung, *System Identification*, 1999, sections 7.4 and 10.2.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement
-from math import comb
 
 import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.residual_tests import sensitivities
-from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
+from sklearn_hd.algorithms.linalg.rounding import RANK
+from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 MOST_STEPS = 8  # of exact data, whose likelihood has no end
 MOST_NUMBERS = 5e6  # sensitivities of a record: of more, each step takes a second
@@ -45,8 +29,6 @@ VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
-LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
-DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
 
 
 def most_likely(
@@ -95,7 +77,7 @@ def most_likely(
     n_free = len(form.places)
     if n_free * n_values > MOST_NUMBERS or n_values < VALUES_PER_PARAMETER * n_free:
         return None
-    at = _fitted(innovations, segments, sensor_noise, counted)
+    at = fitted(innovations, segments, sensor_noise, counted)
     if at is None:
         return None
     damping, system, first = FIRST_DAMPING, form.system(at), at.cost
@@ -107,7 +89,7 @@ def most_likely(
             moved = form.moved(at.innovations, system.step(damping))
             with np.errstate(over="ignore", invalid="ignore"):  # of a step too far
                 if moved.growth() < most_growth and moved.is_possible():
-                    trial = _fitted(moved, segments, sensor_noise, counted, at.cost)
+                    trial = fitted(moved, segments, sensor_noise, counted, at.cost)
             damping *= 10.0 if trial is None else 0.1
         if trial is None:
             break
@@ -121,184 +103,6 @@ def most_likely(
     deviations = at.left * np.sqrt(np.sum(np.abs(slopes @ system.root) ** 2, axis=1))
     ahead = logarithms + slopes @ system.step(damping)
     return replace(at.innovations, covariance=at.covariance), (ahead, deviations)
-
-
-@dataclass(frozen=True, eq=False)
-class SmallMotions:
-    """The linear part of a model to which products of states and inputs are further inputs.
-
-    Attributes
-    ----------
-    innovations : PeriodicInnovations
-        K is that of the model without products, for which they are noise, or that of the
-        simulation (0), whichever leaves less.
-    at_rest : PeriodicInnovations
-        The same with the loads of a machine at rest: those above hold the products' means, too.
-    ahead, of_smaller : (ndarray, ndarray)
-        Where a further step leads the logarithms of its multipliers, and their deviations. By all
-        rows, and by the half of them with the smaller motion (None if they are too few).
-    covariance : ndarray, shape (l, l)
-        Of what products leave, too.
-    n_inputs : int
-        Inputs and products.
-    degrees : tuple of int
-        Of the products.
-    """
-
-    innovations: PeriodicInnovations
-    at_rest: PeriodicInnovations
-    ahead: tuple
-    of_smaller: tuple | None
-    covariance: np.ndarray
-    n_inputs: int
-    degrees: tuple
-
-
-def of_small_motions(
-    innovations, segments, layout, sensor_noise, most_growth, degrees=None, gain=None
-):
-    """The linear part of a model to which products of states and inputs are further inputs.
-
-    Parameters
-    ----------
-    innovations : PeriodicInnovations
-        A model after steps of its likelihood.
-    segments, layout, sensor_noise, most_growth
-        As for ``most_likely``.
-    degrees : sequence of int, optional
-        Of the products; those that pay by default, and only then smaller motions are asked, too.
-    gain : ndarray, optional
-        Of a predictor, for a model that simulates; the model's by default.
-
-    Returns
-    -------
-    small : SmallMotions or None
-        None where no products pay, or steps are not to be had.
-    """
-    n, m = innovations.n_states, innovations.n_inputs
-    layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
-    per_input = (n + (layout.n_outputs if layout.feedthrough else 0)) * layout.n_functions
-    n_values = sum(y.size for _, y, _ in segments)
-    model, ahead, driven, taken = innovations, None, segments, ()
-    means = np.zeros((2 * layout.n_loads + 1, m))
-    for degree in DEGREES if degrees is None else degrees:
-        predictor = model if gain is None else _predicting(model, driven, gain, sensor_noise)
-        motion = _motion(predictor, driven, m, layout.n_loads)
-        if motion is None or comb(n + m + degree - 1, degree) * per_input * n_values > MOST_NUMBERS:
-            break
-        wider, its_means = _with_products(driven, motion, layout.n_loads, degree)
-        n_inputs = wider[0][0].shape[1]
-        more = n_inputs - model.n_inputs
-        found = most_likely(
-            _with_inputs(model, model.n_inputs, more),
-            wider,
-            replace(layout, n_inputs=n_inputs),
-            sensor_noise,
-            most_growth,
-            least_fall=more * per_input if degrees is None else 0.0,
-        )
-        if found is not None:
-            (model, ahead), driven, taken = found, wider, (*taken, degree)
-            means = np.hstack([means, its_means])
-    if ahead is None:
-        return None
-    least = 1.0 - LEAST_TAKEN_UP if gain is not None and degrees is None else np.inf
-    if _left(model, sensor_noise) > least * _left(innovations, sensor_noise):
-        return None
-    smaller = None
-    if degrees is None and motion is not None:
-        smaller = most_likely(
-            model,
-            driven,
-            replace(layout, n_inputs=model.n_inputs),
-            sensor_noise,
-            most_growth,
-            counted=_smaller_half(motion),
-        )
-    if gain is not None:
-        model = _predicting(model, driven, gain, sensor_noise)
-    linear = _with_inputs(model, m, 0)
-    linear = _predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
-    at_rest = _with_inputs(model.about(means, np.zeros((len(means), layout.n_outputs))), m, 0)
-    gain = resize_harmonics(linear.gain, len(at_rest.coefficients) // 2)
-    at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
-    of_smaller = None if smaller is None else smaller[1]
-    return SmallMotions(linear, at_rest, ahead, of_smaller, model.covariance, model.n_inputs, taken)
-
-
-def _predicting(innovations, segments, gain, sensor_noise):
-    """A model with another gain and what it leaves, or as it is if that is less."""
-    everything = [slice(None)] * len(segments)
-    own = _fitted(innovations, segments, sensor_noise, everything)
-    below = np.inf if own is None else own.cost
-    at = _fitted(replace(innovations, gain=gain), segments, sensor_noise, everything, below)
-    at = own if at is None else at
-    return innovations if at is None else replace(at.innovations, covariance=at.covariance)
-
-
-def _left(innovations, sensor_noise):
-    """The variance that a model leaves of all outputs, beside that of their sensors."""
-    return np.trace(innovations.covariance) + innovations.n_outputs * sensor_noise**2
-
-
-def _motion(innovations, segments, m, n_loads):
-    """States that a model predicts and the first m inputs about their periodic means, beside ψ.
-
-    None where they overflow.
-    """
-    motion = []
-    for u, y, psi in segments:
-        rows = innovations.rows(psi)
-        x0 = rows.initial_state(u, y, innovations.covariance)
-        motion.append((np.hstack([rows.innovations(u, y, x0)[0], u[:, :m]]), psi))
-    finite = all(np.max(np.abs(z), initial=0.0) < OVERFLOW for z, _ in motion)
-    return _about_means(motion, n_loads) if finite else None
-
-
-def _with_products(segments, motion, n_loads, degree):
-    """Segments whose inputs have all products of so many signals of their motion beside them.
-
-    Returns
-    -------
-    segments : list of (inputs, outputs, psi)
-        Products are about their periodic means, and of like size.
-    means : ndarray, shape (2 L + 1, n_products)
-        What was taken out of them, as Fourier coefficients.
-    """
-    which = np.array(list(combinations_with_replacement(range(motion[0][0].shape[1]), degree)))
-    products = [(np.prod(z[:, which], axis=2), psi) for z, psi in motion]
-    means = fitted_harmonics(products, n_loads)
-    products = [q - evaluate_harmonics(means, psi) for q, psi in products]
-    size = _sizes(products)
-    both = zip(segments, products, strict=True)
-    return [(np.hstack([u, q / size]), y, psi) for (u, y, psi), q in both], means / size
-
-
-def _smaller_half(motion):
-    """Rows of each segment in which the motion is below its median."""
-    size = _sizes([z for z, _ in motion])
-    square = [np.sum((z / size) ** 2, axis=1) for z, _ in motion]
-    median = np.median(np.concatenate(square))
-    return [each <= median for each in square]
-
-
-def _sizes(signals):
-    """Root mean squares of signals over all segments; one where there is no motion."""
-    size = np.sqrt(np.mean(np.vstack(signals) ** 2, axis=0))
-    return np.where(size > 0.0, size, 1.0)
-
-
-def _about_means(signals, n_harmonics):
-    """Signals of all segments without their periodic means."""
-    means = fitted_harmonics(signals, n_harmonics)
-    return [(z - evaluate_harmonics(means, psi), psi) for z, psi in signals]
-
-
-def _with_inputs(innovations, kept, more):
-    """A model of its first inputs, and of more that have no effect."""
-    M, n = innovations.coefficients, innovations.n_states
-    without = np.zeros((*M.shape[:2], more))
-    return replace(innovations, coefficients=np.dstack([M[..., : n + kept], without, M[..., -1:]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,8 +261,12 @@ class _Fitted:
         return float(np.sqrt(np.trace(weighted) / len(weighted)))
 
 
-def _fitted(innovations, segments, sensor_noise, counted, below=np.inf):
-    """A model with the initial states that fit best; None if it does not cost less."""
+def fitted(innovations, segments, sensor_noise, counted=None, below=np.inf):
+    """A model with the initial states that fit best; None if it does not cost less.
+
+    Takes the arguments of ``most_likely``, and gives what it leaves, weights and cost.
+    """
+    counted = [slice(None)] * len(segments) if counted is None else counted
     parts, outputs = [], np.vstack([y for _, y, _ in segments])
     size = np.diag(np.mean(outputs**2, axis=0))
     for u, y, psi in segments:

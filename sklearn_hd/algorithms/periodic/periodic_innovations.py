@@ -284,9 +284,13 @@ class PeriodicInnovations:
         psi : float
             rad.
         """
+        return evaluate_harmonics(self.forced_orbit(inputs), np.array([psi]))[0]
+
+    def forced_orbit(self, inputs, n_harmonics=None):
+        """Fourier coefficients of the states of that motion; all harmonics by default."""
         driven = self.about(-inputs, np.zeros((len(inputs), len(self.covariance))))
-        orbit = driven._orbit(len(driven.coefficients) // 2)
-        return evaluate_harmonics(orbit, np.array([psi]))[0]
+        count = len(driven.coefficients) // 2 if n_harmonics is None else n_harmonics
+        return driven._orbit(count)
 
     def _orbit(self, n_harmonics):
         """Fourier coefficients of x_p(ψ + δ) = A(ψ) x_p(ψ) + a(ψ), at equally spaced azimuths."""

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, STEP, drawn, record
+from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, record
 
 from sklearn_hd.algorithms.likelihood import innovations_steps
-from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely, of_small_motions
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
 
 LAYOUT = Layout(N_INPUTS, N_OUTPUTS, 2, 1, 1, 2, feedthrough=True)
@@ -107,61 +105,6 @@ def test_no_step_leads_beyond_the_growth_allowed():
     assert found.growth() < limit < true.growth()
     free, _ = most_likely(start, some, LAYOUT, 1e-3)
     assert free.growth() > limit
-
-
-SEEN = Layout(1, 2, 2, 1, 1, 0, feedthrough=False)
-
-
-def seen():
-    """An oscillation whose states are outputs, its frequency varying over the turn."""
-    coefficients = np.zeros((3, 4, 4))
-    coefficients[0, :2] = [[0.9, 0.3, 0.5, 0.0], [-0.3, 0.8, 1.0, 0.0]]
-    coefficients[1, 1, 0], coefficients[0, 2:, :2] = 0.1, np.eye(2)
-    gain = np.zeros((3, 2, 2))
-    gain[0] = 0.1 * np.eye(2)
-    return PeriodicInnovations(coefficients, gain, 1e-4 * np.eye(2), STEP, 0.0)
-
-
-def bent(model, degree, bend, n_rows, seed):
-    """A record of a model to whose second state a power of the first is added."""
-    rng = np.random.default_rng(seed)
-    psi, u = STEP * np.arange(n_rows), 0.1 * rng.standard_normal((n_rows, 1))
-    e = 0.01 * rng.standard_normal((n_rows, 2))
-    values, x, y = evaluate_harmonics(model.coefficients, psi), np.zeros(2), np.empty((n_rows, 2))
-    for k in range(n_rows):
-        y[k] = x + e[k]
-        x = values[k, :2] @ [*x, *u[k], 1.0] + 0.1 * e[k] + [0.0, bend * x[0] ** degree]
-    return u, y, psi
-
-
-@pytest.mark.parametrize(("degree", "bend"), [(2, 0.2), (3, -0.1)])
-def test_beside_products_exponents_are_those_of_small_motions(degree, bend):
-    true = seen()
-    some = [bent(true, degree, bend, 1500, seed) for seed in (1, 2)]
-    linear, _ = most_likely(true, some, SEEN, 1e-3)
-    small = of_small_motions(linear, some, SEEN, 1e-3, np.inf)
-    off = [
-        np.max(np.abs(multipliers(model) - multipliers(true)))
-        for model in (linear, small.innovations)
-    ]
-    assert off[1] < 0.25 * off[0]
-    assert degree in small.degrees
-    np.testing.assert_allclose(np.diag(small.covariance), 1e-4, rtol=0.1)  # that of e
-    assert np.max(np.diag(linear.covariance)) > 1.1e-4
-    assert small.innovations.n_inputs == 1
-    known, deviations = small.of_smaller
-    assert np.all(np.abs(np.sort_complex(known) - multipliers(true)) < 5.0 * deviations)
-
-
-def test_products_do_not_pay_for_a_linear_machine():
-    true = seen()
-    for seed in range(5):
-        some = [bent(true, 2, 0.0, 1000, seed)]
-        linear, _ = most_likely(true, some, SEEN, 1e-3)
-        assert of_small_motions(linear, some, SEEN, 1e-3, np.inf) is None
-    asked = of_small_motions(linear, some, SEEN, 1e-3, np.inf, degrees=(2,))
-    assert asked.degrees == (2,)
-    assert asked.of_smaller is None
 
 
 @pytest.mark.parametrize("why", ["long", "short", "overflowing"])

@@ -1,0 +1,109 @@
+"""Small motions of machines that are not linear."""
+
+import numpy as np
+import pytest
+from innovation_cases import STEP
+
+from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
+from sklearn_hd.algorithms.likelihood.small_motions import _Products, of_small_motions
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
+
+SEEN = Layout(1, 2, 2, 1, 1, 0, feedthrough=False)
+REST = np.zeros((1, 1))
+
+
+def multipliers(model):
+    return np.sort_complex(model.multiplier_logarithms())
+
+
+def seen(n_products=0):
+    """An oscillation whose states are outputs, its frequency varying over the turn."""
+    coefficients = np.zeros((3, 4, 4 + n_products))
+    coefficients[0, :2, :3] = [[0.9, 0.3, 0.5], [-0.3, 0.8, 1.0]]
+    coefficients[1, 1, 0], coefficients[0, 2:, :2] = 0.1, np.eye(2)
+    gain = np.zeros((3, 2, 2))
+    gain[0] = 0.1 * np.eye(2)
+    return PeriodicInnovations(coefficients, gain, 1e-4 * np.eye(2), STEP, 0.0)
+
+
+def bent(model, degree, bend, n_rows, seed, mean=0.0):
+    """A record of a model to whose second state a power of the first is added.
+
+    Inputs are given about their mean.
+    """
+    rng = np.random.default_rng(seed)
+    psi, u = STEP * np.arange(n_rows), 0.1 * rng.standard_normal((n_rows, 1))
+    e = 0.01 * rng.standard_normal((n_rows, 2))
+    values, x, y = evaluate_harmonics(model.coefficients, psi), np.zeros(2), np.empty((n_rows, 2))
+    for k in range(n_rows):
+        y[k] = x + e[k]
+        driven = values[k, :2] @ [*x, *(u[k] + mean), 1.0]
+        x = driven + 0.1 * e[k] + [0.0, bend * x[0] ** degree]
+    return u, y, psi
+
+
+def off(model, true):
+    return np.max(np.abs(multipliers(model) - multipliers(true)))
+
+
+@pytest.mark.parametrize(("degree", "bend"), [(2, 0.2), (3, -0.1)])
+def test_beside_products_exponents_are_those_of_small_motions(degree, bend):
+    true = seen()
+    some = [bent(true, degree, bend, 1500, seed) for seed in (1, 2)]
+    linear, _ = most_likely(true, some, SEEN, 1e-3)
+    small = of_small_motions(linear, some, SEEN, 1e-3, np.inf, REST)
+    assert off(small.innovations, true) < 0.25 * off(linear, true)
+    assert degree in small.degrees
+    np.testing.assert_allclose(np.diag(small.covariance), 1e-4, rtol=0.1)  # that of e
+    assert np.max(np.diag(linear.covariance)) > 1.1e-4
+    assert small.innovations.n_inputs == 1
+    known, deviations = small.of_smaller
+    assert np.all(np.abs(np.sort_complex(known) - multipliers(true)) < 5.0 * deviations)
+
+
+def test_small_motions_are_those_about_inputs_at_rest():
+    """Inputs that have a mean hold the machine where its spring is harder."""
+    true, mean = seen(), 0.06
+    some = [bent(true, 2, 0.2, 1500, seed, mean) for seed in (1, 2)]
+    linear, _ = most_likely(true, some, SEEN, 1e-3)
+    held, free = (
+        of_small_motions(linear, some, SEEN, 1e-3, np.inf, rest) for rest in (REST, REST - mean)
+    )
+    deviations = free.ahead[1]
+    assert off(free.innovations, true) < 4.0 * np.max(deviations)
+    assert off(held.innovations, true) > 10.0 * off(free.innovations, true)
+    at_zero = free.at_rest.about(mean + REST, np.zeros((1, 2))).forced_response(0)
+    assert np.max(np.abs(at_zero)) < 0.02  # of outputs that have a mean of 0.26 in the record
+
+
+def test_products_about_another_centre_are_the_same_polynomial():
+    """Law: what a state is led to does not depend on what products are counted from."""
+    rng, psi = np.random.default_rng(8), STEP * np.arange(300)
+    z = 0.3 * rng.standard_normal((300, 3))
+    before = _Products.of([(z, psi)], (2, 3), 0)
+    after = _Products.of([(z, psi)], (2, 3), 0, 0.2 * rng.standard_normal((1, 3)), before.size)
+    model = seen(len(before.which))
+    model.coefficients[:, :2, 3:] = rng.standard_normal(model.coefficients[:, :2, 3:].shape)
+
+    def led_to(products, uncentred):
+        u = products.beside([(z[:, 2:], None, psi)], [(z, psi)])[0][0]
+        u[:, 1:] += products.means
+        signals = np.hstack([z[:, :2], u, np.ones((300, 1))])
+        return np.einsum("tij,tj->ti", uncentred.rows(psi).states, signals)
+
+    same = led_to(before, before.with_means(model))
+    moved = led_to(after, before._moved(model, after.centre))
+    np.testing.assert_allclose(moved, same, rtol=0.0, atol=1e-11 * np.max(np.abs(same)))
+
+
+def test_products_do_not_pay_for_a_linear_machine():
+    true = seen()
+    for seed in range(5):
+        some = [bent(true, 2, 0.0, 1000, seed)]
+        linear, _ = most_likely(true, some, SEEN, 1e-3)
+        assert of_small_motions(linear, some, SEEN, 1e-3, np.inf, REST) is None
+    asked = of_small_motions(linear, some, SEEN, 1e-3, np.inf, REST, degrees=(2,))
+    assert asked.degrees == (2,)
+    assert asked.of_smaller is None
