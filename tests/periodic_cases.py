@@ -1,5 +1,6 @@
 """Linear time-periodic systems with known truth, and the period-synchronous route to them."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +23,63 @@ def mathieu(stiffness=2.0, excitation=0.5, damping=0.1, **measured):
 def deflection_only(**parameters):
     """The same oscillator of which y alone is measured."""
     return mathieu(P=[[1.0, 0.0]], output_names=["y"], **parameters)
+
+
+@dataclass(frozen=True)
+class SwitchedStiffness:
+    """F(ψ) of Meissner's equation."""
+
+    stiffness: float
+    modulation: float
+    share: float
+    damping: float
+
+    def __call__(self, psi):
+        early = np.mod(psi, 2.0 * np.pi) <= 2.0 * np.pi * self.share
+        F = np.zeros((len(psi), 2, 2))
+        F[:, 0, 1], F[:, 1, 1] = 1.0, -self.damping
+        F[:, 1, 0] = -self.stiffness + self.modulation * np.where(early, 1.0, -1.0)
+        return F
+
+
+def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, damping=0.0):
+    """ÿ + d ẏ + (s − m ψ) y = u, ψ = +1 for t ≤ p T, else −1.
+
+    E. Meissner, "Über Schüttelerscheinungen in Systemen mit periodisch veränderlicher
+    Elastizität", Schweizerische Bauzeitung 72 (1918), 95–98.
+    """
+    F = SwitchedStiffness(stiffness, modulation, share, damping)
+    names = {"state_names": ["y", "y_dot"], "input_names": ["u"]}
+    return LTPSystem(F, [[0.0], [1.0]], omega=2.0 * np.pi / period, **names)
+
+
+def bittanti_colaneri():
+    """ẋ = [[−1 + sin t, 0], [1 − cos t, −3]] x + [1, 1]ᵀ u, of exponents −1 and −3.
+
+    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, Springer, 2009,
+    chapter 1, without the input.
+    """
+    F = np.zeros((3, 2, 2))
+    F[0] = [[-1.0, 0.0], [1.0, -3.0]]
+    F[1, 1, 0] = -1.0
+    F[2, 0, 0] = 1.0
+    return LTPSystem(F, [[1.0], [1.0]], omega=1.0)
+
+
+def vinograd():
+    """Unstable, of exponents 2 and −13, with the eigenvalues −1 and −10 at every instant.
+
+        ẋ = [[−1 − 9c² + 12sc, 12c² + 9sc], [−12s² + 9sc, −1 − 9s² − 12sc]] x + [1, 1]ᵀ u
+
+    with c = cos 6t and s = sin 6t. R. E. Vinograd, "On a criterion of instability in the sense
+    of Lyapunov of the solutions of a linear system of ordinary differential equations",
+    Doklady Akademii Nauk SSSR 84 (1952), 201–204, without the input.
+    """
+    F = np.zeros((5, 2, 2))  # c² = (1 + cos 12t) / 2, s² = (1 − cos 12t) / 2, sc = sin 12t / 2
+    F[0] = [[-5.5, 6.0], [-6.0, -5.5]]
+    F[3] = [[-4.5, 6.0], [6.0, 4.5]]
+    F[4] = [[6.0, 4.5], [4.5, -6.0]]
+    return LTPSystem(F, [[1.0], [1.0]], omega=6.0)
 
 
 def shape(psi):

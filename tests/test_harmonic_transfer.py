@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from periodic_cases import meissner, vinograd
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd.algorithms.lti.simulation import frequency_response
@@ -16,8 +17,6 @@ from sklearn_hd.systems import (
     flapping_blade,
     flapping_wing,
     mathieu,
-    meissner,
-    vinograd,
 )
 
 FREQUENCIES = np.array([0.0, 0.31, 1.0, 2.7])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from periodic_cases import record, synchronous
+from periodic_cases import bittanti_colaneri, record, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
@@ -21,7 +21,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 )
 from sklearn_hd.algorithms.periodic.periodic_realization import equation_error
 from sklearn_hd.exceptions import IdentifiabilityWarning
-from sklearn_hd.systems import bittanti_colaneri, flapping_blade, mathieu
+from sklearn_hd.systems import flapping_blade, mathieu
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
 import periodic_systems_study as study
