@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
-from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions, sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
 
@@ -127,12 +127,12 @@ class PeriodicInnovations:
             [A B a] of steps of 2π/q.
         outputs : ndarray, shape (q, l, n + m + 1)
         """
-        q = max(1, int(np.floor(self.samples_per_period * (1.0 + RESOLVED))))
+        q = max(1, int(np.floor(self.samples_per_period * (1.0 + PRECISION))))
         longer = self.samples_per_period / q - 1.0
         psi = self.start + 2.0 * np.pi * np.arange(q) / q
         rows = self.rows(psi)
         states = rows.states
-        if abs(longer) > RESOLVED:
+        if abs(longer) > PRECISION:
             n = self.n_states
             rest = _power(self.rows(psi + np.pi / q).states, longer)
             states = rest[..., :n] @ states
