@@ -293,6 +293,15 @@ def frequency_response(A, B, C, D, s):
     return C @ states + D
 
 
+def continuous_poles(z, dt):
+    """Poles in 1/s of a model of sample time dt, or of one in continuous time (dt = 0).
+
+    A mode that is gone within one step (z = 0) decays as fast as numbers tell.
+    """
+    z = np.asarray(z, dtype=complex)
+    return np.log(np.where(z == 0.0, TINY, z)) / dt if dt else z
+
+
 def step_response(A, B, C, D, step, count, *, dt=0.0, impulse=False):
     """Response to a step of one unit in each input, or to an impulse of area one.
 
