@@ -167,7 +167,7 @@ LINEAR = {
         lambda s: s.harmonic_transfer_function([1.0], 1, tolerance=0),
         "tolerance must be a positive number, got 0; 1e-8 is usual",
     ),
-    "participation": (lambda s: s.participation_factors(None), "n_harmonics must be .* got None"),
+    "participation": (lambda s: s.modal_participation(None), "n_harmonics must be .* got None"),
     "shares": (lambda s: s.modal_participation([1]), r"n_harmonics must be .* got \[1\]"),
     "inputs": (
         lambda s: s.simulate("a", TIMES),

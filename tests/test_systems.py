@@ -166,14 +166,6 @@ def test_modal_participation_is_figure_1(wing_ltp):
         np.testing.assert_allclose(shares.loc[state, mode], [0.0, 1.0], atol=1e-9)
 
 
-def test_participation_factors_separate_the_subsystems(wing_ltp):
-    factors = wing_ltp.participation_factors(1)
-    np.testing.assert_allclose(factors.sum(), 1.0)
-    heave_mode = factors.iloc[:, 0]
-    assert heave_mode.loc[["phi_dot_0", "w_1c", "w_1s"]].max() < 1e-9
-    assert heave_mode.idxmax() == "w_0"
-
-
 # ---- trim -----------------------------------------------------------------------------------
 
 
@@ -589,6 +581,14 @@ def test_a_mode_that_does_not_move_a_state_has_no_share_in_it():
     system = LTPSystem(np.diag([-1.0, -2.0]), [[1.0], [1.0]], [[1.0, 1.0]], omega=1.0)
     shares = system.modal_participation(1).groupby("state").sum()
     np.testing.assert_allclose(np.sort(shares.to_numpy(), axis=None), [0.0, 0.0, 1.0, 1.0])
+
+
+def test_shares_do_not_depend_on_units(random_ltp):
+    unit = np.array([1e-3, 1.0, 10.0, 1e4])[: random_ltp.n_states]
+    F, G = (lambda psi: unit[:, None] * random_ltp.F(psi) / unit), np.ones((3, 1))
+    scaled = LTPSystem(F, G, omega=random_ltp.omega)
+    found, expected = scaled.modal_participation(2), random_ltp.modal_participation(2)
+    np.testing.assert_allclose(found, expected, atol=1e-8)
 
 
 def test_responses_do_not_depend_on_the_origin_of_time(rng):

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pandas as pd
+from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd._checks import check_count, check_flag, check_numbers, check_positive
@@ -344,35 +345,6 @@ class LTPSystem(NamedSignals):
         return model_response(self, frequencies, N, sample_time, tolerance, max_internal_harmonics)
 
     @within_range
-    def participation_factors(self, n_harmonics):
-        """Participation of each harmonic of each state in each mode of the HD model.
-
-            p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji|
-
-        from right and left eigenvectors v and w of A.
-
-        Parameters
-        ----------
-        n_harmonics : int
-            Harmonics kept of the states.
-
-        Returns
-        -------
-        factors : DataFrame, n (2N + 1) rows by as many modes
-            Index: names of the HD states (w_0, …); columns: eigenvalues in 1/s, from
-            the rightmost leftwards. Each column sums to one.
-
-        Raises
-        ------
-        ValueError
-            If ``n_harmonics`` is negative or not whole.
-        """
-        N = _check_harmonics("n_harmonics", n_harmonics)
-        eigenvalues, _, factors = hd.participation_factors(self._hd_matrix(N))
-        index = pd.Index(harmonic_names(self.state_names, N), name="state")
-        return pd.DataFrame(factors, index, pd.Index(eigenvalues, name="eigenvalue"))
-
-    @within_range
     def modal_participation(self, n_harmonics):
         """Share of each harmonic of a state in that state's motion in each Floquet mode.
 
@@ -408,7 +380,7 @@ class LTPSystem(NamedSignals):
         Society Forum 65 (2009).
         """
         N, n = _check_harmonics("n_harmonics", n_harmonics), self.n_states
-        eigenvalues, vectors, _ = hd.participation_factors(self._hd_matrix(N))
+        eigenvalues, vectors = linalg.eig(self._hd_matrix(N))
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
         sizes = hd.harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))
