@@ -203,42 +203,6 @@ def conjugate_units(z):
     return units
 
 
-def invariant_pair(A, C, kept, dropped):
-    """A and C restricted to the invariant subspace of some eigenvalues.
-
-    An ordered real Schur form splits the subspace off, so that repeated or
-    defective eigenvalues (such as those of a window's memory) do no harm.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    kept, dropped : complex ndarray
-        Eigenvalues of A, conjugate-closed.
-
-    Returns
-    -------
-    A_kept : ndarray, shape (n_kept, n_kept)
-    C_kept : ndarray, shape (l, n_kept)
-    """
-    if len(dropped) == 0:
-        return A, C
-    if len(kept) == 0:
-        return A[:0, :0], C[:, :0]
-
-    def wanted(real, imag):
-        z = real + 1j * imag
-        return np.min(np.abs(z - kept)) < np.min(np.abs(z - dropped))
-
-    T, Q, n_kept = linalg.schur(A, output="real", sort=wanted)
-    if n_kept != len(kept):
-        raise ValueError(
-            f"{len(kept)} modes cannot be separated from the others: their eigenvalues coincide "
-            f"to working precision; change n_states or the order"
-        )
-    return T[:n_kept, :n_kept], C @ Q[:, :n_kept]
-
-
 def real_block(exponents):
     """Real block-diagonal R of some real exponents and complex pairs.
 

@@ -30,8 +30,7 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF, UNKNOWN
-from sklearn_hd.algorithms.lti.residualization import block_diagonal
-from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import block_diagonal, frequency_response
 from sklearn_hd.algorithms.periodic.floquet import (
     N_STAGES,
     by_bisection,
