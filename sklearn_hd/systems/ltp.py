@@ -306,21 +306,20 @@ class LTPSystem(NamedSignals):
         frequencies : array_like, shape (n_frequencies,)
             Ω in rad/s.
         n_harmonics : int
-            N, harmonics of inputs and outputs.
+            N, harmonics of the outputs.
         sample_time : float, optional
             Seconds. Gives the response from sample to sample for inputs held between samples, as
             :meth:`simulate` holds them; compare records of such inputs with it. It is exact, also
             for matrices that jump. A period must hold a whole number of samples.
         tolerance : float, default=1e-8
-            Largest change on doubling the internal harmonics, relative to the largest
-            block.
+            Largest change on doubling the internal harmonics, relative to the largest value.
         max_internal_harmonics : int, default=128
             Bound on the internal harmonics; a ConvergenceWarning states the remaining change.
 
         Returns
         -------
         response : HarmonicTransferFunction
-            With ``response`` H_n(jΩ) and ``blocks`` H_{p,q}(jΩ).
+            With ``response`` H_n(jΩ).
 
         Raises
         ------
