@@ -8,6 +8,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd.algorithms.periodic.integration import integrate
 from sklearn_hd.systems import LTPSystem
 
 
@@ -135,6 +136,14 @@ def record(system, *, n_periods=60, samples=32, seed=0, noise=0.0, shift=0, n_ch
         pd.DataFrame(u, index, list(system.input_names)),
         pd.DataFrame(y, index, list(system.output_names)),
     )
+
+
+def periodicity_defect(system, trim):
+    """x(T) − x(0) of the trim's initial state; zero for an exact periodic solution."""
+    t = np.linspace(0.0, system.period, 65)
+    u = np.broadcast_to(trim.inputs, (len(t), system.n_inputs))
+    x = integrate(system.f, trim.initial_state, u, t, rtol=1e-13, atol=1e-14)
+    return x[-1] - x[0]
 
 
 def synchronous(omega, structure=None, *, order="auto", harmonics=1, analyzer=None, **match):

@@ -333,15 +333,10 @@ def test_trim(case):
 
 def test_trims_of_other_systems():
     system, trim = duffing(), duffing().trim(3)
-    for method in (system.linearize, system.periodicity_defect):
-        with pytest.raises(
-            ValueError, match=r"trim='x' is not a trim; give the result of trim\(\)"
-        ):
-            method("x")
-        with pytest.raises(
-            ValueError, match="2 states, 1 inputs and omega=2, but the system has 2"
-        ):
-            method(duffing(omega=2.0).trim(3))
+    with pytest.raises(ValueError, match=r"trim='x' is not a trim; give the result of trim\(\)"):
+        system.linearize("x")
+    with pytest.raises(ValueError, match="2 states, 1 inputs and omega=2, but the system has 2"):
+        system.linearize(duffing(omega=2.0).trim(3))
     with pytest.raises(ValueError, match="psi='x' is not an array of real numbers; give azimuths"):
         trim.states("x")
 
