@@ -26,8 +26,8 @@ from sklearn_hd._match.periodic import state_outputs, warn_coordinates
 from sklearn_hd._readings import coefficient_names, highest_harmonic
 from sklearn_hd._records.data import input_scale, output_scale, to_continuous
 from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.lti.simulation import frequency_response
-from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic.behind_samples import nearest_steps, turn_of
@@ -177,9 +177,8 @@ def _check_record(periodic, experiment, error):
         simulator = PeriodicSimulator(periodic, response, basis.phase_index(time), u, time)
         forced = simulator.outputs(np.zeros(periodic.n_states))
         free = simulator.free(len(y)).reshape(periodic.n_states, -1).T
-        size = column_sizes(free)
         rest = (y - forced).ravel()
-        rest = rest - free / size @ linalg.lstsq(free / size, rest, cond=EXACT)[0]
+        rest = rest - free @ solve_within_rank(free, rest, cond=EXACT)
         left = left + np.sum(rest.reshape(y.shape) ** 2, axis=0)
         there = there + np.sum(y**2, axis=0)
     share = np.max(left[there > 0.0] / there[there > 0.0], initial=0.0)

@@ -29,7 +29,7 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
-from sklearn_hd.algorithms.linalg.triangular import triangle
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
 COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of its decay, by which a family's members differ
@@ -377,11 +377,7 @@ def residual(R, columns, units):
     if not units:
         return float(R[:, -1] @ R[:, -1])
     regressors = R[:, np.concatenate([columns[i] for i in units])]
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
-    regressors = regressors / scale
-    solution = linalg.lstsq(regressors, R[:, -1], cond=EXACT)[0]
-    rest = R[:, -1] - regressors @ solution
+    rest = R[:, -1] - regressors @ solve_within_rank(regressors, R[:, -1], cond=EXACT)
     return float(rest @ rest)
 
 

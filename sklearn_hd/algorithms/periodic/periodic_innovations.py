@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW, PRECISION
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
@@ -371,7 +372,8 @@ class Rows:
             return None
         rest = outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x[..., 0], u]))
         free = (self.outputs[..., :n] @ x[..., 1:]).reshape(-1, n)
-        return rest - (free @ _fitted(free, rest.ravel())).reshape(rest.shape)
+        start = solve_within_rank(free, rest.ravel(), cond=HALF)
+        return rest - (free @ start).reshape(rest.shape)
 
     def ahead(self, inputs, outputs, x0, horizon):
         """Outputs predicted some rows ahead; those of the first rows from the initial state.
@@ -417,7 +419,8 @@ class Rows:
         left = outputs[some] - np.einsum("tij,tj->ti", seen, np.hstack([x[..., 0], u]))
         free = seen[..., :n] @ x[..., 1:]
         size = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
-        return _fitted((free / size[:, None]).reshape(-1, n), (left / size).ravel())
+        free = (free / size[:, None]).reshape(-1, n)
+        return solve_within_rank(free, (left / size).ravel(), cond=HALF)
 
     def innovations(self, inputs, outputs, x0):
         """States of the predictor and what it leaves, shapes (n_samples, n), (n_samples, l).
@@ -444,13 +447,6 @@ class Rows:
         direct = self.states[..., n:] - self.gain @ self.outputs[..., n:]
         forcing = np.einsum("tij,tj->ti", direct, u)
         return stable, forcing + np.einsum("tij,tj->ti", self.gain, outputs)
-
-
-def _fitted(free, rest):
-    """Least squares on columns of any size."""
-    size = np.linalg.norm(free, axis=0)
-    size[size == 0.0] = 1.0
-    return linalg.lstsq(free / size, rest, cond=HALF)[0] / size
 
 
 def _with_one(inputs):

@@ -25,6 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -126,8 +127,7 @@ def driven_states(Phi, C, directions, lifted, seen):
     sees, before = C, np.inf
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", free, sees).reshape(target.size, -1)
-        size = column_sizes(regressors)
-        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=EXACT)[0] / size
+        unknown = solve_within_rank(regressors, target.ravel(), cond=EXACT)
         states = np.einsum("kun,u->kn", free, unknown)
         sees = linalg.lstsq(states, few)[0].T
         left = float(np.sum((few - states @ sees.T) ** 2))

@@ -28,8 +28,8 @@ import numpy as np
 from scipy import linalg
 from scipy.signal import fftconvolve
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
-from sklearn_hd.algorithms.linalg.triangular import safe_cholesky, triangle
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.triangular import safe_cholesky, solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.subspace.responses import (
     alike_states,
@@ -196,13 +196,7 @@ def _solve(shared):
     With columns of equal length, so that units do not decide the rank; of inputs that move
     together the shortest.
     """
-    regressors, target = shared[:, :-1], shared[:, -1]
-    if regressors.shape[1] == 0:
-        return np.zeros(0)
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
-    found = linalg.lstsq(regressors / scale, target, cond=DEPENDENT, lapack_driver="gelsy")
-    return found[0] / scale
+    return solve_within_rank(shared[:, :-1], shared[:, -1])
 
 
 def _product_factor(normal, u, y, feedthrough, scales):
