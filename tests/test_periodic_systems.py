@@ -173,7 +173,7 @@ def equation_errors(noise, instruments):
     measured = y.to_numpy() + noise * y.std().to_numpy() * np.random.default_rng(3).standard_normal(
         y.shape
     )
-    shown = [y.to_numpy()] if instruments else None
+    shown = [y.to_numpy() if instruments else measured]
     F, _ = equation_error([(measured, u.to_numpy(), 0)], system.period, 64, 1, shown)
     return np.linalg.norm(F - system.F.coefficients) / np.linalg.norm(system.F.coefficients)
 

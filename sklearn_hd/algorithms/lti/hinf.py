@@ -176,7 +176,7 @@ def tops_between(frequencies, gains):
     return tops[apart], (y[k] + 0.5 * slope * move)[apart], y[k][apart]
 
 
-def check_stable(A, dt=None):
+def check_stable(A, dt):
     """Raise unless every eigenvalue of A is strictly inside the stability region.
 
     Parameters
