@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from sklearn.base import TransformerMixin
 
-from sklearn_hd.algorithms.linalg.rounding import TINY
+from sklearn_hd.algorithms.lti.simulation import continuous_poles
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +102,7 @@ class LTIModel:
 
     def exponents(self):
         """Eigenvalues in continuous time, 1/s."""
-        z = self.eigenvalues().astype(complex)
-        return np.log(np.where(z == 0.0, TINY, z)) / self.dt if self.dt else z
+        return continuous_poles(self.eigenvalues(), self.dt)
 
     def in_continuous_time(self, A, B, C, D, **changes):
         """The continuous-time model of some matrices between the same signals."""

@@ -15,7 +15,8 @@ from sklearn_hd._records.delays import both_values, leads
 from sklearn_hd._records.sampling import joined
 from sklearn_hd._sample_model import AtSamples, SampleSimulator
 from sklearn_hd._tables import without_inputs
-from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.linalg.rounding import EXACT, RANK
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
@@ -234,10 +235,8 @@ def fit_initial_state(simulator, outputs, rows):
         return np.zeros(0)
     free = simulator.free(rows.stop)[:, rows] / unit
     regressors = free.reshape(len(free), -1).T
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
     target = ((outputs[rows] - forced) / unit).reshape(-1)
-    return linalg.lstsq(regressors / scale, target, cond=1e-10)[0] / scale
+    return solve_within_rank(regressors, target, cond=RANK)
 
 
 def predicted_ahead(simulator, outputs, horizon, x0=None, *, rows=None, recompose=True):

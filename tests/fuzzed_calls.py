@@ -545,7 +545,7 @@ def draw_system(rng):
         made().harmonic_transfer_function(frequencies, N, max_internal_harmonics=16)
 
     def participation(said):
-        made().participation_factors(N), made().modal_participation(N)
+        made().modal_participation(N)
 
     def norms(said):
         B, C = np.ones((n, m)), np.ones((p, n))

@@ -1,5 +1,6 @@
 """Linear time-periodic systems with known truth, and the period-synchronous route to them."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd.algorithms.periodic.integration import integrate
 from sklearn_hd.systems import LTPSystem
 
 
@@ -22,6 +24,63 @@ def mathieu(stiffness=2.0, excitation=0.5, damping=0.1, **measured):
 def deflection_only(**parameters):
     """The same oscillator of which y alone is measured."""
     return mathieu(P=[[1.0, 0.0]], output_names=["y"], **parameters)
+
+
+@dataclass(frozen=True)
+class SwitchedStiffness:
+    """F(ψ) of Meissner's equation."""
+
+    stiffness: float
+    modulation: float
+    share: float
+    damping: float
+
+    def __call__(self, psi):
+        early = np.mod(psi, 2.0 * np.pi) <= 2.0 * np.pi * self.share
+        F = np.zeros((len(psi), 2, 2))
+        F[:, 0, 1], F[:, 1, 1] = 1.0, -self.damping
+        F[:, 1, 0] = -self.stiffness + self.modulation * np.where(early, 1.0, -1.0)
+        return F
+
+
+def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, damping=0.0):
+    """ÿ + d ẏ + (s − m ψ) y = u, ψ = +1 for t ≤ p T, else −1.
+
+    E. Meissner, "Über Schüttelerscheinungen in Systemen mit periodisch veränderlicher
+    Elastizität", Schweizerische Bauzeitung 72 (1918), 95–98.
+    """
+    F = SwitchedStiffness(stiffness, modulation, share, damping)
+    names = {"state_names": ["y", "y_dot"], "input_names": ["u"]}
+    return LTPSystem(F, [[0.0], [1.0]], omega=2.0 * np.pi / period, **names)
+
+
+def bittanti_colaneri():
+    """ẋ = [[−1 + sin t, 0], [1 − cos t, −3]] x + [1, 1]ᵀ u, of exponents −1 and −3.
+
+    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, Springer, 2009,
+    chapter 1, without the input.
+    """
+    F = np.zeros((3, 2, 2))
+    F[0] = [[-1.0, 0.0], [1.0, -3.0]]
+    F[1, 1, 0] = -1.0
+    F[2, 0, 0] = 1.0
+    return LTPSystem(F, [[1.0], [1.0]], omega=1.0)
+
+
+def vinograd():
+    """Unstable, of exponents 2 and −13, with the eigenvalues −1 and −10 at every instant.
+
+        ẋ = [[−1 − 9c² + 12sc, 12c² + 9sc], [−12s² + 9sc, −1 − 9s² − 12sc]] x + [1, 1]ᵀ u
+
+    with c = cos 6t and s = sin 6t. R. E. Vinograd, "On a criterion of instability in the sense
+    of Lyapunov of the solutions of a linear system of ordinary differential equations",
+    Doklady Akademii Nauk SSSR 84 (1952), 201–204, without the input.
+    """
+    F = np.zeros((5, 2, 2))  # c² = (1 + cos 12t) / 2, s² = (1 − cos 12t) / 2, sc = sin 12t / 2
+    F[0] = [[-5.5, 6.0], [-6.0, -5.5]]
+    F[3] = [[-4.5, 6.0], [6.0, 4.5]]
+    F[4] = [[6.0, 4.5], [4.5, -6.0]]
+    return LTPSystem(F, [[1.0], [1.0]], omega=6.0)
 
 
 def shape(psi):
@@ -77,6 +136,14 @@ def record(system, *, n_periods=60, samples=32, seed=0, noise=0.0, shift=0, n_ch
         pd.DataFrame(u, index, list(system.input_names)),
         pd.DataFrame(y, index, list(system.output_names)),
     )
+
+
+def periodicity_defect(system, trim):
+    """x(T) − x(0) of the trim's initial state; zero for an exact periodic solution."""
+    t = np.linspace(0.0, system.period, 65)
+    u = np.broadcast_to(trim.inputs, (len(t), system.n_inputs))
+    x = integrate(system.f, trim.initial_state, u, t, rtol=1e-13, atol=1e-14)
+    return x[-1] - x[0]
 
 
 def synchronous(omega, structure=None, *, order="auto", harmonics=1, analyzer=None, **match):

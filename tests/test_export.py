@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from law_cases import SEEDS, UP_TO_THREE, UP_TO_TWO, examples
-from periodic_cases import mathieu, record
+from periodic_cases import mathieu, meissner, record
 from scipy.io import loadmat
 from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
-from sklearn_hd.systems import LTPSystem, export_model, load_model, meissner
+from sklearn_hd.systems import LTPSystem, export_model, load_model
 
 NAMES = {"input_names": ["δ_e (rad), the very long name of an elevator's deflection in flight"]}
 

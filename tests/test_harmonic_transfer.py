@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from periodic_cases import meissner, vinograd
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd.algorithms.lti.simulation import frequency_response
@@ -16,8 +17,6 @@ from sklearn_hd.systems import (
     flapping_blade,
     flapping_wing,
     mathieu,
-    meissner,
-    vinograd,
 )
 
 FREQUENCIES = np.array([0.0, 0.31, 1.0, 2.7])
@@ -63,18 +62,15 @@ def steady_state(system, frequency, harmonic, input_index):
 # ---- models -----------------------------------------------------------------------------------
 
 
-def test_time_invariant_system_has_only_the_diagonal():
+def test_time_invariant_system_has_no_other_harmonics():
     rng = np.random.default_rng(0)
     A, B = rng.standard_normal((3, 3)) - 2 * np.eye(3), rng.standard_normal((3, 2))
     C, D = rng.standard_normal((2, 3)), rng.standard_normal((2, 2))
     H = LTPSystem(A, B, C, D, omega=1.5).harmonic_transfer_function(FREQUENCIES, 2)
-    assert H.blocks.shape == (4, 5, 5, 2, 2)
-    for p in range(5):
-        for q in range(5):
-            shifted = 1j * (FREQUENCIES + 1.5 * (q - 2))
-            expected = frequency_response(A, B, C, D, shifted) if p == q else np.zeros((4, 2, 2))
-            np.testing.assert_allclose(H.blocks[:, p, q], expected, atol=1e-13)
-    np.testing.assert_array_equal(H.response, H.blocks[:, :, 2])
+    assert H.response.shape == (4, 5, 2, 2)
+    for n in range(-2, 3):
+        expected = 0.0 if n else frequency_response(A, B, C, D, 1j * FREQUENCIES)
+        np.testing.assert_allclose(H.harmonic(n), expected, atol=1e-13)
 
 
 def test_static_periodic_gain():
@@ -98,16 +94,29 @@ def test_modulated_output_shifts_the_frequency():
 @pytest.mark.parametrize(
     "system", [coupled_oscillators(), flapping_blade(mu=0.4), vinograd(), mathieu()], ids=repr
 )
-def test_blocks_are_shifted_harmonics(system):
-    """H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)), and H_n(−jΩ) is the conjugate of H_−n(jΩ)."""
+def test_modulated_inputs_come_out_as_at_shifted_frequencies(system):
+    """Of cos ψ u: (H_{n−1}(j(Ω + ω)) + H_{n+1}(j(Ω − ω))) / 2."""
+    omega = system.omega
+    modulated = LTPSystem(
+        system.F, lambda psi: np.cos(psi)[:, None, None] * system.G(psi), system.P, omega=omega
+    ).harmonic_transfer_function(FREQUENCIES, 1)
+    above, below = (
+        system.harmonic_transfer_function(FREQUENCIES + shift, 2) for shift in (omega, -omega)
+    )
+    for n in (-1, 0, 1):
+        expected = 0.5 * (above.harmonic(n - 1) + below.harmonic(n + 1))
+        np.testing.assert_allclose(
+            modulated.harmonic(n), expected, atol=1e-7 * np.max(np.abs(above.response))
+        )
+
+
+@pytest.mark.parametrize(
+    "system", [coupled_oscillators(), flapping_blade(mu=0.4), vinograd(), mathieu()], ids=repr
+)
+def test_negative_frequencies_have_the_conjugate_response(system):
+    """H_n(−jΩ) is the conjugate of H_−n(jΩ)."""
     H = system.harmonic_transfer_function(FREQUENCIES, 2)
-    scale = np.max(np.abs(H.blocks))
-    for q in (-1, 0, 1):
-        shifted = system.harmonic_transfer_function(FREQUENCIES + q * system.omega, 1)
-        for p in (-1, 0, 1):
-            if abs(p - q) < 2:
-                difference = H.blocks[:, p + 2, q + 2] - shifted.harmonic(p - q)
-                assert np.max(np.abs(difference)) < 1e-8 * scale
+    scale = np.max(np.abs(H.response))
     mirrored = system.harmonic_transfer_function(-FREQUENCIES, 2)
     difference = mirrored.response[:, ::-1] - np.conj(H.response)
     assert np.max(np.abs(difference)) < 1e-9 * scale
@@ -142,20 +151,21 @@ def test_held_response_is_that_of_a_simulation():
 
 def test_held_response_tends_to_the_continuous_one():
     system = mathieu()
-    exact = system.harmonic_transfer_function([0.5], 1)
-    fine = system.harmonic_transfer_function([0.5], 1, sample_time=system.period / 4096)
-    delay = np.exp(-0.5j * 0.5 * system.period / 4096)  # of the hold, at the input
-    np.testing.assert_allclose(fine.response, exact.response * delay, atol=1e-6)
-    difference = fine.blocks[:, :, 0] - exact.blocks[:, :, 0]
-    assert np.max(np.abs(difference)) < 1e-2 * np.max(np.abs(exact.blocks[:, :, 0]))
+    dt, frequencies = system.period / 4096, np.array([0.5, -1.5])
+    exact = system.harmonic_transfer_function(frequencies, 1)
+    fine = system.harmonic_transfer_function(frequencies, 1, sample_time=dt)
+    delay = np.exp(-0.5j * frequencies * dt)[:, None, None, None]  # of the hold, at the input
+    np.testing.assert_allclose(fine.response, exact.response * delay, atol=2e-6)
 
 
-def test_held_blocks_are_shifted_harmonics():
+def test_held_inputs_repeat_at_the_frequency_of_their_samples():
     system = flapping_blade()
     dt = system.period / 16
-    H = system.harmonic_transfer_function(FREQUENCIES, 2, sample_time=dt)
-    shifted = system.harmonic_transfer_function(FREQUENCIES - 1.0, 2, sample_time=dt)
-    np.testing.assert_allclose(H.blocks[:, 3, 1], shifted.harmonic(2), atol=1e-12)
+    H, beyond = (
+        system.harmonic_transfer_function(FREQUENCIES + shift, 2, sample_time=dt)
+        for shift in (0.0, 2.0 * np.pi / dt)
+    )
+    np.testing.assert_allclose(H.response, beyond.response, atol=1e-12)
 
 
 def test_kinks_that_truncation_cannot_resolve_are_reported():

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from periodic_cases import periodicity_defect
 
 from sklearn_hd.systems import PeriodicSystem, hawkmoth
 
@@ -258,7 +259,7 @@ def test_forces_of_a_wingbeat_carry_the_weight(moth, trim):
 
 @pytest.mark.slow
 def test_hover_is_a_periodic_solution_that_stands_still(moth, trim):
-    assert np.all(np.abs(moth.periodicity_defect(trim)) < [1e-8, 1e-9, 1e-6, 1e-7])
+    assert np.all(np.abs(periodicity_defect(moth, trim)) < [1e-8, 1e-9, 1e-6, 1e-7])
     np.testing.assert_allclose(trim.coefficients[0, :3], 0.0, atol=1e-12)
     exact = moth.trim(60, method="shooting", n_points=1024)
     np.testing.assert_allclose(exact.inputs, trim.inputs, rtol=1e-6)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from periodic_cases import record, synchronous
+from periodic_cases import bittanti_colaneri, record, synchronous
 from scipy import linalg, signal
 
 from sklearn_hd import HarmonicStructure
@@ -21,7 +21,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 )
 from sklearn_hd.algorithms.periodic.periodic_realization import equation_error
 from sklearn_hd.exceptions import IdentifiabilityWarning
-from sklearn_hd.systems import bittanti_colaneri, flapping_blade, mathieu
+from sklearn_hd.systems import flapping_blade, mathieu
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
 import periodic_systems_study as study
@@ -173,7 +173,7 @@ def equation_errors(noise, instruments):
     measured = y.to_numpy() + noise * y.std().to_numpy() * np.random.default_rng(3).standard_normal(
         y.shape
     )
-    shown = [y.to_numpy()] if instruments else None
+    shown = [y.to_numpy() if instruments else measured]
     F, _ = equation_error([(measured, u.to_numpy(), 0)], system.period, 64, 1, shown)
     return np.linalg.norm(F - system.F.coefficients) / np.linalg.norm(system.F.coefficients)
 

@@ -99,13 +99,12 @@ def test_what_has_no_one_step_response_is_refused():
 # ---- pole map ---------------------------------------------------------------------------------
 
 
-def test_poles_and_zeros_of_several_systems_share_an_axis():
+def test_poles_of_several_systems_share_an_axis():
     systems = {"a": lag(), "b": control.c2d(lag(-4.0), 0.01)}
-    display = EigenvalueDisplay.from_systems(systems, zeros=True)
-    assert list(display.model_points_) == list(display.zero_points_) == ["a", "b"]
+    display = EigenvalueDisplay.from_systems(systems)
+    assert list(display.model_points_) == ["a", "b"]
     for label, pole in (("a", -2.0), ("b", -4.0)):
         assert np.isclose(display.model_points_[label].get_xdata()[0], pole)
-    assert np.isclose(display.zero_points_["a"].get_xdata()[0], -2.0 - 3.0 / 0.5)
 
 
 def test_the_grid_holds_damping_ratios_frequencies_and_strips():
@@ -126,14 +125,9 @@ def test_the_grid_holds_damping_ratios_frequencies_and_strips():
     assert edges == {-6.0, -2.0, 2.0, 6.0}
 
 
-def test_a_periodic_system_has_no_zeros_of_its_own():
-    with pytest.raises(ValueError, match="'model' is periodic and has no transmission zeros"):
-        EigenvalueDisplay.from_systems(cases.mathieu(), zeros=True)
-
-
 def test_models_of_several_pipelines_share_an_axis():
     pipes = {"clean": cases.sliding(), "noisy": cases.sliding(20, "output_error")}
-    display = EigenvalueDisplay.from_estimator(pipes, zeros=True)
+    display = EigenvalueDisplay.from_estimator(pipes)
     assert list(display.model_points_) == ["clean", "noisy"]
     assert len(display.uncertainty_) == 3  # of the one with maximum likelihood
 

@@ -19,13 +19,13 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd._records.data import read_for_fit
-from sklearn_hd.algorithms.signals.amplitudes import (
+from sklearn_hd._records.amplitudes import (
     extrapolation_weights,
     n_distinct,
     odd_weights,
     same_waveform,
 )
+from sklearn_hd._records.data import read_for_fit
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import IdentifiabilityWarning
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from periodic_cases import vinograd
 from scipy import linalg, signal
 from scipy.optimize import linear_sum_assignment
 from sklearn.pipeline import Pipeline
@@ -19,7 +20,7 @@ from sklearn_hd.datasets import (
     load_slicot_example,
     load_wind_turbine,
 )
-from sklearn_hd.systems import LTPSystem, multiblade_model, rotor_system, vinograd
+from sklearn_hd.systems import LTPSystem, multiblade_model, rotor_system
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
 import wind_turbine_study as study

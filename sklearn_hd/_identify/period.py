@@ -35,6 +35,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
+    MOST_STATES,
     apart,
     free_decay,
     is_product,
@@ -65,7 +66,6 @@ from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
-MOST_STATES = 12  # tried by order="auto": the raw periods are simulated with each
 A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 LEVEL = 1e-3  # share of linear machines taken for others
 MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period

@@ -19,7 +19,8 @@ from sklearn_hd._opinion import (
     what_it_has,
 )
 from sklearn_hd._records.data import input_scale, observations, output_scale, scaled_outputs
-from sklearn_hd.algorithms.linalg.rounding import EPS, TINY
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.lti.simulation import continuous_poles
 from sklearn_hd.algorithms.modes.families import (
     COPY_TOLERANCES,
     FAINT,
@@ -149,8 +150,7 @@ def identified_modes(model, experiment):
     modes : IdentifiedModes
     """
     z, V = np.linalg.eig(model.A)
-    z = z.astype(complex)
-    exponents = np.log(np.where(z == 0.0, TINY, z)) / model.dt
+    z, exponents = z.astype(complex), continuous_poles(z, model.dt)
     longest = max(segment.stop - segment.start for segment in experiment.base.segments)
     wild = exponents.real * longest * experiment.base.sample_time > MAX_GROWTH
     shapes, basis, n = (model.C @ V).T, experiment.basis, len(z)

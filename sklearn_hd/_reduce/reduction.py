@@ -29,9 +29,8 @@ from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import is_white, likelihood_problem
 from sklearn_hd.algorithms.likelihood.predictor import residuals
 from sklearn_hd.algorithms.likelihood.search import search, start
-from sklearn_hd.algorithms.lti.residualization import residualize
-from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
-from sklearn_hd.algorithms.modes.families import invariant_pair, real_block
+from sklearn_hd.algorithms.lti.simulation import block_diagonal, discrete_to_continuous, residualize
+from sklearn_hd.algorithms.modes.families import real_block
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -249,8 +248,15 @@ def _chosen(model, experiment, modes, method, n_states):
 
 def _modal_pair(model, z, kept):
     """(A, C) of some modes in continuous time."""
-    A, C = invariant_pair(model.A, model.C, z[kept], z[~kept])
-    return discrete_to_continuous(A, np.zeros((len(A), 0)), model.dt)[0], C
+    n, none = np.sum(kept), np.zeros((len(z), 0))
+    try:
+        A, _, C = block_diagonal(model.A, none, model.C, z[kept], z[~kept])
+    except ValueError:
+        raise ValueError(
+            f"{n} modes cannot be separated from the others: their eigenvalues coincide to "
+            f"working precision; change n_states or the order"
+        ) from None
+    return discrete_to_continuous(A[:n, :n], none[:n], model.dt)[0], C[:, :n]
 
 
 def _most_likely(choice, modes, experiment):

@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.periodic.riccati import (
     solve_periodic_riccati,
     unreachable_multipliers,
 )
-from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import all_harmonics, sampled_harmonics
 from sklearn_hd.systems import LTPSystem
 from sklearn_hd.systems.arguments import periodic_matrix, precision
 
@@ -233,15 +233,11 @@ class PeriodicMatrix:
     def __call__(self, psi):
         """Values at azimuths psi, shape (n_points,) -> (n_points, rows, columns)."""
         psi = real_array("psi", psi, "azimuths in radians")
-        p = len(self.values)
         if self.held:
             # rounding of ωt must not put a sample before its own azimuth
+            p = len(self.values)
             return self.values[np.floor(psi * p / (2.0 * np.pi) + 1e-6).astype(int) % p]
-        values = evaluate_harmonics(self.coefficients(self.max_harmonics), psi)
-        if p % 2 == 0:  # the harmonic p / 2, of which samples show the cosine alone
-            alternating = np.mean(self.values * (-1.0) ** np.arange(p)[:, None, None], axis=0)
-            values = values + np.cos(p / 2 * psi)[..., None, None] * alternating
-        return values
+        return evaluate_harmonics(all_harmonics(self.values), psi)
 
     def coefficients(self, n_harmonics):
         """Real Fourier coefficients up to some harmonic.

@@ -14,9 +14,7 @@ ROUNDING = 1e-10  # what perfect models leave
 TWICE = 2.0  # what the best leaves is never about as good
 
 
-def smallest_within_one_standard_error(
-    cv_results, *, size=SIZE, metric="score", test_share=None, perfect=None
-):
+def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score", test_share=None):
     """Index of the smallest candidate about as good as the best: a rule for ``refit``.
 
     On fold f the best candidate scores b_f and leaves 1 − b_f unexplained (R²). Another one, with
@@ -35,7 +33,8 @@ def smallest_within_one_standard_error(
     makes the variance of a mean over them too small; q, rows tested over rows trained on, corrects
     for that (Nadeau and Bengio). Among the candidates within one standard error, the rule takes
     the smallest in the first parameter of ``size``, then in the second, …, then the one of least
-    d̄.
+    d̄. A perfect model scores 1, as for R²; 100 if a score is above 1, as for the fit in percent; 0
+    if none is above 0, as for errors. For errors all folds have equal weight.
 
     Parameters
     ----------
@@ -54,9 +53,6 @@ def smallest_within_one_standard_error(
         ``cv_results_["mean_test_score"][search.best_index_]``).
     test_share : float or None, default=None
         Rows tested over rows trained on, q. None is 1/(k − 1), as in k folds of equal size.
-    perfect : float or None, default=None
-        Score of a perfect model. None is 1, as for R²; 100 if a score is above 1, as for the fit
-        in percent; 0 if none is above 0, as for errors. For errors all folds have equal weight.
 
     Returns
     -------
@@ -67,7 +63,7 @@ def smallest_within_one_standard_error(
     ------
     ValueError
         If no fold has a score of every remaining candidate, there are fewer than two folds, a
-        score is above ``perfect``, or the candidates cannot be compared by size.
+        score is above that of a perfect model, or the candidates cannot be compared by size.
 
     Warns
     -----
@@ -107,7 +103,7 @@ def smallest_within_one_standard_error(
     share = _share(scores.shape[1], test_share)
     sizes = _sizes(cv_results, (size,) if isinstance(size, str) else tuple(size))
     candidates, folds = _comparable(scores, cv_results["params"])
-    worse, error = _behind_best(*_left(scores[np.ix_(candidates, folds)], perfect), share)
+    worse, error = _behind_best(*_left(scores[np.ix_(candidates, folds)]), share)
     enough = np.maximum(np.log(MATERIAL), np.minimum(error, np.log(TWICE)))
     within = np.flatnonzero(worse <= enough)
     best = min(within.tolist(), key=lambda i: (*sizes[candidates[i]], worse[i], i))
@@ -133,16 +129,14 @@ def _share(n_folds, test_share):
     return share
 
 
-def _left(scores, perfect):
+def _left(scores):
     """Logarithm of what each score leaves unexplained, and the weights of the folds."""
     most = np.max(scores)
+    perfect = next((p for p in PERFECT if most <= p), None)
     if perfect is None:
-        perfect = next((p for p in PERFECT if most <= p), PERFECT[-1])
-    if most > perfect:
         raise ValueError(
-            f"a score of {most:.6g} is above that of a perfect model, perfect={perfect:g}; set "
-            f"perfect= to the score of a perfect model, or use a metric that has one: R², or the "
-            f"negative of an error"
+            f"a score of {most:.6g} is above that of a perfect model, {PERFECT[-1]:g}; use a "
+            f"metric that has one: R², the fit in percent, or the negative of an error"
         )
     left, some = perfect - scores, perfect > 0.0
     unit = perfect if some else np.median(left) or 1.0

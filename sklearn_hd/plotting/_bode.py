@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from scipy.stats import norm
 
-from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import continuous_poles, frequency_response
 from sklearn_hd.plotting._display import (
     FREQUENCY,
     Display,
@@ -225,11 +225,10 @@ def default_frequencies(systems):
     """A grid in rad/s that holds all poles, and for discrete models ends where they do."""
     sizes, top = [], np.inf
     for system in systems:
-        dt, poles = sample_time(system), system.poles()
+        dt = sample_time(system)
         if dt > 0.0:
             top = min(top, np.pi / dt)
-            poles = np.log(np.where(poles == 0.0, np.finfo(float).tiny, poles)) / dt
-        sizes += [size for size in np.abs(poles) if size > 0.0]
+        sizes += [size for size in np.abs(continuous_poles(system.poles(), dt)) if size > 0.0]
     low, high = (min(sizes), max(sizes)) if sizes else (1.0, 1.0)
     high = min(10.0 * high, top)  # a decade beyond the slowest and the fastest pole
     return np.geomspace(min(low, high) / 10.0, high, num=400)

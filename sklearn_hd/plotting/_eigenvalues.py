@@ -10,7 +10,7 @@ from scipy.stats import chi2, norm
 
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import doubtful
-from sklearn_hd._sample_model import SampleModel
+from sklearn_hd.algorithms.lti.simulation import continuous_poles
 from sklearn_hd.matching import StructuredMatcher
 from sklearn_hd.plotting._display import (
     BLACK,
@@ -73,8 +73,6 @@ class EigenvalueDisplay(Display):
         In rad/s; the strip of width ω in which Floquet exponents are told apart is marked.
     model_name : str, default="identified"
         What the legend calls the model.
-    zeros : dict of array_like, shape (n_zeros,), optional
-        Transmission zeros, 1/s, by the label of the model (``model_name`` of one).
     doubts : DataFrame, optional
         Eigenvalues that a second opinion does not confirm, in 1/s: the columns eigenvalue and
         opinion, what it has next to it (NaN where it has no value of its own).
@@ -88,8 +86,6 @@ class EigenvalueDisplay(Display):
     family_lines_ : list of Line2D
     model_points_, true_points_ : Line2D or None
         ``model_points_`` is a dict by label where several models are drawn.
-    zero_points_ : dict of Line2D
-        By label.
     grid_lines_ : list of Line2D
         Of constant damping ratio, then of constant natural frequency.
     uncertainty_ : list of Ellipse or Line2D
@@ -130,7 +126,6 @@ class EigenvalueDisplay(Display):
         true=None,
         omega=None,
         model_name="identified",
-        zeros=None,
         doubts=None,
     ):
         if doubts is not None and not {"eigenvalue", "opinion"} <= set(doubts):
@@ -142,15 +137,12 @@ class EigenvalueDisplay(Display):
         named = {} if model is None else by_label(model, model_name)
         self._models = {label: _eigenvalue_table(z) for label, z in named.items()}
         self.model = self._models if isinstance(model, dict) else self._models.get(model_name)
-        self.zeros = {
-            label: np.asarray(z, dtype=complex).ravel() for label, z in (zeros or {}).items()
-        }
         self.true = None if true is None else np.asarray(true, dtype=complex).ravel()
         self.omega = omega
         self.model_name = model_name
 
     @classmethod
-    def from_estimator(cls, estimator, true=None, *, level=0.95, zeros=False, grid=False, ax=None):
+    def from_estimator(cls, estimator, true=None, *, level=0.95, grid=False, ax=None):
         """Draw what a fitted pipeline, or a step of it, has found.
 
         Of a single model, exponents that the record's second opinion does not confirm are marked.
@@ -166,13 +158,6 @@ class EigenvalueDisplay(Display):
             its Floquet exponents).
         level : float, default=0.95
             Probability with which an ellipse holds the eigenvalue.
-        zeros : bool, default=False
-            Whether to draw the transmission zeros of the models, too.
-
-        Raises
-        ------
-        ValueError
-            If zeros are asked for of a model that varies over the turn.
         """
         if isinstance(estimator, dict):
             lasts = {k: fitted_step(e, ModelStep, cls.__name__) for k, e in estimator.items()}
@@ -182,7 +167,6 @@ class EigenvalueDisplay(Display):
                 model=found,
                 true=_of_truth(true),
                 omega=omega.pop() if len(omega) == 1 else None,
-                zeros={k: _zeros_of(k, step) for k, step in lasts.items()} if zeros else None,
             )
             return display.plot(ax=ax, level=level, grid=grid)
         last = fitted_step(estimator, ModelStep, cls.__name__)
@@ -197,13 +181,12 @@ class EigenvalueDisplay(Display):
             true=_of_truth(true),
             omega=getattr(basis, "omega", None),
             model_name=name,
-            zeros={name: _zeros_of(name, last)} if zeros else None,
             doubts=_doubts(estimator, last.model_.exponents() if model is None else model),
         )
         return display.plot(ax=ax, level=level, grid=grid)
 
     @classmethod
-    def from_systems(cls, systems, true=None, *, omega=None, zeros=False, grid=False, ax=None):
+    def from_systems(cls, systems, true=None, *, omega=None, grid=False, ax=None):
         """Draw the poles of systems, LTPSystems by their Floquet exponents, on one axis.
 
         Parameters
@@ -212,11 +195,6 @@ class EigenvalueDisplay(Display):
             Discrete ones are drawn where the logarithm of their poles lies, in 1/s.
         omega : float, optional
             In rad/s; that of an LTPSystem by default.
-
-        Raises
-        ------
-        ValueError
-            If zeros are asked for of a system that is periodic.
         """
         systems = by_label(systems, "model")
         speeds = {s.omega for s in systems.values() if isinstance(s, LTPSystem)}
@@ -226,11 +204,10 @@ class EigenvalueDisplay(Display):
             model={label: _poles_of(system) for label, system in systems.items()},
             true=_of_truth(true),
             omega=omega,
-            zeros={k: _zeros_of(k, system) for k, system in systems.items()} if zeros else None,
         )
         return display.plot(ax=ax, grid=grid)
 
-    def plot(self, ax=None, *, level=0.95, families=True, grid=False, legend=True):
+    def plot(self, ax=None, *, level=0.95, grid=False, legend=True):
         """Draw, on a new figure by default.
 
         The view holds the origin and all but the window's memory, which may lie far to
@@ -238,8 +215,6 @@ class EigenvalueDisplay(Display):
 
         Parameters
         ----------
-        families : bool, default=True
-            Whether to join the modes of a family.
         grid : bool, default=False
             Whether to draw lines of constant damping ratio and of constant natural frequency;
             where ω is known, also the edges of the strips of Floquet exponents.
@@ -265,7 +240,7 @@ class EigenvalueDisplay(Display):
             self.true_points_ = self._points(self.true, *TRUE, view, mew=1.4)
         self.family_lines_, self.mode_points_ = [], {}
         if self.modes is not None:
-            self._draw_modes(families, view)
+            self._draw_modes(view)
         self._draw_models(level, view)
         self._draw_doubts(view)
         self.ax_.set(xlim=view[0], ylim=view[1])
@@ -274,8 +249,8 @@ class EigenvalueDisplay(Display):
         return self
 
     def _draw_models(self, level, view):
-        """Poles and zeros of each model, told apart by markers where there are several."""
-        self.model_points_, self.zero_points_, self.uncertainty_ = None, {}, []
+        """Poles of each model, told apart by markers where there are several."""
+        self.model_points_, self.uncertainty_ = None, []
         models = self._models
         styles = [MODEL][: len(models)]
         if len(models) > 1:
@@ -290,12 +265,6 @@ class EigenvalueDisplay(Display):
         if points:
             self.model_points_ = points if len(points) > 1 else next(iter(points.values()))
         colours = {label: line.get_color() for label, line in points.items()}
-        for label, z in self.zeros.items():
-            label_of = "zeros" if len(z) else "no zeros"
-            label_of += f": {label}" if len(models) > 1 else ""
-            self.zero_points_[label] = self._points(
-                z, "o", colours.get(label, BLACK), 6, label_of, view, mew=1.2
-            )
         for label in models:
             self._draw_uncertainty(level, label, colours[label])
 
@@ -382,9 +351,9 @@ class EigenvalueDisplay(Display):
         style = {"color": colour, "ms": size, "mew": mew, "mfc": "none", "ls": ""}
         return self.ax_.plot(z.real, z.imag, marker=marker, label=label, **style)[0]
 
-    def _draw_modes(self, families, view):
+    def _draw_modes(self, view):
         modes = self.modes
-        for family, members in modes.groupby("family") if families else ():
+        for family, members in modes.groupby("family"):
             if family >= 0 and len(members) > 1:
                 z = np.sort_complex(1j * members["eigenvalue"].to_numpy()) / 1j
                 z = z[np.argsort(z.imag)]
@@ -462,26 +431,7 @@ def _poles_of(system):
     """Poles of a system in 1/s, Floquet exponents of a periodic one."""
     if isinstance(system, LTPSystem):
         return system.floquet_exponents()
-    return _in_seconds(system.poles(), system)
-
-
-def _in_seconds(z, system):
-    """Poles or zeros in 1/s, of a discrete system by their logarithm."""
-    dt, z = sample_time(system), np.asarray(z, dtype=complex)
-    return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / dt if dt else z
-
-
-def _zeros_of(label, given):
-    """Transmission zeros of a system, or of the one that a step has found, in 1/s."""
-    model = getattr(given, "model_", None)
-    varies = isinstance(model, SampleModel) and not model.time_invariant
-    if isinstance(given, LTPSystem) or varies:
-        raise ValueError(
-            f"{label!r} is periodic and has no transmission zeros of its own; give its "
-            f"harmonic_decomposition, or zeros=False"
-        )
-    system = given if model is None else given.system_
-    return _in_seconds(system.zeros(), system)
+    return continuous_poles(system.poles(), sample_time(system))
 
 
 def _matched(matcher):

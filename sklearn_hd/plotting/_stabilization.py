@@ -12,6 +12,8 @@ from sklearn.pipeline import Pipeline
 from sklearn_hd._checks import check_positive
 from sklearn_hd._guards import candidates
 from sklearn_hd._records.data import read_experiment
+from sklearn_hd.algorithms.linalg.rounding import TINY
+from sklearn_hd.algorithms.lti.simulation import continuous_poles
 from sklearn_hd.plotting._display import (
     BLACK,
     BLUE,
@@ -33,7 +35,6 @@ MARKS = {  # what is as at the order before: marker, size, colour, words
     "frequency and shape": ("^", 5.5, GREEN, "steady: frequency, shape"),
     "all": ("o", 5.0, BLUE, "steady: frequency, damping, shape"),
 }
-TINY = np.finfo(float).tiny
 
 
 @dataclass(eq=False, repr=False)
@@ -312,12 +313,10 @@ def _modes_of(model, sizes):
     A, C = getattr(model, "A", None), getattr(model, "C", None)
     if A is None or np.ndim(C) != 2 or len(C) < 2:
         return model.exponents(), None
-    values, vectors = np.linalg.eig(A)
-    z = values.astype(complex)
-    z = np.log(np.where(z == 0.0, TINY, z)) / model.dt if model.dt else z
+    z, vectors = np.linalg.eig(A)
     names = [n if n in sizes else n.rsplit("_", 1)[0] for n in model.output_names]
     scale = sizes.reindex(names).to_numpy()
-    return z, C @ vectors / np.where(scale > 0.0, scale, 1.0)[:, None]
+    return continuous_poles(z, model.dt), C @ vectors / np.where(scale > 0.0, scale, 1.0)[:, None]
 
 
 def _table(found, tolerances):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from sklearn_hd._checks import check_positive
-from sklearn_hd.algorithms.lti.simulation import step_response
+from sklearn_hd.algorithms.lti.simulation import continuous_poles, step_response
 from sklearn_hd.plotting._display import (
     BLACK,
     TIME,
@@ -225,9 +225,8 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
 
 def _duration(system):
     """Seconds that show a system: until it has settled, or has grown e-fold three times."""
-    dt, poles = sample_time(system), system.poles().astype(complex)
-    if dt:
-        poles = np.log(np.where(poles == 0.0, np.finfo(float).tiny, poles)) / dt
+    dt = sample_time(system)
+    poles = continuous_poles(system.poles(), dt)
     size = np.abs(poles).max(initial=0.0)
     if size == 0.0:
         return 20.0 * dt if dt else 1.0

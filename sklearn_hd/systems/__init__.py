@@ -13,13 +13,10 @@ from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.openfast import OpenFASTLinearization, read_openfast_lin
 from sklearn_hd.systems.periodic import PeriodicSystem, Trim
 from sklearn_hd.systems.textbook import (
-    bittanti_colaneri,
     coupled_oscillators,
     duffing,
     flapping_blade,
     mathieu,
-    meissner,
-    vinograd,
 )
 from sklearn_hd.systems.turbines import multiblade_model, rotor_system
 
@@ -31,7 +28,6 @@ __all__ = [
     "OpenFASTLinearization",
     "PeriodicSystem",
     "Trim",
-    "bittanti_colaneri",
     "coupled_oscillators",
     "duffing",
     "estimate_harmonic_transfer_function",
@@ -41,9 +37,7 @@ __all__ = [
     "hawkmoth",
     "load_model",
     "mathieu",
-    "meissner",
     "multiblade_model",
     "read_openfast_lin",
     "rotor_system",
-    "vinograd",
 ]

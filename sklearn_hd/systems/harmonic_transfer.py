@@ -28,7 +28,7 @@ from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_transfer import (
     effective_averages,
     estimate_harmonic_transfer,
-    harmonic_transfer_blocks,
+    harmonic_transfer,
     held_harmonic_transfer,
     segment_plan,
 )
@@ -55,9 +55,6 @@ class HarmonicTransferFunction:
         H_n(jΩ), n from −N to N. H_n(−jΩ) is the conjugate of H_−n(jΩ).
     input_names, output_names : tuple of str
         In the order of the response's last axes.
-    blocks : complex ndarray, shape (n_frequencies, 2 N + 1, 2 N + 1, n_outputs, n_inputs)
-        For models: H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)) from input harmonic q to output
-        harmonic p, both from −N to N. None for estimates.
     std : ndarray, shape of ``response``
         For estimates: standard deviation √E|Ĥ − H|². None for models.
     coherence : ndarray, shape (n_frequencies, 2 N + 1, n_outputs)
@@ -86,7 +83,6 @@ class HarmonicTransferFunction:
     response: np.ndarray = field(repr=False)
     input_names: tuple
     output_names: tuple
-    blocks: np.ndarray | None = field(default=None, repr=False)
     std: np.ndarray | None = field(default=None, repr=False)
     coherence: np.ndarray | None = field(default=None, repr=False)
     n_averages: float | None = None
@@ -205,20 +201,14 @@ def model_response(system, frequencies, N, sample_time, tolerance, max_internal_
     """Harmonic transfer function of an LTPSystem."""
     frequencies = check_frequencies(frequencies)
     if sample_time is None:
-        blocks = _continuous_blocks(system, frequencies, N, tolerance, max_internal_harmonics)
+        response = _continuous(system, frequencies, N, tolerance, max_internal_harmonics)
     else:
-        blocks = _held_blocks(system, frequencies, N, sample_time)
-    return HarmonicTransferFunction(
-        system.omega,
-        frequencies,
-        blocks[:, :, N],
-        system.input_names,
-        system.output_names,
-        blocks=blocks,
-    )
+        response = _held(system, frequencies, N, sample_time)
+    names = system.input_names, system.output_names
+    return HarmonicTransferFunction(system.omega, frequencies, response, *names)
 
 
-def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
+def _continuous(system, frequencies, N, tolerance, max_harmonics):
     hint = f"it must exceed n_harmonics={N} by enough to converge"
     check_count("max_internal_harmonics", max_harmonics, N + 1, hint)
 
@@ -226,13 +216,8 @@ def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
         matrices = (system.F, system.G, system.P, system.Q)
         return tuple(matrix_coefficients(M, k) for M in matrices)
 
-    blocks, change = harmonic_transfer_blocks(
-        coefficients,
-        system.omega,
-        frequencies,
-        N,
-        tolerance=tolerance,
-        max_harmonics=max_harmonics,
+    response, change = harmonic_transfer(
+        coefficients, system.omega, frequencies, N, tolerance, max_harmonics
     )
     if change > tolerance:
         warn(
@@ -242,10 +227,10 @@ def _continuous_blocks(system, frequencies, N, tolerance, max_harmonics):
             f"which needs no truncation",
             ConvergenceWarning,
         )
-    return blocks
+    return response
 
 
-def _held_blocks(system, frequencies, N, sample_time):
+def _held(system, frequencies, N, sample_time):
     hint = "it is the time for which inputs are held"
     dt = check_positive("sample_time", sample_time, "seconds", hint)
     S = check_period(system.omega, dt, N)
@@ -258,14 +243,7 @@ def _held_blocks(system, frequencies, N, sample_time):
         tolerance=max(1e-14, precision(system.F, system.G)),
     )
     P, Q = system.P(psi[:-1]), system.Q(psi[:-1])
-    blocks = np.empty(
-        (len(frequencies), 2 * N + 1, 2 * N + 1, system.n_outputs, system.n_inputs), dtype=complex
-    )
-    for q in range(-N, N + 1):  # H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω)), p − q modulo S
-        shifted = frequencies + q * system.omega
-        wide = held_harmonic_transfer(Phi, Gamma, P, Q, shifted, dt, 2 * N)
-        blocks[:, :, N + q] = wide[:, N - q : 3 * N - q + 1]
-    return blocks
+    return held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, N)
 
 
 @within_range

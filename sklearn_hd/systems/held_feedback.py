@@ -3,8 +3,8 @@
 import reprlib
 from typing import NamedTuple
 
+import control
 import numpy as np
-from scipy import linalg
 
 from sklearn_hd._checks import check_count, real_array
 from sklearn_hd.algorithms.periodic.integration import runge_kutta
@@ -295,10 +295,9 @@ def quadratic_gain(plant, state_sizes, input_sizes):
     Q = np.diag(np.asarray(state_sizes, dtype=float) ** -2.0)
     R = np.diag(np.asarray(input_sizes, dtype=float) ** -2.0)
     try:
-        P = linalg.solve_discrete_are(plant.Phi, plant.Gamma, Q, R)
+        return control.dlqr(plant.Phi, plant.Gamma, Q, R, method="scipy")[0]
     except ValueError as error:  # LinAlgError, or pencils too ill-conditioned to be ordered
         raise ValueError(
             f"no gain stabilises the period map ({error}); perhaps the inputs do not reach an "
             f"unstable mode"
         ) from error
-    return linalg.solve(R + plant.Gamma.T @ P @ plant.Gamma, plant.Gamma.T @ P @ plant.Phi)

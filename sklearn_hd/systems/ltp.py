@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pandas as pd
+from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd._checks import check_count, check_flag, check_numbers, check_positive
@@ -305,21 +306,20 @@ class LTPSystem(NamedSignals):
         frequencies : array_like, shape (n_frequencies,)
             Ω in rad/s.
         n_harmonics : int
-            N, harmonics of inputs and outputs.
+            N, harmonics of the outputs.
         sample_time : float, optional
             Seconds. Gives the response from sample to sample for inputs held between samples, as
             :meth:`simulate` holds them; compare records of such inputs with it. It is exact, also
             for matrices that jump. A period must hold a whole number of samples.
         tolerance : float, default=1e-8
-            Largest change on doubling the internal harmonics, relative to the largest
-            block.
+            Largest change on doubling the internal harmonics, relative to the largest value.
         max_internal_harmonics : int, default=128
             Bound on the internal harmonics; a ConvergenceWarning states the remaining change.
 
         Returns
         -------
         response : HarmonicTransferFunction
-            With ``response`` H_n(jΩ) and ``blocks`` H_{p,q}(jΩ).
+            With ``response`` H_n(jΩ).
 
         Raises
         ------
@@ -342,35 +342,6 @@ class LTPSystem(NamedSignals):
         N = _check_harmonics("n_harmonics", n_harmonics)
         check_numbers("positive", "1e-8 is usual", tolerance=tolerance)
         return model_response(self, frequencies, N, sample_time, tolerance, max_internal_harmonics)
-
-    @within_range
-    def participation_factors(self, n_harmonics):
-        """Participation of each harmonic of each state in each mode of the HD model.
-
-            p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji|
-
-        from right and left eigenvectors v and w of A.
-
-        Parameters
-        ----------
-        n_harmonics : int
-            Harmonics kept of the states.
-
-        Returns
-        -------
-        factors : DataFrame, n (2N + 1) rows by as many modes
-            Index: names of the HD states (w_0, …); columns: eigenvalues in 1/s, from
-            the rightmost leftwards. Each column sums to one.
-
-        Raises
-        ------
-        ValueError
-            If ``n_harmonics`` is negative or not whole.
-        """
-        N = _check_harmonics("n_harmonics", n_harmonics)
-        eigenvalues, _, factors = hd.participation_factors(self._hd_matrix(N))
-        index = pd.Index(harmonic_names(self.state_names, N), name="state")
-        return pd.DataFrame(factors, index, pd.Index(eigenvalues, name="eigenvalue"))
 
     @within_range
     def modal_participation(self, n_harmonics):
@@ -408,7 +379,7 @@ class LTPSystem(NamedSignals):
         Society Forum 65 (2009).
         """
         N, n = _check_harmonics("n_harmonics", n_harmonics), self.n_states
-        eigenvalues, vectors, _ = hd.participation_factors(self._hd_matrix(N))
+        eigenvalues, vectors = linalg.eig(self._hd_matrix(N))
         distance = np.abs(self.floquet_exponents()[:, None] - eigenvalues)
         base = linear_sum_assignment(distance)[1]
         sizes = hd.harmonic_sizes(vectors[:, base].reshape(2 * N + 1, n, n))

@@ -24,7 +24,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd._checks import check_fraction, check_positive, real_array
 from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, PRECISION, UNKNOWN
-from sklearn_hd.algorithms.lti.residualization import block_diagonal
+from sklearn_hd.algorithms.lti.simulation import block_diagonal
 from sklearn_hd.algorithms.periodic.floquet import state_units
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     base_families,

@@ -1,4 +1,4 @@
-"""Named periodic systems of the literature: oscillators, a rotor blade, closed-form exponents.
+"""Named periodic systems of the literature: oscillators and a rotor blade.
 
 Tests, documentation and examples need them; parameters are keyword arguments.
 """
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_hd._checks import check_fraction, check_numbers, check_positive, real_array
+from sklearn_hd._checks import check_numbers, check_positive, real_array
 from sklearn_hd.systems.ltp import LTPSystem
 from sklearn_hd.systems.periodic import PeriodicSystem, states_measured
 
@@ -54,60 +54,6 @@ def mathieu(a=2.0, q=0.5, *, damping=0.1):
     F[0] = [[0.0, 1.0], [-a, -damping]]
     F[1, 1, 0] = 2.0 * q
     return LTPSystem(F, [[0.0], [1.0]], omega=2.0, state_names=["y", "y_dot"], input_names=["u"])
-
-
-def meissner(*, stiffness=1.0, modulation=0.2, share=1.0 / 3.0, period=np.pi, damping=0.0):
-    """Oscillator whose stiffness switches between two values within the period.
-
-        ÿ + d ẏ + (s − m ψ) y = u,   ψ = +1 for t ≤ p T, else −1
-
-    States and outputs are ``y`` and ``y_dot``, the input is ``u``. The monodromy
-    matrix is the product of two matrix exponentials. The defaults are unstable:
-    their multipliers are −0.878096922 and −1.138826449.
-
-    Parameters
-    ----------
-    stiffness, modulation : float
-        Mean stiffness s and half the jump m, in 1/s².
-    share : float, default=1/3
-        Part p of the period with the lower stiffness, in (0, 1).
-    period : float
-        T in seconds.
-    damping : float, default=0.0
-        Damping d in 1/s; a negative number gives growth.
-
-    Returns
-    -------
-    system : LTPSystem
-        Of the given period; F jumps twice within it.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, the share is not in (0, 1) or the period not positive.
-
-    References
-    ----------
-    E. Meissner, "Über Schüttelerscheinungen in Systemen mit periodisch
-    veränderlicher Elastizität", Schweizerische Bauzeitung 72 (1918), 95–98.
-
-    Examples
-    --------
-    >>> multipliers = np.linalg.eigvals(meissner().monodromy())
-    >>> np.sort(multipliers.real).round(9).tolist()
-    [-1.138826449, -0.878096922]
-    """
-    hint = "stiffness and modulation are in 1/s², the damping in 1/s"
-    check_numbers("finite", hint, stiffness=stiffness, modulation=modulation, damping=damping)
-    share = check_fraction("share", share, "it is the part of the period of lower stiffness")
-    period = check_positive("period", period, "seconds", "the stiffness repeats after it")
-    return LTPSystem(
-        _SwitchedStiffness(stiffness, modulation, share, damping),
-        [[0.0], [1.0]],
-        omega=2.0 * np.pi / period,
-        state_names=["y", "y_dot"],
-        input_names=["u"],
-    )
 
 
 def coupled_oscillators(
@@ -324,87 +270,6 @@ def flapping_blade(*, gamma=8.0, mu=0.3, nu=1.0, omega=1.0):
     G[2, 1, 0] = omega**2 * lift * 8.0 / 3.0 * mu
     G[3, 1, 0] = -(omega**2) * lift * mu**2
     return LTPSystem(F, G, omega=omega, state_names=["beta", "beta_dot"], input_names=["theta_0"])
-
-
-def bittanti_colaneri():
-    """Triangular system whose exponents are the means of its diagonal.
-
-        ẋ = [[−1 + sin t, 0], [1 − cos t, −3]] x + [1, 1]ᵀ u
-
-    The Floquet exponents are −1 and −3. The outputs are both states.
-
-    Returns
-    -------
-    system : LTPSystem
-        Of period 2π s.
-
-    References
-    ----------
-    S. Bittanti, P. Colaneri, *Periodic Systems: Filtering and Control*, Springer,
-    2009, chapter 1. The input is an addition of this package.
-
-    Examples
-    --------
-    >>> bittanti_colaneri().floquet_exponents().real.round(12).tolist()
-    [-1.0, -3.0]
-    """
-    F = np.zeros((3, 2, 2))
-    F[0] = [[-1.0, 0.0], [1.0, -3.0]]
-    F[1, 1, 0] = -1.0
-    F[2, 0, 0] = 1.0
-    return LTPSystem(F, [[1.0], [1.0]], omega=1.0)
-
-
-def vinograd():
-    """Unstable system whose matrix has the eigenvalues −1 and −10 at every instant.
-
-        ẋ = [[−1 − 9c² + 12sc, 12c² + 9sc], [−12s² + 9sc, −1 − 9s² − 12sc]] x + [1, 1]ᵀ u
-
-    with c = cos 6t and s = sin 6t. The Floquet exponents are +2 and −13: the
-    eigenvalues of the frozen matrix do not show stability. The outputs are both states.
-
-    Returns
-    -------
-    system : LTPSystem
-        With omega = 6 rad/s, the frequency of c and s. The matrix already repeats after half of
-        that period, over which both multipliers are negative.
-
-    References
-    ----------
-    R. E. Vinograd, "On a criterion of instability in the sense of Lyapunov of the
-    solutions of a linear system of ordinary differential equations", Doklady
-    Akademii Nauk SSSR 84 (1952), 201–204. The input is an addition of this package.
-
-    Examples
-    --------
-    >>> system = vinograd()
-    >>> np.linalg.eigvals(system.F(np.array([0.7]))[0]).real.round(9).tolist()
-    [-1.0, -10.0]
-    >>> system.floquet_exponents().real.round(9).tolist()
-    [2.0, -13.0]
-    """
-    F = np.zeros((5, 2, 2))  # c² = (1 + cos 12t) / 2, s² = (1 − cos 12t) / 2, sc = sin 12t / 2
-    F[0] = [[-5.5, 6.0], [-6.0, -5.5]]
-    F[3] = [[-4.5, 6.0], [6.0, 4.5]]
-    F[4] = [[6.0, 4.5], [4.5, -6.0]]
-    return LTPSystem(F, [[1.0], [1.0]], omega=6.0)
-
-
-@dataclass(frozen=True)
-class _SwitchedStiffness:
-    """F(ψ) of Meissner's equation."""
-
-    stiffness: float
-    modulation: float
-    share: float
-    damping: float
-
-    def __call__(self, psi):
-        early = np.mod(psi, 2.0 * np.pi) <= 2.0 * np.pi * self.share
-        F = np.zeros((len(psi), 2, 2))
-        F[:, 0, 1], F[:, 1, 1] = 1.0, -self.damping
-        F[:, 1, 0] = -self.stiffness + self.modulation * np.where(early, 1.0, -1.0)
-        return F
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Fractions
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT
-from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, PRECISION
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.resampling import first_lag
 
 MOST_CELLS = 60  # that a search goes through
@@ -85,8 +85,8 @@ class Cells:
     def beyond(self):
         """Cells beyond the bounds at which parameters are: all at once, then one after another."""
         free, values = self.fractions.free, self.fractions.start
-        step = np.where(values >= 1.0 - RESOLVED, 1, 0)
-        step = np.where((values <= RESOLVED) & (self.lags[free] > 0), -1, step)
+        step = np.where(values >= 1.0 - PRECISION, 1, 0)
+        step = np.where((values <= PRECISION) & (self.lags[free] > 0), -1, step)
         single = [np.where(np.arange(len(step)) == k, step, 0) for k in np.flatnonzero(step)]
         return [self._moved(each) for each in ([step] if len(single) > 1 else []) + single]
 

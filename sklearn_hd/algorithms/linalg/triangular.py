@@ -120,28 +120,30 @@ def all_above(R, share):
         return bool(share * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
 
 
-def solve_within_rank(X, Y, size=None):
+def solve_within_rank(X, Y, size=None, cond=DEPENDENT):
     """Least-squares solution of X Z = Y of least norm, columns of X brought to equal length.
 
     Parameters
     ----------
     X : ndarray, shape (r, p)
-    Y : ndarray, shape (r, q)
+    Y : ndarray, shape (r, q) or (r,)
     size : ndarray, shape (p,), optional
         Lengths of what the columns of X are the rest of, where parts were projected out: a
         column that is nothing but rounding beside them is left out.
+    cond : float
+        Share of the largest singular value, below which the others count as zero.
 
     Returns
     -------
-    Z : ndarray, shape (p, q)
+    Z : ndarray, shape (p, q) or (p,)
 
     Examples
     --------
     >>> solve_within_rank(np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([[2.0], [0.0]])).ravel()
     array([1., 1.])
     """
-    if 0 in (X.shape[1], Y.shape[1]):
-        return np.zeros((X.shape[1], Y.shape[1]))
+    if 0 in (X.shape[1], *Y.shape[1:]):
+        return np.zeros((X.shape[1], *Y.shape[1:]))
     size = np.linalg.norm(X, axis=0) if size is None else size
     size = np.where(size > 0.0, size, 1.0)
-    return linalg.lstsq(X / size, Y, cond=DEPENDENT)[0] / size[:, None]
+    return linalg.lstsq(X / size, Y, cond=cond)[0] / size.reshape(-1, *(1,) * (Y.ndim - 1))

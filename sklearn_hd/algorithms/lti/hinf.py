@@ -1,8 +1,6 @@
-"""H∞ and H2 norms of state-space models.
+"""H∞ norm of state-space models, ‖G‖_∞ = sup_ω σ_max(G(jω)).
 
-    ‖G‖_∞ = sup_ω σ_max(G(jω)),        ‖G‖_2² = (1/2π) ∫ tr(G(jω)ᴴ G(jω)) dω
-
-with z = e^{jω dt} in the place of jω, and dt/2π ∫ over one turn, in discrete time.
+In discrete time z = e^{jω dt} takes the place of jω.
 """
 
 import numpy as np
@@ -10,6 +8,7 @@ import slycot
 from scipy import linalg
 
 from sklearn_hd._checks import real_array
+from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.exceptions import UnstableModelError
 
 __all__ = ["check_stable", "hinf_norm", "refine_peaks", "tops_between"]
@@ -164,7 +163,7 @@ def tops_between(frequencies, gains):
     order = np.argsort(frequencies)
     order = order[np.isfinite(frequencies[order])]
     w, y = frequencies[order], gains[order]
-    new = np.concatenate([[True], np.diff(w) > _APART * w[1:]])
+    new = np.concatenate([[True], np.diff(w) > PRECISION * w[1:]])  # the same point else
     w, y = w[new], y[new]
     k = 1 + np.flatnonzero((y[1:-1] >= y[:-2]) & (y[1:-1] >= y[2:]))
     left, right = w[k - 1] - w[k], w[k + 1] - w[k]
@@ -172,15 +171,12 @@ def tops_between(frequencies, gains):
     bend = (fall - rise) / (right - left)
     slope = rise - bend * left
     move = -0.5 * slope / np.where(bend < 0, bend, -np.inf)
-    apart = np.abs(move) > _APART * w[k]
+    apart = np.abs(move) > PRECISION * w[k]
     tops = w[k] + np.clip(move, 0.9 * left, 0.9 * right)
     return tops[apart], (y[k] + 0.5 * slope * move)[apart], y[k][apart]
 
 
-_APART = 1e-9  # distance of frequencies, relative, of two points
-
-
-def check_stable(A, dt=None):
+def check_stable(A, dt):
     """Raise unless every eigenvalue of A is strictly inside the stability region.
 
     Parameters

@@ -26,6 +26,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
+
 _PIECE = 100_000  # entries of second derivatives that are summed together
 
 
@@ -104,9 +107,8 @@ class AffineStructure:
         """
         weights = np.ones_like(self.constant) if weights is None else weights
         columns = (weights * self.basis).reshape(self.n_parameters, -1).T
-        size = column_sizes(columns)
         gap = weights * (stacked - self.constant)
-        theta = linalg.lstsq(columns / size, gap.ravel())[0] / size
+        theta = solve_within_rank(columns, gap.ravel(), cond=EPS)
         return theta, gap - (columns @ theta).reshape(gap.shape)
 
     @cached_property

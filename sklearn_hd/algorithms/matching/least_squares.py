@@ -26,7 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, optimize
 
-from sklearn_hd.algorithms.linalg.triangular import triangle
+from sklearn_hd.algorithms.linalg.rounding import EPS
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.exceptions import UnstableModelError
 
@@ -420,8 +421,7 @@ def _gauss_newton_step(problem, theta, T, weights):
     by_T[:, :, :n] -= stacked[:, :n] @ units
     by_theta = -(problem.structure.basis @ right)
     jacobian = (weights * np.concatenate([by_T, by_theta])).reshape(n * n + len(theta), -1).T
-    size = column_sizes(jacobian)
-    step = linalg.lstsq(jacobian / size, -(weights * (given - made)).ravel())[0] / size
+    step = solve_within_rank(jacobian, -(weights * (given - made)).ravel(), cond=EPS)
     return theta + step[n * n :], T + step[: n * n].reshape(n, n)
 
 

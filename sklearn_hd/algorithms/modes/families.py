@@ -29,7 +29,7 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
-from sklearn_hd.algorithms.linalg.triangular import triangle
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
 COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of its decay, by which a family's members differ
@@ -201,42 +201,6 @@ def conjugate_units(z):
         lower.remove(j)
         units.append((int(i), int(j)))
     return units
-
-
-def invariant_pair(A, C, kept, dropped):
-    """A and C restricted to the invariant subspace of some eigenvalues.
-
-    An ordered real Schur form splits the subspace off, so that repeated or
-    defective eigenvalues (such as those of a window's memory) do no harm.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    kept, dropped : complex ndarray
-        Eigenvalues of A, conjugate-closed.
-
-    Returns
-    -------
-    A_kept : ndarray, shape (n_kept, n_kept)
-    C_kept : ndarray, shape (l, n_kept)
-    """
-    if len(dropped) == 0:
-        return A, C
-    if len(kept) == 0:
-        return A[:0, :0], C[:, :0]
-
-    def wanted(real, imag):
-        z = real + 1j * imag
-        return np.min(np.abs(z - kept)) < np.min(np.abs(z - dropped))
-
-    T, Q, n_kept = linalg.schur(A, output="real", sort=wanted)
-    if n_kept != len(kept):
-        raise ValueError(
-            f"{len(kept)} modes cannot be separated from the others: their eigenvalues coincide "
-            f"to working precision; change n_states or the order"
-        )
-    return T[:n_kept, :n_kept], C @ Q[:, :n_kept]
 
 
 def real_block(exponents):
@@ -413,11 +377,7 @@ def residual(R, columns, units):
     if not units:
         return float(R[:, -1] @ R[:, -1])
     regressors = R[:, np.concatenate([columns[i] for i in units])]
-    scale = np.linalg.norm(regressors, axis=0)
-    scale[scale == 0.0] = 1.0
-    regressors = regressors / scale
-    solution = linalg.lstsq(regressors, R[:, -1], cond=EXACT)[0]
-    rest = R[:, -1] - regressors @ solution
+    rest = R[:, -1] - regressors @ solve_within_rank(regressors, R[:, -1], cond=EXACT)
     return float(rest @ rest)
 
 

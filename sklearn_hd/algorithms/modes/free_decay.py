@@ -16,6 +16,7 @@ from scipy.fft import dct
 
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
+    PATIENCE,
     cost_of_a_state,
     is_noise,
     left_by,
@@ -28,6 +29,7 @@ from sklearn_hd.algorithms.signals.trim import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 
 __all__ = [
+    "MOST_STATES",
     "FreeDecay",
     "apart",
     "free_decay",
@@ -40,13 +42,12 @@ __all__ = [
 ]
 
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
-MOST_STATES = 12
+MOST_STATES = 12  # tried by order="auto": raw periods are simulated with each
 ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
 LEAST_GONE = 0.05  # of a mode's motion, to tell what the rest of it leads to
-PATIENCE = 2
 SURE = 2.0  # standard deviations that an estimate may be off by
 
 

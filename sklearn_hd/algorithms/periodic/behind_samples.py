@@ -38,6 +38,7 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
     sampled_response,
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+from sklearn_hd.algorithms.signals.resampling import turned
 
 __all__ = [
     "ContinuousModel",
@@ -316,7 +317,7 @@ def input_matrix(F, Gamma, start, omega):
     G : ndarray, shape (2 K + 1, n, m)
     """
     (q, n, m), highest = Gamma.shape, len(Gamma) // 2
-    structure = PeriodicStructure(rotated(F, start), np.zeros((0, F.size)), n, ())
+    structure = PeriodicStructure(turned(F, -start), np.zeros((0, F.size)), n, ())
     pushes = held_pushes(structure, [], omega, q, highest)
     size = np.sqrt(np.sum(pushes**2, axis=(0, 1, 3)))  # of each state
     size = np.where(size > 0.0, size, 1.0)
@@ -327,7 +328,7 @@ def input_matrix(F, Gamma, start, omega):
         found = linalg.lstsq(design, target)[0]
         if np.linalg.norm(design @ found - target) <= EXACT * np.linalg.norm(target):
             break
-    return rotated(found.reshape(width, n, m), -start)
+    return turned(found.reshape(width, n, m), start)
 
 
 def nearest_steps(structure, coefficients, omega, n_phases, weights):
@@ -413,17 +414,6 @@ def samples_of(coefficients, n_states, omega, step):
     whole[:, :n] = 0.0
     whole[: 2 * count + 1, :n] = sampled_harmonics(steps, count)
     return whole
-
-
-def rotated(coefficients, angle):
-    """Fourier coefficients of f(ψ + angle) of those of f(ψ)."""
-    orders = np.arange(1, len(coefficients) // 2 + 1) * angle
-    shape = (-1,) + (1,) * (coefficients.ndim - 1)
-    c, s = np.cos(orders).reshape(shape), np.sin(orders).reshape(shape)
-    turned = coefficients.copy()
-    turned[1::2] = c * coefficients[1::2] + s * coefficients[2::2]
-    turned[2::2] = c * coefficients[2::2] - s * coefficients[1::2]
-    return turned
 
 
 def _resolved(values):

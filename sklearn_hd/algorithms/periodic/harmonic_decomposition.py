@@ -30,8 +30,7 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, HALF, UNKNOWN
-from sklearn_hd.algorithms.lti.residualization import block_diagonal
-from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import block_diagonal, frequency_response
 from sklearn_hd.algorithms.periodic.floquet import (
     N_STAGES,
     by_bisection,
@@ -226,49 +225,6 @@ def derivative_matrix(n_harmonics, n_signals, omega):
     for k in range(1, n_harmonics + 1):
         N[2 * k - 1, 2 * k], N[2 * k, 2 * k - 1] = k * omega, -k * omega
     return np.kron(N, np.eye(n_signals))
-
-
-def participation_factors(A):
-    """Participation of each state in each mode of ẋ = A x.
-
-    p_ij = |v_ij w_ji| / Σ_i |v_ij w_ji|, with right eigenvectors v and left
-    eigenvectors w; each mode's factors sum to one, and none depends on the units
-    of the states.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-
-    Returns
-    -------
-    eigenvalues : complex ndarray, shape (n,)
-        From the rightmost leftwards.
-    eigenvectors : complex ndarray, shape (n, n)
-        One column a mode, of unit length.
-    factors : ndarray, shape (n, n)
-        States by modes.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If A has no full set of eigenvectors.
-
-    References
-    ----------
-    I. J. Pérez-Arriaga, G. C. Verghese, F. C. Schweppe, "Selective Modal
-    Analysis", IEEE Trans. PAS-101 (1982).
-
-    Examples
-    --------
-    >>> eigenvalues, _, factors = participation_factors(np.diag([-2.0, -1.0]))
-    >>> eigenvalues.real.tolist(), factors.tolist()
-    ([-1.0, -2.0], [[0.0, 1.0], [1.0, 0.0]])
-    """
-    eigenvalues, V = linalg.eig(A)
-    order = np.lexsort((eigenvalues.imag, -eigenvalues.real))
-    eigenvalues, V = eigenvalues[order], V[:, order]
-    products = np.abs(V * np.linalg.inv(V).T)
-    return eigenvalues, V, products / products.sum(axis=0)
 
 
 def harmonic_sizes(vectors):

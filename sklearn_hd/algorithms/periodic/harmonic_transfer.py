@@ -4,14 +4,12 @@ An input u e^{jΩt} comes out at the frequencies Ω + nω, once the transients a
 
     y(t) = Σ_n H_n(jΩ) u e^{j(Ω + nω)t}
 
-More generally the input Σ_q u_q e^{j(Ω + qω)t} gives the output Σ_p y_p e^{j(Ω + pω)t},
-
-    y_p = Σ_q H_{p,q}(jΩ) u_q,   H_{p,q}(jΩ) = H_{p−q}(j(Ω + qω))
-
 With T(·) multiplication by a periodic matrix in complex harmonics, T_pq = M_{p−q},
-and N = diag(jkω),
+and N = diag(jkω), the column q = 0 of
 
-    H(jΩ) = T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q)
+    T(P) (jΩ I + N − T(F))⁻¹ T(G) + T(Q)
+
+holds all H_n(jΩ); that of q holds H_{p−q}(j(Ω + qω)), the same at other frequencies.
 
 ``sklearn_hd.systems`` makes :class:`HarmonicTransferFunction` of them.
 """
@@ -26,13 +24,11 @@ from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decom
 from sklearn_hd.algorithms.signals.fourier import complex_transformation
 
 
-def harmonic_transfer_blocks(
-    coefficients, omega, frequencies, n_harmonics, *, tolerance=1e-8, max_harmonics=128
-):
-    """Blocks H_{p,q}(jΩ) of a system given by Fourier coefficients.
+def harmonic_transfer(coefficients, omega, frequencies, n_harmonics, tolerance, max_harmonics):
+    """H_n(jΩ) of a system given by Fourier coefficients.
 
-    The states keep K ≥ N harmonics; K is doubled until no block changes by more than
-    the tolerance.
+    The states keep K ≥ N harmonics; K is doubled until nothing changes by more than the
+    tolerance.
 
     Parameters
     ----------
@@ -44,16 +40,16 @@ def harmonic_transfer_blocks(
     frequencies : array_like, shape (n_frequencies,)
         Ω in rad/s.
     n_harmonics : int
-        N, harmonics of inputs and outputs.
-    tolerance : float, default=1e-8
-        Largest change on doubling K, relative to the largest entry of all blocks.
-    max_harmonics : int, default=128
+        N, harmonics of the outputs.
+    tolerance : float
+        Largest change on doubling K, relative to the largest entry.
+    max_harmonics : int
         Bound on K.
 
     Returns
     -------
-    blocks : complex ndarray, shape (n_frequencies, 2 N + 1, 2 N + 1, l, m)
-        H_{p,q}(jΩ), p and q from −N to N.
+    response : complex ndarray, shape (n_frequencies, 2 N + 1, l, m)
+        H_n(jΩ), n from −N to N.
     change : float
         Relative change at the last doubling.
 
@@ -73,20 +69,21 @@ def harmonic_transfer_blocks(
     ...     F, G, P, Q = np.zeros((4, 2 * k + 1, 1, 1))
     ...     F[0], G[0], P[1] = -1.0, 1.0, 1.0
     ...     return F, G, P, Q
-    >>> H, _ = harmonic_transfer_blocks(low_pass, 5.0, [2.0], 1)
-    >>> bool(np.isclose(H[0, 2, 1, 0, 0], 0.5 / (1.0 + 2.0j)))
+    >>> H, _ = harmonic_transfer(low_pass, 5.0, [2.0], 1, 1e-8, 128)
+    >>> bool(np.isclose(H[0, 2, 0, 0], 0.5 / (1.0 + 2.0j)))
     True
     """
     N = int(n_harmonics)
     K = min(N + 8, max(N, max_harmonics // 2))
-    blocks = _truncated_blocks(coefficients, omega, frequencies, N, K)
+    response = _truncated_response(coefficients, omega, frequencies, N, K)
     change = np.inf
     while change > tolerance and max_harmonics > K:
         K = min(2 * K, max_harmonics)
-        coarse, blocks = blocks, _truncated_blocks(coefficients, omega, frequencies, N, K)
-        size = np.max(np.abs(blocks), initial=0.0)
-        change = np.max(np.abs(blocks - coarse), initial=0.0) / (size if size > 0 else 1.0)
-    return blocks, float(change)
+        coarse = response
+        response = _truncated_response(coefficients, omega, frequencies, N, K)
+        size = np.max(np.abs(response), initial=0.0)
+        change = np.max(np.abs(response - coarse), initial=0.0) / (size if size > 0 else 1.0)
+    return response, float(change)
 
 
 def held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, n_harmonics):
@@ -232,16 +229,12 @@ def effective_averages(weights, step, n_segments):
     return n_segments / spread
 
 
-def _truncated_blocks(coefficients, omega, frequencies, N, K):
-    """Blocks from the harmonic decomposition with K harmonics of the states."""
-    A, B, C, D = harmonic_decomposition(*coefficients(2 * K), omega, K, N, N)
-    outputs, inputs = len(D) // (2 * N + 1), D.shape[1] // (2 * N + 1)
-    W = complex_transformation(N)
-    left = np.kron(W, np.eye(outputs))
-    right = np.kron(np.linalg.inv(W), np.eye(inputs))
-    G = left @ (_hessenberg_responses(A, B, C, frequencies) + D) @ right
-    shape = (-1, 2 * N + 1, outputs, 2 * N + 1, inputs)
-    return G.reshape(shape).transpose(0, 1, 3, 2, 4)
+def _truncated_response(coefficients, omega, frequencies, N, K):
+    """H_n(jΩ) from the harmonic decomposition with K harmonics of the states."""
+    A, B, C, D = harmonic_decomposition(*coefficients(2 * K), omega, K, 0, N)
+    found = _hessenberg_responses(A, B, C, frequencies) + D
+    found = found.reshape(len(found), 2 * N + 1, len(D) // (2 * N + 1), D.shape[1])
+    return np.einsum("nk,fklm->fnlm", complex_transformation(N), found)
 
 
 def _hessenberg_responses(A, B, C, frequencies):

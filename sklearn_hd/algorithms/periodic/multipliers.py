@@ -11,16 +11,15 @@ from scipy import linalg
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, TINY
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, PRECISION, TINY
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
-BIC_PATIENCE = 2
+PATIENCE = 2  # orders that may pass without a better one
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
 TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
-NOTHING_LEFT = 1e-9  # of the outputs: no systematic error to speak of
 MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 
 
@@ -418,7 +417,7 @@ def order_by_residual(candidates, directions, lifted):
             left[-1] = left_by(refined, directions, target)
             rss = max(float(np.sum(left[-1] ** 2)), EXACT**2 * float(np.sum(target**2)))
             bic[-1] = n_free * np.log(rss / n_free) + len(Phi) * price
-        if min(bic) < np.inf and np.argmin(bic) < len(bic) - BIC_PATIENCE:
+        if min(bic) < np.inf and np.argmin(bic) < len(bic) - PATIENCE:
             break
     best = int(np.argmin(bic))
     for n in range(max(best, 1), len(left)):
@@ -500,7 +499,7 @@ def leaves_white_noise(Phi, directions, lifted):
     """
     target = compact(np.vstack(lifted))
     rest = left_by(Phi, directions, target)
-    rounding = np.linalg.norm(rest) <= NOTHING_LEFT * np.linalg.norm(target)
+    rounding = np.linalg.norm(rest) <= PRECISION * np.linalg.norm(target)
     return bool(rounding) or _is_white(rest, lifted[0].shape[1])
 
 

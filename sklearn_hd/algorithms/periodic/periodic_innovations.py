@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW
+from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, OVERFLOW, PRECISION
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.periodic.floquet import product_logarithms
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
-from sklearn_hd.algorithms.signals.fourier import RESOLVED, harmonic_functions, sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
 MOST_TURNS = 40  # over which the Riccati equation is stepped, where it does not forget sooner
 
@@ -127,12 +128,12 @@ class PeriodicInnovations:
             [A B a] of steps of 2π/q.
         outputs : ndarray, shape (q, l, n + m + 1)
         """
-        q = max(1, int(np.floor(self.samples_per_period * (1.0 + RESOLVED))))
+        q = max(1, int(np.floor(self.samples_per_period * (1.0 + PRECISION))))
         longer = self.samples_per_period / q - 1.0
         psi = self.start + 2.0 * np.pi * np.arange(q) / q
         rows = self.rows(psi)
         states = rows.states
-        if abs(longer) > RESOLVED:
+        if abs(longer) > PRECISION:
             n = self.n_states
             rest = _power(self.rows(psi + np.pi / q).states, longer)
             states = rest[..., :n] @ states
@@ -375,7 +376,8 @@ class Rows:
             return None
         rest = outputs - np.einsum("tij,tj->ti", self.outputs, np.hstack([x[..., 0], u]))
         free = (self.outputs[..., :n] @ x[..., 1:]).reshape(-1, n)
-        return rest - (free @ _fitted(free, rest.ravel())).reshape(rest.shape)
+        start = solve_within_rank(free, rest.ravel(), cond=HALF)
+        return rest - (free @ start).reshape(rest.shape)
 
     def ahead(self, inputs, outputs, x0, horizon):
         """Outputs predicted some rows ahead; those of the first rows from the initial state.
@@ -421,7 +423,8 @@ class Rows:
         left = outputs[some] - np.einsum("tij,tj->ti", seen, np.hstack([x[..., 0], u]))
         free = seen[..., :n] @ x[..., 1:]
         size = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
-        return _fitted((free / size[:, None]).reshape(-1, n), (left / size).ravel())
+        free = (free / size[:, None]).reshape(-1, n)
+        return solve_within_rank(free, (left / size).ravel(), cond=HALF)
 
     def innovations(self, inputs, outputs, x0):
         """States of the predictor and what it leaves, shapes (n_samples, n), (n_samples, l).
@@ -448,13 +451,6 @@ class Rows:
         direct = self.states[..., n:] - self.gain @ self.outputs[..., n:]
         forcing = np.einsum("tij,tj->ti", direct, u)
         return stable, forcing + np.einsum("tij,tj->ti", self.gain, outputs)
-
-
-def _fitted(free, rest):
-    """Least squares on columns of any size."""
-    size = np.linalg.norm(free, axis=0)
-    size[size == 0.0] = 1.0
-    return linalg.lstsq(free / size, rest, cond=HALF)[0] / size
 
 
 def _with_one(inputs):

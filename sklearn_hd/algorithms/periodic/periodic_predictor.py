@@ -34,9 +34,8 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import CHUNK, fitted_harmonics, harmonic_functions
 
-CHUNK = 2**21  # numbers held at once of the regressors
 SENSOR_NOISE = 3e-3  # of an output's motion, which lagged outputs are taken to hold at least
 MOVED = 1e-4  # rad, by which azimuths are moved to see what that changes
 RIDGES = np.concatenate([[0.0], 10.0 ** np.arange(-12.0, 0.5, 0.5)])  # of the largest eigenvalue

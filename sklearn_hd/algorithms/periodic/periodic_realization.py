@@ -25,6 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -126,8 +127,7 @@ def driven_states(Phi, C, directions, lifted, seen):
     sees, before = C, np.inf
     for _ in range(SWEEPS):
         regressors = np.einsum("kun,cn->kcu", free, sees).reshape(target.size, -1)
-        size = column_sizes(regressors)
-        unknown = linalg.lstsq(regressors / size, target.ravel(), cond=EXACT)[0] / size
+        unknown = solve_within_rank(regressors, target.ravel(), cond=EXACT)
         states = np.einsum("kun,u->kn", free, unknown)
         sees = linalg.lstsq(states, few)[0].T
         left = float(np.sum((few - states @ sees.T) ** 2))
@@ -432,7 +432,7 @@ def tail_begins(values, noise):
     return int(counts[-1]) + 1 if len(counts) else 0
 
 
-def equation_error(segments, period, n_phases, n_harmonics, instruments=None):
+def equation_error(segments, period, n_phases, n_harmonics, instruments):
     """Fourier coefficients of F(ψ) and G(ψ) from measured states.
 
     Parameters
@@ -445,8 +445,8 @@ def equation_error(segments, period, n_phases, n_harmonics, instruments=None):
         Samples a period.
     n_harmonics : int
         Highest harmonic of F and G.
-    instruments : list of ndarray, shapes (n_samples, n), optional
-        States of less noise, of every segment; the measured ones by default.
+    instruments : list of ndarray, shapes (n_samples, n)
+        States of less noise, of every segment.
 
     Returns
     -------
@@ -456,14 +456,13 @@ def equation_error(segments, period, n_phases, n_harmonics, instruments=None):
     Examples
     --------
     >>> x = np.exp(-0.5 * np.arange(0, 8, 0.01))[:, None]
-    >>> F, _ = equation_error([(x, np.zeros((800, 0)), 0)], 1.0, 100, 0)
+    >>> F, _ = equation_error([(x, np.zeros((800, 0)), 0)], 1.0, 100, 0, [x])
     >>> F.round(3).tolist()
     [[[-0.5]]]
     """
     m, step = max(1, n_phases // INTERVALS), period / n_phases
-    shown = [x for x, _, _ in segments] if instruments is None else instruments
     X, Z, target = [], [], []
-    for (x, u, first), z in zip(segments, shown, strict=True):
+    for (x, u, first), z in zip(segments, instruments, strict=True):
         functions = harmonic_functions(
             2.0 * np.pi / n_phases * (first + np.arange(len(x))), range(n_harmonics + 1)
         )

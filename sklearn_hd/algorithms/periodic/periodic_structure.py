@@ -250,7 +250,7 @@ def radius_of(monodromy):
     return float(np.max(np.abs(np.linalg.eigvals(monodromy)), initial=0.0))
 
 
-def evaluated_response(structure, theta, n_points, *, sensitivities=True):
+def evaluated_response(structure, theta, n_points, *, sensitivities):
     """The same of a structure of the steps themselves, [A B; C D](ψ), at some azimuths of a turn.
 
     Parameters
@@ -259,7 +259,7 @@ def evaluated_response(structure, theta, n_points, *, sensitivities=True):
         Of x[k+1] = A(ψ_k) x[k] + B(ψ_k) u[k], y[k] = C(ψ_k) x[k] + D(ψ_k) u[k].
     theta : array_like, shape (k,)
     n_points : int
-    sensitivities : bool, default=True
+    sensitivities : bool
 
     Returns
     -------

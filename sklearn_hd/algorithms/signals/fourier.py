@@ -27,13 +27,11 @@ from fractions import Fraction
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import HALF, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import HALF, PRECISION, UNKNOWN
 
 TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
-RESOLVED = 1e-9  # of a step, to which floats tell times well enough
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
-NOTHING = 1e-9  # mean square that is rounding
-BLOCK = 2**21  # numbers held at once of a regression
+CHUNK = 2**21  # numbers held at once of a regression
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 LINE = 20.0  # times the power beside it, which a line has by chance once in a thousand
 
@@ -107,7 +105,7 @@ def times_near_zero_phase(time, omega):
     """
     since, rows, rounding = time - time[0], np.arange(len(time)), np.spacing(np.abs(time).max())
     step = since[-1] / max(rows[-1], 1)
-    if len(time) < 2 or rounding <= RESOLVED * step:
+    if len(time) < 2 or rounding <= PRECISION * step:  # floats tell times well enough
         return time
     near = seconds_from_zero_phase(time[0], omega)
     period = 2.0 * np.pi / omega
@@ -211,7 +209,7 @@ def fitted_harmonics(parts, n_harmonics):
     """
     gram, products = 0.0, 0.0
     for values, psi in parts:
-        length = max(256, BLOCK // (2 * n_harmonics + 1))
+        length = max(256, CHUNK // (2 * n_harmonics + 1))
         for start in range(0, len(psi), length):
             rows = slice(start, start + length)
             functions = harmonic_functions(psi[rows], range(n_harmonics + 1))
@@ -347,14 +345,14 @@ def windowed_coefficients(signal, psi, harmonics, weights, rows):
 def _gains(functions, harmonics, weights):
     """By what the mean products with some functions give their coefficients."""
     power = weights @ functions**2  # 1 or 1/2; cos² and sin² of one phase at the Nyquist harmonic
-    seen = power > NOTHING
-    gains = np.where(seen, 1.0 / np.maximum(power, NOTHING), 0.0)
+    seen = power > PRECISION
+    gains = np.where(seen, 1.0 / np.maximum(power, PRECISION), 0.0)
     column = 0
     for k in harmonics:
         pair = slice(column, column + (1 if k == 0 else 2))
         if k > 0:
             both = weights @ np.prod(functions[:, pair], axis=1)
-            if np.prod(power[pair]) - both**2 <= NOTHING:
+            if np.prod(power[pair]) - both**2 <= PRECISION:
                 gains[pair] = seen[pair]
         column = pair.stop
     return gains

@@ -298,15 +298,15 @@ def late(values, samples):
 
 
 def turned(coefficients, angles):
-    """Fourier coefficients (2 N + 1, n_signals) of periodic signals, later by some angles.
+    """Fourier coefficients (2 N + 1, …) of periodic signals, later by one angle or one each.
 
     Examples
     --------
     >>> turned(np.array([[0.0], [1.0], [0.0]]), np.array([np.pi / 2])).round(12).ravel().tolist()
     [0.0, 0.0, 1.0]
     """
-    found, orders = np.array(coefficients, dtype=float), np.arange(1, len(coefficients) // 2 + 1)
-    turn = np.exp(-1j * orders[:, None] * angles)
-    moved = (found[1::2] - 1j * found[2::2]) * turn
+    found = np.array(coefficients, dtype=float)
+    orders = np.arange(1, len(found) // 2 + 1).reshape(-1, *(1,) * (found.ndim - 1))
+    moved = (found[1::2] - 1j * found[2::2]) * np.exp(-1j * orders * angles)
     found[1::2], found[2::2] = moved.real, -moved.imag
     return found

@@ -62,10 +62,6 @@ class ResponseBasis:
     g: np.ndarray
     units: np.ndarray
 
-    def seen(self, C):
-        """Outputs of each w for each entry of a column of B, shape (l, n, q)."""
-        return np.einsum("oi,sij->ojs", C, self.units)
-
     def powers(self, last):
         """F⁰ … F^last, shape (last + 1, q, q)."""
         powers = np.stack([np.eye(len(self.g)), self.F])
@@ -201,15 +197,41 @@ class OutputNormal:
     error: float
 
 
-def output_normal(A, C, radius=None):
+def alike_states(A, C):
+    """The same model with states that outputs see about alike, by powers of two.
+
+    Without noise, those of an order too high are seen 10⁷ times less than others: what tells
+    good coordinates from bad ones would take them for unseen.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (l, n)
+
+    Returns
+    -------
+    A, C : ndarray
+    size : ndarray, shape (n,)
+        What each state is multiplied by; rows of B and initial states as well.
+    """
+    squares = np.zeros(len(A))
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = C / (np.max(np.abs(C), initial=0.0) or 1.0)
+        for _ in range(len(A)):
+            squares += np.sum(seen**2, axis=0)
+            seen = seen @ A
+    size = np.sqrt(np.where((squares > 0.0) & np.isfinite(squares), squares, 1.0))
+    size = np.ldexp(1.0, np.frexp(size)[1])
+    return A * (size[:, None] / size), C / size, size
+
+
+def output_normal(A, C):
     """Output-normal coordinates of a stable model.
 
     Parameters
     ----------
     A : ndarray, shape (n, n)
     C : ndarray, shape (l, n)
-    radius : float, optional
-        Size of the largest eigenvalue, where it is known.
 
     Returns
     -------
@@ -220,7 +242,7 @@ def output_normal(A, C, radius=None):
     if n == 0:
         return None
     one = np.eye(n)
-    radius = np.max(np.abs(np.linalg.eigvals(A))) if radius is None else radius
+    radius = np.max(np.abs(np.linalg.eigvals(A)))
     if radius > 1.0 - 1e-6:  # rounding grows by 1 / (1 − radius²)
         return None
     shown, padded = C if len(C) <= n else triangle(C), np.zeros((n, n))

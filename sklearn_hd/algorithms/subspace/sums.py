@@ -50,10 +50,11 @@ from scipy import fft, linalg
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import safe_cholesky
 from sklearn_hd.algorithms.subspace.innovations import REACH, InnovationForm
-from sklearn_hd.algorithms.subspace.input_matrices import alike_states, input_matrices
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import LagProducts, Stretch, stretch
 from sklearn_hd.algorithms.subspace.responses import (
     ResponseProducts,
+    alike_states,
     normal_equations,
     output_normal,
     pulses,

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 from conftest import same_poles
 
-from sklearn_hd.algorithms.lti.residualization import block_diagonal, residualize
-from sklearn_hd.algorithms.lti.simulation import frequency_response, propagate
+from sklearn_hd.algorithms.lti.simulation import (
+    block_diagonal,
+    frequency_response,
+    propagate,
+    residualize,
+)
 from sklearn_hd.algorithms.modes.families import (
     complete_families,
     conjugate_units,
     expected_members,
     floquet_families,
-    invariant_pair,
     is_window_pole,
     real_block,
 )
@@ -35,7 +38,7 @@ def test_units_are_closed_under_conjugation():
     assert sorted(conjugate_units(z)) == [(0, 2), (1,), (4, 5)]
 
 
-def test_invariant_pair_keeps_poles_and_response(rng):
+def test_a_subspace_split_off_keeps_poles_and_response(rng):
     """Even beside a defective block at zero, as a window leaves it."""
     genuine = np.array([0.9, 0.5 + 0.3j, 0.5 - 0.3j])
     core = np.array([[0.9, 0, 0], [0, 0.5, 0.3], [0, -0.3, 0.5]])
@@ -45,7 +48,8 @@ def test_invariant_pair_keeps_poles_and_response(rng):
     C = rng.standard_normal((2, 7))
     z = np.linalg.eigvals(A)
     kept = z[np.abs(z) > 0.1]
-    A_kept, C_kept = invariant_pair(A, C, kept, z[np.abs(z) <= 0.1])
+    A_split, _, C_split = block_diagonal(A, np.zeros((7, 0)), C, kept, z[np.abs(z) <= 0.1])
+    A_kept, C_kept = A_split[:3, :3], C_split[:, :3]
     assert same_poles(np.linalg.eigvals(A_kept), genuine, 1e-9)
     x0 = T[:, :3] @ rng.standard_normal(3)
     y = propagate(A, np.zeros((30, 7)), x0) @ C.T
@@ -54,12 +58,6 @@ def test_invariant_pair_keeps_poles_and_response(rng):
     np.testing.assert_allclose(
         X @ np.linalg.lstsq(X, y.ravel(), rcond=None)[0], y.ravel(), atol=1e-8
     )
-
-
-def test_coinciding_poles_cannot_be_separated():
-    A = np.array([[0.5, 1.0], [0.0, 0.5]])
-    with pytest.raises(ValueError, match="cannot be separated"):
-        invariant_pair(A, np.eye(2), np.array([0.5]), np.array([0.5]))
 
 
 def test_residualization_keeps_slow_poles_and_static_gain(rng):

@@ -7,7 +7,6 @@ from scipy import linalg
 from sklearn_hd.algorithms.periodic.behind_samples import (
     behind_samples,
     floquet_states,
-    rotated,
     turn_of,
 )
 from sklearn_hd.algorithms.periodic.floquet import floquet_exponents, transition_matrices
@@ -186,12 +185,3 @@ def test_outputs_without_a_feedthrough_are_states_before_others():
     assert found.Q[0, 0, 0] == 0.5
     innovations.coefficients[0, 3:, 2] = 0.5
     assert behind_samples(innovations, OMEGA).rows == [0, 1]  # but for their feedthrough
-
-
-def test_rotated_coefficients_are_those_of_the_shifted_function():
-    coefficients = np.random.default_rng(0).standard_normal((7, 2, 1))
-    psi = np.linspace(0, 6, 11)
-    np.testing.assert_allclose(
-        evaluate_harmonics(rotated(coefficients, 0.7), psi),
-        evaluate_harmonics(coefficients, psi + 0.7),
-    )

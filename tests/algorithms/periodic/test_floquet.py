@@ -17,7 +17,6 @@ from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     derivative_matrix,
     fourier_coefficients,
     harmonic_decomposition,
-    participation_factors,
     toeplitz_matrix,
 )
 from sklearn_hd.algorithms.signals.fourier import complex_transformation, sampled_harmonics
@@ -213,14 +212,3 @@ def test_hd_eigenvalues_tend_to_exponents_and_their_copies(random_coefficients):
     for p in range(-3, 4):
         for exponent in exponents:
             assert np.min(np.abs(eigenvalues - exponent - 1j * p * OMEGA)) < 1e-9
-
-
-def test_participation_factors_do_not_depend_on_units():
-    rng = np.random.default_rng(4)
-    A = rng.standard_normal((4, 4))
-    scale = np.array([1e-3, 1.0, 10.0, 1e4])
-    values, _, factors = participation_factors(A)
-    others, _, rescaled = participation_factors(A * scale[:, None] / scale)
-    np.testing.assert_allclose(others, values, atol=1e-10)
-    np.testing.assert_allclose(rescaled, factors, atol=1e-10)
-    np.testing.assert_allclose(factors.sum(axis=0), 1.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.resampling import (
     advanced,
     arriving,
@@ -35,6 +36,16 @@ def test_advancing_takes_a_delay_back():
     np.testing.assert_allclose(there[8:, 0], np.sin(0.2 * (TIME[8:] - 2.4)), atol=1e-7)
     np.testing.assert_allclose(advanced(there, samples)[10:-10], SMOOTH[10:-10], atol=1e-5)
     assert late(SMOOTH, np.zeros(2)) is SMOOTH
+
+
+def test_coefficients_of_matrices_turn_by_one_angle():
+    coefficients = np.random.default_rng(0).standard_normal((7, 2, 1))
+    psi = np.linspace(0, 6, 11)
+    values = [
+        evaluate_harmonics(turned(coefficients, 0.7), psi),
+        evaluate_harmonics(coefficients, psi - 0.7),
+    ]
+    np.testing.assert_allclose(*values)
 
 
 def test_fourier_coefficients_turn_with_the_signal():
