@@ -47,7 +47,6 @@ LEAST_DAMPING = 1e-12
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
 MOST_ROWS = 2500  # on which starts are judged
-PARTS = ("inputs", "outputs", "present")
 DRAWS = 8  # of which the most likely is a start
 
 
@@ -92,7 +91,6 @@ def free_form(
     form : Form
         Its clock; its structure has the sizes.
     segments : list of (inputs, outputs, where)
-        Without missing outputs.
     coefficients : ndarray, shape (2 H + 1, n + l, n + m)
         Of [A B; C D](ψ), where to start.
     free : ndarray of bool, shape (2 H' + 1, n + l, m)
@@ -136,7 +134,7 @@ def free_form(
             f"the identified model, of order {n}, has no stable predictor from which maximum "
             f"likelihood could start; lower the order, or use a longer record"
         )
-    exact = found[0].point.rss <= problem.counts * (NOISELESS * problem.size) ** 2
+    exact = found[0].point.rss <= problem.n_rows * (NOISELESS * problem.size) ** 2
     if exact.any() and not exact.all():  # an output without noise outweighs all others
         alike = replace(family, problem=replace(family.problem, sigma=family.problem.size))
         charts = [alike.best(_charts(family, order), **settings)[0].chart]
@@ -216,7 +214,7 @@ def _in_innovations_form(model, search, size, predicts):
     most = 2 * max(highest(now), highest(slopes.swapaxes(0, 1))) + 1
     now, slopes = now[:most], slopes[:, :most]
     spread = result.spread * size[:, None] * size
-    cost = result.cost + float(problem.counts @ np.log(size))
+    cost = result.cost + problem.n_rows * float(np.sum(np.log(size)))
     result = replace(result, spread=spread, cost=cost)
     return FreeFit(now, gain, slopes.reshape(len(slopes), -1), result)
 
@@ -358,8 +356,8 @@ class FreeForm:
         for record in self.problem.records:
             rows = slice(0, MOST_ROWS - n_rows)
             psi = None if record.psi is None else record.psi[rows]
-            parts = record.inputs[rows], record.outputs[rows], record.present[rows]
-            records.append(replace(record, **dict(zip(PARTS, parts, strict=True)), psi=psi))
+            some = {"inputs": record.inputs[rows], "outputs": record.outputs[rows], "psi": psi}
+            records.append(replace(record, **some))
             n_rows += len(records[-1].inputs)
             if n_rows >= MOST_ROWS:
                 break
@@ -445,7 +443,7 @@ def _with_best_inputs(problem, theta, x0, spread, count):
             np.tensordot(weights, products, 2), np.tensordot(weights, pushes, 2)
         )
         moved = pushes @ trial
-        spread = problem.spread((still + moved + moved.T + products @ trial @ trial)[None])
+        spread = problem.spread(still + moved + moved.T + products @ trial @ trial)
         before, cost = cost, 0.5 * np.linalg.slogdet(spread)[1]
         if not cost < before:
             break

@@ -36,7 +36,7 @@ class InnovationFilter:
     closed : ndarray, shape (n_samples, n, n)
         Φ_k − K_k C_k.
     output : ndarray, shape (n_samples, l, n)
-        C_k, zero in the rows of outputs that are missing.
+        C_k.
     gain : ndarray, shape (n_samples, n, l)
     covariance, root : ndarray, shapes (n_samples, l, l)
         Covariance of the innovations, and the inverse of its Cholesky factor.
@@ -104,7 +104,6 @@ def innovation_filter(response, record, sigma, input_sigma):
     n, n_samples = response.n_states, len(record.inputs)
     phase = record.first_phase + np.arange(n_samples)
     Psi, Out = response.Psi[phase % len(response.Psi)], response.Out[phase % len(response.Out)]
-    Out = np.where(record.present[:, :, None], Out, 0.0)
     Phi, C = Psi[:, :, :n], Out[:, :, :n]
     roots = np.concatenate([Psi, Out], axis=1)[:, :, n:] * input_sigma
     pushed = roots @ np.swapaxes(roots, 1, 2)  # covariance of [Γ; Q] e_u
@@ -154,14 +153,14 @@ class NoisyInputProblem(Problem):
         return np.eye(1)
 
     def cost(self, moments):
-        return self.n_residuals * np.log(np.sqrt(2.0 * np.pi)) + 0.5 * float(moments[0, 0, 0])
+        return self.n_residuals * np.log(np.sqrt(2.0 * np.pi)) + 0.5 * float(moments[0, 0])
 
     def at_rounding(self, point):
         return False
 
     def point(self, theta, x0):
         response = self.form.response(theta, sensitivities=False)
-        rss, cost = np.zeros((1, 1, 1)), np.inf
+        rss, cost = np.zeros((1, 1)), np.inf
         with np.errstate(over="ignore", invalid="ignore"):
             r = [residuals(response, record, x) for record, x in zip(self.records, x0, strict=True)]
             rough = sum(float(np.sum(each**2)) for each in r)
@@ -175,10 +174,7 @@ class NoisyInputProblem(Problem):
         """Negative logarithm of the likelihood of the innovations, their sizes included."""
         filters = self.filters(point.theta, self.form.response(point.theta, sensitivities=False))
         sizes = [np.diagonal(each.root, axis1=1, axis2=2) for each in filters]
-        return point.cost - sum(
-            np.sum(np.log(size), where=record.present)
-            for size, record in zip(sizes, self.records, strict=True)
-        )
+        return point.cost - sum(np.sum(np.log(size)) for size in sizes)
 
     def updated_output_sigma(self, point):
         """Noise of the outputs whose innovations would be as large as those found.
@@ -187,7 +183,7 @@ class NoisyInputProblem(Problem):
         """
         response = self.form.response(point.theta, sensitivities=False)
         n_fitted = len(point.theta) + (point.x0.size if self.free_x0 else 0)
-        found, expected, counts = 0.0, 0.0, 0
+        found, expected = 0.0, 0.0
         for whitening, record, start in zip(
             self.filters(point.theta, response), self.records, point.x0, strict=True
         ):
@@ -195,11 +191,10 @@ class NoisyInputProblem(Problem):
             innovations = np.linalg.solve(whitening.root, whitened[:, :, None])[:, :, 0]
             variance = np.diagonal(whitening.covariance, axis1=1, axis2=2)
             found = found + np.sum(innovations**2, axis=0)
-            expected = expected + np.sum(np.where(record.present, variance, 0.0), axis=0)
-            counts = counts + record.present.sum(axis=0)
+            expected = expected + np.sum(variance, axis=0)
         found = found / (1.0 - n_fitted / self.n_residuals)
         old = self.output_sigma**2
-        return np.sqrt(np.maximum(old + (found - expected) / counts, 0.0))
+        return np.sqrt(np.maximum(old + (found - expected) / self.n_rows, 0.0))
 
     def with_best_inputs(self, point):
         return point

@@ -49,8 +49,7 @@ def output_error_of(
         Of the structure whose parameters are sought, at any clock.
     segments : list of (inputs, outputs, first_phase)
         Records: inputs (n_samples, m), held from sample to sample, outputs
-        (n_samples, l), NaN where missing, and the phase of the first sample (samples
-        after ψ = 0).
+        (n_samples, l), and the phase of the first sample (samples after ψ = 0).
     theta0 : array_like, shape (k,)
         Start, near enough for the valley of the optimum.
     free_initial_state : bool, default=True

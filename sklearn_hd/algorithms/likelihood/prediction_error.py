@@ -34,7 +34,7 @@ MOST_HARMONICS = 4  # of K
 MOST_TURNS = 400  # of the Riccati equation
 
 
-def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_iter=50, tol=1e-8):
+def prediction_error(form, segments, theta0, *, bounds=None, max_iter=50, tol=1e-8):
     """Parameters and Kalman gain of largest likelihood, K of as many harmonics as the data show.
 
     Parameters
@@ -45,8 +45,6 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
         As for :func:`sklearn_hd.algorithms.likelihood.predictor.as_records`.
     theta0 : ndarray, shape (k,)
         Of the structure.
-    gain0 : ndarray, shape (2 H + 1, n, l), optional
-        To start from, beside that of a Kalman filter.
     bounds : tuple of ndarray, shape (k,), optional
     max_iter : int, default=50
     tol : float, default=1e-8
@@ -57,7 +55,7 @@ def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_ite
         Its problem has the form found.
     """
     settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
-    first, gain = first_gain(form, segments, theta0, gain0)
+    first, gain = first_gain(form, segments, theta0)
     best = fit_gain(form.with_gain(first), segments, theta0, gain, **settings)
     theta = best.without_gain
     without = form.with_gain(None)

@@ -49,7 +49,7 @@ class LikelihoodResult:
     cost : float
         Negative logarithm of the likelihood.
     n_residuals : int
-        Values of outputs that were not missing.
+        Values of outputs.
     n_parameters : int
         All that were estimated: θ, gain, initial states, waveforms, noise levels.
     n_iter : int

@@ -79,8 +79,8 @@ def fisher_information(form, theta, segments, sigma, *, free_initial_state=True,
     theta : array_like, shape (k,)
         Where to take it: the truth for the bound.
     segments : list of (inputs, outputs, first_phase)
-        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error_of`; outputs only
-        tell by NaN which samples are missing, and may be None.
+        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error_of`; outputs may
+        be None.
     sigma : array_like, shape (l,)
         Standard deviations of the outputs' noise.
     free_initial_state : bool, default=True

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from predictor_cases import OMEGA, gain_of, oscillator, plain_predictions
+from predictor_cases import OMEGA, oscillator, plain_predictions
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
@@ -50,47 +50,29 @@ def fitted(rng):
     return form, segments, np.concatenate([theta, gain.ravel()])
 
 
-def with_missing(segments, rng):
-    found = []
-    for u, y, first in segments:
-        y = np.where(rng.random(y.shape) < 0.25, np.nan, y)
-        y[10:13] = np.nan
-        found.append((u, y, first))
-    return found
-
-
-def log_density(S, left, present):
-    """−log of the normal density of what is there, by SciPy."""
-    total = 0.0
-    for there in np.unique(present, axis=0):
-        rows = np.all(present == there, axis=1)
-        if there.any():
-            own = multivariate_normal(np.zeros(there.sum()), S[np.ix_(there, there)])
-            total -= np.sum(own.logpdf(left[rows][:, there]))
-    return total
+def log_density(S, left):
+    """−log of the normal density of residuals, by SciPy."""
+    return -np.sum(multivariate_normal(np.zeros(len(S)), S).logpdf(left))
 
 
 def left_of(problem, point):
     response = problem.form.response(point.theta, sensitivities=False)
     pairs = zip(problem.records, point.x0, strict=True)
-    left = np.concatenate([residuals(response, record, x0) for record, x0 in pairs])
-    return left, np.concatenate([record.present for record in problem.records])
+    return np.concatenate([residuals(response, record, x0) for record, x0 in pairs])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("correlated", [False, True])
-@pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("sigma", [None, (0.2, 0.15)])
-def test_cost_is_the_logarithm_of_the_normal_density(fitted, rng, missing, correlated, sigma):
+def test_cost_is_the_logarithm_of_the_normal_density(fitted, rng, correlated, sigma):
     form, segments, parameters = fitted
-    segments = with_missing(segments, rng) if missing else segments
     problem = likelihood_problem(form, segments, True, sigma, correlated)
     point = problem.point(parameters, 0.1 * rng.standard_normal((2, 2)))
-    S, (left, present) = problem.spread(point.moments), left_of(problem, point)
-    assert point.cost == pytest.approx(log_density(S, left, present), rel=1e-10)
+    S, left = problem.spread(point.moments), left_of(problem, point)
+    assert point.cost == pytest.approx(log_density(S, left), rel=1e-10)
     assert (S[0, 1] == 0.0) == (not correlated or sigma is not None)
     np.testing.assert_allclose(point.rss, np.sum(left**2, axis=0))
-    if sigma is None and not missing:  # the covariance itself
+    if sigma is None:  # the covariance itself
         expected = left.T @ left / len(left)
         expected = expected if correlated else np.diag(np.diag(expected))
         np.testing.assert_allclose(S, expected, rtol=1e-7)
@@ -103,25 +85,25 @@ def test_cost_is_the_logarithm_of_the_normal_density(fitted, rng, missing, corre
     ]
     outputs = np.concatenate([record.outputs for record in problem.records])
     expected = np.concatenate(expected) - outputs
-    np.testing.assert_allclose(left[present], expected[present], atol=1e-8)
+    np.testing.assert_allclose(left, expected, atol=1e-8)
 
 
-def test_the_covariance_of_missing_outputs_is_the_most_likely_one(fitted, rng):
+def test_the_covariance_is_the_most_likely_one(fitted, rng):
     """No other covariance, however near, is more likely; and it is that of another search."""
     form, segments, parameters = fitted
-    problem = likelihood_problem(form, with_missing(segments, rng), True, correlated=True)
+    problem = likelihood_problem(form, segments, True, correlated=True)
     point = problem.point(parameters, np.zeros((2, 2)))
-    S, (left, present) = problem.spread(point.moments), left_of(problem, point)
-    best = log_density(S, left, present)
+    S, left = problem.spread(point.moments), left_of(problem, point)
+    best = log_density(S, left)
     for step in (1e-2, 1e-3):
         for change in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]]):
             for sign in (1.0, -1.0):
                 moved = S + sign * step * np.max(S) * np.array(change)
-                assert log_density(moved, left, present) > best
+                assert log_density(moved, left) > best
 
     def cost(values):
         L = np.array([[np.exp(values[0]), 0.0], [values[1], np.exp(values[2])]])
-        return log_density(L @ L.T, left, present)
+        return log_density(L @ L.T, left)
 
     L = np.linalg.cholesky(np.diag(np.diag(S)))
     found = minimize(cost, [np.log(L[0, 0]), 0.0, np.log(L[1, 1])], tol=1e-10).x
@@ -129,29 +111,11 @@ def test_the_covariance_of_missing_outputs_is_the_most_likely_one(fitted, rng):
     np.testing.assert_allclose(L @ L.T, S, rtol=1e-4)
 
 
-def test_one_pattern_of_missing_outputs_has_a_closed_form(fitted):
-    """An output that is there in the first half alone: S by regression on the other."""
-    form, segments, parameters = fitted
-    u, y, first = segments[0]
-    y = y.copy()
-    y[65:, 1] = np.nan
-    problem = likelihood_problem(form, [(u, y, first)], True, correlated=True)
-    point = problem.point(parameters, np.zeros((1, 2)))
-    S, (left, _) = problem.spread(point.moments), left_of(problem, point)
-    one = np.mean(left[:, 0] ** 2)
-    slope = left[:65, 0] @ left[:65, 1] / (left[:65, 0] @ left[:65, 0])
-    rest = np.mean((left[:65, 1] - slope * left[:65, 0]) ** 2)
-    expected = [[one, slope * one], [slope * one, rest + slope**2 * one]]
-    np.testing.assert_allclose(S, expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("free_x0", [False, True])
 @pytest.mark.slow
-def test_a_step_promises_what_it_keeps(fitted, rng, missing, free_x0):
+def test_a_step_promises_what_it_keeps(fitted, rng, free_x0):
     """The gradient of the cost, S at its own optimum, is that of central differences."""
     form, segments, parameters = fitted
-    segments = with_missing(segments, rng) if missing else segments
     problem = likelihood_problem(form, segments, free_x0, correlated=True)
     x0 = 0.1 * rng.standard_normal((2, 2))
     point = problem.point(parameters, x0)
@@ -389,6 +353,5 @@ def test_an_awkward_clock_is_fitted_too(rng):
     record = as_records([(u, np.zeros((n, 2)), psi)], 1, 2)[0]
     y = simulate(form.response(theta, sensitivities=False), record, np.zeros(2))[1]
     y = y + 0.02 * rng.standard_normal(y.shape)
-    gain = gain_of(form.with_gain(0), rng, 0.01).reshape(1, 2, 2)
-    result = prediction_error(form, [(u, y, psi)], 1.03 * theta, gain0=gain)
+    result = prediction_error(form, [(u, y, psi)], 1.03 * theta)
     assert np.max(np.abs(result.theta - theta) / result.theta_std) < 4.0
