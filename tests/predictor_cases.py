@@ -61,6 +61,11 @@ def _form(case, n_phases, **options):
     return (form if n_phases == round(n_phases) else interpolating(form, theta)), theta
 
 
+def deviations(found):
+    """Standard deviation of each parameter, infinite if it is not identified."""
+    return np.sqrt(np.diag(found.covariance))
+
+
 def gain_of(form, rng, size=0.1):
     """Coefficients of a small gain, in the order of the form's parameters."""
     return size * rng.standard_normal(form.n_gains)

@@ -114,7 +114,7 @@ def free_form(
         If there is no stable predictor to start from.
     """
     n, count = form.n_states, len(coefficients)
-    size = likelihood_problem(form, segments, True).size
+    size = likelihood_problem(form, segments).size
     A, C = coefficients[:, :n, :n], coefficients[:, n:, :n] / size[:, None]
     columns = np.concatenate([A, C], axis=1)
     closed = columns
@@ -162,9 +162,7 @@ def _family(form, segments, free, size, n_gains, correlated):
         drives = np.concatenate([wider, gains], axis=2)
         scaled = [(np.hstack([u, y]), y, where) for u, y, where in scaled]
     unused = PeriodicStructure(np.zeros(drives.shape), np.zeros((0, drives.size)), n, ())
-    problem = likelihood_problem(
-        replace(form, structure=unused), scaled, True, correlated=correlated
-    )
+    problem = likelihood_problem(replace(form, structure=unused), scaled, correlated=correlated)
     return FreeForm(problem, drives)
 
 

@@ -149,7 +149,6 @@ class Problem:
     ----------
     form : Form
     records : list of Record
-    free_x0 : bool
     sigma : ndarray, shape (l,), or None
         Standard deviations of the noise, where they are known.
     correlated : bool
@@ -158,7 +157,6 @@ class Problem:
 
     form: Form
     records: list
-    free_x0: bool
     sigma: np.ndarray | None = None
     correlated: bool = False
     size: np.ndarray = field(init=False)  # (l,) rms of each output
@@ -265,7 +263,7 @@ class Problem:
         L = linalg.cholesky(spread, lower=True)
         root = linalg.solve_triangular(L, np.eye(len(L)), lower=True)
         for segment, (record, x0) in enumerate(zip(self.records, point.x0, strict=True)):
-            pieces = output_sensitivities(response, record, x0, free_x0=self.free_x0)
+            pieces = output_sensitivities(response, record, x0)
             about = _AboutWaveform(self.form.n_phases) if self._turns(record) else None
             for start, _, dy in pieces:
                 yield segment, start, (dy if about is None else about.rows(dy)) @ root.T
@@ -283,8 +281,7 @@ class Problem:
     def linearise(self, point, spread=None, only=None):
         """Least-squares system for a step from a point, of some parameters where told."""
         spread = self.spread(point.moments) if spread is None else spread
-        n0 = self.form.n_states if self.free_x0 else 0
-        return eliminate_states(self.factors(point, spread, only), n0)
+        return eliminate_states(self.factors(point, spread, only), self.form.n_states)
 
     def with_best_inputs(self, point):
         """The same F and P with the G, Q and initial states of largest likelihood.
@@ -296,9 +293,7 @@ class Problem:
             system = self.linearise(point, only=linear)
             step, theta = system.step(0.0), point.theta.copy()
             theta[linear] += step
-            x0 = point.x0
-            if self.free_x0:
-                x0 = x0 - [states @ np.append(step, 1.0) for states in system.states]
+            x0 = point.x0 - [states @ np.append(step, 1.0) for states in system.states]
             trial = self.point(theta, x0)
             if not trial.cost < point.cost:
                 break
@@ -385,7 +380,7 @@ def _range(matrix):
     return left[:, kept], adjoint[kept].T / singular[kept] / size[:, None]
 
 
-def likelihood_problem(form, segments, free_x0, sigma=None, correlated=False):
+def likelihood_problem(form, segments, sigma=None, correlated=False):
     """The problem, its records checked."""
     records = as_records(segments, form.n_inputs, form.n_outputs)
     if sigma is not None:
@@ -395,7 +390,7 @@ def likelihood_problem(form, segments, free_x0, sigma=None, correlated=False):
                 f"sigma={sigma.tolist()} must hold a positive standard deviation for each of "
                 f"{form.n_outputs} outputs; leave it out to have them estimated"
             )
-    return Problem(form, records, free_x0, sigma, correlated)
+    return Problem(form, records, sigma, correlated)
 
 
 def is_white(left, lags):

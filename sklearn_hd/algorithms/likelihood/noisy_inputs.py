@@ -182,7 +182,7 @@ class NoisyInputProblem(Problem):
         σ_i² grows by the mean of ν_i² less its expectation.
         """
         response = self.form.response(point.theta, sensitivities=False)
-        n_fitted = len(point.theta) + (point.x0.size if self.free_x0 else 0)
+        n_fitted = len(point.theta) + point.x0.size
         found, expected = 0.0, 0.0
         for whitening, record, start in zip(
             self.filters(point.theta, response), self.records, point.x0, strict=True
@@ -213,7 +213,7 @@ class NoisyInputProblem(Problem):
         whitened = whitening.whiten(residuals(response, record, x0))[0]
         corrected = replace(record, inputs=record.inputs - whitening.input_errors(whitened))
         factor, state = None, None
-        pieces = output_sensitivities(response, corrected, x0, free_x0=self.free_x0)
+        pieces = output_sensitivities(response, corrected, x0)
         for start, stop, dy in pieces:
             dy, state = whitening.whiten(dy[:-1], state, start)
             block = np.concatenate([dy, whitened[None, start:stop]])
@@ -227,7 +227,6 @@ def noisy_input_problem(problem, output_sigma, input_sigma):
     return NoisyInputProblem(
         problem.form,
         problem.records,
-        problem.free_x0,
         np.ones(1),
         output_sigma=np.asarray(output_sigma, dtype=float),
         input_sigma=np.asarray(input_sigma, dtype=float),

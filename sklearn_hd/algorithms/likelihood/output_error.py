@@ -30,14 +30,11 @@ def output_error_of(
     segments,
     theta0,
     *,
-    free_initial_state=True,
-    x0=None,
     sigma=None,
     input_sigma=None,
     bounds=None,
     max_iter=50,
     tol=1e-8,
-    keep_stable=True,
 ):
     """Parameters of largest likelihood for measured outputs of a periodic system.
 
@@ -52,10 +49,6 @@ def output_error_of(
         (n_samples, l), and the phase of the first sample (samples after ψ = 0).
     theta0 : array_like, shape (k,)
         Start, near enough for the valley of the optimum.
-    free_initial_state : bool, default=True
-        Whether each segment's initial state is estimated too.
-    x0 : array_like, shape (n_segments, n), optional
-        Initial states, or where to start them; zero, or fitted at theta0, by default.
     sigma : array_like, shape (l,), optional
         Standard deviations of the noise; estimated by default.
     input_sigma : array_like, shape (m,), optional
@@ -66,8 +59,6 @@ def output_error_of(
     tol : float, default=1e-8
         Fall of the sum of squares, relative to it, below which a step is the last one.
         It begins within √(tol N) standard deviations of the optimum.
-    keep_stable : bool, default=True
-        Whether steps from a stable to an unstable system are refused.
 
     Returns
     -------
@@ -92,9 +83,9 @@ def output_error_of(
     >>> bool(np.isclose(result.theta[0], 2.0, rtol=1e-13))
     True
     """
-    problem = likelihood_problem(form, segments, free_initial_state, sigma)
-    point = start(problem, theta0, x0)
-    options = {"max_iter": max_iter, "tol": tol, "keep_stable": keep_stable, "bounds": bounds}
+    problem = likelihood_problem(form, segments, sigma)
+    point = start(problem, theta0)
+    options = {"max_iter": max_iter, "tol": tol, "keep_stable": True, "bounds": bounds}
     found = search(problem, point, **options)
     if input_sigma is None:
         return result_of(problem, found)

@@ -88,7 +88,7 @@ def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-
     if gain0 is not None:
         known = np.ravel(gain0)[: len(wider)]
         wider[: len(known)] = known
-    problem = likelihood_problem(form, segments, True, correlated=True)
+    problem = likelihood_problem(form, segments, correlated=True)
     if bounds is not None:
         wide = np.full(form.n_gains, np.inf)
         bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
@@ -111,7 +111,7 @@ def first_gain(form, segments, theta0, gain0=None, counts=None):
     may be unstable: where it overflows, it is the least likely.
     """
     own = form.with_gain(None).response(theta0, sensitivities=False)
-    problem = likelihood_problem(form.with_gain(0), segments, True, correlated=True)
+    problem = likelihood_problem(form.with_gain(0), segments, correlated=True)
     highest, best = most_harmonics(form), (np.inf, None, None)
     counts = range(highest + 1) if counts is None else counts
     coefficients = [] if gain0 is None else [gain0]

@@ -50,7 +50,7 @@ class FisherInformation:
     Attributes
     ----------
     information : ndarray, shape (k, k)
-        Fisher matrix of θ, the initial states eliminated where they are unknown.
+        Fisher matrix of θ, the initial states eliminated.
     covariance : ndarray, shape (k, k)
         Its inverse, the Cramér-Rao bound; infinite on the diagonal and NaN off it for
         parameters that are not identified.
@@ -61,14 +61,9 @@ class FisherInformation:
     covariance: np.ndarray
     unidentified: tuple
 
-    @property
-    def theta_std(self):
-        """Smallest standard deviation of an unbiased estimate of each parameter."""
-        return np.sqrt(np.diag(self.covariance))
 
-
-def fisher_information(form, theta, segments, sigma, *, free_initial_state=True, x0=None):
-    """Fisher matrix and Cramér-Rao bound of the parameters of a periodic system.
+def fisher_information(form, theta, segments, sigma):
+    """Fisher matrix and Cramér-Rao bound of the parameters of a periodic system about rest.
 
         I = Σ_k (∂ŷ[k]/∂θ)ᵀ Σ⁻¹ (∂ŷ[k]/∂θ),   Σ = diag(σ_i²)
 
@@ -83,10 +78,6 @@ def fisher_information(form, theta, segments, sigma, *, free_initial_state=True,
         be None.
     sigma : array_like, shape (l,)
         Standard deviations of the outputs' noise.
-    free_initial_state : bool, default=True
-        Whether the initial states are unknown.
-    x0 : array_like, shape (n_segments, n), optional
-        True initial states, zero by default.
 
     Returns
     -------
@@ -105,11 +96,11 @@ def fisher_information(form, theta, segments, sigma, *, free_initial_state=True,
     >>> gain = PeriodicStructure(np.zeros((1, 2, 2)), [[[[0.0, 0.0], [0.0, 1.0]]]], 1, ["gain"])
     >>> record = [(np.ones((4, 1)), None, 0)]
     >>> bound = fisher_information(Form(gain, 1.0, 8), [2.0], record, [0.1])
-    >>> float(bound.theta_std[0])
+    >>> round(float(np.sqrt(bound.covariance[0, 0])), 12)
     0.05
     """
-    problem = likelihood_problem(form, segments, free_initial_state)
-    starts = np.zeros((len(segments), form.n_states)) if x0 is None else np.asarray(x0, dtype=float)
+    problem = likelihood_problem(form, segments)
+    starts = np.zeros((len(segments), form.n_states))
     point = Point(np.asarray(theta, dtype=float), starts, None, 0.0, 0.0)
     system = problem.linearise(point, np.diag(np.asarray(sigma, dtype=float) ** 2))
     covariance, unknown = system.covariance()

@@ -70,7 +70,7 @@ def about_waveforms(rng, gain, n_phases=7):
 
 
 def fitted(form, segments, theta):
-    problem = likelihood_problem(form, segments, True, correlated=form.n_gain_harmonics is not None)
+    problem = likelihood_problem(form, segments, correlated=form.n_gain_harmonics is not None)
     found = search(
         problem, start(problem, theta), max_iter=40, tol=1e-13, keep_stable=True, bounds=None
     )
@@ -139,8 +139,8 @@ def test_records_of_less_than_two_turns_keep_the_trim_that_was_subtracted(rng):
     form, theta, segments = about_waveforms(rng, None)
     u, y, first = segments[0]
     short = [(u[:13], y[:13], first)]
-    problem = likelihood_problem(replace(form, waveform=True), short, True)
-    own = likelihood_problem(form, short, True)
+    problem = likelihood_problem(replace(form, waveform=True), short)
+    own = likelihood_problem(form, short)
     x0 = np.zeros((1, 2))
     assert problem.point(theta, x0).cost == own.point(theta, x0).cost
     assert problem.n_waveforms == 0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from predictor_cases import deviations
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Form
@@ -81,7 +82,7 @@ def test_gradient_is_that_of_the_criterion(structure, noisy):
     """Jᵀr, J taken at the corrected inputs, is half the derivative of rᵀ S(θ)⁻¹ r."""
     _, record, _, _ = noisy
     segments = [(record.inputs, record.outputs, 5)]
-    plain = likelihood_problem(Form(structure, OMEGA, N_PHASES), segments, True, SIGMA)
+    plain = likelihood_problem(Form(structure, OMEGA, N_PHASES), segments, SIGMA)
     problem = noisy_input_problem(plain, SIGMA, INPUT_SIGMA)
     start = np.array([0.5, -0.2, 0.1, -0.05, 0.2])  # x0, θ
 
@@ -126,7 +127,7 @@ def test_noise_levels_of_the_outputs_are_found_beside_that_of_the_inputs(structu
     result = fitted(structure, segments, theta, input_sigma=INPUT_SIGMA)
     assert result.converged
     np.testing.assert_allclose(result.sigma, SIGMA, rtol=0.3)
-    assert np.all(np.abs(result.theta - theta) < 4 * result.theta_std)
+    assert np.all(np.abs(result.theta - theta) < 4 * deviations(result))
 
 
 def test_all_noise_may_be_the_inputs(structure, rng):
@@ -135,7 +136,7 @@ def test_all_noise_may_be_the_inputs(structure, rng):
     result = fitted(structure, segments, theta, input_sigma=INPUT_SIGMA)
     plain = fitted(structure, segments, theta)
     assert np.all(result.sigma**2 < 2.0 * np.sqrt(2 / 400) * plain.sigma**2)
-    assert np.all(np.abs(result.theta - theta) < 4 * result.theta_std)
+    assert np.all(np.abs(result.theta - theta) < 4 * deviations(result))
 
 
 def test_errors_say_what_is_needed(structure, rng):
@@ -153,7 +154,7 @@ def test_total_least_squares_beats_least_squares(structure):
         for name, known in (("plain", None), ("total", INPUT_SIGMA)):
             result = fitted(structure, segments, theta, input_sigma=known)
             errors[name].append(result.theta - theta)
-            covered[name].append(np.abs(errors[name][-1]) < 1.96 * result.theta_std)
+            covered[name].append(np.abs(errors[name][-1]) < 1.96 * deviations(result))
     rms = {name: np.sqrt(np.mean(np.square(each), axis=0)) for name, each in errors.items()}
     assert np.all(rms["total"] < rms["plain"])
     assert 0.9 < np.mean(covered["total"]) < 0.99
