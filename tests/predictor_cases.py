@@ -82,7 +82,7 @@ def record_of(form, rng, n_samples=60, *, first=3):
     y = rng.standard_normal((n_samples, form.n_outputs))
     psi = azimuths(form, n_samples, first)
     where = first if form.n_points is None else psi
-    return as_records([(u, y, where)], form.structure.n_inputs, form.n_outputs)[0], psi
+    return as_records([(u, y, where)], form.n_outputs)[0], psi
 
 
 def matrices_at(form, theta, psi):

@@ -72,7 +72,7 @@ def errors_and_intervals(case, wing, n_seeds):
     ltp, u = wing
     structure, theta, observe = CASES[case](ltp)
     response = sampled_response(structure, theta, ltp.omega, N_PHASES, observe)
-    record = as_records([(u, None, 0)], 1, 2)[0]
+    record = as_records([(u, None, 0)], 2)[0]
     clean = simulate(response, record, np.zeros(structure.n_states))[1]
     noise = clean.std(axis=0) / 20
     form = Form(structure, ltp.omega, N_PHASES, observe)

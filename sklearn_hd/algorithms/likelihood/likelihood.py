@@ -381,16 +381,9 @@ def _range(matrix):
 
 
 def likelihood_problem(form, segments, sigma=None, correlated=False):
-    """The problem, its records checked."""
-    records = as_records(segments, form.n_inputs, form.n_outputs)
-    if sigma is not None:
-        sigma = np.asarray(sigma, dtype=float)
-        if sigma.shape != (form.n_outputs,) or not np.all(sigma > 0):
-            raise ValueError(
-                f"sigma={sigma.tolist()} must hold a positive standard deviation for each of "
-                f"{form.n_outputs} outputs; leave it out to have them estimated"
-            )
-    return Problem(form, records, sigma, correlated)
+    """The problem of some segments (:func:`~.predictor.as_records`)."""
+    sigma = None if sigma is None else np.asarray(sigma, dtype=float)
+    return Problem(form, as_records(segments, form.n_outputs), sigma, correlated)
 
 
 def is_white(left, lags):

@@ -67,7 +67,7 @@ def output_error_of(
     Raises
     ------
     ValueError
-        If shapes do not fit, or the response at theta0 overflows.
+        If the response at theta0 overflows.
 
     Examples
     --------
@@ -94,12 +94,6 @@ def output_error_of(
 
 def _with_noisy_inputs(problem, found, input_sigma, options):
     """Total least squares from where least squares ended, the outputs' noise in turn with it."""
-    input_sigma = np.asarray(input_sigma, dtype=float)
-    if input_sigma.shape != (problem.form.structure.n_inputs,) or not np.all(input_sigma >= 0):
-        raise ValueError(
-            f"input_sigma={input_sigma.tolist()} must hold a standard deviation, zero or more, "
-            f"for each of {problem.form.structure.n_inputs} inputs"
-        )
     sigma = np.sqrt(np.diag(problem.spread(found.point.moments)))
     n_iter, settled = found.n_iter, False
     smallest = SMALLEST_SHARE * sigma

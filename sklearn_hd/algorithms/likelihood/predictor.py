@@ -46,30 +46,15 @@ class Record:
     psi: np.ndarray | None = None
 
 
-def as_records(segments, n_inputs, n_outputs):
+def as_records(segments, n_outputs):
     """Records from (inputs, outputs, where); ``outputs=None`` are not told.
 
     ``where`` is the phase of the first sample, or the azimuths of all.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, or inputs are not finite.
     """
     records = []
-    for position, (inputs, outputs, where) in enumerate(segments):
+    for inputs, outputs, where in segments:
         u = np.asarray(inputs, dtype=float)
         y = np.zeros((len(u), n_outputs)) if outputs is None else np.asarray(outputs, dtype=float)
-        if u.shape != (len(u), n_inputs) or y.shape != (len(u), n_outputs) or not len(u):
-            raise ValueError(
-                f"segment {position} has inputs of shape {u.shape} and outputs of shape "
-                f"{y.shape}; the structure needs (n_samples, {n_inputs}) and "
-                f"(n_samples, {n_outputs})"
-            )
-        if not np.all(np.isfinite(u)):
-            raise ValueError(
-                f"inputs of segment {position} hold NaN or infinity; cut the segment there"
-            )
         first, psi = (int(where), None) if np.ndim(where) == 0 else (0, np.asarray(where))
         records.append(Record(u, y, first, psi))
     return records

@@ -138,11 +138,8 @@ def search(problem, point, *, max_iter, tol, keep_stable, bounds):
 
 def start(problem, theta0):
     """The point to start from, initial states fitted."""
-    form, n_segments = problem.form, len(problem.records)
-    theta, k = np.array(theta0, dtype=float), form.n_model + form.n_gains
-    if theta.shape != (k,):
-        raise ValueError(f"theta0 has shape {theta.shape}; the structure has {k} parameters")
-    point = problem.point(theta, np.zeros((n_segments, form.n_states)))
+    x0 = np.zeros((len(problem.records), problem.form.n_states))
+    point = problem.point(np.array(theta0, dtype=float), x0)
     if not np.isfinite(point.cost):
         raise OverflowingStartError(
             f"the response at theta0 overflows (spectral radius {point.radius:.4g} of the "
@@ -151,7 +148,7 @@ def start(problem, theta0):
     spread = np.diag((problem.size if problem.sigma is None else problem.sigma) ** 2)
     for _ in range(2):  # weighed by the outputs, then by what is left of them
         system = problem.linearise(point, spread, ())
-        trial = problem.point(theta, point.x0 - [each[:, -1] for each in system.states])
+        trial = problem.point(point.theta, point.x0 - [each[:, -1] for each in system.states])
         if not trial.cost < point.cost:
             break
         point, spread = trial, problem.spread(trial.moments)

@@ -158,8 +158,6 @@ def match_structure(
     ------
     UnstableModelError
         If G_c is unstable, or if no start led to a stable G_s.
-    ValueError
-        If shapes do not fit, or theta0 is out of bounds.
 
     Examples
     --------
@@ -179,7 +177,7 @@ def match_structure(
     """
     weights = output_weights, input_weights
     problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
-    theta0 = _check_theta(theta0, problem)
+    theta0 = None if theta0 is None else np.asarray(theta0, dtype=float)
     starts = list(starting_points(problem, theta0, n_starts, random_state))
     fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
     fit, exact = exact_match(problem, fits[0])
@@ -313,22 +311,3 @@ def _plain_start(problem):
     plain[:n, :n] = -problem.fastest * np.eye(n)
     plain[n:, n:] = problem.model.matrices(np.empty(0))[3]
     return structure.project(plain)[0]
-
-
-def _check_theta(theta0, problem):
-    if theta0 is None:
-        return None
-    theta0, structure = np.asarray(theta0, dtype=float), problem.structure
-    if theta0.shape != (structure.n_parameters,) or not np.all(np.isfinite(theta0)):
-        raise ValueError(
-            f"theta0 of shape {theta0.shape} must hold {structure.n_parameters} finite numbers, "
-            f"one for each of {list(structure.parameter_names)}"
-        )
-    outside = np.flatnonzero(problem.inside(theta0) != theta0)
-    if len(outside):
-        k = outside[0]
-        raise ValueError(
-            f"the bounds {problem.lower[k]:g} and {problem.upper[k]:g} of "
-            f"{structure.parameter_names[k]} exclude its start {theta0[k]:g}; start within them"
-        )
-    return theta0

@@ -338,7 +338,7 @@ def test_an_awkward_clock_is_fitted_too(rng):
     n = 500
     psi = 2 * np.pi * np.arange(n) / 7.3
     u = np.repeat(rng.standard_normal(n // 5), 5)[:, None]
-    record = as_records([(u, np.zeros((n, 2)), psi)], 1, 2)[0]
+    record = as_records([(u, np.zeros((n, 2)), psi)], 2)[0]
     y = simulate(form.response(theta, sensitivities=False), record, np.zeros(2))[1]
     y = y + 0.02 * rng.standard_normal(y.shape)
     result = prediction_error(form, [(u, y, psi)], 1.03 * theta)

@@ -13,7 +13,6 @@ from predictor_cases import (
 from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.predictor import (
-    as_records,
     n_columns,
     output_sensitivities,
     residuals,
@@ -142,12 +141,3 @@ def test_an_unstable_model_with_a_stable_predictor_is_predicted(rng):
     with np.errstate(over="ignore", invalid="ignore"):
         assert not np.all(np.isfinite(predictions(form, theta, record, np.ones(2))))
     assert np.max(np.abs(predictions(with_gain, parameters, record, np.ones(2)))) < 100.0
-
-
-def test_records_are_refused_where_they_cannot_be_read():
-    with pytest.raises(ValueError, match=r"segment 1 has inputs of shape \(4, 2\)"):
-        as_records([(np.ones((4, 1)), None, 0), (np.ones((4, 2)), None, 0)], 1, 1)
-    with pytest.raises(ValueError, match="segment 0 has inputs of shape"):
-        as_records([(np.ones((0, 1)), None, 0)], 1, 1)
-    with pytest.raises(ValueError, match="inputs of segment 0 hold NaN"):
-        as_records([(np.full((4, 1), np.nan), None, 0)], 1, 1)

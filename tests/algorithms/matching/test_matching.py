@@ -448,25 +448,6 @@ def test_structure_that_is_never_stable_is_refused():
         match_structure([[-1.0]], [[1.0]], [[1.0]], [[0.0]], structure, theta0=[1.0])
 
 
-def test_channels_that_do_not_fit_are_refused():
-    structure, _ = subsystem("heave")
-    with pytest.raises(ValueError, match="structure has 3 outputs and 1 inputs, the model 1 and 1"):
-        match_structure([[-1.0]], [[1.0]], [[1.0]], [[0.0]], structure)
-
-
-def test_theta0_of_wrong_length_is_refused():
-    structure, truth = subsystem("heave")
-    with pytest.raises(ValueError, match=r"theta0 of shape \(9,\) must hold 10 finite numbers"):
-        match_structure(*structure.matrices(truth), structure, theta0=truth[:9])
-
-
-@pytest.mark.parametrize("weights", [[1.0, 1.0], [1.0, -1.0, 1.0], [1.0, np.nan, 1.0]])
-def test_bad_weights_are_refused(weights):
-    structure, truth = subsystem("heave")
-    with pytest.raises(ValueError, match=r"output_weights=.* must be 3 positive numbers"):
-        match_structure(*structure.matrices(truth), structure, output_weights=weights)
-
-
 @pytest.mark.slow
 def test_a_direction_that_fades_on_the_way_does_not_hold_up_the_others():
     """One channel of four states: the best pair of poles ends double on the real axis."""
