@@ -40,34 +40,11 @@ def output_error_of(
 
         min Σ_i N_i/2 log RSS_i(θ, x0)
 
-    Parameters
-    ----------
-    form : Form
-        Of the structure whose parameters are sought, at any clock.
-    segments : list of (inputs, outputs, first_phase)
-        Records: inputs (n_samples, m), held from sample to sample, outputs
-        (n_samples, l), and the phase of the first sample (samples after ψ = 0).
-    theta0 : array_like, shape (k,)
-        Start, near enough for the valley of the optimum.
-    sigma : array_like, shape (l,), optional
-        Standard deviations of the noise; estimated by default.
-    input_sigma : array_like, shape (m,), optional
-        Standard deviations of white noise in the inputs as measured, which the system
-        does not feel: total least squares. By default inputs are exact.
-    max_iter : int, default=50
-        Largest number of Jacobians.
-    tol : float, default=1e-8
-        Fall of the sum of squares, relative to it, below which a step is the last one.
-        It begins within √(tol N) standard deviations of the optimum.
-
-    Returns
-    -------
-    result : LikelihoodResult
-
-    Raises
-    ------
-    ValueError
-        If the response at theta0 overflows.
+    Segments are (inputs, outputs, where), as :func:`~.predictor.as_records` takes them. Noise
+    of unknown ``sigma`` (l,) is estimated; with ``input_sigma`` (m,), that of the measured
+    inputs, which the system does not feel, least squares are total ones. The last step promises
+    a fall of less than tol, relative to the sum of squares: it begins within √(tol N) standard
+    deviations of the optimum.
 
     Examples
     --------

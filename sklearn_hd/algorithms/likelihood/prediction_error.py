@@ -37,22 +37,8 @@ MOST_TURNS = 400  # of the Riccati equation
 def prediction_error(form, segments, theta0, *, bounds=None, max_iter=50, tol=1e-8):
     """Parameters and Kalman gain of largest likelihood, K of as many harmonics as the data show.
 
-    Parameters
-    ----------
-    form : Form
-        Its number of harmonics of K is chosen here.
-    segments : list of (inputs, outputs, where)
-        As for :func:`sklearn_hd.algorithms.likelihood.predictor.as_records`.
-    theta0 : ndarray, shape (k,)
-        Of the structure.
-    bounds : tuple of ndarray, shape (k,), optional
-    max_iter : int, default=50
-    tol : float, default=1e-8
-
-    Returns
-    -------
-    result : LikelihoodResult
-        Its problem has the form found.
+    The form's own number of harmonics of K does not count; that of the result's problem is the one
+    found. Segments are as for :func:`~.predictor.as_records`, bounds a pair of ndarray (k,).
     """
     settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
     first, gain = first_gain(form, segments, theta0)

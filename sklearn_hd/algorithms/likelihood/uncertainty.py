@@ -63,29 +63,13 @@ class FisherInformation:
 
 
 def fisher_information(form, theta, segments, sigma):
-    """Fisher matrix and Cramér-Rao bound of the parameters of a periodic system about rest.
+    """Fisher matrix and Cramér-Rao bound of the parameters of a periodic system.
 
         I = Σ_k (∂ŷ[k]/∂θ)ᵀ Σ⁻¹ (∂ŷ[k]/∂θ),   Σ = diag(σ_i²)
 
-    Parameters
-    ----------
-    form : Form
-        Of the structure whose parameters they are, at any clock.
-    theta : array_like, shape (k,)
-        Where to take it: the truth for the bound.
-    segments : list of (inputs, outputs, first_phase)
-        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error_of`; outputs may
-        be None.
-    sigma : array_like, shape (l,)
-        Standard deviations of the outputs' noise.
-
-    Returns
-    -------
-    information : FisherInformation
-
-    References
-    ----------
-    L. Ljung, *System Identification*, 1999, section 9.3 and Eq. 7.91.
+    about rest, the initial states unknown, at θ (the truth for the bound). Outputs of the
+    segments (inputs, outputs, where) may be None (Ljung, *System Identification*, 1999,
+    section 9.3 and Eq. 7.91).
 
     Examples
     --------

@@ -119,45 +119,15 @@ def match_structure(
 
         min_θ ‖W_o (G_c − G_s(θ)) W_i‖,   lower ≤ θ ≤ upper
 
-    Parameters
-    ----------
-    A, B, C, D : array_like, shapes (n, n), (n, m), (l, n), (l, m)
-        G_c, stable; its order may differ from the structure's.
-    structure : AffineStructure
-        G_s(θ), with m inputs and l outputs.
-    criterion : {"hinf", "least_squares"}
-        The H∞ norm, or the mean square over a grid of frequencies, in which all channels
-        count alike.
-    theta0 : array_like, shape (k,), optional
-        Where to start; need not be stable. Without it, and where neither it nor the
-        closed form leads to an exact match, changes of state that agree with C_s are
-        tried as starts.
-    bounds : pair of array_like, shape (k,) each, optional
-        Lower and upper bounds of the parameters, infinite where there are none.
-    output_weights, input_weights : array_like, shapes (l,), (m,), optional
-        Positive constants of W_o and W_i, next to the error; ones by default, the norm as
-        Eq. 22 has it. Outputs in different units call for :func:`channel_scales`:
-        otherwise the largest decides.
-    emphasis : pair of array_like, shapes (l,) and (m,), optional
-        Factors of the outputs and inputs in the mean square, in which they otherwise count
-        alike.
-    n_starts : int
-        Number of random starts, where no exact match is found before.
-    max_iter : int
-        Largest number of iterations of each stage: of a least-squares match, of a descent.
-    random_state : int
-        Seed of the random starts.
+    in the H∞ norm, or (``criterion="least_squares"``) in the mean square over a grid of
+    frequencies, in which all channels count alike, but for ``emphasis``. The order of G_c may
+    differ from the structure's, W_o and W_i are diagonal, and theta0 need not be stable. Where
+    neither it nor the closed form leads to an exact match, changes of state that agree with
+    C_s are tried as starts.
 
-    Returns
-    -------
-    result : MatchResult
-        Never worse in the norm than the best least-squares match found, and stable. The
-        problem is not convex: "converged" promises a stationary point, not the global one.
-
-    Raises
-    ------
-    UnstableModelError
-        If G_c is unstable, or if no start led to a stable G_s.
+    The result is stable, and never worse in the norm than the best least-squares match found.
+    The problem is not convex: "converged" promises a stationary point. UnstableModelError says
+    that G_c is unstable, or that no start led to a stable G_s.
 
     Examples
     --------
