@@ -11,7 +11,7 @@ from predictor_cases import deviations
 from scipy import sparse, stats
 
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import as_records, simulate
 from sklearn_hd.algorithms.likelihood.uncertainty import fisher_information
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition

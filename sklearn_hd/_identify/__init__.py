@@ -38,7 +38,7 @@ from sklearn_hd._records.delays import (
 )
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, most_likely
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products

@@ -16,8 +16,11 @@ from sklearn_hd._records.delays import in_whole_samples, most_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, most_likely, through_cells
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
-from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain, prediction_error
+from sklearn_hd.algorithms.likelihood.prediction_error import (
+    fit_gain,
+    output_error_of,
+    prediction_error,
+)
 from sklearn_hd.algorithms.likelihood.search import (
     LikelihoodResult,
     cost_of_best_inputs,

@@ -22,7 +22,11 @@ import numpy as np
 
 from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem, updated_factor
 from sklearn_hd.algorithms.likelihood.predictor import output_sensitivities, residuals
+from sklearn_hd.algorithms.likelihood.search import Search, result_of, search
 from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+
+SETTLED = 1e-3  # relative change of noise levels; far below their own error
+SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,4 +234,31 @@ def noisy_input_problem(problem, output_sigma, input_sigma):
         np.ones(1),
         output_sigma=np.asarray(output_sigma, dtype=float),
         input_sigma=np.asarray(input_sigma, dtype=float),
+    )
+
+
+def with_noisy_inputs(problem, found, input_sigma, options):
+    """Total least squares from where least squares ended, the outputs' noise in turn with it."""
+    sigma = np.sqrt(np.diag(problem.spread(found.point.moments)))
+    n_iter, settled = found.n_iter, False
+    smallest = SMALLEST_SHARE * sigma
+    for _ in range(options["max_iter"]):
+        noisy = noisy_input_problem(problem, sigma, input_sigma)
+        begin = noisy.point(found.point.theta, found.point.x0)
+        found = search(noisy, begin, **options)
+        n_iter += found.n_iter
+        if problem.sigma is not None:
+            settled = True
+            break
+        old, sigma = sigma, np.maximum(noisy.updated_output_sigma(found.point), smallest)
+        settled = bool(np.all(np.abs(sigma - old) <= SETTLED * old))
+        if settled:
+            break
+    found = Search(found.point, n_iter, found.converged and settled)
+    result = result_of(noisy, found)
+    return replace(
+        result,
+        spread=np.diag(sigma**2),
+        cost=noisy.likelihood(found.point),
+        n_parameters=result.n_parameters + (len(sigma) if problem.sigma is None else 0),
     )

@@ -5,9 +5,8 @@ import pytest
 from conftest import random_stable
 
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.free_form import FreeForm, free_form, product
+from sklearn_hd.algorithms.likelihood.free_form import FreeForm, OutputNormal, free_form, product
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.local_coordinates import OutputNormal
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 

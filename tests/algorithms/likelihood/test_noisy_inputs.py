@@ -8,7 +8,7 @@ from scipy import linalg
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import innovation_filter, noisy_input_problem
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals, simulate
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 

@@ -8,7 +8,7 @@ from scipy import linalg, sparse
 from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import (
     as_records,
     output_sensitivities,

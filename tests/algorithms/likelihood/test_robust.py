@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.uncertainty import (
     FEWEST,
     LEVELS,
