@@ -17,6 +17,7 @@ from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
+from sklearn_hd._match.input_problem import PATIENCE
 from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.trust import ONE_TIME_CONSTANT, trusted, warn_of_slow
@@ -34,7 +35,6 @@ from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
-PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 
 
 def match_likelihood(match, structure, experiment, settings, opinion):

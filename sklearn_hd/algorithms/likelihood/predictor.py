@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
-PIECE = 1_000_000  # numbers in the sensitivities of one piece, 8 MB: a cache
+PIECE = 1_000_000  # numbers in the arrays of one piece, 8 MB: a cache
 TILE = 64  # samples of a time-invariant system that make a period
 
 

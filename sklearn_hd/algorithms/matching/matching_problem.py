@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import RANK, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import EXACT, RANK, UNKNOWN
 from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
@@ -26,8 +26,6 @@ _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
-_POLE_DIGITS = 1e-13  # of a pole, relative to the largest
-# structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
 
 
 def channel_scales(response):
@@ -202,7 +200,7 @@ class MatchingProblem:
         if len(poles) == 0:
             return -np.inf
         fastest = np.abs(poles).max()
-        return poles.real.max() + _POLE_DIGITS * fastest if fastest <= self.speed_limit else np.inf
+        return poles.real.max() + EXACT * fastest if fastest <= self.speed_limit else np.inf
 
     def error_and_sensitivity(self, theta, frequencies):
         """E(jω; θ) and ∂E/∂θ in the criterion's weights and unit."""
