@@ -247,15 +247,10 @@ def _rolled(matrices, first_phase):
     return np.roll(matrices, -shift, axis=-3) if shift else matrices
 
 
-def _each(matrices, n_samples):
-    """Matrices of every sample, of a turn that repeats."""
-    return matrices[np.arange(n_samples) % len(matrices)]
-
-
 def _alike(*several):
     """Matrices of turns, all of one length, or constant."""
     longest = max(map(len, several))
-    return [_each(M, longest) for M in several]
+    return [M[np.arange(longest) % len(M)] for M in several]
 
 
 def _times_phases(matrices, signals):
