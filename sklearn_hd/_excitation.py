@@ -17,6 +17,7 @@ from scipy import linalg
 from sklearn_hd._guards import searches, warn
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
+from sklearn_hd.algorithms.likelihood.predictor import PIECE
 from sklearn_hd.algorithms.likelihood.uncertainty import spectral_peak
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
@@ -24,10 +25,9 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
 from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning
 
-MOST_OUTSIDE = 1e-3  # of the inputs' energy, as in a fit of whole periods
+MOST_OUTSIDE = 1e-3  # of the inputs' energy within the period
 NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
-PIECE = 1_000_000  # numbers in the arrays of a piece, about: 8 MB
 LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
 TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothing
 

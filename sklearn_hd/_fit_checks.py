@@ -4,10 +4,11 @@ import numpy as np
 
 from sklearn_hd._checks import SMALLEST
 from sklearn_hd._guards import searching, warn
+from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
 from sklearn_hd.algorithms.signals.fundamental import FEWEST, omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
@@ -18,9 +19,7 @@ from sklearn_hd.exceptions import (
 
 HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
-ROWS_PER_LINE = 5  # at least, for each coefficient of these
 MOST_OF_IT = 0.5  # of an output's variance
-MOST_ROWS = 20_000  # that are looked at
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -97,9 +96,9 @@ def _share_in_lines(y, places, omega):
     """Share of the variance of each output in waves of a frequency and its harmonics, that last
     from the first row to the last; as many as there are below half the sampling rate."""
     n, count = len(y), 0
-    if n >= ROWS_PER_LINE:
+    if n >= ROWS_PER_COLUMN:
         count = min(LINES, int(0.9 * np.pi / (omega * np.median(np.diff(places)))))
-    if count == 0 or n < ROWS_PER_LINE * (2 * count + 1):
+    if count == 0 or n < ROWS_PER_COLUMN * (2 * count + 1):
         return np.zeros(y.shape[1])
     size = np.max(np.abs(y), axis=0)
     y = y / np.where(size > 0.0, size, 1.0)

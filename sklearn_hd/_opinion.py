@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._records.data import lifted_periods, output_scale
+from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -21,7 +22,6 @@ LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 WAY_OUT = (
     "use a longer record, smaller motions, less noise or another order, and check omega (rad/s)"
 )
-CONTRADICTS = 4.0  # standard deviations that no two ways are apart by chance
 LEAST_APART = DOUBT / 2.0  # of a rate, that two ways have to be apart for one to contradict
 
 
@@ -187,7 +187,7 @@ def doubtful(exponents, opinion):
         sure = np.where(error <= DOUBT, apart + error <= DOUBT, within)
     vague = ~sure | unchanging(exponents, opinion)
     if not opinion.own:
-        vague |= apart > np.maximum(LEAST_APART, CONTRADICTS * spread)
+        vague |= apart > np.maximum(LEAST_APART, STANDARD_ERRORS * spread)
         if opinion.complete:
             vague |= _too_many(exponents, apart, opinion)
     slowest = exponents + error * _rates(exponents, opinion.omega) if opinion.own else exponents
@@ -227,7 +227,7 @@ def missing(exponents, opinion):
     has = opinion.of_identified(np.append(exponents, _sums(exponents)))
     its, spread = opinion.exponents, opinion.deviations / _rates(opinion.exponents, opinion.omega)
     known = lasting(its, opinion.omega) & (SURE * spread <= DOUBT)
-    return known & (has.about(its)[1] > np.maximum(DOUBT, CONTRADICTS * spread))
+    return known & (has.about(its)[1] > np.maximum(DOUBT, STANDARD_ERRORS * spread))
 
 
 def of_second_order(exponents, sure, opinion):

@@ -8,6 +8,7 @@ from scipy import linalg
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import check_outputs_given
+from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.algorithms.likelihood.residual_tests import (
     Score,
@@ -24,7 +25,6 @@ from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
-ROWS_TESTED = 20_000  # from the start of a longer record
 ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
 MOST_LAGS = 20
 MOST_DEGREES = 60  # of freedom of one test: with more, it sees less
@@ -32,7 +32,7 @@ ROWS_PER_DEGREE = 10
 LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
-LEVEL = 0.001
+LEVEL = 0.001  # of tests: share of linear machines taken for others
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def remainder(experiment, simulators):
     ValueError
         If there are too few rows for the parameters.
     """
-    basis, segments, left = experiment.basis, [], ROWS_TESTED
+    basis, segments, left = experiment.basis, [], MOST_ROWS
     parts = zip(simulators, experiment.outputs, experiment.phases, experiment.times(), strict=True)
     for simulator, outputs, psi, time in parts:
         first, last = basis.scored_rows(time)

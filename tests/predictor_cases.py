@@ -61,6 +61,11 @@ def _form(case, n_phases, **options):
     return (form if n_phases == round(n_phases) else interpolating(form, theta)), theta
 
 
+def deviations(found):
+    """Standard deviation of each parameter, infinite if it is not identified."""
+    return np.sqrt(np.diag(found.covariance))
+
+
 def gain_of(form, rng, size=0.1):
     """Coefficients of a small gain, in the order of the form's parameters."""
     return size * rng.standard_normal(form.n_gains)
@@ -71,17 +76,13 @@ def azimuths(form, n_samples, first=3):
     return 2.0 * np.pi * (first + np.arange(n_samples)) / form.n_phases
 
 
-def record_of(form, rng, n_samples=60, *, missing=None, first=3):
+def record_of(form, rng, n_samples=60, *, first=3):
     """A record of noise, and its azimuths."""
     u = rng.standard_normal((n_samples, form.structure.n_inputs))
     y = rng.standard_normal((n_samples, form.n_outputs))
-    if missing == "single":
-        y[rng.random(y.shape) < 0.2] = np.nan
-        y[n_samples // 3 : n_samples // 2] = np.nan
-        y[-1], y[0, 0] = 1.0, np.nan  # each output is there once
     psi = azimuths(form, n_samples, first)
     where = first if form.n_points is None else psi
-    return as_records([(u, y, where)], form.structure.n_inputs, form.n_outputs)[0], psi
+    return as_records([(u, y, where)], form.n_outputs)[0], psi
 
 
 def matrices_at(form, theta, psi):
@@ -105,14 +106,14 @@ def matrices_at(form, theta, psi):
 
 
 def plain_predictions(form, parameters, record, psi, x0):
-    """x[k+1] = Φ x + Γ u + K e, ŷ = C x + D u, in a loop; e is zero where y is missing."""
+    """x[k+1] = Φ x + Γ u + K e, ŷ = C x + D u, in a loop."""
     k, n = form.structure.n_parameters, form.n_states
     gain, predicted, x = form.gain(parameters), [], np.array(x0)
     for j, angle in enumerate(psi):
         Psi, Out = matrices_at(form, parameters[:k], angle)
         z = np.concatenate([x, record.inputs[j]])
         predicted.append(Out @ z)
-        e = np.where(record.present[j], record.outputs[j] - predicted[-1], 0.0)
+        e = record.outputs[j] - predicted[-1]
         x = Psi @ z
         if gain is not None:
             x = x + evaluate_harmonics(gain, np.array([angle]))[0] @ e

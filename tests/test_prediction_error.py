@@ -8,8 +8,7 @@ from sklearn.pipeline import Pipeline
 
 from sklearn_hd import MOESPRegressor, StructuredMatcher
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.free_form import free_form
-from sklearn_hd.algorithms.likelihood.local_coordinates import OutputNormal
+from sklearn_hd.algorithms.likelihood.free_form import OutputNormal, free_form
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.datasets import load_power_plant, load_slicot_example
 from sklearn_hd.exceptions import IdentifiabilityWarning

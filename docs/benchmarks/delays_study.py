@@ -67,7 +67,7 @@ def bound(system, inputs, outputs, dt, share):
     first, last = 8, len(u) - 4
     segment = [(u[first:last], y[first:last], first)]
     sigma = share * outputs.std().to_numpy()
-    problem = likelihood_problem(form, segment, True, sigma)
+    problem = likelihood_problem(form, segment, sigma)
     theta = np.concatenate([structure.nearest(coefficients), cells.fractions.start])
     point = problem.point(theta, np.zeros((1, 2)))
     covariance, _ = problem.linearise(point).covariance()

@@ -91,7 +91,7 @@ def bound(u, y, gust, noise):
         K, S = kalman_filter(at.Psi, C, gust, noise)
         form, S = form.with_gain(HARMONICS), S.mean(axis=0)
         parameters = np.concatenate([theta, sampled_harmonics(K, HARMONICS).ravel()])
-    problem = likelihood_problem(form, segments, True, correlated=True)
+    problem = likelihood_problem(form, segments, correlated=True)
     covariance, _ = problem.linearise(start(problem, parameters), S).covariance(gauge=True)
     exponents, slopes = exponent_slopes(form, parameters)
     k = len(theta)

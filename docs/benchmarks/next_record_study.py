@@ -35,7 +35,7 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.uncertainty import exponent_slopes
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.design import design_input

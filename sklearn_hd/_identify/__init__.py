@@ -36,16 +36,16 @@ from sklearn_hd._records.delays import (
     most_samples,
     warn_of_doubt,
 )
+from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, most_likely
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
-MOST_ROWS = 20_000  # of samples read for a second opinion: some tenths of a second
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
 HARMONICS = 1  # of the regression, where the machine turns
 
@@ -259,7 +259,7 @@ def _opinion(experiment):
         parts = smooth_parts(decays)
         found = free_decay(parts)
         return of_free_decays(found and without_products(found, parts), experiment)
-    if sum(map(len, experiment.outputs)) > MOST_ROWS:
+    if sum(map(len, experiment.outputs)) > MOST_ROWS:  # beyond some tenths of a second
         return None
     at_samples = replace(
         experiment, basis=SampleBasis.of_others(experiment.basis), drive=experiment.inputs

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import linalg
 from scipy.stats import chi2
 
+from sklearn_hd._excitation import MOST_OUTSIDE
 from sklearn_hd._fit_checks import (
     check_motion,
     grows,
@@ -32,6 +33,7 @@ from sklearn_hd._opinion import (
     warn_unconfirmed,
 )
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
+from sklearn_hd._residuals import LEVEL
 from sklearn_hd.algorithms.linalg.rounding import EXACT, TINY
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.modes.free_decay import (
@@ -67,8 +69,6 @@ from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
 A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
-LEVEL = 1e-3  # share of linear machines taken for others
-MOST_LEFT_OUT = 1e-3  # of the inputs' energy within the period
 WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block rows"
 
 
@@ -189,7 +189,7 @@ def _excitation(experiment, settings):
             f"{left_out:.2g} of their energy counts as noise; {need} consecutive periods would be "
             f"enough"
         )
-        if left_out > MOST_LEFT_OUT:
+        if left_out > MOST_OUTSIDE:
             raise ValueError(
                 f"{words}; use a longer record, inputs that change less often, or "
                 f"HarmonicAnalyzer(reading='sample'), with hop=1 if they change at each sample"

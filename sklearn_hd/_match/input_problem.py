@@ -23,7 +23,7 @@ from scipy import fft, linalg, sparse
 
 from sklearn_hd._match import PeriodicModel
 from sklearn_hd._records.data import lifted_periods
-from sklearn_hd.algorithms.linalg.rounding import EXACT, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, UNKNOWN
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.combined_periods import (
     CombinedPeriods,
@@ -42,7 +42,6 @@ from sklearn_hd.algorithms.signals.fourier import InputDirections
 MAX_GROWTH = 100.0  # e-folds over a record
 N_INPUT_HARMONICS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 PATIENCE = 2  # numbers of harmonics that are no better before a search ends
-RANK = 1e-11  # singular values relative to the largest; dependent periods have 1e-15
 LARGEST_FIT = 4e7  # numbers in one regressor matrix
 
 
@@ -246,7 +245,7 @@ class InputProblem:
         states = starts / column_sizes(starts)
         Z = np.hstack([inputs.reshape(len(inputs), -1), states])
         U, sizes, Vt = linalg.svd(Z / column_sizes(Z), full_matrices=False)
-        kept = sizes > RANK * sizes[0]
+        kept = sizes > DEPENDENT * sizes[0]
         U, few = U[:, kept], (sizes[kept, None] * Vt[kept]) * column_sizes(Z)
         flat = outputs.reshape(len(outputs), -1)
         seen = U.T @ flat

@@ -4,11 +4,8 @@ It minimises the residuals of a simulation (``criterion="output_error"``) or of 
 sample ahead (``"prediction_error"``), for periodic and time-invariant models, their steps, and
 models of samples about a forced periodic response, whose Fourier coefficients are parameters too.
 
-Maximum likelihood of discrete models with all entries free: plain ones, and those of samples.
-
-The search uses predictions (:mod:`sklearn_hd.algorithms.likelihood.free_form`). If some outputs of
-a row are missing, outputs and inputs do not determine its predictor: all entries of A, B, C, D and
-K are then parameters, and the search begins and ends at the optimum nearby.
+Maximum likelihood of discrete models with all entries free: plain ones, and those of samples
+(:mod:`sklearn_hd.algorithms.likelihood.free_form`).
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +17,7 @@ from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
+from sklearn_hd._match.input_problem import PATIENCE
 from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
 from sklearn_hd._match.trust import ONE_TIME_CONSTANT, trusted, warn_of_slow
@@ -37,7 +35,6 @@ from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
-PATIENCE = 2  # numbers of harmonics that do not improve on the best before the search ends
 
 
 def match_likelihood(match, structure, experiment, settings, opinion):
@@ -323,8 +320,7 @@ def match_free(model, experiment, settings):
     of_samples = isinstance(model, SampleModel)
     start = model if of_samples else _as_samples(model)
     data = RecordData.of(experiment, True, model if of_samples else None, discrete=True)
-    complete = all(np.all(np.isfinite(outputs)) for _, outputs, _ in data.segments)
-    fit, sampled = (_free if complete else _near)(start, data, settings)
+    fit, sampled = _free(start, data, settings)
     trust = trusted(fit, experiment, sampled, fit.theta, settings, model.opinion)
     warn_of_slow(fit, trust, experiment)
     uncertainty, structure = _without_delays(fit, trust), fit.structure
@@ -397,17 +393,6 @@ def _places(structure, shape):
     """Where parameters stand among all coefficients, loads among them."""
     entries = np.unravel_index(structure.basis.indices, structure.constant.shape)
     return np.ravel_multi_index(entries, shape)
-
-
-def _near(start, data, settings):
-    """The most likely model near the start, by the entries of A, B, C, D and K."""
-    innovations = start.innovations
-    own = innovations.coefficients[: 2 * innovations.n_harmonics + 1, :, :-1]
-    structure = PeriodicStructure.all_free(own.shape, start.n_states, start.feedthrough)
-    gain = innovations.gain if innovations.gain.any() else None
-    fit = data.fit(structure, structure.nearest(own), settings, gain0=gain)
-    like = Match(None, (), fit.theta, None, sampled=start)
-    return fit, data.sampled(fit, like)
 
 
 def _as_samples(model):

@@ -16,8 +16,11 @@ from sklearn_hd._records.delays import in_whole_samples, most_samples
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, most_likely, through_cells
 from sklearn_hd.algorithms.likelihood.forms import Form, interpolating
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
-from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain, prediction_error
+from sklearn_hd.algorithms.likelihood.prediction_error import (
+    fit_gain,
+    output_error_of,
+    prediction_error,
+)
 from sklearn_hd.algorithms.likelihood.search import (
     LikelihoodResult,
     cost_of_best_inputs,
@@ -144,13 +147,13 @@ class RecordData:
             segments, omega, n_phases, observe, start, discrete, experiment, n_loads, raw=raw
         )
 
-    def fit(self, structure, theta, settings, *, bounds=None, gain0=None, like=None, coarse=False):
+    def fit(self, structure, theta, settings, *, bounds=None, like=None, coarse=False):
         """A structure of the inputs and outputs, fitted from some start.
 
         ``like`` is a fit of another structure, of whose gain, loads and delays this one has as
         many harmonics, and starts from. A coarse one is to be compared with others.
         """
-        options = {"bounds": bounds, "gain0": gain0, "coarse": coarse}
+        options = {"bounds": bounds, "coarse": coarse}
         data = self if like is None else like.data
         if data.cells is None:
             return data._fit(structure, theta, settings, like=like, **options)
@@ -199,7 +202,7 @@ class RecordData:
         cells = self.cells.with_constant() if self.n_loads >= 0 else self.cells
         return replace(form, delays=cells.fractions), np.append(start, cells.fractions.start)
 
-    def _fit(self, structure, theta, settings, *, bounds, gain0, like, coarse, sigma=None):
+    def _fit(self, structure, theta, settings, *, bounds, like, coarse, sigma=None):
         form, start = self._started(*self._with_loads(structure, theta, like))
         if settings.input_noise is not None:  # total least squares take the trim for known
             form = replace(form, waveform=False)
@@ -218,7 +221,7 @@ class RecordData:
             found = fit_gain(form, self.segments, start, like.result.gain, **options)
             return Fit(structure, form, found, self)
         if settings.predicts:
-            found = prediction_error(form, self.segments, start, gain0=gain0, **options)
+            found = prediction_error(form, self.segments, start, **options)
             return Fit(structure, found.problem.form, found, self)
         result = output_error_of(
             form, self.segments, start, sigma=sigma, input_sigma=settings.input_noise, **options
@@ -240,9 +243,7 @@ class RecordData:
         gain = fit.result.gain
         structure, theta, n = fit.form.structure, fit.result.theta, fit.structure.n_states
         step = 2.0 * np.pi / self.n_phases
-        if self.discrete:
-            moved = structure.coefficients(theta)
-        elif self.observe is not None or self.cells is not None:
+        if self.observe is not None or self.cells is not None:
             response = fit.form.response(fit.result.point.theta, sensitivities=False)
             moved = _coefficients(response)
             if self.cells is not None and self.n_loads >= 0:  # a constant is late by nothing

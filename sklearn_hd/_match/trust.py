@@ -14,9 +14,10 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Uncertainty
-from sklearn_hd._opinion import CONTRADICTS, SURE, doubtful, lasting
+from sklearn_hd._opinion import SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators
+from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
 from sklearn_hd.algorithms.likelihood.predictor import simulate
 from sklearn_hd.algorithms.likelihood.uncertainty import (
@@ -119,7 +120,7 @@ def _beside(std, exponents, opinion):
     if opinion is None:
         return std
     apart, deviations = opinion.beside(exponents)
-    told = np.abs(apart) > CONTRADICTS * np.hypot(np.abs(std), deviations)
+    told = np.abs(apart) > STANDARD_ERRORS * np.hypot(np.abs(std), deviations)
     told |= opinion.of_small_motions
     more = np.where(told & lasting(exponents, opinion.omega), apart, 0.0)
     wider = np.empty_like(std)  # 1j times infinity would be NaN

@@ -42,10 +42,6 @@ class EveryRow:
         """Rows read whose samples all lie before some sample."""
         return stop
 
-    def rows_read(self, time, whole_windows=True):
-        """Rows of one segment that models are made of: all."""
-        return np.arange(len(time))
-
     def recomposed(self, Y, time):
         """Measured outputs of the model's: the same."""
         return Y

@@ -38,7 +38,7 @@ from sklearn_hd.algorithms.signals.resampling import (
 from sklearn_hd.exceptions import ResamplingWarning
 
 MOST_HARMONICS = 50  # of a mean waveform
-MOST_ROWS = 20_000  # it is read from
+MOST_ROWS = 20_000  # of a longer record, that are looked at
 
 
 @dataclass(frozen=True, eq=False)

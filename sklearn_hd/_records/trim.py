@@ -19,7 +19,6 @@ MOST_MOTION = 0.01  # of its energy, that a trim may hold
 MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody subtracts
 LEAST_TURNS = 2
 PARTS = 8  # of a record, by which a waveform is told from its motion
-NONE = 1e-9  # of the outputs: a waveform that is rounding
 
 
 def with_trim(basis, signals, outputs, trim_span):
@@ -110,7 +109,7 @@ def _found(sampling, blocks, basis):
             parts = [part.mean(axis=0) for part in np.array_split(y, PARTS)]
             stands = stands_out(np.array(parts), motion)
     waveform = y[rest].mean(axis=0)
-    if not stands or np.max(np.abs(waveform)) <= NONE * np.max(np.abs(y)):
+    if not stands or np.max(np.abs(waveform)) <= PRECISION * np.max(np.abs(y)):
         return None
     trim = (
         np.ldexp(z, unit) for z, unit in zip((u[rest].mean(axis=0), waveform), units, strict=True)

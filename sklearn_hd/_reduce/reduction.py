@@ -109,7 +109,7 @@ def most_likely(segments, exponents, C, omega, n_phases, observe=None):
     near = np.zeros((1, n + len(C), n + m))
     near[0, :n, :n], near[0, n:, :n] = A, C
     structure = _modal_structure(exponents, near.shape)
-    problem = likelihood_problem(Form(structure, omega, n_phases, observe), segments, True)
+    problem = likelihood_problem(Form(structure, omega, n_phases, observe), segments)
     point = problem.with_best_inputs(start(problem, structure.nearest(near)))
     point = search(
         problem, point, max_iter=STEPS, tol=WORTH / size, keep_stable=False, bounds=None

@@ -317,9 +317,8 @@ class _Plant:
         index = pd.Index(dt * np.arange(len(u)), name="time")
         form = self.form(self.n_phases)
         response = form.response(self.theta, sensitivities=False)
-        n_inputs = self.structure.n_inputs
         still = u if self.n_loads < 0 else np.hstack([u, np.zeros((len(u), 1))])
-        (record,) = as_records([(still, None, 0)], n_inputs, form.n_outputs)
+        (record,) = as_records([(still, None, 0)], form.n_outputs)
         y = simulate(response, record, np.zeros(form.n_states))[1]
         return (
             pd.DataFrame(u, index, list(self.input_names)),

@@ -322,11 +322,6 @@ class Form:
         return self.structure.n_outputs if self.observe is None else self.observe.shape[1]
 
     @property
-    def n_inputs(self):
-        """Inputs of its records."""
-        return self.structure.n_inputs * (1 if self.delays is None else 2)
-
-    @property
     def n_model(self):
         """Number of parameters except for those of K."""
         return self.structure.n_parameters + (0 if self.delays is None else len(self.delays.free))

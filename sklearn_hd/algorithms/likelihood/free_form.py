@@ -4,13 +4,23 @@
 
 A and B are those of the predictor, stable whatever the machine is; without K, of a simulation. In
 B, K, D and x[0] predictions are linear: these are at their own optimum wherever A and C are, and
-the innovations' covariance with them (Golub, Pereyra, 1973). A and C move in local coordinates
-(:mod:`sklearn_hd.algorithms.likelihood.local_coordinates`); eigenvalues that a step would move out
-of the unit circle stay on it. Where A or C vary with the azimuth, all their coefficients are
-parameters, and steps out of stability are refused.
+the innovations' covariance with them (Golub, Pereyra, 1973). A and C move in local coordinates:
+similarities leave predictions alone, and with the one that makes the columns of [A/ρ; C]
+orthonormal, l n parameters X remain of the (n + l) n entries, each of which moves them,
+
+    [A/ρ; C] = (Q + Q⊥ X) (I + XᵀX)^{-1/2},     Q the present one,   QᵀQ⊥ = 0
+
+(output-normal form; ρ = 1 in Bruls et al.). Eigenvalues that a step would move out of the unit
+circle stay on it. Where A or C vary with the azimuth, all their coefficients are parameters, and
+steps out of stability are refused.
 
 Steps are those of Gauss and Newton. What their Hessian leaves out is learned from how slopes
 change (Dennis, Gay, Welsch, 1981; here by updates of rank one).
+
+References: J. Bruls, C. T. Chou, B. R. J. Haverkamp, M. Verhaegen, "Linear and non-linear system
+identification using separable least squares", European Journal of Control 5 (1999); T. McKelvey,
+A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable linear systems and
+their application to system identification", Automatica 40 (2004).
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +35,6 @@ from sklearn_hd.algorithms.likelihood.likelihood import (
     likelihood_problem,
     updated_factor,
 )
-from sklearn_hd.algorithms.likelihood.local_coordinates import AllEntries, OutputNormal
 from sklearn_hd.algorithms.likelihood.predictor import output_sensitivities
 from sklearn_hd.algorithms.likelihood.search import (
     DAMPING_LIMIT,
@@ -47,7 +56,7 @@ LEAST_DAMPING = 1e-12
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
 MOST_ROWS = 2500  # on which starts are judged
-PARTS = ("inputs", "outputs", "present")
+RHO = 1.01  # more than one: modes that do not decay have coordinates, too
 DRAWS = 8  # of which the most likely is a start
 
 
@@ -87,36 +96,15 @@ def free_form(
 ):
     """The model of largest likelihood, every entry of its matrices free.
 
-    Parameters
-    ----------
-    form : Form
-        Its clock; its structure has the sizes.
-    segments : list of (inputs, outputs, where)
-        Without missing outputs.
-    coefficients : ndarray, shape (2 H + 1, n + l, n + m)
-        Of [A B; C D](ψ), where to start.
-    free : ndarray of bool, shape (2 H' + 1, n + l, m)
-        What is free of [B; D](ψ); the rest is zero. H' may be above H.
-    gain : ndarray, shape (2 H'' + 1, n, l), optional
-        Of K(ψ), where to start.
-    predicts : bool
-        Whether there is a gain; none is taken where it does not pay (Schwarz's criterion).
-    max_iter : int
-        Largest number of Jacobians from each start.
-    n_starts, random_state : int
-        Further starts of time-invariant models, at random.
-
-    Returns
-    -------
-    fit : FreeFit
-
-    Raises
-    ------
-    ValueError
-        If there is no stable predictor to start from.
+    The form's structure has the sizes. To start from are the coefficients (2 H + 1, n + l, n + m)
+    of [A B; C D](ψ) and the gain (2 H'' + 1, n, l) of K(ψ); ``free`` (2 H' + 1, n + l, m) says what
+    is free of [B; D](ψ), the rest being zero, H' perhaps above H. If the model predicts, it has a
+    gain where that pays (Schwarz's criterion). Time-invariant ones have ``n_starts`` further starts
+    at random, each of at most ``max_iter`` Jacobians. Without a stable predictor to start from, a
+    ValueError says so.
     """
     n, count = form.n_states, len(coefficients)
-    size = likelihood_problem(form, segments, True).size
+    size = likelihood_problem(form, segments).size
     A, C = coefficients[:, :n, :n], coefficients[:, n:, :n] / size[:, None]
     columns = np.concatenate([A, C], axis=1)
     closed = columns
@@ -136,7 +124,7 @@ def free_form(
             f"the identified model, of order {n}, has no stable predictor from which maximum "
             f"likelihood could start; lower the order, or use a longer record"
         )
-    exact = found[0].point.rss <= problem.counts * (NOISELESS * problem.size) ** 2
+    exact = found[0].point.rss <= problem.n_rows * (NOISELESS * problem.size) ** 2
     if exact.any() and not exact.all():  # an output without noise outweighs all others
         alike = replace(family, problem=replace(family.problem, sigma=family.problem.size))
         charts = [alike.best(_charts(family, order), **settings)[0].chart]
@@ -164,9 +152,7 @@ def _family(form, segments, free, size, n_gains, correlated):
         drives = np.concatenate([wider, gains], axis=2)
         scaled = [(np.hstack([u, y]), y, where) for u, y, where in scaled]
     unused = PeriodicStructure(np.zeros(drives.shape), np.zeros((0, drives.size)), n, ())
-    problem = likelihood_problem(
-        replace(form, structure=unused), scaled, True, correlated=correlated
-    )
+    problem = likelihood_problem(replace(form, structure=unused), scaled, correlated=correlated)
     return FreeForm(problem, drives)
 
 
@@ -216,7 +202,7 @@ def _in_innovations_form(model, search, size, predicts):
     most = 2 * max(highest(now), highest(slopes.swapaxes(0, 1))) + 1
     now, slopes = now[:most], slopes[:, :most]
     spread = result.spread * size[:, None] * size
-    cost = result.cost + float(problem.counts @ np.log(size))
+    cost = result.cost + problem.n_rows * float(np.sum(np.log(size)))
     result = replace(result, spread=spread, cost=cost)
     return FreeFit(now, gain, slopes.reshape(len(slopes), -1), result)
 
@@ -358,8 +344,8 @@ class FreeForm:
         for record in self.problem.records:
             rows = slice(0, MOST_ROWS - n_rows)
             psi = None if record.psi is None else record.psi[rows]
-            parts = record.inputs[rows], record.outputs[rows], record.present[rows]
-            records.append(replace(record, **dict(zip(PARTS, parts, strict=True)), psi=psi))
+            some = {"inputs": record.inputs[rows], "outputs": record.outputs[rows], "psi": psi}
+            records.append(replace(record, **some))
             n_rows += len(records[-1].inputs)
             if n_rows >= MOST_ROWS:
                 break
@@ -445,7 +431,7 @@ def _with_best_inputs(problem, theta, x0, spread, count):
             np.tensordot(weights, products, 2), np.tensordot(weights, pushes, 2)
         )
         moved = pushes @ trial
-        spread = problem.spread((still + moved + moved.T + products @ trial @ trial)[None])
+        spread = problem.spread(still + moved + moved.T + products @ trial @ trial)
         before, cost = cost, 0.5 * np.linalg.slogdet(spread)[1]
         if not cost < before:
             break
@@ -484,3 +470,123 @@ def _compressed(problem, theta, x0, count):
             factor = updated_factor(factor, dy.transpose(0, 2, 1).reshape(-1, n_rows))
         blocks.append(factor.reshape(-1, n_columns, n_outputs).transpose(1, 0, 2))
     return blocks
+
+
+# ---- local coordinates -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OutputNormal:
+    """Time-invariant models about one.
+
+    Attributes
+    ----------
+    frame : ndarray, shape (n + l, n)
+        [A/ρ; C], its columns orthonormal.
+    across : ndarray, shape (n + l, l)
+        Orthonormal to it.
+    """
+
+    frame: np.ndarray
+    across: np.ndarray
+
+    @classmethod
+    def of(cls, A, C):
+        """From any A and C; an A that is not stable is moved to the unit circle."""
+        frame = _normal(_within_circle(A)[0], C)
+        return cls(frame, linalg.svd(frame)[0][:, len(A) :])
+
+    @property
+    def size(self):
+        return np.array([RHO] * self.frame.shape[1] + [1.0] * self.across.shape[1])[:, None]
+
+    @property
+    def columns(self):
+        """[A; C], shape (1, n + l, n)."""
+        return (self.size * self.frame)[None]
+
+    @property
+    def tangents(self):
+        """What one unit of each parameter adds to the columns, shape (k, 1, n + l, n)."""
+        n = self.frame.shape[1]
+        across = self.size * self.across
+        return np.einsum("ia,jb->abij", across, np.eye(n)).reshape(-1, 1, *self.frame.shape)
+
+    @property
+    def walls(self):
+        """Slopes of the sizes of the eigenvalues that lie on the unit circle, (n_walls, k)."""
+        n = self.frame.shape[1]
+        values, left, right = linalg.eig(RHO * self.frame[:n], left=True)
+        there = (np.abs(values) > 1.0 - HALF) & (values.imag >= 0.0)
+        left, right, values = left[:, there], right[:, there], values[there]
+        slopes = np.einsum("ie,kij,je->ek", left.conj(), self.tangents[:, 0, :n], right)
+        return (slopes * (values.conj() / np.sum(left.conj() * right, axis=0))[:, None]).real
+
+    def moved(self, step):
+        """Those about the one at some parameters."""
+        n = self.frame.shape[1]
+        frame = _orthonormal(self.frame + self.across @ step.reshape(-1, n))
+        A, clipped = _within_circle(RHO * frame[:n])
+        frame = _normal(A, frame[n:]) if clipped else frame
+        return replace(
+            self, frame=frame, across=_orthonormal(self.across - frame @ (frame.T @ self.across))
+        )
+
+    def about(self, random):
+        """Those at random at about distance one."""
+        size = self.frame.shape[1] * self.across.shape[1]
+        return self.moved(random.standard_normal(size) / np.sqrt(size))
+
+    def anywhere(self, n_samples, slow, random):
+        """Those at random: any frame, or modes that last, and turn once in, up to n_samples."""
+        n, n_outputs = self.frame.shape[1], self.across.shape[1]
+        if not slow:
+            frame = _orthonormal(random.standard_normal(self.frame.shape))
+            return self.of(frame[:n], frame[n:])
+        A = np.zeros((n, n))
+        for i in range(0, n, 2):
+            last, turn = n_samples ** random.random(2)
+            a, b = np.exp(-1.0 / last) * np.array([np.cos(np.pi / turn), np.sin(np.pi / turn)])
+            A[i : i + 2, i : i + 2] = np.array([[a, b], [-b, a]])[: n - i, : n - i]
+        return self.of(A, random.standard_normal((n_outputs, n)))
+
+
+@dataclass(frozen=True, eq=False)
+class AllEntries:
+    """Periodic models about one.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (2 H + 1, n + l, n)
+        Fourier coefficients of [A; C].
+    """
+
+    columns: np.ndarray
+
+    @property
+    def tangents(self):
+        return np.eye(self.columns.size).reshape(-1, *self.columns.shape)
+
+
+def _normal(A, C):
+    """Orthonormal [A/ρ; C] of the same model, its states changed as little as may be."""
+    P = linalg.solve_discrete_lyapunov(A.T / RHO, C.T @ C)
+    values, vectors = linalg.eigh(0.5 * (P + P.T))
+    root = np.sqrt(np.maximum(values, EPS * values[-1]))
+    T, back = (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+    return _orthonormal(np.vstack([T @ A @ back / RHO, C @ back]))
+
+
+def _orthonormal(columns):
+    left, _, right = linalg.svd(columns, full_matrices=False)
+    return left @ right
+
+
+def _within_circle(A):
+    """A with the eigenvalues beyond the unit circle moved to it, and whether there are any."""
+    values, vectors = np.linalg.eig(A)
+    size = np.abs(values)
+    if not np.max(size, initial=0.0) > 1.0:
+        return A, False
+    moved = vectors * (values / np.maximum(size, 1.0))
+    return np.linalg.solve(vectors.T, moved.T).T.real, True

@@ -120,7 +120,7 @@ class ExponentBound:
         response = self.form.response(self.theta, sensitivities=True)
         doubts = []
         for u in pulses:
-            (record,) = as_records([(u, None, 0)], u.shape[1], self.form.n_outputs)
+            (record,) = as_records([(u, None, 0)], self.form.n_outputs)
             start = np.zeros(self.form.n_states)
             pieces = output_sensitivities(response, record, start, free_x0=False)
             dy = np.concatenate([dy for _, _, dy in pieces], axis=1) / self.sigma

@@ -3,8 +3,7 @@
     −log L = Σ_k ½ (log det 2πS + e[k]ᵀ S⁻¹ e[k]),   e[k] = y[k] − ŷ[k; θ, x0]
 
 S, the covariance of what predictions leave, is diagonal for simulations, whose outputs have noise
-of their own, and full for the innovations form; its own optimum is Σ e eᵀ / N. Where outputs are
-missing, S is that of largest likelihood for those that are there (Dempster, Laird, Rubin, 1977).
+of their own, and full for the innovations form; its own optimum is Σ e eᵀ / N.
 
 A step of Gauss and Newton minimises |[X J] [δx0; δθ] + r|², rows weighed by S^{-1/2}. Each
 segment's δx0 is eliminated first: r and J without their projection on the range of X
@@ -34,8 +33,6 @@ from sklearn_hd.algorithms.matching.least_squares import BoundedSteps, FreeSteps
 
 ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
-SETTLED = 1e-12  # relative change of S between two steps of its search
-MOST_STEPS = 200  # of that search
 MOST_TURNS = 5  # of S and inputs in turn
 QR_BLOCK = 32  # columns of a block of reflections
 LITTLE = 1e-3  # of the likelihood, a row, that another turn is worth
@@ -47,14 +44,14 @@ class Point:
 
     theta: np.ndarray
     x0: np.ndarray  # (n_segments, n)
-    moments: np.ndarray  # (n_patterns, l, l)
+    moments: np.ndarray  # (l, l), Σ e eᵀ
     cost: float
     radius: float  # of the monodromy matrix's spectrum
 
     @property
     def rss(self):
         """Sum of squares that each output leaves."""
-        return np.sum(np.diagonal(self.moments, axis1=1, axis2=2), axis=0)
+        return np.diag(self.moments)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,52 +114,17 @@ class LinearSystem:
         return covariance, unknown
 
 
-@dataclass(frozen=True, eq=False)
-class Patterns:
-    """Which outputs are there together.
-
-    Attributes
-    ----------
-    there : ndarray of bool, shape (n_patterns, l)
-    counts : ndarray, shape (n_patterns,)
-    which : list of ndarray of int, shape (n_samples,)
-        Of each row of each record.
-    """
-
-    there: np.ndarray
-    counts: np.ndarray
-    which: list
-
-    @classmethod
-    def of(cls, records):
-        present = np.concatenate([record.present for record in records])
-        there, which = np.unique(present, axis=0, return_inverse=True)
-        which = which.reshape(-1)
-        ends = np.cumsum([len(record.present) for record in records])[:-1]
-        return cls(there, np.bincount(which, minlength=len(there)), np.split(which, ends))
-
-    def moments(self, residuals):
-        """Σ e eᵀ of the rows of each pattern."""
-        found = np.zeros((len(self.there), *2 * (residuals[0].shape[1],)))
-        for e, which in zip(residuals, self.which, strict=True):
-            for k in range(len(found)):
-                rows = e if len(found) == 1 else e[which == k]
-                found[k] += rows.T @ rows
-        return found
-
-
 class _AboutWaveform:
     """Rows of a record about a waveform of the turn that is free: an orthogonal change of them."""
 
-    def __init__(self, n_phases, n_columns, n_outputs):
-        self.n_phases, self.begin = n_phases, 0
-        self.total = np.zeros((n_columns, 1, n_phases, n_outputs))
-        self.count = np.zeros((1, n_phases, n_outputs))
+    def __init__(self, n_phases):
+        self.n_phases, self.begin, self.total, self.count = n_phases, 0, 0.0, 0.0
 
-    def rows(self, values, present):
-        """Those of the next piece, (n_columns, n_rows, l), zero where an output is missing."""
-        begin, n_rows = self.begin, len(present)
-        x, there = (by_turn(each, self.n_phases, begin) for each in (values, present))
+    def rows(self, values):
+        """Those of the next piece, (n_columns, n_rows, l)."""
+        begin, n_rows = self.begin, values.shape[1]
+        x = by_turn(values, self.n_phases, begin)
+        there = by_turn(np.ones((n_rows, 1)), self.n_phases, begin)
         count = self.count + np.cumsum(there, axis=0) - there
         before = self.total + np.cumsum(x, axis=1) - x
         self.total = self.total + x.sum(axis=1, keepdims=True)
@@ -187,7 +149,6 @@ class Problem:
     ----------
     form : Form
     records : list of Record
-    free_x0 : bool
     sigma : ndarray, shape (l,), or None
         Standard deviations of the noise, where they are known.
     correlated : bool
@@ -196,48 +157,43 @@ class Problem:
 
     form: Form
     records: list
-    free_x0: bool
     sigma: np.ndarray | None = None
     correlated: bool = False
-    patterns: Patterns = field(init=False)
     size: np.ndarray = field(init=False)  # (l,) rms of each output
 
     def __post_init__(self):
-        patterns = Patterns.of(self.records)
-        counts = patterns.counts @ patterns.there
         squares = sum(np.sum(record.outputs**2, axis=0) for record in self.records)
-        size = np.sqrt(squares / counts)
+        size = np.sqrt(squares / self.n_rows)
         largest = np.max(size) if np.max(size) > 0 else 1.0
-        object.__setattr__(self, "patterns", patterns)
         object.__setattr__(self, "size", np.where(size > 0, size, largest))
 
     @property
-    def counts(self):
-        """Values of each output."""
-        return self.patterns.counts @ self.patterns.there
+    def n_rows(self):
+        """Rows of all records."""
+        return sum(len(record.outputs) for record in self.records)
 
     @property
     def n_residuals(self):
-        return int(self.counts.sum())
+        return self.n_rows * self.form.n_outputs
 
     @property
     def n_waveforms(self):
         """Values of the waveforms that are free."""
-        return sum(int(np.sum(self._counts(r) > 0)) for r in self.records if self._turns(r))
+        return sum(map(self._turns, self.records)) * self.form.n_phases * self.form.n_outputs
 
     def _turns(self, record):
         """Whether the record has a waveform of its own: two turns are needed to tell one."""
-        return self.form.waveform and len(record.present) >= 2 * self.form.n_phases
+        return self.form.waveform and len(record.outputs) >= 2 * self.form.n_phases
 
-    def _counts(self, record):
-        return by_turn(record.present, self.form.n_phases).sum(axis=0)
+    def _waveform(self, left):
+        """Mean over the turns of what is left of a record, and rows of each phase."""
+        counts = by_turn(np.ones((len(left), 1)), self.form.n_phases).sum(axis=0)
+        return by_turn(left, self.form.n_phases).sum(axis=0) / counts, counts
 
-    def _about(self, record, left):
-        """What is left of a record about its waveform, and the waveform, from its first phase."""
-        mean = by_turn(left, self.form.n_phases).sum(axis=0) / np.maximum(self._counts(record), 1)
-        n_turns = -(-len(left) // self.form.n_phases)
-        about = left - np.tile(mean, (n_turns, 1))[: len(left)]
-        return np.where(record.present, about, 0.0), mean
+    def _about(self, left):
+        """What is left of a record about its waveform."""
+        mean, _ = self._waveform(left)
+        return left - mean[np.arange(len(left)) % len(mean)]
 
     def waveform(self, point):
         """What a trim that was subtracted is off by, (n_phases, l) from ψ = 0; None if none is.
@@ -247,13 +203,12 @@ class Problem:
         response, total, counts = self.form.response(point.theta, sensitivities=False), 0.0, 0
         for record, x0 in zip(self.records, point.x0, strict=True):
             if self._turns(record):
-                mean = self._about(record, residuals(response, record, x0))[1]
-                own = self._counts(record)
+                mean, own = self._waveform(residuals(response, record, x0))
                 total = total - np.roll(own * mean, record.first_phase, axis=0)
                 counts = counts + np.roll(own, record.first_phase, axis=0)
         if np.ndim(counts) == 0:
             return None
-        mean = _outputs_of(response, total / np.maximum(counts, 1))
+        mean = _outputs_of(response, total / counts)
         return np.where(np.max(np.abs(mean), axis=0) > NOISELESS * self.size, mean, 0.0)
 
     def spread(self, moments):
@@ -261,39 +216,21 @@ class Problem:
         if self.sigma is not None:
             return np.diag(self.sigma**2)
         floor = (ROUNDING * self.size) ** 2
-        own = np.sum(np.diagonal(moments, axis1=1, axis2=2), axis=0) / self.counts
-        S = np.diag(np.maximum(own, floor))
+        S = moments / self.n_rows
         if not self.correlated:
-            return S
-        for _ in range(MOST_STEPS):
-            before, total = S, np.zeros_like(S)
-            for there, count, moment in zip(
-                self.patterns.there, self.patterns.counts, moments, strict=True
-            ):
-                total += _completed(S, there, count, moment)
-            S = total / len(np.concatenate(self.patterns.which))
-            S = S + HALF * np.diag(np.diag(S)) + np.diag(floor)  # outputs may be equal
-            if len(self.patterns.there) == 1 or linalg.norm(S - before) <= SETTLED * linalg.norm(S):
-                break
-        return S
+            return np.diag(np.maximum(np.diag(S), floor))
+        return S + HALF * np.diag(np.diag(S)) + np.diag(floor)  # outputs may be equal
 
     def cost(self, moments):
         """Negative logarithm of the likelihood, with S at its own optimum."""
-        S, cost = self.spread(moments), 0.0
-        for there, count, moment in zip(
-            self.patterns.there, self.patterns.counts, moments, strict=True
-        ):
-            if there.any():
-                own = np.ix_(there, there)
-                L = linalg.cholesky(S[own], lower=True)
-                left = linalg.solve_triangular(L, moment[own], lower=True)
-                left = linalg.solve_triangular(L, left.T, lower=True)
-                cost += count * np.sum(np.log(np.sqrt(2.0 * np.pi) * np.diag(L)))
-                cost += 0.5 * np.trace(left)
-        return float(cost)
+        L = linalg.cholesky(self.spread(moments), lower=True)
+        left = linalg.solve_triangular(L, moments, lower=True)
+        left = linalg.solve_triangular(L, left.T, lower=True)
+        cost = self.n_rows * np.sum(np.log(np.sqrt(2.0 * np.pi) * np.diag(L)))
+        return float(cost + 0.5 * np.trace(left))
 
     def at_rounding(self, point):
-        return bool(np.all(point.rss <= self.counts * (NOISELESS * self.size) ** 2))
+        return bool(np.all(point.rss <= self.n_rows * (NOISELESS * self.size) ** 2))
 
     def point(self, theta, x0):
         """Residuals at some parameters and initial states."""
@@ -304,10 +241,10 @@ class Problem:
                 for record, start in zip(self.records, x0, strict=True)
             ]
             left = [
-                self._about(record, each)[0] if self._turns(record) else each
+                self._about(each) if self._turns(record) else each
                 for record, each in zip(self.records, left, strict=True)
             ]
-            moments = self.patterns.moments(left)
+            moments = sum(each.T @ each for each in left)
         cost = self.cost(moments) if np.all(np.isfinite(moments)) else np.inf
         return Point(theta, x0, moments, cost, self.form.radius(response))
 
@@ -323,19 +260,13 @@ class Problem:
         response = self.form.response(point.theta, sensitivities=only is None or len(only) > 0)
         if only is not None:
             response = _of_some(response, only)
-        roots = _roots(spread, self.patterns.there)
+        L = linalg.cholesky(spread, lower=True)
+        root = linalg.solve_triangular(L, np.eye(len(L)), lower=True)
         for segment, (record, x0) in enumerate(zip(self.records, point.x0, strict=True)):
-            which = self.patterns.which[segment]
-            pieces = output_sensitivities(response, record, x0, free_x0=self.free_x0)
-            about = None
-            for start, stop, dy in pieces:
-                if self._turns(record):
-                    about = about or _AboutWaveform(self.form.n_phases, len(dy), dy.shape[2])
-                    dy = about.rows(dy, record.present[start:stop])
-                if len(roots) == 1:
-                    yield segment, start, dy @ roots[0].T
-                else:
-                    yield segment, start, np.einsum("tij,ctj->cti", roots[which[start:stop]], dy)
+            pieces = output_sensitivities(response, record, x0)
+            about = _AboutWaveform(self.form.n_phases) if self._turns(record) else None
+            for start, _, dy in pieces:
+                yield segment, start, (dy if about is None else about.rows(dy)) @ root.T
 
     def factors(self, point, spread, only=None):
         """Triangular factor of the whitened columns of each segment."""
@@ -350,8 +281,7 @@ class Problem:
     def linearise(self, point, spread=None, only=None):
         """Least-squares system for a step from a point, of some parameters where told."""
         spread = self.spread(point.moments) if spread is None else spread
-        n0 = self.form.n_states if self.free_x0 else 0
-        return eliminate_states(self.factors(point, spread, only), n0)
+        return eliminate_states(self.factors(point, spread, only), self.form.n_states)
 
     def with_best_inputs(self, point):
         """The same F and P with the G, Q and initial states of largest likelihood.
@@ -363,9 +293,7 @@ class Problem:
             system = self.linearise(point, only=linear)
             step, theta = system.step(0.0), point.theta.copy()
             theta[linear] += step
-            x0 = point.x0
-            if self.free_x0:
-                x0 = x0 - [states @ np.append(step, 1.0) for states in system.states]
+            x0 = point.x0 - [states @ np.append(step, 1.0) for states in system.states]
             trial = self.point(theta, x0)
             if not trial.cost < point.cost:
                 break
@@ -401,30 +329,6 @@ def _of_some(response, places):
         return replace(response, dPsi=None, dOut=None, n_gain_harmonics=None)
     some = {"dPsi": response.dPsi[places], "dOut": response.dOut[places]}
     return replace(response, **some, n_gain_harmonics=None)
-
-
-def _completed(S, there, count, moment):
-    """Σ E[e eᵀ] of some rows, given those of their outputs that are there."""
-    if there.all():
-        return moment
-    if not there.any():
-        return count * S
-    own = S[np.ix_(there, there)]
-    back = np.zeros_like(S)
-    back[:, there] = linalg.solve(own, S[there], assume_a="pos").T  # E[e | those there]
-    back[np.ix_(there, there)] = np.eye(int(there.sum()))
-    return back @ moment @ back.T + count * (S - back @ S)
-
-
-def _roots(spread, patterns):
-    """S^{-1/2} of the outputs that are there, zero elsewhere, one a pattern."""
-    roots = np.zeros((len(patterns), *spread.shape))
-    for root, there in zip(roots, patterns, strict=True):
-        own = np.ix_(there, there)
-        if there.any():
-            L = linalg.cholesky(spread[own], lower=True)
-            root[own] = linalg.solve_triangular(L, np.eye(len(L)), lower=True)
-    return roots
 
 
 def updated_factor(factor, columns):
@@ -476,17 +380,10 @@ def _range(matrix):
     return left[:, kept], adjoint[kept].T / singular[kept] / size[:, None]
 
 
-def likelihood_problem(form, segments, free_x0, sigma=None, correlated=False):
-    """The problem, its records checked."""
-    records = as_records(segments, form.n_inputs, form.n_outputs)
-    if sigma is not None:
-        sigma = np.asarray(sigma, dtype=float)
-        if sigma.shape != (form.n_outputs,) or not np.all(sigma > 0):
-            raise ValueError(
-                f"sigma={sigma.tolist()} must hold a positive standard deviation for each of "
-                f"{form.n_outputs} outputs; leave it out to have them estimated"
-            )
-    return Problem(form, records, free_x0, sigma, correlated)
+def likelihood_problem(form, segments, sigma=None, correlated=False):
+    """The problem of some segments (:func:`~.predictor.as_records`)."""
+    sigma = None if sigma is None else np.asarray(sigma, dtype=float)
+    return Problem(form, as_records(segments, form.n_outputs), sigma, correlated)
 
 
 def is_white(left, lags):

@@ -22,7 +22,11 @@ import numpy as np
 
 from sklearn_hd.algorithms.likelihood.likelihood import Point, Problem, updated_factor
 from sklearn_hd.algorithms.likelihood.predictor import output_sensitivities, residuals
+from sklearn_hd.algorithms.likelihood.search import Search, result_of, search
 from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
+
+SETTLED = 1e-3  # relative change of noise levels; far below their own error
+SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +40,7 @@ class InnovationFilter:
     closed : ndarray, shape (n_samples, n, n)
         Φ_k − K_k C_k.
     output : ndarray, shape (n_samples, l, n)
-        C_k, zero in the rows of outputs that are missing.
+        C_k.
     gain : ndarray, shape (n_samples, n, l)
     covariance, root : ndarray, shapes (n_samples, l, l)
         Covariance of the innovations, and the inverse of its Cholesky factor.
@@ -104,7 +108,6 @@ def innovation_filter(response, record, sigma, input_sigma):
     n, n_samples = response.n_states, len(record.inputs)
     phase = record.first_phase + np.arange(n_samples)
     Psi, Out = response.Psi[phase % len(response.Psi)], response.Out[phase % len(response.Out)]
-    Out = np.where(record.present[:, :, None], Out, 0.0)
     Phi, C = Psi[:, :, :n], Out[:, :, :n]
     roots = np.concatenate([Psi, Out], axis=1)[:, :, n:] * input_sigma
     pushed = roots @ np.swapaxes(roots, 1, 2)  # covariance of [Γ; Q] e_u
@@ -154,14 +157,14 @@ class NoisyInputProblem(Problem):
         return np.eye(1)
 
     def cost(self, moments):
-        return self.n_residuals * np.log(np.sqrt(2.0 * np.pi)) + 0.5 * float(moments[0, 0, 0])
+        return self.n_residuals * np.log(np.sqrt(2.0 * np.pi)) + 0.5 * float(moments[0, 0])
 
     def at_rounding(self, point):
         return False
 
     def point(self, theta, x0):
         response = self.form.response(theta, sensitivities=False)
-        rss, cost = np.zeros((1, 1, 1)), np.inf
+        rss, cost = np.zeros((1, 1)), np.inf
         with np.errstate(over="ignore", invalid="ignore"):
             r = [residuals(response, record, x) for record, x in zip(self.records, x0, strict=True)]
             rough = sum(float(np.sum(each**2)) for each in r)
@@ -175,10 +178,7 @@ class NoisyInputProblem(Problem):
         """Negative logarithm of the likelihood of the innovations, their sizes included."""
         filters = self.filters(point.theta, self.form.response(point.theta, sensitivities=False))
         sizes = [np.diagonal(each.root, axis1=1, axis2=2) for each in filters]
-        return point.cost - sum(
-            np.sum(np.log(size), where=record.present)
-            for size, record in zip(sizes, self.records, strict=True)
-        )
+        return point.cost - sum(np.sum(np.log(size)) for size in sizes)
 
     def updated_output_sigma(self, point):
         """Noise of the outputs whose innovations would be as large as those found.
@@ -186,8 +186,8 @@ class NoisyInputProblem(Problem):
         σ_i² grows by the mean of ν_i² less its expectation.
         """
         response = self.form.response(point.theta, sensitivities=False)
-        n_fitted = len(point.theta) + (point.x0.size if self.free_x0 else 0)
-        found, expected, counts = 0.0, 0.0, 0
+        n_fitted = len(point.theta) + point.x0.size
+        found, expected = 0.0, 0.0
         for whitening, record, start in zip(
             self.filters(point.theta, response), self.records, point.x0, strict=True
         ):
@@ -195,11 +195,10 @@ class NoisyInputProblem(Problem):
             innovations = np.linalg.solve(whitening.root, whitened[:, :, None])[:, :, 0]
             variance = np.diagonal(whitening.covariance, axis1=1, axis2=2)
             found = found + np.sum(innovations**2, axis=0)
-            expected = expected + np.sum(np.where(record.present, variance, 0.0), axis=0)
-            counts = counts + record.present.sum(axis=0)
+            expected = expected + np.sum(variance, axis=0)
         found = found / (1.0 - n_fitted / self.n_residuals)
         old = self.output_sigma**2
-        return np.sqrt(np.maximum(old + (found - expected) / counts, 0.0))
+        return np.sqrt(np.maximum(old + (found - expected) / self.n_rows, 0.0))
 
     def with_best_inputs(self, point):
         return point
@@ -218,7 +217,7 @@ class NoisyInputProblem(Problem):
         whitened = whitening.whiten(residuals(response, record, x0))[0]
         corrected = replace(record, inputs=record.inputs - whitening.input_errors(whitened))
         factor, state = None, None
-        pieces = output_sensitivities(response, corrected, x0, free_x0=self.free_x0)
+        pieces = output_sensitivities(response, corrected, x0)
         for start, stop, dy in pieces:
             dy, state = whitening.whiten(dy[:-1], state, start)
             block = np.concatenate([dy, whitened[None, start:stop]])
@@ -232,8 +231,34 @@ def noisy_input_problem(problem, output_sigma, input_sigma):
     return NoisyInputProblem(
         problem.form,
         problem.records,
-        problem.free_x0,
         np.ones(1),
         output_sigma=np.asarray(output_sigma, dtype=float),
         input_sigma=np.asarray(input_sigma, dtype=float),
+    )
+
+
+def with_noisy_inputs(problem, found, input_sigma, options):
+    """Total least squares from where least squares ended, the outputs' noise in turn with it."""
+    sigma = np.sqrt(np.diag(problem.spread(found.point.moments)))
+    n_iter, settled = found.n_iter, False
+    smallest = SMALLEST_SHARE * sigma
+    for _ in range(options["max_iter"]):
+        noisy = noisy_input_problem(problem, sigma, input_sigma)
+        begin = noisy.point(found.point.theta, found.point.x0)
+        found = search(noisy, begin, **options)
+        n_iter += found.n_iter
+        if problem.sigma is not None:
+            settled = True
+            break
+        old, sigma = sigma, np.maximum(noisy.updated_output_sigma(found.point), smallest)
+        settled = bool(np.all(np.abs(sigma - old) <= SETTLED * old))
+        if settled:
+            break
+    found = Search(found.point, n_iter, found.converged and settled)
+    result = result_of(noisy, found)
+    return replace(
+        result,
+        spread=np.diag(sigma**2),
+        cost=noisy.likelihood(found.point),
+        n_parameters=result.n_parameters + (len(sigma) if problem.sigma is None else 0),
     )

@@ -1,4 +1,12 @@
-"""Maximum likelihood of the innovations form: what shakes the machine itself has a gain.
+"""Maximum likelihood of parameters from measured outputs, by simulations or by predictions.
+
+The output-error method: all noise is that of the sensors, white, normal, of deviation σ_i,
+
+    y[k] = ŷ[k; θ, x0] + e[k],   −log L = Σ_i N_i/2 (log 2πσ_i²) + Σ_i RSS_i / (2σ_i²)
+
+With the σ_i unknown, σ_i² = RSS_i / N_i at the optimum, which leaves min Σ_i N_i/2 log RSS_i.
+
+The prediction-error method: what shakes the machine itself has a gain, in the innovations form
 
     x[k+1] = Φ_k x[k] + Γ_k u[k] + K(ψ_k) e[k],   y[k] = C_k x[k] + D_k u[k] + e[k]
     −log L = ½ N log det (Σ e eᵀ / N) + const
@@ -9,7 +17,9 @@ nothing, and takes a lasting pattern of the noise out: to have one at all has to
 criterion. The first K is that of a Kalman filter: noise that moves the states so that outputs
 answer alike, of the size that leaves the most likely innovations.
 
-References: L. Ljung, *System Identification*, 1999, sections 4.3 and 7.4; T. McKelvey,
+References: R. K. Mehra, "Identification of stochastic linear dynamic systems using Kalman filter
+representation", AIAA J. 9 (1971); R. V. Jategaonkar, *Flight Vehicle System Identification*, 2006,
+chapter 4; L. Ljung, *System Identification*, 1999, sections 4.3 and 7.4; T. McKelvey,
 A. Helmersson, T. Ribarits, "Data driven local coordinates for multivariable linear systems and
 their application to system identification", Automatica 40 (2004).
 """
@@ -19,6 +29,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
+from sklearn_hd.algorithms.likelihood.noisy_inputs import with_noisy_inputs
 from sklearn_hd.algorithms.likelihood.search import (
     OverflowingStartError,
     cost_of_start,
@@ -34,30 +45,58 @@ MOST_HARMONICS = 4  # of K
 MOST_TURNS = 400  # of the Riccati equation
 
 
-def prediction_error(form, segments, theta0, *, gain0=None, bounds=None, max_iter=50, tol=1e-8):
+def output_error_of(
+    form,
+    segments,
+    theta0,
+    *,
+    sigma=None,
+    input_sigma=None,
+    bounds=None,
+    max_iter=50,
+    tol=1e-8,
+):
+    """Parameters of largest likelihood for measured outputs of a periodic system.
+
+        min Σ_i N_i/2 log RSS_i(θ, x0)
+
+    Segments are (inputs, outputs, where), as :func:`~.predictor.as_records` takes them. Noise
+    of unknown ``sigma`` (l,) is estimated; with ``input_sigma`` (m,), that of the measured
+    inputs, which the system does not feel, least squares are total ones. The last step promises
+    a fall of less than tol, relative to the sum of squares: it begins within √(tol N) standard
+    deviations of the optimum.
+
+    Examples
+    --------
+    The rate of a lag from its step response, without noise:
+
+    >>> from sklearn_hd.algorithms.likelihood.forms import Form
+    >>> from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+    >>> lag = PeriodicStructure(np.array([[[0.0, 1.0], [1.0, 0.0]]]),
+    ...                         np.array([[[[-1.0, 0.0], [0.0, 0.0]]]]), 1, ("rate",))
+    >>> u, t = np.ones((50, 1)), 0.1 * np.arange(50)
+    >>> y = (1 - np.exp(-2.0 * t[:, None])) / 2.0
+    >>> result = output_error_of(Form(lag, 2 * np.pi, 10), [(u, y, 0)], [1.0])
+    >>> bool(np.isclose(result.theta[0], 2.0, rtol=1e-13))
+    True
+    """
+    problem = likelihood_problem(form, segments, sigma)
+    point = start(problem, theta0)
+    options = {"max_iter": max_iter, "tol": tol, "keep_stable": True, "bounds": bounds}
+    found = search(problem, point, **options)
+    if input_sigma is None:
+        return result_of(problem, found)
+    return with_noisy_inputs(problem, found, input_sigma, options)
+
+
+def prediction_error(form, segments, theta0, *, bounds=None, max_iter=50, tol=1e-8):
     """Parameters and Kalman gain of largest likelihood, K of as many harmonics as the data show.
 
-    Parameters
-    ----------
-    form : Form
-        Its number of harmonics of K is chosen here.
-    segments : list of (inputs, outputs, where)
-        As for :func:`sklearn_hd.algorithms.likelihood.predictor.as_records`.
-    theta0 : ndarray, shape (k,)
-        Of the structure.
-    gain0 : ndarray, shape (2 H + 1, n, l), optional
-        To start from, beside that of a Kalman filter.
-    bounds : tuple of ndarray, shape (k,), optional
-    max_iter : int, default=50
-    tol : float, default=1e-8
-
-    Returns
-    -------
-    result : LikelihoodResult
-        Its problem has the form found.
+    The form's own number of harmonics of K does not count; that of the result's problem is the one
+    found. Segments are as for :func:`~.predictor.as_records`, bounds a pair of ndarray (k,).
     """
     settings = {"bounds": bounds, "max_iter": max_iter, "tol": tol}
-    first, gain = first_gain(form, segments, theta0, gain0)
+    first, gain = first_gain(form, segments, theta0)
     best = fit_gain(form.with_gain(first), segments, theta0, gain, **settings)
     theta = best.without_gain
     without = form.with_gain(None)
@@ -90,7 +129,7 @@ def fit_gain(form, segments, theta0, gain0, *, bounds=None, max_iter=50, tol=1e-
     if gain0 is not None:
         known = np.ravel(gain0)[: len(wider)]
         wider[: len(known)] = known
-    problem = likelihood_problem(form, segments, True, correlated=True)
+    problem = likelihood_problem(form, segments, correlated=True)
     if bounds is not None:
         wide = np.full(form.n_gains, np.inf)
         bounds = np.append(bounds[0], -wide), np.append(bounds[1], wide)
@@ -113,7 +152,7 @@ def first_gain(form, segments, theta0, gain0=None, counts=None):
     may be unstable: where it overflows, it is the least likely.
     """
     own = form.with_gain(None).response(theta0, sensitivities=False)
-    problem = likelihood_problem(form.with_gain(0), segments, True, correlated=True)
+    problem = likelihood_problem(form.with_gain(0), segments, correlated=True)
     highest, best = most_harmonics(form), (np.inf, None, None)
     counts = range(highest + 1) if counts is None else counts
     coefficients = [] if gain0 is None else [gain0]

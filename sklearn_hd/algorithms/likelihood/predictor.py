@@ -2,8 +2,8 @@
 
     x[k+1] = Φ_k x[k] + Γ_k u[k] + K_k e[k],   y[k] = C_k x[k] + D_k u[k] + e[k]
 
-e is what the prediction leaves; where an output is missing it is zero there. Without K the
-prediction is a simulation. Derivatives follow the predictor, with z = [x; u]:
+e is what the prediction leaves. Without K the prediction is a simulation. Derivatives follow the
+predictor, with z = [x; u]:
 
     ∂x[k+1] = (Φ_k − K_k C_k) ∂x[k] + (∂[Φ Γ]_k − K_k ∂[C D]_k) z[k] + ∂K_k e[k]
     ∂ŷ[k] = C_k ∂x[k] + ∂[C D]_k z[k]
@@ -20,7 +20,7 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 
-PIECE = 1_000_000  # numbers in the sensitivities of one piece, 8 MB: a cache
+PIECE = 1_000_000  # numbers in the arrays of one piece, 8 MB: a cache
 TILE = 64  # samples of a time-invariant system that make a period
 
 
@@ -33,8 +33,6 @@ class Record:
     inputs : ndarray, shape (n_samples, m)
         Held from sample to sample.
     outputs : ndarray, shape (n_samples, l)
-        Zero where missing.
-    present : ndarray of bool, shape (n_samples, l)
     first_phase : int
         Phase of the first sample, in samples after ψ = 0.
     psi : ndarray, shape (n_samples,), or None
@@ -44,46 +42,21 @@ class Record:
 
     inputs: np.ndarray
     outputs: np.ndarray
-    present: np.ndarray
     first_phase: int
     psi: np.ndarray | None = None
 
 
-def as_records(segments, n_inputs, n_outputs):
-    """Records from (inputs, outputs, where); outputs may hold NaN where missing.
+def as_records(segments, n_outputs):
+    """Records from (inputs, outputs, where); ``outputs=None`` are not told.
 
-    ``where`` is the phase of the first sample, or the azimuths of all. ``outputs=None`` means
-    that all are present, their values not told.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, inputs are not finite, or no output is there at all.
+    ``where`` is the phase of the first sample, or the azimuths of all.
     """
     records = []
-    for position, (inputs, outputs, where) in enumerate(segments):
+    for inputs, outputs, where in segments:
         u = np.asarray(inputs, dtype=float)
         y = np.zeros((len(u), n_outputs)) if outputs is None else np.asarray(outputs, dtype=float)
-        if u.shape != (len(u), n_inputs) or y.shape != (len(u), n_outputs) or not len(u):
-            raise ValueError(
-                f"segment {position} has inputs of shape {u.shape} and outputs of shape "
-                f"{y.shape}; the structure needs (n_samples, {n_inputs}) and "
-                f"(n_samples, {n_outputs})"
-            )
-        if not np.all(np.isfinite(u)):
-            raise ValueError(
-                f"inputs of segment {position} hold NaN or infinity; only outputs may be missing: "
-                f"cut the segment at the missing input"
-            )
-        present = np.isfinite(y)
         first, psi = (int(where), None) if np.ndim(where) == 0 else (0, np.asarray(where))
-        records.append(Record(u, np.where(present, y, 0.0), present, first, psi))
-    counts = sum((record.present.sum(axis=0) for record in records), np.zeros(n_outputs, int))
-    if not np.all(counts > 0):
-        raise ValueError(
-            f"outputs have {counts.tolist()} values in {len(records)} segments; each output needs "
-            f"some values that are not NaN"
-        )
+        records.append(Record(u, y, first, psi))
     return records
 
 
@@ -97,9 +70,8 @@ def simulate(response, record, x0):
 
 
 def residuals(response, record, x0):
-    """ŷ − y of one record, shape (n_samples, l); zero where y is missing."""
-    difference = simulate(response, record, x0)[1] - record.outputs
-    return np.where(record.present, difference, 0.0)
+    """ŷ − y of one record, shape (n_samples, l)."""
+    return simulate(response, record, x0)[1] - record.outputs
 
 
 def n_columns(response, *, free_x0):
@@ -116,14 +88,14 @@ def output_sensitivities(response, record, x0, *, free_x0=True):
     start, stop : int
         Samples of the piece.
     dy : ndarray, shape (n_columns + 1, stop − start, l)
-        ŷ − y in the last place. Zero where an output is missing.
+        ŷ − y in the last place.
     """
     n, columns = response.n_states, n_columns(response, free_x0=free_x0)
     n0, with_gain = n if free_x0 else 0, response.gain is not None
     course = _Course(response, record)
     states, predicted = course.predicted(x0)
     z = np.concatenate([states, record.inputs], axis=1)
-    left = np.where(record.present, predicted - record.outputs, 0.0)
+    left = predicted - record.outputs
     slopes = _Slopes(response, record)
     seen = slopes.seen
     acting = np.union1d(slopes.acting, seen) if with_gain else slopes.acting
@@ -149,7 +121,7 @@ def output_sensitivities(response, record, x0, *, free_x0=True):
         if direct is not None:
             dy[n0 + seen] += direct[:, : stop - start]
         dy[-1] = left[start:stop]
-        yield start, stop, np.where(record.present[start:stop], dy, 0.0)
+        yield start, stop, dy
 
 
 class _Course:
@@ -162,14 +134,9 @@ class _Course:
         self.closed = Psi[..., :n]
         if response.gain is not None:
             gain = _along(response.gain, record)
-            if not record.present.all():
-                gain = _each(gain, len(record.inputs)) * record.present[:, None]
             self.gain, both = gain, _alike(gain, self.C, self.closed)
             self.closed = both[2] - both[0] @ both[1]
-            if not record.present.all():
-                self.closed = self.closed[: len(record.inputs)]
-        complete = self.gain is None or record.present.all()
-        self.repeats = len(self.closed) == 1 or (record.psi is None and complete)
+        self.repeats = len(self.closed) == 1 or record.psi is None
         turn = response.Psi, response.Out, response.closed
         self.n_phases = max(map(len, turn)) if record.psi is None else 1  # pieces end with a turn
 
@@ -219,8 +186,8 @@ class _Slopes:
         return self._at(self._dPsi, z[rows], rows)
 
     def of_outputs(self, z, rows):
-        """∂[C D] z of the parameters that have it, zero where an output is missing."""
-        return np.where(self.record.present[rows], self._at(self._dOut, z[rows], rows), 0.0)
+        """∂[C D] z of the parameters that have it."""
+        return self._at(self._dOut, z[rows], rows)
 
     def of_gain(self, left, rows):
         """∂K (ŷ − y) of the coefficients of K, in the order harmonic, state, output."""
@@ -280,15 +247,10 @@ def _rolled(matrices, first_phase):
     return np.roll(matrices, -shift, axis=-3) if shift else matrices
 
 
-def _each(matrices, n_samples):
-    """Matrices of every sample, of a turn that repeats."""
-    return matrices[np.arange(n_samples) % len(matrices)]
-
-
 def _alike(*several):
     """Matrices of turns, all of one length, or constant."""
     longest = max(map(len, several))
-    return [_each(M, longest) for M in several]
+    return [M[np.arange(longest) % len(M)] for M in several]
 
 
 def _times_phases(matrices, signals):

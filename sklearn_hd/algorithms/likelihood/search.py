@@ -38,8 +38,6 @@ class LikelihoodResult:
         Those that are parameters, in samples beyond the whole ones of the record.
     gain : ndarray, shape (2 H + 1, n, l), or None
         Fourier coefficients of K; None for a simulation.
-    x0 : list of ndarray, shape (n,)
-        Initial state of each segment.
     spread : ndarray, shape (l, l)
         Covariance of what is left, corrected for the degrees of freedom that the fit has used
         (all outputs share them alike), or as given.
@@ -49,7 +47,7 @@ class LikelihoodResult:
     cost : float
         Negative logarithm of the likelihood.
     n_residuals : int
-        Values of outputs that were not missing.
+        Values of outputs.
     n_parameters : int
         All that were estimated: θ, gain, initial states, waveforms, noise levels.
     n_iter : int
@@ -69,7 +67,6 @@ class LikelihoodResult:
     theta: np.ndarray
     delays: np.ndarray
     gain: np.ndarray | None
-    x0: list
     spread: np.ndarray
     covariance: np.ndarray
     cost: float
@@ -87,11 +84,6 @@ class LikelihoodResult:
     def sigma(self):
         """Standard deviation of what is left of each output."""
         return np.sqrt(np.diag(self.spread))
-
-    @property
-    def theta_std(self):
-        """Standard deviation of each parameter, infinite if it is not identified."""
-        return np.sqrt(np.diag(self.covariance))[: len(self.theta)]
 
     @property
     def without_gain(self):
@@ -144,30 +136,19 @@ def search(problem, point, *, max_iter, tol, keep_stable, bounds):
     return Search(point, n_iter, converged)
 
 
-def start(problem, theta0, x0=None):
-    """The point to start from; initial states that are free and not given are fitted."""
-    form, n_segments = problem.form, len(problem.records)
-    theta, k = np.array(theta0, dtype=float), form.n_model + form.n_gains
-    if theta.shape != (k,):
-        raise ValueError(f"theta0 has shape {theta.shape}; the structure has {k} parameters")
-    start = np.zeros((n_segments, form.n_states)) if x0 is None else np.array(x0, dtype=float)
-    if start.shape != (n_segments, form.n_states):
-        raise ValueError(
-            f"x0 has shape {start.shape}; {n_segments} segments of {form.n_states} states "
-            f"need ({n_segments}, {form.n_states})"
-        )
-    point = problem.point(theta, start)
+def start(problem, theta0):
+    """The point to start from, initial states fitted."""
+    x0 = np.zeros((len(problem.records), problem.form.n_states))
+    point = problem.point(np.array(theta0, dtype=float), x0)
     if not np.isfinite(point.cost):
         raise OverflowingStartError(
             f"the response at theta0 overflows (spectral radius {point.radius:.4g} of the "
             f"monodromy matrix); start from a stable system, or cut the record into segments"
         )
-    if not problem.free_x0 or x0 is not None:
-        return point
     spread = np.diag((problem.size if problem.sigma is None else problem.sigma) ** 2)
     for _ in range(2):  # weighed by the outputs, then by what is left of them
         system = problem.linearise(point, spread, ())
-        trial = problem.point(theta, point.x0 - [each[:, -1] for each in system.states])
+        trial = problem.point(point.theta, point.x0 - [each[:, -1] for each in system.states])
         if not trial.cost < point.cost:
             break
         point, spread = trial, problem.spread(trial.moments)
@@ -187,7 +168,7 @@ def cost_of_best_inputs(form, segments, theta0, sigma):
 
     ``sigma`` has the standard deviation of what each output leaves.
     """
-    problem = likelihood_problem(form, segments, True, sigma)
+    problem = likelihood_problem(form, segments, sigma)
     try:
         return problem.with_best_inputs(start(problem, theta0)).cost
     except OverflowingStartError:
@@ -202,7 +183,7 @@ def _damped_step(problem, point, system, damping, keep_stable):
         x0_step = [-(each @ np.append(step, 1.0)) for each in system.states]
         theta, trial = point.theta + step, None
         if problem.form.resolves(theta):
-            trial = problem.point(theta, point.x0 + x0_step if problem.free_x0 else point.x0)
+            trial = problem.point(theta, point.x0 + x0_step)
         unstable = trial is not None and trial.radius > 1.0 >= point.radius
         if trial is not None and np.isfinite(trial.cost) and not (keep_stable and unstable):
             at_rest = [0.0 * each for each in x0_step]
@@ -223,7 +204,7 @@ def result_of(problem, search):
     k, gauge = form.structure.n_parameters, form.discrete or form.gauge
     system = problem.linearise(point)
     n_theta = int(np.sum(system.steps.kept)) if gauge else len(point.theta)  # no similarities
-    n_fitted = n_theta + problem.n_waveforms + (point.x0.size if problem.free_x0 else 0)
+    n_fitted = n_theta + problem.n_waveforms + point.x0.size
     covariance, unknown = system.covariance(gauge=gauge)
     spread, n_noises, correction = problem.spread(point.moments), 0, 1.0
     if problem.sigma is None:
@@ -235,7 +216,6 @@ def result_of(problem, search):
         theta=point.theta[:k],
         delays=point.theta[k : form.n_model],
         gain=form.gain(point.theta),
-        x0=list(point.x0),
         spread=spread,
         covariance=covariance[: form.n_model, : form.n_model],
         cost=point.cost,

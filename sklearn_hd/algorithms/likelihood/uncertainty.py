@@ -50,7 +50,7 @@ class FisherInformation:
     Attributes
     ----------
     information : ndarray, shape (k, k)
-        Fisher matrix of θ, the initial states eliminated where they are unknown.
+        Fisher matrix of θ, the initial states eliminated.
     covariance : ndarray, shape (k, k)
         Its inverse, the Cramér-Rao bound; infinite on the diagonal and NaN off it for
         parameters that are not identified.
@@ -61,40 +61,15 @@ class FisherInformation:
     covariance: np.ndarray
     unidentified: tuple
 
-    @property
-    def theta_std(self):
-        """Smallest standard deviation of an unbiased estimate of each parameter."""
-        return np.sqrt(np.diag(self.covariance))
 
-
-def fisher_information(form, theta, segments, sigma, *, free_initial_state=True, x0=None):
+def fisher_information(form, theta, segments, sigma):
     """Fisher matrix and Cramér-Rao bound of the parameters of a periodic system.
 
         I = Σ_k (∂ŷ[k]/∂θ)ᵀ Σ⁻¹ (∂ŷ[k]/∂θ),   Σ = diag(σ_i²)
 
-    Parameters
-    ----------
-    form : Form
-        Of the structure whose parameters they are, at any clock.
-    theta : array_like, shape (k,)
-        Where to take it: the truth for the bound.
-    segments : list of (inputs, outputs, first_phase)
-        As for :func:`sklearn_hd.algorithms.likelihood.output_error.output_error_of`; outputs only
-        tell by NaN which samples are missing, and may be None.
-    sigma : array_like, shape (l,)
-        Standard deviations of the outputs' noise.
-    free_initial_state : bool, default=True
-        Whether the initial states are unknown.
-    x0 : array_like, shape (n_segments, n), optional
-        True initial states, zero by default.
-
-    Returns
-    -------
-    information : FisherInformation
-
-    References
-    ----------
-    L. Ljung, *System Identification*, 1999, section 9.3 and Eq. 7.91.
+    about rest, the initial states unknown, at θ (the truth for the bound). Outputs of the
+    segments (inputs, outputs, where) may be None (Ljung, *System Identification*, 1999,
+    section 9.3 and Eq. 7.91).
 
     Examples
     --------
@@ -105,11 +80,11 @@ def fisher_information(form, theta, segments, sigma, *, free_initial_state=True,
     >>> gain = PeriodicStructure(np.zeros((1, 2, 2)), [[[[0.0, 0.0], [0.0, 1.0]]]], 1, ["gain"])
     >>> record = [(np.ones((4, 1)), None, 0)]
     >>> bound = fisher_information(Form(gain, 1.0, 8), [2.0], record, [0.1])
-    >>> float(bound.theta_std[0])
+    >>> round(float(np.sqrt(bound.covariance[0, 0])), 12)
     0.05
     """
-    problem = likelihood_problem(form, segments, free_initial_state)
-    starts = np.zeros((len(segments), form.n_states)) if x0 is None else np.asarray(x0, dtype=float)
+    problem = likelihood_problem(form, segments)
+    starts = np.zeros((len(segments), form.n_states))
     point = Point(np.asarray(theta, dtype=float), starts, None, 0.0, 0.0)
     system = problem.linearise(point, np.diag(np.asarray(sigma, dtype=float) ** 2))
     covariance, unknown = system.covariance()

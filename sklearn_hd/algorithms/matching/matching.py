@@ -52,7 +52,7 @@ class MatchResult:
         Lower bound of ``hinf_error`` that the fixed entries of D_s leave: the error at
         infinite frequency. 0 where D_s can equal D_c.
     exact : bool
-        True if the match holds to ``exact_tol``, judged by the residual.
+        True if the match holds to rounding, judged by the residual.
     converged : bool
         True if exact, or if ``left`` is within ``tolerance``.
     predicted_decrease : float
@@ -111,62 +111,23 @@ def match_structure(
     output_weights=None,
     input_weights=None,
     emphasis=None,
-    closed_form=True,
     n_starts=6,
     max_iter=100,
-    exact_tol=1e-9,
     random_state=0,
 ):
     """Structured model nearest to a stable continuous one.
 
         min_θ ‖W_o (G_c − G_s(θ)) W_i‖,   lower ≤ θ ≤ upper
 
-    Parameters
-    ----------
-    A, B, C, D : array_like, shapes (n, n), (n, m), (l, n), (l, m)
-        G_c, stable; its order may differ from the structure's.
-    structure : AffineStructure
-        G_s(θ), with m inputs and l outputs.
-    criterion : {"hinf", "least_squares"}
-        The H∞ norm, or the mean square over a grid of frequencies, in which all channels
-        count alike.
-    theta0 : array_like, shape (k,), optional
-        Where to start; need not be stable. Without it, and where neither it nor the
-        closed form leads to an exact match, changes of state that agree with C_s are
-        tried as starts.
-    bounds : pair of array_like, shape (k,) each, optional
-        Lower and upper bounds of the parameters, infinite where there are none.
-    output_weights, input_weights : array_like, shapes (l,), (m,), optional
-        Positive constants of W_o and W_i, next to the error; ones by default, the norm as
-        Eq. 22 has it. Outputs in different units call for :func:`channel_scales`:
-        otherwise the largest decides.
-    emphasis : pair of array_like, shapes (l,) and (m,), optional
-        Factors of the outputs and inputs in the mean square, in which they otherwise count
-        alike.
-    closed_form : bool
-        False leaves the closed form out where theta0 is given (for studies of the search).
-    n_starts : int
-        Number of random starts, where no exact match is found before.
-    max_iter : int
-        Largest number of iterations of each stage: of a least-squares match, of a descent.
-    exact_tol : float
-        Relative residual below which the match is called exact and no norm minimised:
-        AB13DD does not resolve the norm of such a difference.
-    random_state : int
-        Seed of the random starts.
+    in the H∞ norm, or (``criterion="least_squares"``) in the mean square over a grid of
+    frequencies, in which all channels count alike, but for ``emphasis``. The order of G_c may
+    differ from the structure's, W_o and W_i are diagonal, and theta0 need not be stable. Where
+    neither it nor the closed form leads to an exact match, changes of state that agree with
+    C_s are tried as starts.
 
-    Returns
-    -------
-    result : MatchResult
-        Never worse in the norm than the best least-squares match found, and stable. The
-        problem is not convex: "converged" promises a stationary point, not the global one.
-
-    Raises
-    ------
-    UnstableModelError
-        If G_c is unstable, or if no start led to a stable G_s.
-    ValueError
-        If shapes do not fit, or theta0 is out of bounds.
+    The result is stable, and never worse in the norm than the best least-squares match found.
+    The problem is not convex: "converged" promises a stationary point. UnstableModelError says
+    that G_c is unstable, or that no start led to a stable G_s.
 
     Examples
     --------
@@ -186,17 +147,17 @@ def match_structure(
     """
     weights = output_weights, input_weights
     problem = MatchingProblem.build(A, B, C, D, structure, weights, bounds, emphasis)
-    theta0 = _check_theta(theta0, problem)
-    starts = list(starting_points(problem, theta0, closed_form, n_starts, random_state))
+    theta0 = None if theta0 is None else np.asarray(theta0, dtype=float)
+    starts = list(starting_points(problem, theta0, n_starts, random_state))
     fits = local_fits(problem, starts, max_iter=max_iter, near=_NEAR)
-    fit, exact = exact_match(problem, fits[0], exact_tol)
+    fit, exact = exact_match(problem, fits[0])
     if exact or structure.n_parameters == 0 or criterion == "least_squares":
         return _result(problem, fit, fits, exact)
     start, descent = least_norm(problem, fits, starts, max_iter)
     near = problem.limited(descent.theta, 1.0)
     last = levenberg_marquardt(near, descent.theta, max_iter=max_iter)
     if last.residual < fit.residual:  # the descent has left a poor valley
-        fit, exact = exact_match(problem, last, exact_tol)
+        fit, exact = exact_match(problem, last)
         if exact:
             return _result(problem, fit, fits, exact)
     return _result(problem, fit, fits, False, start, descent)
@@ -206,20 +167,21 @@ _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that wit
 _CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
 _DESCENTS = 3  # matches and starts that go down
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
+_EXACT = 1e-9  # relative residual of an exact match: no norm resolves such a difference
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
 
 
-def exact_match(problem, fit, tol):
-    """The match solved to rounding, and whether it is exact (to tol, by the residuals)."""
+def exact_match(problem, fit):
+    """The match solved to rounding, and whether it is exact, by the residuals."""
     if fit.residual > _NEAR:
         return fit, False
     theta, residual = solve_similarity(problem, fit.theta)
     inside = problem.inside(theta)
-    kept = np.allclose(inside, theta, rtol=tol, atol=0.0)
-    if residual <= tol and kept and problem.abscissa(inside) < 0:
+    kept = np.allclose(inside, theta, rtol=_EXACT, atol=0.0)
+    if residual <= _EXACT and kept and problem.abscissa(inside) < 0:
         error = linalg.norm(problem.residual_and_jacobian(inside)[0])
         return replace(fit, theta=inside, residual=float(error)), True
-    return fit, bool(fit.residual <= tol)
+    return fit, bool(fit.residual <= _EXACT)
 
 
 def _result(problem, fit, fits, exact, start=None, descent=None):
@@ -278,7 +240,7 @@ def least_norm(problem, fits, starts, max_iter):
     return ways[best], descents[best].further(problem, max_iter)
 
 
-def starting_points(problem, theta0, closed_form, n_starts, random_state):
+def starting_points(problem, theta0, n_starts, random_state):
     """Starts within the bounds in the order of their promise, made as they are asked for.
 
     The closed form; theta0; changes of state that agree with C_s, first as the states at
@@ -290,7 +252,7 @@ def starting_points(problem, theta0, closed_form, n_starts, random_state):
         yield np.empty(0), True
         return
     first = theta0
-    transformation = output_transformation(problem) if closed_form or theta0 is None else None
+    transformation = output_transformation(problem)
     if transformation is not None:
         projected = problem.inside(project_transformed(problem, transformation))
         first = projected if first is None else first
@@ -319,22 +281,3 @@ def _plain_start(problem):
     plain[:n, :n] = -problem.fastest * np.eye(n)
     plain[n:, n:] = problem.model.matrices(np.empty(0))[3]
     return structure.project(plain)[0]
-
-
-def _check_theta(theta0, problem):
-    if theta0 is None:
-        return None
-    theta0, structure = np.asarray(theta0, dtype=float), problem.structure
-    if theta0.shape != (structure.n_parameters,) or not np.all(np.isfinite(theta0)):
-        raise ValueError(
-            f"theta0 of shape {theta0.shape} must hold {structure.n_parameters} finite numbers, "
-            f"one for each of {list(structure.parameter_names)}"
-        )
-    outside = np.flatnonzero(problem.inside(theta0) != theta0)
-    if len(outside):
-        k = outside[0]
-        raise ValueError(
-            f"the bounds {problem.lower[k]:g} and {problem.upper[k]:g} of "
-            f"{structure.parameter_names[k]} exclude its start {theta0[k]:g}; start within them"
-        )
-    return theta0

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.linalg.rounding import RANK, UNKNOWN
+from sklearn_hd.algorithms.linalg.rounding import EXACT, RANK, UNKNOWN
 from sklearn_hd.algorithms.linalg.triangular import triangle
 from sklearn_hd.algorithms.lti.hinf import hinf_norm, refine_peaks
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure, column_sizes
@@ -26,8 +26,6 @@ _ZERO_CHANNEL = 1e-6  # rms, relative to the largest, to which a smaller channel
 _RIVAL = 0.9  # gain on the grid, relative to the norm, of a peak that may be the highest
 _FARTHEST = 30.0  # sizes of a parameter, or of the residual, that a unit step moves at most
 _OWN = 10.0  # times the fastest pole of G_s to begin with
-_POLE_DIGITS = 1e-13  # of a pole, relative to the largest
-# structures were seen at 5e-3 and above, deficient ones at 2e-15 and below
 
 
 def channel_scales(response):
@@ -118,12 +116,13 @@ class MatchingProblem:
 
     @classmethod
     def build(cls, A, B, C, D, structure, weights=(None, None), bounds=None, emphasis=None):
-        """Problem for G_c = (A, B, C, D); raises where the parts do not fit."""
+        """Problem for G_c = (A, B, C, D), stable."""
         A, B, C, D = (np.asarray(matrix, dtype=float) for matrix in (A, B, C, D))
         hinf_norm(A, B, C, D)  # checks shapes and stability, in its own words
-        _check_fit(D.shape, structure)
-        W_o = _constants("output_weights", weights[0], len(D))
-        W_i = _constants("input_weights", weights[1], D.shape[1])
+        W_o, W_i = (
+            np.ones(size) if given is None else np.asarray(given, dtype=float)
+            for given, size in zip(weights, D.shape, strict=True)
+        )
         unit = hinf_norm(A, B * W_i, W_o[:, None] * C, W_o[:, None] * D * W_i)[0] or 1.0
         model = AffineStructure.fixed(A, B, C, D)
         grid = matching_grid(linalg.eigvals(A) if len(A) else np.empty(0))
@@ -133,8 +132,9 @@ class MatchingProblem:
             outputs, inputs = outputs * emphasis[0], inputs * emphasis[1]
         length = np.linalg.norm(outputs[:, None] * response * inputs) or 1.0
         scales = outputs / length, inputs
-        bounds = _bounds(bounds, structure)
-        return cls(model, structure, W_o / unit, W_i, unit, grid, *scales, *bounds)
+        wide = np.full(structure.n_parameters, np.inf)
+        lower, upper = (-wide, wide) if bounds is None else bounds
+        return cls(model, structure, W_o / unit, W_i, unit, grid, *scales, lower, upper)
 
     @property
     def fastest(self):
@@ -200,7 +200,7 @@ class MatchingProblem:
         if len(poles) == 0:
             return -np.inf
         fastest = np.abs(poles).max()
-        return poles.real.max() + _POLE_DIGITS * fastest if fastest <= self.speed_limit else np.inf
+        return poles.real.max() + EXACT * fastest if fastest <= self.speed_limit else np.inf
 
     def error_and_sensitivity(self, theta, frequencies):
         """E(jω; θ) and ∂E/∂θ in the criterion's weights and unit."""
@@ -346,34 +346,3 @@ def _as_reals(error, slope):
     by_parameter = np.ascontiguousarray(np.moveaxis(slope, -1, 0))
     jacobian = by_parameter.view(float).reshape(len(by_parameter), 2 * error.size).T
     return np.ascontiguousarray(error).view(float).ravel(), jacobian
-
-
-def _check_fit(shape, structure):
-    """Raise unless the structure has the model's inputs and outputs."""
-    if shape != (structure.n_outputs, structure.n_inputs):
-        raise ValueError(
-            f"the structure has {structure.n_outputs} outputs and {structure.n_inputs} inputs, "
-            f"the model {shape[0]} and {shape[1]}; a match compares the same channels, so give "
-            f"the structure the rows of C and D and the columns of B and D that the model has"
-        )
-
-
-def _constants(name, weights, size):
-    weights = np.ones(size) if weights is None else np.asarray(weights, dtype=float)
-    if weights.shape != (size,) or not (np.all(np.isfinite(weights)) and np.all(weights > 0)):
-        raise ValueError(f"{name}={weights.tolist()} must be {size} positive numbers")
-    return weights
-
-
-def _bounds(bounds, structure):
-    """Lower and upper bounds of each parameter."""
-    k = structure.n_parameters
-    if bounds is None:
-        return np.full(k, -np.inf), np.full(k, np.inf)
-    lower, upper = (np.asarray(each, dtype=float) for each in bounds)
-    if lower.shape != (k,) or upper.shape != (k,) or not np.all(lower < upper):
-        raise ValueError(
-            f"bounds must be {k} lower and {k} larger upper ones, infinite where there are none; "
-            f"got {lower.tolist()} and {upper.tolist()}"
-        )
-    return lower, upper

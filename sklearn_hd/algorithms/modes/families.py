@@ -40,39 +40,16 @@ MAX_SUBSETS = 2_000
 def is_window_pole(z, window_rows, decay):
     """Whether discrete poles die within the analysis window, |z|^n_window ≤ decay.
 
-    Parameters
-    ----------
-    z : complex ndarray, shape (n,)
-        Eigenvalues of the discrete A.
-    window_rows : int
-        Rows read within one window.
-    decay : float
-        A response that falls below this share within the window is its memory.
-
-    Returns
-    -------
-    mask : ndarray of bool, shape (n,)
+    A response that falls below this share within the window is its memory.
     """
     return np.abs(z) ** window_rows <= decay
 
 
 def floquet_families(z, rows_per_period, tolerance):
-    """Number of the family {λ + jpω} of each pole; conjugate families count as one.
+    """Number of the family {λ + jpω} of each pole, slowest first; conjugate families count as one.
 
     Poles whose Floquet multipliers z^r, folded to the upper half plane, differ
     by less than the tolerance on a logarithmic scale share a family.
-
-    Parameters
-    ----------
-    z : complex ndarray, shape (n,)
-    rows_per_period : int
-    tolerance : float
-        Largest |Δ ln z^r| between neighbours of one family.
-
-    Returns
-    -------
-    family : ndarray of int, shape (n,)
-        Slowest family first.
 
     Examples
     --------
@@ -113,25 +90,13 @@ def expected_members(output_harmonics, rows_per_period):
 
 
 def complete_families(z, families, rows_per_period, n_members, tolerance):
-    """Families with as many members as a mode of the system must have.
+    """Which poles agree with a family of as many members as a mode of the system must have.
 
     The members of a genuine family, that is a mode and its copies, share their Floquet
     multiplier to the precision of the data; what noise, the window's memory or inputs
-    between the rows add to a model does not come in such sets.
-
-    Parameters
-    ----------
-    z : complex ndarray, shape (n,)
-    families : ndarray of int, shape (n,)
-        Negative for poles of no family.
-    rows_per_period, n_members : int
-    tolerance : float
-        Largest distance of ln z^r from the family's median, relative to its decay.
-
-    Returns
-    -------
-    members : ndarray of bool, shape (n,)
-        Poles that agree with a complete family.
+    between the rows add to a model does not come in such sets. Poles of no family have a
+    negative number; the tolerance is that of ln z^r from the family's median, relative to its
+    decay.
     """
     members = np.zeros(len(z), dtype=bool)
     for family in range(max(families, default=-1) + 1):
@@ -150,19 +115,7 @@ def complete_families(z, families, rows_per_period, n_members, tolerance):
 
 
 def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERANCES[0]):
-    """Poles that belong to a complete family.
-
-    Parameters
-    ----------
-    z : complex ndarray, shape (n,)
-        Not those of the window's memory.
-    output_harmonics : list of sequence of int
-    rows_per_period : int
-    tolerance : float
-
-    Returns
-    -------
-    members : ndarray of bool, shape (n,)
+    """Which poles (not those of the window's memory) belong to a complete family.
 
     Examples
     --------
@@ -180,15 +133,10 @@ def agreeing_copies(z, output_harmonics, rows_per_period, tolerance=COPY_TOLERAN
 
 
 def conjugate_units(z):
-    """Conjugate-closed units that can be kept or dropped: a real pole, or a pair.
+    """Conjugate-closed units that can be kept or dropped: (i,) of a real pole, (i, j) of a pair.
 
     Poles on the negative real axis have no continuous-time counterpart of
-    their own and give no unit.
-
-    Returns
-    -------
-    units : list of tuple of int
-        Index of a real pole, or of the upper and lower member of a pair.
+    their own and give no unit. The upper member of a pair comes first.
     """
     z = np.asarray(z)
     real = np.abs(z.imag) <= HALF * np.abs(z)
@@ -204,12 +152,7 @@ def conjugate_units(z):
 
 
 def real_block(exponents):
-    """Real block-diagonal R of some real exponents and complex pairs.
-
-    Parameters
-    ----------
-    exponents : sequence of complex
-        Real ones, and one member of each pair.
+    """Real block-diagonal R of some real exponents, and one member of each complex pair.
 
     Examples
     --------
@@ -235,25 +178,10 @@ WIDE_SUBSETS = 400_000  # columns of all units times sets, each of which is a fi
 def mode_regressors(exponent, shape, drive, dt, observe=None, state=None):
     """Measured response to one mode, for each input and for its initial amplitude.
 
-    Parameters
-    ----------
-    exponent : complex
-        λ in 1/s; a complex one stands for the pair.
-    shape : complex ndarray, shape (n_coefficients,)
-        Output vector C v of the mode.
-    drive : ndarray, shape (n_samples, m)
-    dt : float
-        Sample time, seconds.
-    observe : ndarray, shape (n_samples, n_outputs, n_coefficients), optional
-        What is measured of the coefficients at each sample.
-    state : complex ndarray, shape (m + 1,), optional
-        What the samples before have left: the last of their ``state``. Of none by default.
-
-    Returns
-    -------
-    regressors : ndarray, shape (n_samples, n_outputs, m + 1 or 2 (m + 1))
-    state : complex ndarray, shape (m + 1,)
-        Amplitudes one sample after the last.
+    A complex exponent λ (1/s) stands for the pair, ``shape`` (n_coefficients,) is its output
+    vector C v, and ``observe`` (n_samples, l, n_coefficients) what is measured of the
+    coefficients. ``state`` (m + 1,) is what the samples before have left. Returned are the
+    regressors (n_samples, l, m + 1 or 2 (m + 1)), and the state one sample after the last.
     """
     z = np.exp(exponent * dt)
     forcing = np.pad(drive, ((0, 0), (0, 1)))
@@ -268,27 +196,10 @@ def mode_regressors(exponent, shape, drive, dt, observe=None, state=None):
 
 
 def unit_regressors(units, exponents, shapes, inputs, outputs, dt, observe):
-    """Triangular factor of the responses of all units beside the outputs.
+    """Triangular factor of the responses of all units beside the outputs, and each unit's columns.
 
-    Parameters
-    ----------
-    units : list of tuple of int
-        From :func:`conjugate_units`.
-    exponents : complex ndarray, shape (n,)
-        1/s.
-    shapes : complex ndarray, shape (n, n_coefficients)
-        Output vectors of the modes.
-    inputs, outputs : list of ndarray, shapes (n_samples_s, m) and (n_samples_s, l)
-        One array a segment; each segment has initial amplitudes of its own.
-    dt : float
-        Sample time, seconds.
-    observe : list of ndarray, shapes (n_samples_s, l, n_coefficients)
-
-    Returns
-    -------
-    R : ndarray, shape (p + 1, p + 1)
-    columns : list of ndarray of int
-        Columns of R that belong to each unit.
+    Exponents (n,) and output vectors (n, n_coefficients) are those of the modes; inputs,
+    outputs and ``observe`` have one array a segment, which has initial amplitudes of its own.
     """
     width = inputs[0].shape[1] + 1
     edges = np.cumsum([0, *(width * len(unit) for unit in units)])
@@ -327,26 +238,12 @@ def unit_regressors(units, exponents, shapes, inputs, outputs, dt, observe):
 def best_modes(R, columns, sizes, n_states, smaller=()):
     """The set of units with a given number of states that explains the data best.
 
-    Parameters
-    ----------
-    R : ndarray, shape (p + 1, p + 1)
-        Triangular factor of [regressors, target].
-    columns : list of ndarray of int
-        Columns of R that belong to each unit.
-    sizes : list of int
-        States of each unit, 1 or 2.
-    n_states : int
-    smaller : sequence of (float, tuple of int)
-        The best sets of one and two states less, where they are known.
-
-    Returns
-    -------
-    ranking : list of (float, tuple of int)
-        Residual sum of squares and units, best first; empty where no set of
-        units has that many states. All sets where they are fewer than 2000, else the
-        one found by forward selection and exchange; of more than 16 states one of
-        those smaller and one unit more, as exchanges take minutes among a hundred
-        modes. With many inputs these numbers are smaller.
+    From the factor R (p + 1, p + 1) of [regressors, target], the columns of each unit and its
+    number of states, 1 or 2. Returned are residual sums of squares and units, best first; none
+    where no set of units has that many states. All sets where they are fewer than 2000, else
+    the one found by forward selection and exchange; of more than 16 states one of those
+    ``smaller`` (the best sets of one and two states less) and one unit more, as exchanges take
+    minutes among a hundred modes. With many inputs these numbers are smaller.
     """
     n_subsets = sum(
         math.comb(sizes.count(2), pairs) * math.comb(sizes.count(1), n_states - 2 * pairs)

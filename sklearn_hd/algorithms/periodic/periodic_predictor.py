@@ -141,17 +141,9 @@ class Layout:
 
 
 def forced_mean(segments, n_harmonics):
-    """Fourier coefficients of the periodic means of inputs and outputs, least squares over rows.
+    """Fourier coefficients (2 H + 1, …) of the periodic means of inputs and outputs.
 
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, psi)
-        Shapes (n_s, m), (n_s, l), (n_s,).
-    n_harmonics : int
-
-    Returns
-    -------
-    inputs, outputs : ndarray, shapes (2 n_harmonics + 1, m), (2 n_harmonics + 1, l)
+    By least squares over all rows of the segments (inputs, outputs, psi).
     """
     found = fitted_harmonics([(np.hstack([u, y]), psi) for u, y, psi in segments], n_harmonics)
     return np.split(found, [segments[0][0].shape[1]], axis=1)
@@ -202,12 +194,7 @@ class LagSums:
         return LagSums(layout, gram, products, self.squares, self.n_rows)
 
     def criteria(self, least_lags):
-        """Akaike's criterion of each number of lags from some on, and the same of Schwarz.
-
-        Returns
-        -------
-        aic, bic : ndarray, shape (n_lags − least_lags + 1,)
-        """
+        """Akaike's criterion of each number of lags from some on, and the same of Schwarz."""
         scaled, products, _ = self._scaled()
         scaled[np.diag_indices(len(scaled))] += EXACT * len(scaled)
         upper = linalg.cholesky(scaled)
@@ -306,29 +293,11 @@ class Predictor:
 def azimuth_drift(segments, means, predictor):
     """By how much, relative to itself, the azimuth of some rows seems to run too slowly.
 
-    The score test of δ in ψ + δ (ψ − ψ̄): what the predictor leaves of the outputs, regressed on
-    what that would change of its predictions, to first order.
-
-    Parameters
-    ----------
-    segments : list of (inputs, outputs, psi)
-        About their periodic means, in the units of the predictor.
-    means : (ndarray, ndarray)
-        Fourier coefficients of the means, in the same units.
-    predictor : Predictor
-
-    Returns
-    -------
-    drift : float
-        δ.
-    t : float
-        The same in standard errors.
-    n_rows : int
-
-    References
-    ----------
-    C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
-    Proc. Cambridge Philosophical Society 44 (1948), 50-57 (score test).
+    The score test (C. R. Rao, Proc. Cambridge Philosophical Society 44, 1948, 50-57) of δ in
+    ψ + δ (ψ − ψ̄): what the predictor leaves of the outputs, regressed on what that would change of
+    its predictions, to first order. Segments (inputs, outputs, psi) are about their periodic means,
+    whose Fourier coefficients are ``means``. Returned are δ, the same in standard errors, and the
+    number of rows.
     """
     layout, middle = predictor.layout, np.mean(np.concatenate([psi for *_, psi in segments]))
     slope = information = n_rows = 0.0
@@ -355,23 +324,9 @@ def azimuth_drift(segments, means, predictor):
 
 
 def futures_known(segment, predictor, n_future):
-    """O_k of the rows of one segment that have p rows before and f − 1 after them.
+    """The row of the first, and O_k (n_rows, f l) of those with p rows before and f − 1 after them.
 
-    Row k = n_s too, the one that follows the segment, where f is 1.
-
-    Parameters
-    ----------
-    segment : (inputs, outputs, psi)
-    predictor : Predictor
-    n_future : int
-        f.
-
-    Returns
-    -------
-    first : int
-        The row of the first.
-    known : ndarray, shape (n_rows, f l)
-        O.
+    Row k = n_s too, the one that follows the segment (inputs, outputs, psi), where f is 1.
     """
     u, y, psi = segment
     layout, p, f = predictor.layout, predictor.layout.n_lags, n_future
@@ -424,13 +379,7 @@ class StateSums:
 
     @classmethod
     def of(cls, rows, n_harmonics, n_loads):
-        """Sums over rows of states x, next states, inputs, outputs, innovations and azimuths.
-
-        Parameters
-        ----------
-        rows : iterable of (x, following, inputs, outputs, innovations, psi)
-        n_harmonics, n_loads : int
-        """
+        """Sums over rows of (states x, next states, inputs, outputs, innovations, azimuths)."""
         sums = kinds = None
         for x, following, u, y, e, psi in rows:
             if kinds is None:
@@ -453,11 +402,7 @@ class StateSums:
     def matrices(self, order, n_harmonics, n_input_harmonics, n_loads, feedthrough):
         """Fourier coefficients of [A B a; C D c] and of K, of some order.
 
-        Returns
-        -------
-        coefficients : ndarray, shape (2 H + 1, n + l, n + m + 1)
-            H the largest number of harmonics.
-        gain : ndarray, shape (2 H + 1, n, l)
+        Their number is that of the largest number of harmonics.
         """
         kind, which, function = self.kinds
         most = np.array([n_loads, n_input_harmonics, n_harmonics, n_harmonics])

@@ -46,23 +46,13 @@ INTERVALS = 8  # a period: longer ones have more signal, shorter ones a finer ru
 
 
 def forced_waveform(Phi, directions, lifted):
-    """Outputs of a period without inputs and states: the forced periodic response.
+    """Outputs of a period without inputs and states, (q,): the forced periodic response.
 
         y[k] = O z[k] + D w[k] + c
 
-    by least squares, beside as many states as Φ has: those of the directions in which its modes
+    by least squares over inputs (n_periods_s, r), zero in trim, and lifted outputs
+    (n_periods_s, q), beside as many states as Φ has: those of the directions in which its modes
     could answer to inputs and initial states that explain most.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-    directions : list of ndarray, shapes (n_periods_s, r)
-        Inputs, zero in trim.
-    lifted : list of ndarray, shapes (n_periods_s, q)
-
-    Returns
-    -------
-    c : ndarray, shape (q,)
     """
     modes, target = Modes(directions), np.vstack(lifted)
     known = np.hstack([np.ones((len(target), 1)), modes.inputs])
@@ -79,22 +69,7 @@ def forced_waveform(Phi, directions, lifted):
 
 
 def state_response(Phi, C, directions, lifted, seen):
-    """What every sample of the period sees of the states of :func:`driven_states`.
-
-    Parameters
-    ----------
-    Phi, C, directions, lifted, seen
-        As for :func:`driven_states`.
-
-    Returns
-    -------
-    sights : ndarray, shape (q, n)
-        O: what each sample of the period sees of the state at its start.
-    information : ndarray, shape (n, n)
-        Inverse covariance of the rows of O for noise of variance one.
-    residual : ndarray, shape (q,)
-        Sum of squares left of each sample of the period.
-    """
+    """What every sample of the period sees of the states of :func:`driven_states`."""
     _, states = driven_states(Phi, C, directions, lifted, seen)
     return response_to_states(states, directions, lifted)
 
@@ -103,23 +78,9 @@ def driven_states(Phi, C, directions, lifted, seen):
     """How inputs and initial states move the state from one period to the next.
 
     Alternates two linear least-squares fits, each exact where the other is: B and the
-    initial states from the outputs, and the outputs' O_j and D_j from the states.
-
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-    C : ndarray, shape (c, n)
-        What some combinations of the lifted outputs see of the state, to start from.
-    directions : list of ndarray, shapes (n_periods_s, r)
-    lifted : list of ndarray, shapes (n_periods_s, q)
-    seen : list of ndarray, shapes (n_periods_s, c)
-        Those combinations.
-
-    Returns
-    -------
-    B : ndarray, shape (n, r)
-    states : list of ndarray, shapes (n_periods_s, n)
-        At the beginning of each period.
+    initial states from the outputs, and the outputs' O_j and D_j from the states. C (c, n) is
+    what some combinations ``seen`` (n_periods_s, c) of the lifted outputs (n_periods_s, q) see of
+    the state, to start from. Returned are B (n, r), and the states at the beginning of each period.
     """
     units = _unit_responses(Phi, directions)  # (n_periods, n_unknown, n)
     few, target = compact(_off(directions, lifted)), _off(directions, seen)
@@ -143,19 +104,10 @@ def driven_states(Phi, C, directions, lifted, seen):
 
 
 def response_to_states(states, directions, lifted):
-    """What every sample of the period sees of known states.
+    """What every sample of the period sees of known states (n_periods_s, n) at its start.
 
-    Parameters
-    ----------
-    states : list of ndarray, shapes (n_periods_s, n)
-        At the beginning of each period.
-    directions, lifted : list of ndarray
-        As for :func:`state_response`.
-
-    Returns
-    -------
-    sights, information, residual
-        As of :func:`state_response`.
+    Returned are O (q, n), the inverse covariance (n, n) of its rows for noise of variance one, and
+    the sum of squares (q,) left of each sample of the period.
     """
     states, outputs = _off(directions, states), _off(directions, lifted)
     sights = linalg.lstsq(states, outputs)[0].T
@@ -188,25 +140,9 @@ def _unit_responses(Phi, directions):
 def floquet_logarithm(Phi, period):
     """Real R and coordinates in which Φ = S e^{RT}, S = ±1 a coordinate.
 
-    Parameters
-    ----------
-    Phi : ndarray, shape (n, n)
-    period : float
-        T in seconds.
-
-    Returns
-    -------
-    R : ndarray, shape (n, n)
-        1/s; block diagonal, the subspace of negative real multipliers first.
-    to_original : ndarray, shape (n, n)
-        z = to_original z_new.
-    flips : ndarray of bool, shape (n,)
-        Coordinates whose shapes change sign from one period to the next.
-
-    Raises
-    ------
-    FloquetError
-        If a multiplier is zero, which no periodic system has.
+    R (1/s) is block diagonal, the subspace of negative real multipliers first; z = to_original
+    z_new; ``flips`` are the coordinates whose shapes change sign from one period to the next. A
+    multiplier of zero, which no periodic system has, raises FloquetError.
 
     Examples
     --------
@@ -290,19 +226,7 @@ def _angles(psi, flips, n_orders):
 
 
 def interpolated_shapes(values, psi, R, flips):
-    """Mode shapes that pass through some values at equally spaced azimuths of a turn.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n_phases, l, n)
-    psi : ndarray, shape (n_phases,)
-    R : ndarray, shape (n, n)
-    flips : ndarray of bool, shape (n,)
-
-    Returns
-    -------
-    shapes : FloquetShapes
-    """
+    """Mode shapes through some values (n_phases, l, n) at equally spaced azimuths of a turn."""
     n_phases, n_outputs, n = values.shape
     highest = n_phases // 2
     coefficients = np.zeros((n, highest + 1, 2, n_outputs))
@@ -320,24 +244,9 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows):
     """Mode shapes behind what each sample of the period sees of the state.
 
     P(ψ_j) e^{R t_j} = O_j in the least-squares sense that the noise of O asks for, with as
-    many harmonics as stand out of it (Akaike's criterion).
-
-    Parameters
-    ----------
-    sights : ndarray, shape (n_phases, l, n)
-        O, in the coordinates of R.
-    information : ndarray, shape (n, n)
-    residual : ndarray, shape (n_phases, l)
-        Sum of squares left.
-    R : ndarray, shape (n, n)
-    flips : ndarray of bool, shape (n,)
-    period : float
-    n_rows : int
-        Periods less parameters behind each sum of squares.
-
-    Returns
-    -------
-    shapes : FloquetShapes
+    many harmonics as stand out of it (Akaike's criterion). ``sights`` (n_phases, l, n) is O in the
+    coordinates of R, ``information`` and ``residual`` (n_phases, l) are as of
+    :func:`response_to_states`, and each sum of squares has ``n_rows`` periods less parameters.
     """
     n_phases, n_outputs, n = sights.shape
     psi = 2.0 * np.pi * np.arange(n_phases) / n_phases
@@ -382,12 +291,7 @@ def fit_shapes(sights, information, residual, R, flips, period, n_rows):
 
 
 def shapes_determine_state(P):
-    """Whether P(ψ) can be inverted at every phase, rows and columns scaled over the period.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n_phases, n, n)
-    """
+    """Whether P(ψ), (n_phases, n, n), can be inverted at every phase, rows and columns scaled."""
     scaled = P / np.max(np.abs(P)) if P.any() else P
     for _ in range(20):
         rows = np.linalg.norm(scaled, axis=(0, 2))[:, None]
@@ -400,29 +304,18 @@ def shapes_determine_state(P):
 
 
 def outputs_are_states(P, flips):
-    """Whether P(ψ) can be, also between the samples: its determinant does not pass through zero.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n_phases, n, n)
-    flips : ndarray of bool, shape (n,)
-    """
+    """Whether P(ψ) can be, also between the samples: its determinant does not pass through zero."""
     if np.sum(flips) % 2 or not shapes_determine_state(P):
         return False
     return len(np.unique(np.sign(np.linalg.det(P)))) == 1
 
 
 def tail_begins(values, noise):
-    """Highest harmonic of a sampled periodic matrix that counts.
+    """Highest harmonic of a sampled periodic matrix (n_phases, …) that counts beside noise.
 
     The inverse in F = (P′ + P R) P⁻¹ has all harmonics, however few P has; they fall
-    geometrically where P P₀⁻¹ stays near the identity.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n_phases, rows, columns)
-    noise : float
-        Of what the values were made from, in parts of its size.
+    geometrically where P P₀⁻¹ stays near the identity. Noise is that of what the values were made
+    from, in parts of its size.
     """
     highest = (len(values) - 1) // 2
     coefficients = sampled_harmonics(values, highest)
@@ -433,25 +326,10 @@ def tail_begins(values, noise):
 
 
 def equation_error(segments, period, n_phases, n_harmonics, instruments):
-    """Fourier coefficients of F(ψ) and G(ψ) from measured states.
+    """Fourier coefficients (2 H + 1, n, n), (2 H + 1, n, m) of F(ψ) and G(ψ) from measured states.
 
-    Parameters
-    ----------
-    segments : list of (states, inputs, first_phase)
-        (n_samples, n), (n_samples, m), held, and the first sample's phase in samples.
-    period : float
-        Seconds.
-    n_phases : int
-        Samples a period.
-    n_harmonics : int
-        Highest harmonic of F and G.
-    instruments : list of ndarray, shapes (n_samples, n)
-        States of less noise, of every segment.
-
-    Returns
-    -------
-    F : ndarray, shape (2 n_harmonics + 1, n, n)
-    G : ndarray, shape (2 n_harmonics + 1, n, m)
+    Segments are (states, inputs, first phase), with held inputs; instruments are states of less
+    noise.
 
     Examples
     --------

@@ -49,18 +49,7 @@ DRAWS = 20  # of coefficients that are noise
 def observability_subspace(R, block_rows, n_inputs):
     """Left singular vectors and singular values of the projected future outputs.
 
-    Parameters
-    ----------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
-    block_rows : int
-    n_inputs : int
-
-    Returns
-    -------
-    U : ndarray, shape (i l, i l)
-        The largest entry of each column is positive, whatever way led to R.
-    singular_values : ndarray, shape (i l,)
+    The largest entry of each vector is positive, whatever way led to R.
     """
     past = slice(block_rows * n_inputs, R.shape[0] - _future_width(R, block_rows, n_inputs))
     projected = triangle(R[past, past.stop :]).T  # of as many columns as rows
@@ -73,19 +62,8 @@ def release_idle_directions(R, n_future_inputs):
 
     Where inputs excite fewer directions than they have rows, a QR factorisation goes on
     with directions made of rounding, which lie in the very columns in which inputs move:
-    projected out, they take the response with them. They are handed on to the past.
-
-    Parameters
-    ----------
-    R : ndarray, shape (p, p)
-        From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
-    n_future_inputs : int
-        Rows of U_f, i m.
-
-    Returns
-    -------
-    R : ndarray, shape (p, p)
-        Upper block triangular; RᵀR as before, except for what is below rounding in U_f.
+    projected out, they take the response with them. They are handed on to the past. R stays
+    upper block triangular, and RᵀR as before, except for what is below rounding in U_f.
     """
     n = n_future_inputs
     if all_above(R[:n, :n], DEPENDENT):
@@ -113,16 +91,6 @@ def noise_floor(R, block_rows, n_inputs, n_columns):
     data, L_33, has the noise's standard deviation times the square root of the
     columns left; random rows of that size in L_32 have singular values up to
     σ (√(i l) + √(i (m + l))) (Marchenko and Pastur, 1967).
-
-    Parameters
-    ----------
-    R : ndarray
-        From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
-    block_rows, n_inputs, n_columns : int
-
-    Returns
-    -------
-    floor : float
     """
     future = _future_width(R, block_rows, n_inputs)
     start = R.shape[0] - future
@@ -141,11 +109,6 @@ def state_matrices(U, singular_values, order, n_outputs, stable=False):
     """A and C of the chosen order by the shift property (Eq. 13).
 
     With ``stable``, the nearest stable A, each state weighed by how much outputs see of it.
-
-    Returns
-    -------
-    A : ndarray, shape (order, order)
-    C : ndarray, shape (n_outputs, order)
     """
     observability = U[:, :order] * np.sqrt(singular_values[:order])
     A = np.linalg.lstsq(observability[:-n_outputs], observability[n_outputs:], rcond=EPS)[0]
@@ -312,15 +275,7 @@ class PredictorSubspace:
 
     @classmethod
     def of(cls, R, block_rows, n_inputs, n_columns, feedthrough):
-        """The states behind a triangular factor.
-
-        Parameters
-        ----------
-        R : ndarray, shape (2 i (m + l), 2 i (m + l))
-            From :func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`.
-        block_rows, n_inputs, n_columns : int
-        feedthrough : bool
-        """
+        """The states behind a triangular factor."""
         i, m = block_rows, n_inputs
         rows, now = _rows_back(R, i, m)
         width = len(now)
@@ -348,14 +303,7 @@ class PredictorSubspace:
         )
 
     def model(self, order, stable=False):
-        """The innovation form of some order; with ``stable``, A is.
-
-        Returns
-        -------
-        A, B, C, D, K : ndarray
-        covariance : ndarray, shape (l, l)
-            Of the innovations.
-        """
+        """A, B, C, D, K and the innovations' covariance of some order; with ``stable``, A is."""
         roots = np.sqrt(self.singular_values[:order])
         read = (self.directions[:, :order] / roots).T @ self.coefficients
         x, later, u, y = self.past @ read.T, self.later @ read.T, self.inputs, self.outputs
@@ -390,22 +338,8 @@ class PredictorSubspace:
 
 
 def rows_remembered(R, block_rows, n_inputs, n_columns, feedthrough):
-    """How many rows back the predictor of one row reaches, by Akaike's criterion.
+    """How many rows back, from 1 to i, the predictor of one row reaches, by Akaike's criterion.
 
-    Parameters
-    ----------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-        Of the most rows tried, i.
-    block_rows, n_inputs, n_columns : int
-    feedthrough : bool
-
-    Returns
-    -------
-    n_rows : int
-        From 1 to i.
-
-    References
-    ----------
     Akaike (1974), IEEE Transactions on Automatic Control 19(6), 716-723.
     """
     rows, now = _rows_back(R, block_rows, n_inputs)
@@ -425,15 +359,7 @@ def rows_remembered(R, block_rows, n_inputs, n_columns, feedthrough):
 def share_at_once(R, block_rows, n_inputs, n_columns):
     """Share of the innovations' variance that the inputs of the same row explain.
 
-    Parameters
-    ----------
-    R : ndarray, shape (2 i (m + l), 2 i (m + l))
-    block_rows, n_inputs, n_columns : int
-
-    Returns
-    -------
-    share : float
-        From 0 to 1; 0 where the Bayesian information criterion takes it for chance.
+    0 where the Bayesian information criterion takes it for chance.
     """
     rows, now = _rows_back(R, block_rows, n_inputs)
     T = triangle(R[:, np.concatenate([*rows, now])])

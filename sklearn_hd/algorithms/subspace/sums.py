@@ -109,12 +109,7 @@ class Sums:
     ends: tuple
 
     def of_inputs(self, which):
-        """T and ends for some of the inputs, and all outputs.
-
-        Parameters
-        ----------
-        which : ndarray of int
-        """
+        """T and ends for some of the inputs, and all outputs."""
         n_inputs, n_signals = self.lags.shape[1:]
         signals = np.concatenate([which, np.arange(n_inputs, n_signals)])
         ends = (replace(e, head=e.head[:, signals], tail=e.tail[:, which]) for e in self.ends)
@@ -186,19 +181,10 @@ def _faded(sums, shift, ends):
 
 
 def row_sums(rows, n_lags, inputs, outputs):
-    """Sums over consecutive rows of a record.
+    """Sums over consecutive rows (n_rows, n_channels) of a record.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n_rows, n_channels)
-    n_lags : int
-        Block rows 2i of the Hankel matrix to come.
-    inputs, outputs : ndarray of int, shapes (m,), (l,)
-        Channels that B, D and the initial state are found from.
-
-    Returns
-    -------
-    sums : RowSums
+    The Hankel matrix to come has ``n_lags`` (2i) block rows; B, D and the initial state are found
+    from some channels as inputs and outputs.
     """
     return RowSums(
         stretch((rows,), n_lags, exact=True), *_correlated(rows[:, inputs], rows[:, outputs])
@@ -206,17 +192,7 @@ def row_sums(rows, n_lags, inputs, outputs):
 
 
 def correlations(records):
-    """Sums over whole records without their lag products.
-
-    Parameters
-    ----------
-    records : list of tuple of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
-
-    Returns
-    -------
-    sums : Sums
-        ``products`` is None.
-    """
+    """Sums over whole records (inputs, outputs) without their lag products."""
     lags, squares, ends = zip(*(_correlated(u, y) for u, y in records), strict=True)
     return Sums(None, sum(lags), sum(squares), ends)
 
@@ -232,17 +208,10 @@ def _correlated(u, y):
 
 
 def _lagged(before, z):
-    """Σ_k u_{k-d} z_k' for d = 0 … K, over rows z whose inputs are the last of ``before``.
+    """Σ_k u_{k-d} z_k' for d = 0 … K, (K + 1, m, p), over rows z.
 
-    Parameters
-    ----------
-    before : ndarray, shape (n_before + n_rows, m)
-        At most K rows before those of z.
-    z : ndarray, shape (n_rows, p)
-
-    Returns
-    -------
-    lags : ndarray, shape (K + 1, m, p)
+    Their inputs are the last of ``before`` (n_before + n_rows, m), at most K rows of which come
+    before z.
     """
     if len(z) == 0:
         return np.zeros((REACH + 1, before.shape[1], z.shape[1]))
@@ -259,25 +228,10 @@ def _lagged(before, z):
 
 
 def input_matrices_of_sums(A, C, sums, feedthrough, scales):
-    """B, D and the initial states by least squares over all rows of all records.
+    """B, D and the initial states (n_records, n) by least squares over all rows of all records.
 
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    sums : Sums
-    feedthrough : bool
-        Whether D is free (else zero).
-    scales : tuple of ndarray, shapes (m,), (l,)
-        What inputs and outputs are divided by.
-
-    Returns
-    -------
-    B : ndarray, shape (n, m)
-    D : ndarray, shape (l, m)
-    x0 : ndarray, shape (n_records, n)
-        None instead of all three where the model remembers more rows than the sums reach,
-        or rounding would show.
+    Inputs and outputs are divided by ``scales``. None where the model remembers more rows than
+    the sums reach, or rounding would show.
     """
     A, C, size = alike_states(A, C)
     model = output_normal(A, C)
@@ -340,21 +294,7 @@ def _record_products(basis, sums, scales):
 
 
 def input_matrices_of_heads(A, C, ends, feedthrough, scales):
-    """B, D and the initial states of records that are no longer than their first rows kept.
-
-    Parameters
-    ----------
-    A, C, feedthrough, scales
-        As for :func:`input_matrices_of_sums`.
-    ends : tuple of RecordEnds
-
-    Returns
-    -------
-    B : ndarray, shape (n, m)
-    D : ndarray, shape (l, m)
-    x0 : ndarray, shape (n_records, n)
-        None instead of all three where a record is longer.
-    """
+    """The same of records that are no longer than their first rows kept; None where one is."""
     if any(record.n_rows > len(record.head) for record in ends):
         return None
     pairs = (np.split(record.head, [len(scales[0])], axis=1) for record in ends)
@@ -371,21 +311,8 @@ def input_matrices_of_factor(A, C, R, block_rows, n_inputs, feedthrough):
         Γ⊥' Y_f = Γ⊥' H(B, D) U_f + noise
 
     Each column of the Hankel matrix has an initial state of its own: less is asked of the
-    model than of one that is simulated, and less said of B and D where it is slow.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (l, n)
-    R : ndarray
-        From :func:`~sklearn_hd.algorithms.subspace.hankel.factor_of_products`.
-    block_rows, n_inputs : int
-    feedthrough : bool
-
-    Returns
-    -------
-    B : ndarray, shape (n, m)
-    D : ndarray, shape (l, m)
+    model than of one that is simulated, and less said of B and D where it is slow. R is that of
+    :func:`~sklearn_hd.algorithms.subspace.hankel.factor_of_products`.
     """
     n, n_outputs, i, m = len(A), len(C), block_rows, n_inputs
     if m == 0:
@@ -415,21 +342,10 @@ def input_matrices_of_factor(A, C, R, block_rows, n_inputs, feedthrough):
 
 
 def initial_states_of_heads(A, B, C, D, ends, scales, noise=(None, None)):
-    """Initial states by least squares over the first rows of each record.
+    """Initial states (n_records, n) by least squares over the first rows of each record.
 
-    Parameters
-    ----------
-    A, B, C, D : ndarray
-        In the units that ``scales`` make.
-    ends : tuple of RecordEnds
-    scales : tuple of ndarray, shapes (m,), (l,)
-    noise : tuple of ndarray, shapes (n, l), (l, l), optional
-        Kalman gain and covariance of the innovations, where the rows before are to be known by
-        their outputs.
-
-    Returns
-    -------
-    x0 : ndarray, shape (n_records, n)
+    The model is in the units that ``scales`` make; with ``noise``, the Kalman gain and the
+    covariance of the innovations, outputs tell the rows before.
     """
     K, covariance = noise
     m, rows = B.shape[1], slice(None) if K is not None else slice(FIRST_ROWS)
@@ -463,16 +379,7 @@ class Forgetting:
     def weighted(self, rows, n_before):
         """Rows that follow ``n_before`` others, as z̃, and by what power of two these fade.
 
-        Parameters
-        ----------
-        rows : ndarray, shape (n_rows, p)
-        n_before : int
-
-        Returns
-        -------
-        weighted : ndarray, shape (n_rows, p)
-            In units in which the newest row weighs between a half and one.
-        shift : int
+        In units in which the newest row weighs between a half and one.
 
         Examples
         --------
@@ -496,19 +403,7 @@ class Forgetting:
         return np.exp2((n_rows - 1) / (2.0 * self.half_life) - self._power(n_rows))
 
     def weights(self, lengths, n_lost=0):
-        """Σw over the rows of consecutive segments, but the last few of each.
-
-        Parameters
-        ----------
-        lengths : sequence of int
-            Rows of each, the newest last.
-        n_lost : int, default=0
-            Rows at the end of each that are left out.
-
-        Returns
-        -------
-        weights : ndarray, shape (n_segments,)
-        """
+        """Σw over the rows of consecutive segments, the newest last, but the last few of each."""
         lengths = np.asarray(lengths, dtype=float)
         ages = np.cumsum(lengths[::-1])[::-1] - lengths  # of the last row of each
         counts = np.maximum(lengths - n_lost, 0.0)
@@ -530,24 +425,14 @@ class Forgetting:
         return np.sum(self.weights(lengths)) ** 2 / np.sum(squared.weights(lengths))
 
     def effective_lengths(self, lengths):
-        """Rows alike that segments are worth, by their shares of Σw.
-
-        Returns
-        -------
-        lengths : list of int
-        """
+        """Rows alike that segments are worth, by their shares of Σw."""
         if self.half_life == np.inf:
             return list(lengths)
         own = self.weights(lengths)
         return [round(each) for each in own * self.n_effective(lengths) / np.sum(own)]
 
     def first(self, lengths):
-        """What the first row of each segment is multiplied by in z̃; NaN where rounding hides it.
-
-        Returns
-        -------
-        factors : ndarray, shape (n_segments,)
-        """
+        """What the first row of each segment is multiplied by in z̃; NaN where rounding hides it."""
         lengths = np.asarray(lengths, dtype=float)
         ages = np.cumsum(lengths[::-1])[::-1] - 1.0
         factors = np.exp2(-ages / (2.0 * self.half_life))

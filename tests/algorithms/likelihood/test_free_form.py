@@ -5,9 +5,8 @@ import pytest
 from conftest import random_stable
 
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.free_form import FreeForm, free_form, product
+from sklearn_hd.algorithms.likelihood.free_form import FreeForm, OutputNormal, free_form, product
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.local_coordinates import OutputNormal
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 
@@ -95,7 +94,7 @@ def test_slopes_are_those_of_the_likelihood_with_all_else_at_its_optimum(rng, co
     (A, _, C, K), u, y = innovations(rng, 3, 2, 300, root=np.array([[1.0, 0.0], [0.9, 0.2]]))
     inputs = np.hstack([u, y]) if correlated else u
     form = form_of(3, 2, inputs.shape[1])
-    problem = likelihood_problem(form, [(inputs, y, 0)], True, correlated=correlated)
+    problem = likelihood_problem(form, [(inputs, y, 0)], correlated=correlated)
     family = FreeForm(problem, drives(3, 2, inputs.shape[1]))
     model = family.model(OutputNormal.of(A - 0.5 * K @ C, C).moved(0.1 * np.ones(6)))
     count = int(family.drives.sum())

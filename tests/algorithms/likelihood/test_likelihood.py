@@ -51,7 +51,7 @@ def test_white_noise_is_called_white_and_what_is_nearly_so_is_not(rng):
 
 
 def about_waveforms(rng, gain, n_phases=7):
-    """A form of steps, its parameters, and two records of it, the second with outputs missing."""
+    """A form of steps, its parameters, and two records of it."""
     structure, theta = oscillator(steps=True, varies="FG")
     form = Form(structure, OMEGA, n_phases, discrete=True, gauge=True)
     still = form.response(theta, sensitivities=False)
@@ -64,14 +64,13 @@ def about_waveforms(rng, gain, n_phases=7):
             y[k] = still.Out[phase % len(still.Out)] @ z + noise[k]
             x = still.Psi[phase] @ z + (0.0 if gain is None else gain[0] @ noise[k])
         segments.append((u, y, first))
-    segments[1][1][rng.random((40, 2)) < 0.2] = np.nan
     if gain is None:
         return form, theta, segments
     return form.with_gain(0), np.concatenate([theta, gain.ravel()]), segments
 
 
 def fitted(form, segments, theta):
-    problem = likelihood_problem(form, segments, True, correlated=form.n_gain_harmonics is not None)
+    problem = likelihood_problem(form, segments, correlated=form.n_gain_harmonics is not None)
     found = search(
         problem, start(problem, theta), max_iter=40, tol=1e-13, keep_stable=True, bounds=None
     )
@@ -112,8 +111,6 @@ def test_a_free_waveform_is_a_fourier_series_of_outputs_with_all_harmonics(rng, 
 @pytest.mark.parametrize("gain", GAINS)
 def test_each_record_may_have_any_waveform(rng, gain):
     form, theta, segments = about_waveforms(rng, gain)
-    if gain is not None:  # what a predictor makes of outputs that are missing is no waveform
-        segments = [(u, np.where(np.isnan(y), 0.0, y), first) for u, y, first in segments[:1]]
     form, moved = replace(form, waveform=True), []
     for u, y, first in segments:
         wave = 3.0 * rng.standard_normal((7, 2))
@@ -127,20 +124,14 @@ def test_each_record_may_have_any_waveform(rng, gain):
 
 
 def test_rows_about_a_waveform_are_the_same_in_pieces_of_any_length(rng):
-    values, present = rng.standard_normal((4, 50, 2)), rng.random((50, 2)) < 0.8
-    values = np.where(present, values, 0.0)
-    about = _AboutWaveform(7, 4, 2)
-    pieces = [about.rows(values[:, k : k + 11], present[k : k + 11]) for k in range(0, 50, 11)]
-    rows = np.concatenate(pieces, axis=1)
-    np.testing.assert_allclose(
-        rows, _AboutWaveform(7, 4, 2).rows(values, present), rtol=0.0, atol=1e-14
-    )
+    values, about = rng.standard_normal((4, 50, 2)), _AboutWaveform(7)
+    rows = np.concatenate([about.rows(values[:, k : k + 11]) for k in range(0, 50, 11)], axis=1)
+    np.testing.assert_allclose(rows, _AboutWaveform(7).rows(values), rtol=0.0, atol=1e-14)
     # products of two columns are those about the mean of each phase
     mean = np.zeros_like(values)
-    for phase, output in np.ndindex(7, 2):
-        some = np.flatnonzero((np.arange(50) % 7 == phase) & present[:, output])
-        mean[:, some, output] = values[:, some, output].mean(axis=1, keepdims=True)
-    left = np.where(present, values - mean, 0.0).reshape(4, -1)
+    for phase in range(7):
+        mean[:, phase::7] = values[:, phase::7].mean(axis=1, keepdims=True)
+    left = (values - mean).reshape(4, -1)
     np.testing.assert_allclose(rows.reshape(4, -1) @ rows.reshape(4, -1).T, left @ left.T)
 
 
@@ -148,8 +139,8 @@ def test_records_of_less_than_two_turns_keep_the_trim_that_was_subtracted(rng):
     form, theta, segments = about_waveforms(rng, None)
     u, y, first = segments[0]
     short = [(u[:13], y[:13], first)]
-    problem = likelihood_problem(replace(form, waveform=True), short, True)
-    own = likelihood_problem(form, short, True)
+    problem = likelihood_problem(replace(form, waveform=True), short)
+    own = likelihood_problem(form, short)
     x0 = np.zeros((1, 2))
     assert problem.point(theta, x0).cost == own.point(theta, x0).cost
     assert problem.n_waveforms == 0

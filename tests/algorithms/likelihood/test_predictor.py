@@ -13,7 +13,6 @@ from predictor_cases import (
 from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.predictor import (
-    as_records,
     n_columns,
     output_sensitivities,
     residuals,
@@ -33,21 +32,17 @@ def predictions(form, parameters, record, x0):
     return simulate(form.response(parameters, sensitivities=False), record, x0)[1]
 
 
-@pytest.mark.parametrize("missing", [None, "single"])
 @pytest.mark.parametrize("n_gain_harmonics", GAINS)
 @pytest.mark.parametrize("name", FORMS)
-def test_predictions_are_those_of_a_plain_loop(name, n_gain_harmonics, missing, rng):
+def test_predictions_are_those_of_a_plain_loop(name, n_gain_harmonics, rng):
     form, parameters = case(name, n_gain_harmonics, rng)
-    record, psi = record_of(form, rng, 27, missing=missing)
+    record, psi = record_of(form, rng, 27)
     x0 = rng.standard_normal(2)
     expected = plain_predictions(form, parameters, record, psi, x0)
     found = predictions(form, parameters, record, x0)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     left = residuals(form.response(parameters, sensitivities=False), record, x0)
-    assert np.all(left[~record.present] == 0.0)
-    np.testing.assert_allclose(
-        left[record.present], (expected - record.outputs)[record.present], atol=1e-9
-    )
+    np.testing.assert_allclose(left, expected - record.outputs, atol=1e-9)
 
 
 def differences(form, parameters, record, x0, step=1e-6):
@@ -65,16 +60,13 @@ def differences(form, parameters, record, x0, step=1e-6):
 
 
 @pytest.mark.parametrize("piece", [1, pytest.param(10**9, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("missing", [None, "single"])
 @pytest.mark.parametrize("n_gain_harmonics", [None, 1])
 @pytest.mark.parametrize("name", FORMS)
-def test_derivatives_are_central_differences(
-    name, n_gain_harmonics, missing, piece, rng, monkeypatch
-):
+def test_derivatives_are_central_differences(name, n_gain_harmonics, piece, rng, monkeypatch):
     """By x0, θ and the coefficients of K; all at once or piece by piece."""
     monkeypatch.setattr(predictor, "PIECE", piece)
     form, parameters = case(name, n_gain_harmonics, rng)
-    record, _ = record_of(form, rng, 45, missing=missing)
+    record, _ = record_of(form, rng, 45)
     x0 = rng.standard_normal(2)
     response = form.response(parameters, sensitivities=True)
     pieces = list(output_sensitivities(response, record, x0))
@@ -90,15 +82,14 @@ def test_derivatives_are_central_differences(
     np.testing.assert_allclose(np.concatenate(fixed, axis=1), found[2:], atol=1e-12)
 
 
-@pytest.mark.parametrize("missing", [None, "single"])
 @pytest.mark.parametrize(
     "n_samples",
     [2, pytest.param(5, marks=pytest.mark.slow), 8, pytest.param(9, marks=pytest.mark.slow)],
 )
 @pytest.mark.parametrize("name", ["whole", "awkward", "constant"])
-def test_records_may_be_shorter_than_a_turn(name, n_samples, missing, rng):
+def test_records_may_be_shorter_than_a_turn(name, n_samples, rng):
     form, parameters = case(name, 1, rng)
-    record, psi = record_of(form, rng, n_samples, missing=missing)
+    record, psi = record_of(form, rng, n_samples)
     x0 = rng.standard_normal(2)
     expected = plain_predictions(form, parameters, record, psi, x0)
     np.testing.assert_allclose(predictions(form, parameters, record, x0), expected, atol=1e-9)
@@ -112,7 +103,7 @@ def test_records_may_be_shorter_than_a_turn(name, n_samples, missing, rng):
 @pytest.mark.parametrize("count", [0, 2])
 def test_a_gain_of_zero_is_a_simulation(name, count, rng):
     form, theta = FORMS[name]()
-    record, _ = record_of(form, rng, 40, missing="single")
+    record, _ = record_of(form, rng, 40)
     x0 = rng.standard_normal(2)
     still = form.with_gain(count)
     found = predictions(still, np.append(theta, np.zeros(still.n_gains)), record, x0)
@@ -150,14 +141,3 @@ def test_an_unstable_model_with_a_stable_predictor_is_predicted(rng):
     with np.errstate(over="ignore", invalid="ignore"):
         assert not np.all(np.isfinite(predictions(form, theta, record, np.ones(2))))
     assert np.max(np.abs(predictions(with_gain, parameters, record, np.ones(2)))) < 100.0
-
-
-def test_records_are_refused_where_they_cannot_be_read():
-    with pytest.raises(ValueError, match=r"segment 1 has inputs of shape \(4, 2\)"):
-        as_records([(np.ones((4, 1)), None, 0), (np.ones((4, 2)), None, 0)], 1, 1)
-    with pytest.raises(ValueError, match="segment 0 has inputs of shape"):
-        as_records([(np.ones((0, 1)), None, 0)], 1, 1)
-    with pytest.raises(ValueError, match="inputs of segment 0 hold NaN"):
-        as_records([(np.full((4, 1), np.nan), None, 0)], 1, 1)
-    with pytest.raises(ValueError, match=r"outputs have \[4, 0\] values in 1 segments"):
-        as_records([(np.ones((4, 1)), np.column_stack([np.ones(4), np.full(4, np.nan)]), 0)], 1, 2)

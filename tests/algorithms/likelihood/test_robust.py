@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
-from sklearn_hd.algorithms.likelihood.output_error import output_error_of
+from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.uncertainty import (
     FEWEST,
     LEVELS,
@@ -133,7 +133,7 @@ def test_one_part_differs_from_nothing(rng):
 
 def test_known_noise_is_taken_as_known(rng):
     u, y = line(rng, rng.standard_normal(N))
-    problem = likelihood_problem(static(), [(u, y, 0)], True, sigma=[2.0])
+    problem = likelihood_problem(static(), [(u, y, 0)], sigma=[2.0])
     point = problem.point(np.zeros(2), np.zeros((1, 0)))
     found, _ = problem.linearise(point).covariance(gauge=True)
     np.testing.assert_allclose(found, np.linalg.inv(u.T @ u) * 4.0, rtol=1e-9)

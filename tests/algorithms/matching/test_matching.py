@@ -7,6 +7,7 @@ from scipy import linalg, optimize
 from sklearn_hd.algorithms.lti.hinf import hinf_norm
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
+from sklearn_hd.algorithms.matching import matching
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import MatchingProblem, channel_scales
 from sklearn_hd.algorithms.matching.smooth_peak import Certificate, SmoothDescent
@@ -77,13 +78,15 @@ def disturbed_heave(size, random):
 @pytest.mark.slow
 @pytest.mark.parametrize("closed_form", [True, False], ids=["closed form", "search"])
 @pytest.mark.parametrize("name", list(SUBSYSTEMS))
-def test_twenty_random_changes_of_state_and_starts(name, closed_form):
+def test_twenty_random_changes_of_state_and_starts(name, closed_form, monkeypatch):
+    if not closed_form:
+        monkeypatch.setattr(matching, "output_transformation", lambda problem: None)
     structure, truth = subsystem(name)
     random = np.random.default_rng(2024)
     for _ in range(20):
         model = changed_state(structure, truth, random.standard_normal((3, 3)))
         start = truth * (1 + random.uniform(-0.5, 0.5, len(truth)))
-        result = match_structure(*model, structure, theta0=start, closed_form=closed_form)
+        result = match_structure(*model, structure, theta0=start)
         A = SUBSYSTEMS[name][0]
         assert result.exact
         assert result.converged
@@ -119,11 +122,10 @@ def test_unstable_start_finds_the_stable_model():
     np.testing.assert_allclose(result.theta, truth, rtol=1e-9)
 
 
-def test_start_at_zero_has_its_poles_on_the_axis():
+def test_start_at_zero_has_its_poles_on_the_axis(monkeypatch):
+    monkeypatch.setattr(matching, "output_transformation", lambda problem: None)
     structure = MatrixStructure([["a"]], [[1.0]]).affine
-    result = match_structure(
-        [[-2.0]], [[1.0]], [[1.0]], [[0.0]], structure, theta0=[0.0], closed_form=False
-    )
+    result = match_structure([[-2.0]], [[1.0]], [[1.0]], [[0.0]], structure, theta0=[0.0])
     np.testing.assert_allclose(result.theta, [-2.0], rtol=1e-12)
 
 
@@ -444,25 +446,6 @@ def test_structure_that_is_never_stable_is_refused():
     structure = MatrixStructure([[0.5]], [[NAN]]).affine
     with pytest.raises(UnstableModelError, match="no stable model of this structure was found"):
         match_structure([[-1.0]], [[1.0]], [[1.0]], [[0.0]], structure, theta0=[1.0])
-
-
-def test_channels_that_do_not_fit_are_refused():
-    structure, _ = subsystem("heave")
-    with pytest.raises(ValueError, match="structure has 3 outputs and 1 inputs, the model 1 and 1"):
-        match_structure([[-1.0]], [[1.0]], [[1.0]], [[0.0]], structure)
-
-
-def test_theta0_of_wrong_length_is_refused():
-    structure, truth = subsystem("heave")
-    with pytest.raises(ValueError, match=r"theta0 of shape \(9,\) must hold 10 finite numbers"):
-        match_structure(*structure.matrices(truth), structure, theta0=truth[:9])
-
-
-@pytest.mark.parametrize("weights", [[1.0, 1.0], [1.0, -1.0, 1.0], [1.0, np.nan, 1.0]])
-def test_bad_weights_are_refused(weights):
-    structure, truth = subsystem("heave")
-    with pytest.raises(ValueError, match=r"output_weights=.* must be 3 positive numbers"):
-        match_structure(*structure.matrices(truth), structure, output_weights=weights)
 
 
 @pytest.mark.slow

@@ -66,16 +66,6 @@ def test_exact_match_out_of_bounds_is_not_taken():
     assert np.all(outside.theta >= START + 0.1)
 
 
-def test_start_out_of_bounds_is_refused():
-    with pytest.raises(ValueError, match=r"the bounds 1 and 3 of w exclude its start 5; start"):
-        match(theta0=[0.3, 5.0, 0.2, 0.2, 0.4], bounds=([0, 1, 0, 0, 0], [1, 3, 1, 1, 1]))
-
-
-def test_bounds_of_wrong_length_or_order_are_refused():
-    with pytest.raises(ValueError, match="bounds must be 5 lower and 5 larger upper ones"):
-        match(bounds=(START, START))
-
-
 @pytest.mark.slow
 def test_each_criterion_is_best_in_its_own_norm():
     results = {criterion: match(criterion) for criterion in CRITERIA}

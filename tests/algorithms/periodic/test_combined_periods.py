@@ -41,7 +41,7 @@ def at_all_phases(response):
 
 def outputs(structure, theta, u, first_phase, x0):
     response = sampled_response(structure, theta, OMEGA, PHASES, sensitivities=False)
-    record = Record(u, np.zeros((len(u), L)), np.ones((len(u), L), bool), first_phase)
+    record = Record(u, np.zeros((len(u), L)), first_phase)
     return simulate(response, record, x0)[1]
 
 
