@@ -205,13 +205,17 @@ def test_modes_come_back_at_the_orders_beyond():
     assert np.abs(steady.to_numpy()[:, None] - true).min(axis=0).max() < 0.1 * np.abs(true[0])
 
 
-@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_what_samples_do_not_have_is_refused_with_a_way_out():
     u, y = cases.service_record()
     with pytest.raises(ValueError, match=r"no coefficients to draw; use HarmonicsDisplay.from_da"):
         HarmonicsDisplay.from_estimator(cases.sampled(), u, y)
     with pytest.raises(ValueError, match=r"'identified' varies over the turn, with \d harmonic"):
         BodeDisplay.from_estimator(cases.sampled())
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+def test_a_constant_model_of_samples_has_a_bode_plot():
     constant = BodeDisplay.from_estimator(cases.sampled(output_harmonics=0))
     assert list(constant.magnitude_lines_) == [("identified", "y", "u1")]
 

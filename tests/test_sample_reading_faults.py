@@ -261,7 +261,9 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
 ):
     def found(left, against, *exponents):
         model = SimpleNamespace(exponents=lambda: np.array(exponents, complex), omega=0.8)
-        return _Found(None, SimpleNamespace(variance=left), model, "", against, lasts=True)
+        it = _Found(None, None, None)
+        it.__dict__.update(left=SimpleNamespace(variance=left), model=model, against=against)
+        return it
 
     whole = found(4e-4, "halves differ", -0.23, -0.365)
     assert found(left, against, exponent).serves_for(whole) == serves

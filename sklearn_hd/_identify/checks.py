@@ -243,7 +243,7 @@ def warn_of_little(layout, n_rows, best, basis):
         )
 
 
-def why_no_noise(segments, innovations, predictor, small=None):
+def why_no_noise(segments, innovations, predictor, covariance=None):
     """Why what predictions leave is no noise: so much more than the predictor they come from.
 
     The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
@@ -254,8 +254,8 @@ def why_no_noise(segments, innovations, predictor, small=None):
     segments : list of (inputs, outputs, psi)
     innovations : PeriodicInnovations
     predictor : Predictor
-    small : SmallMotions or None
-        With products of states and inputs as further inputs: what these leave, too, counts.
+    covariance : ndarray, shape (l, l), optional
+        Of what products of states and inputs leave, where these are further inputs.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def why_no_noise(segments, innovations, predictor, small=None):
     n_rows = sum(map(len, left))
     if not all(np.max(np.abs(e), initial=0.0) < OVERFLOW for e in left):
         return ""  # an InstabilityWarning says so
-    covariance = sum(e.T @ e for e in left) / n_rows if small is None else small.covariance
+    covariance = sum(e.T @ e for e in left) / n_rows if covariance is None else covariance
     floor = SENSOR_NOISE**2 * np.eye(n_outputs)
     own, its = (np.linalg.slogdet(M + floor)[1] for M in (covariance, predictor.covariance))
     more = own - its

@@ -24,7 +24,9 @@ Reference: J. Paduart et al., "Identification of nonlinear systems using polynom
 space models", Automatica 46 (2010), for time-invariant machines.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, combinations_with_replacement
 from math import comb
 
@@ -55,96 +57,154 @@ class SmallMotions:
     ahead, of_smaller : (ndarray, ndarray)
         Where a further step leads the logarithms of its multipliers, and their deviations. By all
         rows, and by the half of them with the smaller motion (None if they are too few).
-    covariance : ndarray, shape (l, l)
-        Of what products leave, too.
-    n_inputs : int
-        Inputs and products.
-    degrees : tuple of int
-        Of the products.
     """
 
     innovations: PeriodicInnovations
     at_rest: PeriodicInnovations
     ahead: tuple
     of_smaller: tuple | None
-    covariance: np.ndarray
-    n_inputs: int
-    degrees: tuple
 
 
-def of_small_motions(
-    innovations, segments, layout, sensor_noise, most_growth, rest, degrees=None, gain=None
-):
-    """The linear part of a model to which products of states and inputs are further inputs.
+@dataclass(frozen=True, eq=False)
+class LargeMotions:
+    """A model to which products of states and inputs are further inputs.
 
-    Parameters
+    Attributes
     ----------
-    innovations : PeriodicInnovations
-        A model after steps of its likelihood.
-    segments, layout, sensor_noise, most_growth
-        As for :func:`~.innovations_steps.most_likely`.
-    rest : ndarray, shape (2 L + 1, m)
-        Inputs of a machine at rest, as Fourier coefficients.
-    degrees : sequence of int, optional
-        Of the products; those that pay by default, and only then smaller motions are asked, too.
-    gain : ndarray, optional
-        Of a predictor, for a model that simulates; the model's by default.
-
-    Returns
-    -------
-    small : SmallMotions or None
-        None where no products pay, or steps are not to be had.
+    linear, model : PeriodicInnovations
+        Without and with products, whose states are those that ``linear`` (then ``model`` of fewer
+        degrees) predicts.
+    ahead : (ndarray, ndarray)
+        As :func:`~.innovations_steps.most_likely` has it.
+    products : _Products
+    segments, driven : list of (inputs, outputs, psi)
+        Without and with them.
+    stepped : callable
+        ``most_likely`` of a model and segments.
+    sensor_noise : float
+    gain : ndarray or None
+        Of a predictor, for a model that simulates.
+    asked : bool
+        Whether the degrees were given.
     """
-    n, m, L = innovations.n_states, innovations.n_inputs, layout.n_loads
-    layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
-    per_input = (n + (layout.n_outputs if layout.feedthrough else 0)) * layout.n_functions
-    n_values = sum(y.size for _, y, _ in segments)
 
-    def stepped(model, driven, **options):
-        wide = replace(layout, n_inputs=model.n_inputs)
-        return most_likely(model, driven, wide, sensor_noise, most_growth, **options)
+    linear: PeriodicInnovations
+    model: PeriodicInnovations
+    ahead: tuple
+    products: "_Products"
+    segments: list
+    driven: list
+    stepped: Callable
+    sensor_noise: float
+    gain: np.ndarray | None
+    asked: bool
 
-    def motion_of(model, driven):
-        predictor = model if gain is None else _predicting(model, driven, gain, sensor_noise)
-        return _motion(predictor, driven, m)
+    @classmethod
+    def of(cls, innovations, segments, layout, sensor_noise, most_growth, degrees=None, gain=None):
+        """The model with products; None where none pay, or steps are not to be had.
 
-    model, ahead, products, driven = innovations, None, None, segments
-    for degree in DEGREES if degrees is None else degrees:
-        motion, more = motion_of(model, driven), comb(n + m + degree - 1, degree)
-        if motion is None or more * per_input * n_values > MOST_NUMBERS:
-            break
-        taken = (degree,) if products is None else (*products.degrees, degree)
-        wider = _Products.of(motion, taken, L)
-        least = more * per_input if degrees is None else 0.0
-        beside = wider.beside(segments, motion)
-        found = stepped(_with_inputs(model, model.n_inputs, more), beside, least_fall=least)
-        if found is not None:
-            (model, ahead), products, driven = found, wider, beside
-    if products is None:
-        return None
-    least = 1.0 - LEAST_TAKEN_UP if gain is not None and degrees is None else np.inf
-    if _left(model, sensor_noise) > least * _left(innovations, sensor_noise):
-        return None
-    motion, smaller = motion_of(model, driven), None
-    if motion is not None:
-        about_rest = products.about_rest(model, motion, rest)
-        if about_rest is not None:
-            start, moved = about_rest
-            beside = moved.beside(segments, motion)
-            found = stepped(start, beside)
-            if found is not None:
-                (model, ahead), products, driven = found, moved, beside
-        if degrees is None:
-            smaller = stepped(model, driven, counted=_smaller_half(motion, products.centre))
-    if gain is not None:
-        model = _predicting(model, driven, gain, sensor_noise)
-    linear = _with_inputs(model, m, 0)
-    linear = _predicting(linear, segments, innovations.gain if gain is None else gain, sensor_noise)
-    at_rest = _with_inputs(products.with_means(model), m, 0)
-    gain = resize_harmonics(linear.gain, len(at_rest.coefficients) // 2)
-    at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
-    known = model.covariance, model.n_inputs, products.degrees
-    return SmallMotions(linear, at_rest, ahead, None if smaller is None else smaller[1], *known)
+        Parameters
+        ----------
+        innovations : PeriodicInnovations
+            A model after steps of its likelihood.
+        segments, layout, sensor_noise, most_growth
+            As for :func:`~.innovations_steps.most_likely`.
+        degrees : tuple of int, optional
+            Of the products; those that pay by default.
+        gain : ndarray, optional
+            Of a predictor, for a model that simulates.
+        """
+        n, m, L = innovations.n_states, innovations.n_inputs, layout.n_loads
+        layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
+        per_input = (n + (layout.n_outputs if layout.feedthrough else 0)) * layout.n_functions
+        n_values = sum(y.size for _, y, _ in segments)
+
+        def stepped(model, driven, **options):
+            wide = replace(layout, n_inputs=model.n_inputs)
+            return most_likely(model, driven, wide, sensor_noise, most_growth, **options)
+
+        asked = degrees is not None
+        known = stepped, sensor_noise, gain, asked
+        found = cls(innovations, innovations, None, None, segments, segments, *known)
+        for tried in [degrees] if asked else [(degree,) for degree in DEGREES]:
+            motion = found.motion()
+            more = sum(comb(n + m + degree - 1, degree) for degree in tried)
+            if motion is None or more * per_input * n_values > MOST_NUMBERS:
+                break
+            before = found.products.degrees if found.products else ()
+            products = _Products.of(motion, before + tried, L)
+            start = _with_inputs(found.model, found.model.n_inputs, more)
+            found = found._with(start, products, motion, 0.0 if asked else more * per_input)
+        if found.products is None:
+            return None
+        least = 1.0 - LEAST_TAKEN_UP if gain is not None and not asked else np.inf
+        left, before = (_left(each, sensor_noise) for each in (found.model, innovations))
+        return found if left <= least * before else None
+
+    @cached_property
+    def _predictor(self):
+        """The model with the gain of a predictor, if it simulates and that leaves less."""
+        return self.model if self.gain is None else self._predicting(self.model, self.driven)
+
+    @property
+    def covariance(self):
+        """Of what predictions leave beside products."""
+        return self._predictor.covariance
+
+    def motion(self):
+        """States that are predicted and inputs, beside ψ; None where they overflow."""
+        predictor, motion = self._predictor, []
+        for u, y, psi in self.driven:
+            rows = predictor.rows(psi)
+            x0 = rows.initial_state(u, y, predictor.covariance)
+            x, u = rows.innovations(u, y, x0)[0], u[:, : self.linear.n_inputs]
+            motion.append((np.hstack([x, u]), psi))
+        finite = all(np.max(np.abs(z), initial=0.0) < OVERFLOW for z, _ in motion)
+        return motion if finite else None
+
+    def small_motions(self, rest):
+        """The linear part, about the orbit of a machine at rest if the motion reaches it.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (2 L + 1, m)
+            Inputs of a machine at rest, as Fourier coefficients.
+
+        Returns
+        -------
+        small : SmallMotions
+        """
+        motion, found, smaller = self.motion(), self, None
+        if motion is not None:
+            about_rest = self.products.about_rest(self.model, motion, rest)
+            found = self if about_rest is None else self._with(*about_rest, motion)
+            if not self.asked:
+                counted = _smaller_half(motion, found.products.centre)
+                smaller = self.stepped(found.model, found.driven, counted=counted)
+        model, m = found._predictor, self.linear.n_inputs
+        gain = self.linear.gain if self.gain is None else self.gain
+        linear = self._predicting(_with_inputs(model, m, 0), self.segments, gain)
+        at_rest = _with_inputs(found.products.with_means(model), m, 0)
+        gain = resize_harmonics(linear.gain, len(at_rest.coefficients) // 2)
+        at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
+        return SmallMotions(linear, at_rest, found.ahead, None if smaller is None else smaller[1])
+
+    def _with(self, start, products, motion, least_fall=0.0):
+        """After steps from a start beside other products; the same if there are none."""
+        driven = products.beside(self.segments, motion)
+        found = self.stepped(start, driven, least_fall=least_fall)
+        if found is None:
+            return self
+        return replace(self, model=found[0], ahead=found[1], products=products, driven=driven)
+
+    def _predicting(self, model, driven, gain=None):
+        """A model with a predictor's gain and what it leaves, or as it is if that is less."""
+        gain = self.gain if gain is None else gain
+        own = fitted(model, driven, self.sensor_noise)
+        below = np.inf if own is None else own.cost
+        at = fitted(replace(model, gain=gain), driven, self.sensor_noise, below=below)
+        at = own if at is None else at
+        return model if at is None else replace(at.innovations, covariance=at.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,29 +320,9 @@ def _values(which, centre, z, psi):
     return np.column_stack([np.prod(z[:, list(factors)], axis=1) for factors in which])
 
 
-def _predicting(innovations, segments, gain, sensor_noise):
-    """A model with another gain and what it leaves, or as it is if that is less."""
-    own = fitted(innovations, segments, sensor_noise)
-    below = np.inf if own is None else own.cost
-    at = fitted(replace(innovations, gain=gain), segments, sensor_noise, below=below)
-    at = own if at is None else at
-    return innovations if at is None else replace(at.innovations, covariance=at.covariance)
-
-
 def _left(innovations, sensor_noise):
     """The variance that a model leaves of all outputs, beside that of their sensors."""
     return np.trace(innovations.covariance) + innovations.n_outputs * sensor_noise**2
-
-
-def _motion(innovations, segments, m):
-    """States that a model predicts and the first m inputs, beside ψ; None where they overflow."""
-    motion = []
-    for u, y, psi in segments:
-        rows = innovations.rows(psi)
-        x0 = rows.initial_state(u, y, innovations.covariance)
-        motion.append((np.hstack([rows.innovations(u, y, x0)[0], u[:, :m]]), psi))
-    finite = all(np.max(np.abs(z), initial=0.0) < OVERFLOW for z, _ in motion)
-    return motion if finite else None
 
 
 def _smaller_half(motion, centre):

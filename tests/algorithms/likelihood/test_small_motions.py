@@ -5,7 +5,7 @@ import pytest
 from innovation_cases import STEP
 
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
-from sklearn_hd.algorithms.likelihood.small_motions import _Products, of_small_motions
+from sklearn_hd.algorithms.likelihood.small_motions import LargeMotions, _Products
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
@@ -53,10 +53,11 @@ def test_beside_products_exponents_are_those_of_small_motions(degree, bend):
     true = seen()
     some = [bent(true, degree, bend, 1500, seed) for seed in (1, 2)]
     linear, _ = most_likely(true, some, SEEN, 1e-3)
-    small = of_small_motions(linear, some, SEEN, 1e-3, np.inf, REST)
+    large = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf)
+    small = large.small_motions(REST)
     assert off(small.innovations, true) < 0.25 * off(linear, true)
-    assert degree in small.degrees
-    np.testing.assert_allclose(np.diag(small.covariance), 1e-4, rtol=0.1)  # that of e
+    assert degree in large.products.degrees
+    np.testing.assert_allclose(np.diag(large.covariance), 1e-4, rtol=0.1)  # that of e
     assert np.max(np.diag(linear.covariance)) > 1.1e-4
     assert small.innovations.n_inputs == 1
     known, deviations = small.of_smaller
@@ -68,9 +69,8 @@ def test_small_motions_are_those_about_inputs_at_rest():
     true, mean = seen(), 0.06
     some = [bent(true, 2, 0.2, 1500, seed, mean) for seed in (1, 2)]
     linear, _ = most_likely(true, some, SEEN, 1e-3)
-    held, free = (
-        of_small_motions(linear, some, SEEN, 1e-3, np.inf, rest) for rest in (REST, REST - mean)
-    )
+    large = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf)
+    held, free = (large.small_motions(rest) for rest in (REST, REST - mean))
     deviations = free.ahead[1]
     assert off(free.innovations, true) < 4.0 * np.max(deviations)
     assert off(held.innovations, true) > 10.0 * off(free.innovations, true)
@@ -103,7 +103,7 @@ def test_products_do_not_pay_for_a_linear_machine():
     for seed in range(5):
         some = [bent(true, 2, 0.0, 1000, seed)]
         linear, _ = most_likely(true, some, SEEN, 1e-3)
-        assert of_small_motions(linear, some, SEEN, 1e-3, np.inf, REST) is None
-    asked = of_small_motions(linear, some, SEEN, 1e-3, np.inf, REST, degrees=(2,))
-    assert asked.degrees == (2,)
-    assert asked.of_smaller is None
+        assert LargeMotions.of(linear, some, SEEN, 1e-3, np.inf) is None
+    asked = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf, degrees=(2,))
+    assert asked.products.degrees == (2,)
+    assert asked.small_motions(REST).of_smaller is None
