@@ -129,7 +129,7 @@ def test_products_do_not_stand_for_gusts_that_exact_outputs_show():
 
 @pytest.mark.slow
 def test_predictions_that_are_exact_beside_products_lead_to_a_simulation():
-    """Exponents beside products of two were 27 % off: predictions left nothing for those of three."""
+    """Beside products of two they leave nothing for those of three, and exponents are 27 % off."""
     model = fitted(*record(seed=1, size=0.2, square=0.3, cubic=0.3, noise=0.0))
     assert model.nonlinear_degrees_ == (2, 3)
     assert error(model) < 2e-3

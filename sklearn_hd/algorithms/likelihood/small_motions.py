@@ -131,9 +131,12 @@ class LargeMotions:
             more = sum(comb(n + m + degree - 1, degree) for degree in tried)
             if motion is None or more * per_input * n_values > MOST_NUMBERS:
                 break
-            before = found.products.degrees if found.products else ()
-            products = _Products.of(motion, before + tried, L)
+            before = ()
+            if found.products is not None:  # of the same states as those to come
+                before = found.products.degrees
+                found = found._with(found.model, _Products.of(motion, before, L), motion)
             start = _with_inputs(found.model, found.model.n_inputs, more)
+            products = _Products.of(motion, before + tried, L)
             found = found._with(start, products, motion, 0.0 if asked else more * per_input)
         if found.products is None:
             return None
