@@ -83,6 +83,8 @@ class SampleModel:
         Whole samples of the delays of inputs and outputs, where the matrices hold the rest: there
         are two of each input then, its new value and the old one.
     state_names : tuple of str, or None
+    n_harmonics : int or None
+        That were fitted; those of the samples by default.
     """
 
     innovations: PeriodicInnovations
@@ -98,6 +100,7 @@ class SampleModel:
     delays: object = None
     split: tuple | None = None
     state_names: tuple | None = None
+    n_harmonics: int | None = None
 
     windowed = False
     closed_loop = True  # its predictor holds, feedback or none
@@ -261,7 +264,8 @@ class SampleSimulator:
     def at_samples(self, some=slice(None)):
         """The model at (some of) its samples, and what of it was fitted."""
         model, innovations = self.model, self.model.innovations
-        counts = innovations.n_harmonics, model.n_loads
+        count = innovations.n_harmonics if model.n_harmonics is None else model.n_harmonics
+        counts = count, model.n_loads
         form = self.form if some == slice(None) else innovations.rows(self.psi[some])
         return AtSamples(
             form, self.drive[some], model.feedthrough, bool(innovations.gain.any()), *counts
@@ -272,10 +276,13 @@ class SampleSimulator:
 
     def _checked(self, Y):
         if not np.max(np.abs(Y), initial=0.0) < OVERFLOW:
-            radius = np.max(np.abs(self.model.innovations.multipliers()))
+            innovations = self.model.innovations
+            radius = np.max(np.abs(innovations.multipliers()))
+            ahead = (
+                "use predict_ahead, fit with stable=True or" if innovations.gain.any() else "fit"
+            )
             raise UnstableModelError(
                 f"the simulation overflows: the largest Floquet multiplier is {radius:.4g} (a "
-                f"stable model has less than 1); use predict_ahead, fit with stable=True or "
-                f"another order, or simulate a shorter span"
+                f"stable model has less than 1); {ahead} another order, or simulate a shorter span"
             )
         return Y

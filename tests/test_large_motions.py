@@ -8,6 +8,7 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, report
+from sklearn_hd._identify.sample import Samples
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 OMEGA, SAMPLES, TURNS = 2.0, 16, 160
@@ -180,6 +181,21 @@ def test_a_state_does_not_stand_for_the_second_order():
     true = np.linalg.eigvals(transition(compressor, omega, start)).astype(complex)
     rate = np.log(np.abs(true)).mean() * omega / (2.0 * np.pi)
     np.testing.assert_allclose(model.ltp_.floquet_exponents().real, rate, rtol=0.1)
+
+
+@pytest.mark.slow
+def test_the_pass_about_rest_begins_with_the_gain_of_the_linear_model():
+    """With that beside products its start forgot nothing, and A stayed about the mean."""
+    u, y = record(seed=6, square=0.5)
+    frame = HarmonicAnalyzer(OMEGA, reading="sample").fit_transform(u, y)
+    assert error(MOESPRegressor(order=2).fit(frame, y)) < 0.01
+
+
+def test_an_input_with_a_trim_is_held_and_the_others_rest_at_zero():
+    means, scales = np.array([[2.0, 0.1], [0.3, 0.0], [0.0, 0.2]]), np.array([0.5, 0.5])
+    samples = Samples([], (means, None), (scales, None), None, 0.1)
+    assert samples.trim_in_inputs
+    np.testing.assert_array_equal(samples.rest, [[0.0, -0.2], [0.0, 0.0], [0.0, -0.4]])
 
 
 @pytest.mark.slow

@@ -31,6 +31,7 @@ from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, forced_mean
@@ -39,8 +40,12 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 MOST_SIMPLER = 3  # models with fewer states that are looked at if the best one is in doubt
-AS_LITTLE = 1.1  # times what another model leaves: no more
 STEPS_GAIN = 10.0  # of what a closed form leaves, at most, over what steps of likelihood leave
+ABOUT_MEAN = (
+    "the machine is not linear, and its orbit at rest (inputs at zero, or at their mean where that "
+    "is larger than their motion) is not to be had from the record: the model is about the mean "
+    "motion; let the motion pass the orbit at rest, or move the inputs about zero"
+)
 LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
 
 
@@ -82,12 +87,16 @@ class Samples:
     @property
     def trim_in_inputs(self):
         """Whether the inputs' mean is larger than their motion about it."""
-        return bool(np.any(np.abs(self.means[0][0]) > self.scales[0]))
+        return bool(np.any(self._trimmed))
 
     @property
     def rest(self):
         """Inputs of a machine at rest, as Fourier coefficients: zero, or their mean."""
-        return -(not self.trim_in_inputs) * self.means[0] / self.scales[0]
+        return -np.where(self._trimmed, 0.0, self.means[0] / self.scales[0])
+
+    @property
+    def _trimmed(self):
+        return np.abs(self.means[0][0]) > self.scales[0]
 
     @property
     def n_outputs(self):
@@ -248,13 +257,16 @@ class _Found:
         words = [] if searching() else [self.refined.no_noise]
         if self._is_asked:
             words.append(why_unconfirmed(self.model.exponents(), self.model.opinion))
+        if not searching() and self.refined.degrees and not self.refined.small.about_rest:
+            words.append(ABOUT_MEAN)
         return [each for each in words if each]
 
     @property
     def lasts(self):
         """Whether a turn leaves something of every mode: others may stand for noise."""
-        exponents, omega = self.model.exponents(), self.model.omega
-        return not self._is_asked or bool(lasting(exponents, omega).all())
+        if not self._is_asked:
+            return True
+        return bool(lasting(self.model.exponents(), self.model.omega).all())
 
     @property
     def bic_of_predictions(self):

@@ -117,8 +117,9 @@ class PeriodicModel:
         n_outputs, names = len(self.output_names), (self.input_names, self.output_names)
         no_gain = np.zeros((1, n, n_outputs)), np.eye(n_outputs)
         innovations = PeriodicInnovations(moved, *no_gain, step)
-        direct, states = bool(self.matrices()[3].any()), self.state_names
-        return SampleModel(innovations, self.omega, dt, *names, direct, state_names=states)
+        known = {"state_names": self.state_names, "n_harmonics": len(self.coefficients) // 2}
+        direct = bool(self.matrices()[3].any())
+        return SampleModel(innovations, self.omega, dt, *names, direct, **known)
 
     def time_invariant(self, basis):
         """Harmonic decomposition between the coefficients that a basis keeps (Eq. 8).

@@ -27,7 +27,7 @@ space models", Automatica 46 (2010), for time-invariant machines.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, combinations_with_replacement
+from itertools import chain, combinations, combinations_with_replacement
 from math import comb
 
 import numpy as np
@@ -40,7 +40,10 @@ from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, sampled_harm
 
 LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
 DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
-NEWTON_STEPS = 4  # to the orbit at rest: each doubles the digits
+NEWTON_STEPS = 6  # to the orbit at rest: each doubles the digits
+SETTLED = 1e-3  # of the motion, by which the last of them may still move
+REACHED = 0.99  # of the rows, the motion in which counts as its reach
+AS_LITTLE = 1.1  # times what another model leaves: no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +60,15 @@ class SmallMotions:
     ahead, of_smaller : (ndarray, ndarray)
         Where a further step leads the logarithms of its multipliers, and their deviations. By all
         rows, and by the half of them with the smaller motion (None if they are too few).
+    about_rest : bool
+        Whether all this is about the orbit of a machine at rest, or about the mean motion.
     """
 
     innovations: PeriodicInnovations
     at_rest: PeriodicInnovations
     ahead: tuple
     of_smaller: tuple | None
+    about_rest: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +126,8 @@ class LargeMotions:
         n_values = sum(y.size for _, y, _ in segments)
 
         def stepped(model, driven, **options):
+            if not model.growth() < most_growth:
+                return None
             wide = replace(layout, n_inputs=model.n_inputs)
             return most_likely(model, driven, wide, sensor_noise, most_growth, **options)
 
@@ -179,8 +187,11 @@ class LargeMotions:
         """
         motion, found, smaller = self.motion(), self, None
         if motion is not None:
-            about_rest = self.products.about_rest(self.model, motion, rest)
+            start = replace(self.model, gain=self.linear.gain)  # by which any A near it forgets
+            about_rest = self.products.about_rest(start, motion, rest)
             found = self if about_rest is None else self._with(*about_rest, motion)
+            left, before = (_left(each.model, self.sensor_noise) for each in (found, self))
+            found = found if left <= AS_LITTLE * before else self
             if not self.asked:
                 counted = _smaller_half(motion, found.products.centre)
                 smaller = self.stepped(found.model, found.driven, counted=counted)
@@ -190,7 +201,8 @@ class LargeMotions:
         at_rest = _with_inputs(found.products.with_means(model), m, 0)
         gain = resize_harmonics(linear.gain, len(at_rest.coefficients) // 2)
         at_rest = replace(at_rest, gain=gain, covariance=linear.covariance)
-        return SmallMotions(linear, at_rest, found.ahead, None if smaller is None else smaller[1])
+        of_smaller = None if smaller is None else smaller[1]
+        return SmallMotions(linear, at_rest, found.ahead, of_smaller, found is not self)
 
     def _with(self, start, products, motion, least_fall=0.0):
         """After steps from a start beside other products; the same if there are none."""
@@ -262,25 +274,26 @@ class _Products:
     def about_rest(self, model, motion, rest):
         """The same model with products about the orbit at rest, and these.
 
-        None where that is not within the motion.
+        Of all degrees up to the highest: a power about one centre is a sum of powers about another.
+        None where the motion does not reach that orbit.
         """
-        m, L = rest.shape[1], len(rest) // 2
-        moved = self.with_means(model)
+        m, L, far = rest.shape[1], len(rest) // 2, self._distance(motion)
+        centre, moved = self.centre, self.with_means(model)
         for _ in range(NEWTON_STEPS):
-            orbit = _with_inputs(moved, m, 0).forced_orbit(rest, L)
+            before, orbit = centre, _with_inputs(moved, m, 0).forced_orbit(rest, L)
             centre = np.hstack([orbit, rest])
-            if not self._reaches(centre, motion):
-                return None
-            moved = self._moved(model, centre)
-        products = _Products.of(motion, self.degrees, L, centre, self.size)
-        moved = products.with_means(moved, -1.0)
+            moved = self._moved(model, centre, self)
+        if not (far(centre - before) <= SETTLED and far(centre - self.centre) <= 1.0):
+            return None
+        products = _Products.of(motion, tuple(range(2, max(self.degrees) + 1)), L, centre)
+        moved = products.with_means(self._moved(model, centre, products), -1.0)
         H = model.n_harmonics
         whole = resize_harmonics(moved.coefficients, max(H, L))
         whole[2 * H + 1 :, :, :-1], whole[2 * L + 1 :, :, -1] = 0.0, 0.0
         gain = resize_harmonics(model.gain, max(H, L))
         return replace(model, coefficients=whole, gain=gain), products
 
-    def _moved(self, model, centre):
+    def _moved(self, model, centre, products):
         """The model of products about another centre, with their means."""
         model, n_signals = self.with_means(model), centre.shape[1]
         H = len(model.coefficients) // 2 + max(self.degrees) * (len(centre) // 2)
@@ -288,33 +301,40 @@ class _Products:
         values = evaluate_harmonics(model.coefficients, psi)
         about, before = (evaluate_harmonics(each, psi) for each in (centre, self.centre))
         shift = about - before
+        moved = np.zeros((*values.shape[:2], n_signals + len(products.which) + 1))
+        moved[..., :n_signals], moved[..., -1] = values[..., :n_signals], values[..., -1]
         places = {(i,): (i, 1.0) for i in range(n_signals)} | {(): (-1, 1.0)}
-        for k, (factors, size) in enumerate(zip(self.which, self.size, strict=True)):
+        for k, (factors, size) in enumerate(zip(products.which, products.size, strict=True)):
             places[factors] = n_signals + k, size
-        moved = values.copy()
-        for factors in self.which:
-            own, size = places[factors]
-            column = values[..., own] / size
-            for kept in range(len(factors)):
-                for some in combinations(range(len(factors)), kept):
-                    stays = tuple(factors[i] for i in some)
-                    others = [f for i, f in enumerate(factors) if i not in some]
-                    if stays not in places:  # products of a degree that is not taken
-                        continue
-                    at, its_size = places[stays]
-                    part = column * np.prod(shift[:, others], axis=1)[:, None]
-                    moved[..., at] += its_size * part
-                    if kept == 1:  # of the whole state or input
-                        moved[..., -1] -= part * about[:, stays]
+        for k, (factors, size) in enumerate(zip(self.which, self.size, strict=True)):
+            column = values[..., n_signals + k] / size
+            for some in chain(
+                *(combinations(range(len(factors)), n) for n in range(len(factors) + 1))
+            ):
+                stays = tuple(factors[i] for i in some)
+                if stays not in places:  # of a degree that those products have not
+                    continue
+                others = [f for i, f in enumerate(factors) if i not in some]
+                at, its_size = places[stays]
+                part = column * np.prod(shift[:, others], axis=1)[:, None]
+                moved[..., at] += its_size * part
+                if len(stays) == 1:  # of the whole state or input
+                    moved[..., -1] -= part * about[:, stays]
         coefficients = sampled_harmonics(moved, H)
         return replace(model, coefficients=coefficients, gain=resize_harmonics(model.gain, H))
 
-    def _reaches(self, centre, motion):
-        """Whether the motion about the present centre goes as far as another one."""
-        psi = np.linspace(0.0, 2.0 * np.pi, 4 * len(centre), endpoint=False)
-        far = np.max(np.abs(evaluate_harmonics(centre - self.centre, psi)), axis=0)
-        about = [z - evaluate_harmonics(self.centre, at) for z, at in motion]
-        return bool(np.all(far <= np.max(np.abs(np.vstack(about)), axis=0)))
+    def _distance(self, motion):
+        """How far periodic signals go, in parts of how far the motion about the centre goes."""
+        about = np.vstack([z - evaluate_harmonics(self.centre, psi) for z, psi in motion])
+        inverse = np.linalg.pinv(about.T @ about)
+        most = np.quantile(np.einsum("ti,ij,tj->t", about, inverse, about), REACHED)
+        psi = np.linspace(0.0, 2.0 * np.pi, 4 * len(self.centre), endpoint=False)
+
+        def far(coefficients):
+            x = evaluate_harmonics(coefficients, psi)
+            return np.sqrt(np.max(np.einsum("ti,ij,tj->t", x, inverse, x)) / most)
+
+        return far
 
 
 def _values(which, centre, z, psi):

@@ -28,10 +28,10 @@ def seen(n_products=0):
     return PeriodicInnovations(coefficients, gain, 1e-4 * np.eye(2), STEP, 0.0)
 
 
-def bent(model, degree, bend, n_rows, seed, mean=0.0):
+def bent(model, degree, bend, n_rows, seed, mean=0.0, centre=0.0):
     """A record of a model to whose second state a power of the first is added.
 
-    Inputs are given about their mean.
+    The power is about a centre, and zero where the state is. Inputs are given about their mean.
     """
     rng = np.random.default_rng(seed)
     psi, u = STEP * np.arange(n_rows), 0.1 * rng.standard_normal((n_rows, 1))
@@ -40,7 +40,8 @@ def bent(model, degree, bend, n_rows, seed, mean=0.0):
     for k in range(n_rows):
         y[k] = x + e[k]
         driven = values[k, :2] @ [*x, *(u[k] + mean), 1.0]
-        x = driven + 0.1 * e[k] + [0.0, bend * x[0] ** degree]
+        force = bend * ((x[0] - centre) ** degree - (-centre) ** degree)
+        x = driven + 0.1 * e[k] + [0.0, force]
     return u, y, psi
 
 
@@ -76,6 +77,35 @@ def test_small_motions_are_those_about_inputs_at_rest():
     assert off(held.innovations, true) > 10.0 * off(free.innovations, true)
     at_zero = free.at_rest.about(mean + REST, np.zeros((1, 2))).forced_response(0)
     assert np.max(np.abs(at_zero)) < 0.02  # of outputs that have a mean of 0.26 in the record
+    assert free.about_rest
+    assert not large.small_motions(REST - 20.0 * mean).about_rest  # the motion does not reach it
+
+
+def test_a_cube_about_the_mean_is_not_one_about_the_orbit_at_rest():
+    """Squares come with it, although products of two did not pay."""
+    centre, mean, bend = 0.3, 0.089, -0.3
+    true = seen()
+    true.coefficients[0, 1, 0] += 3.0 * bend * centre**2
+    some = [bent(seen(), 3, bend, 1500, seed, mean, centre) for seed in (1, 2)]
+    linear, _ = most_likely(seen(), some, SEEN, 1e-3)
+    large = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf)
+    small = large.small_motions(REST - mean)
+    assert large.products.degrees == (3,)
+    assert small.about_rest
+    assert off(small.innovations, true) < 4.0 * np.max(small.ahead[1])
+    assert off(linear, true) > 4.0 * np.max(small.ahead[1])
+
+
+def test_no_pass_begins_at_a_model_that_grows():
+    true, mean = seen(), 0.06
+    some = [bent(true, 2, 0.2, 1500, seed, mean) for seed in (1, 2)]
+    linear, _ = most_likely(true, some, SEEN, 1e-3)
+    at_zero = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf).small_motions(REST - mean)
+    limit = 0.5 * (linear.growth() + at_zero.innovations.growth())
+    assert at_zero.innovations.growth() > limit > linear.growth()
+    held = LargeMotions.of(linear, some, SEEN, 1e-3, limit).small_motions(REST - mean)
+    assert not held.about_rest
+    assert held.innovations.growth() < limit
 
 
 def test_products_about_another_centre_are_the_same_polynomial():
@@ -94,7 +124,7 @@ def test_products_about_another_centre_are_the_same_polynomial():
         return np.einsum("tij,tj->ti", uncentred.rows(psi).states, signals)
 
     same = led_to(before, before.with_means(model))
-    moved = led_to(after, before._moved(model, after.centre))
+    moved = led_to(after, before._moved(model, after.centre, after))
     np.testing.assert_allclose(moved, same, rtol=0.0, atol=1e-11 * np.max(np.abs(same)))
 
 
