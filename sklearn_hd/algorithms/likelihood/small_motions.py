@@ -57,6 +57,7 @@ class SmallMotions:
         simulation (0), whichever leaves less.
     at_rest : PeriodicInnovations
         The same with the loads of a machine at rest: those above hold the products' means, too.
+        Where ``about_rest`` is false, as far as the linear part leads from the mean motion.
     ahead, of_smaller : (ndarray, ndarray)
         Where a further step leads the logarithms of its multipliers, and their deviations. By all
         rows, and by the half of them with the smaller motion (None if they are too few).
