@@ -40,8 +40,8 @@ from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, sampled_harm
 
 LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
 DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
-NEWTON_STEPS = 6  # to the orbit at rest: each doubles the digits
-SETTLED = 1e-3  # of the motion, by which the last of them may still move
+NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmonics up to 10
+SETTLED = 1e-3  # of the motion: by no more may the last of them move
 REACHED = 0.99  # of the rows, the motion in which counts as its reach
 AS_LITTLE = 1.1  # times what another model leaves: no more
 
@@ -284,6 +284,8 @@ class _Products:
             before, orbit = centre, _with_inputs(moved, m, 0).forced_orbit(rest, L)
             centre = np.hstack([orbit, rest])
             moved = self._moved(model, centre, self)
+            if far(centre - before) <= SETTLED:
+                break
         if not (far(centre - before) <= SETTLED and far(centre - self.centre) <= 1.0):
             return None
         products = _Products.of(motion, tuple(range(2, max(self.degrees) + 1)), L, centre)
