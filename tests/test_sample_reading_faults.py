@@ -144,6 +144,22 @@ def test_noise_alone_loses_nothing_by_thinning():
     assert not any("hop=8" in str(each.message) for each in told)
 
 
+@pytest.mark.parametrize(
+    ("no_noise", "about_rest", "words"),
+    [
+        ("", True, ""),
+        ("", False, "the model is about the mean motion"),
+        ("no noise", False, "no noise"),
+    ],
+)
+def test_a_model_about_the_mean_motion_says_so_if_nothing_else_is_said(no_noise, about_rest, words):
+    choice = SimpleNamespace(basis=SimpleNamespace(samples_per_period=1000.0))  # modes not sorted
+    small = SimpleNamespace(about_rest=about_rest)
+    found = _Found(choice, None, SimpleNamespace(no_noise=no_noise, small=small))
+    assert words in "".join(found.against)
+    assert len(found.against) == bool(words)
+
+
 @pytest.mark.slow
 def test_modes_are_not_sorted_while_models_are_compared(monkeypatch):
     """With 3000 samples a turn that took 22 s of 6000 rows."""

@@ -257,9 +257,9 @@ class _Found:
         words = [] if searching() else [self.refined.no_noise]
         if self._is_asked:
             words.append(why_unconfirmed(self.model.exponents(), self.model.opinion))
-        if not searching() and self.refined.degrees and not self.refined.small.about_rest:
-            words.append(ABOUT_MEAN)
-        return [each for each in words if each]
+        words = [each for each in words if each]
+        small = None if words or searching() else self.refined.small
+        return words if small is None or small.about_rest else [ABOUT_MEAN]
 
     @property
     def lasts(self):
