@@ -114,7 +114,8 @@ def without_noise_growth(Phi, directions, lifted):
 def multiplier_deviations(Phi, directions, lifted):
     """Multipliers of a map, and the standard deviations of their logarithms, refined or not.
 
-    Those of white noise as large as what is left of the lifted outputs. Of z² − s z + p an error
+    The noise is white. Its variance is the sum of squares left of the lifted outputs over the
+    numbers that inputs and the modes' answers to them leave free. Of z² − s z + p an error
     e = z δs − δp moves a root by δz, δz² + (2 z − s) δz = e: by √e where the root is double.
 
     Parameters
@@ -126,15 +127,18 @@ def multiplier_deviations(Phi, directions, lifted):
     -------
     multipliers : complex ndarray, shape (n,)
     deviations : ndarray, shape (n,)
-        √(σ²_real + σ²_imag).
+        √(σ²_real + σ²_imag), infinite where no number is left free.
     """
-    blocks = invariant_blocks(Phi)[1]
+    blocks, modes = invariant_blocks(Phi)[1], Modes(directions)
     edges = np.cumsum([len(block) for block in blocks])[:-1]
     target = compact(np.vstack(lifted))
-    elimination = _Elimination(edges, Modes(directions), target, LARGEST_RESPONSE)
+    elimination = _Elimination(edges, modes, target, LARGEST_RESPONSE)
     coefficients = [characteristic(block) for block in blocks]
     R = elimination.factor(np.concatenate(coefficients))
-    variance = np.sum(R[:, -1] ** 2) / cost_of_a_state(directions, lifted)[0]
+    n_free = len(target) - modes.answers(coefficients).shape[1]
+    if not n_free:
+        return linalg.eigvals(Phi), np.full(len(Phi), np.inf)
+    variance = np.sum(R[:, -1] ** 2) / (n_free * lifted[0].shape[1])
     spread = linalg.pinv(R[: len(Phi), : len(Phi)]) * np.sqrt(variance)
     found = []
     for own, rows in zip(coefficients, np.split(spread, edges), strict=True):
@@ -173,6 +177,10 @@ class Modes:
             states.append(self.answer(coefficients, self.sources))
             columns += [states[-1], self.later(states[-1])][: len(coefficients)]
         return states, np.hstack(columns)
+
+    def answers(self, steps):
+        """Orthonormal columns of all that inputs, and the modes' answers, can explain."""
+        return orthonormal_range(np.hstack([self.inputs, self.responses(steps)[1]]))
 
     def answer(self, coefficients, sources):
         """x of the mode of some characteristic polynomial, shape (n_periods, n_sources)."""
@@ -512,8 +520,8 @@ def without_noise(Phi, directions, lifted):
     -------
     explained : list of ndarray, shapes (n_periods_s, q)
     """
-    modes, steps = Modes(directions), Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi))))
-    Q = orthonormal_range(np.hstack([modes.inputs, modes.responses(polynomials(steps))[1]]))
+    steps = Phi / max(1.0, np.max(np.abs(linalg.eigvals(Phi))))
+    Q = Modes(directions).answers(polynomials(steps))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(Q @ (Q.T @ np.vstack(lifted)), edges)
 
