@@ -205,7 +205,7 @@ def scored(left, lags, level):
         for names, Phi in _by_colour(asked, plain, coloured):
             residuals, span = _prepared(left, own, W, Phi)
             for name in names:
-                regressors = [filtered(of_each_output(z, len(W)), Phi) for z in asked[name]]
+                regressors = [filtered(of_each_output(z, np.eye(len(W))), Phi) for z in asked[name]]
                 found[name] = score_test(residuals, np.concatenate(regressors), span)
     columns = {
         "statistic": [score.statistic for score in found.values()],
@@ -320,7 +320,7 @@ def _prepared(left, own, W, Phi):
     for s, parts in zip(left.segments, _columns(left, W), strict=True):
         if left.trim:
             orders = range(int(left.samples_per_period) // 2 + 1)
-            waveform = of_each_output(harmonic_functions(s.psi, orders), len(W))
+            waveform = of_each_output(harmonic_functions(s.psi, orders), np.eye(len(W)))
             parts = np.concatenate([parts, waveform], axis=-1)
         columns.append(filtered(parts, Phi))
     residuals = np.vstack([filtered(e[..., None], Phi)[..., 0] for e in own])

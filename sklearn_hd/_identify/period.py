@@ -133,8 +133,13 @@ def identify(data, settings, experiment):
 
 
 def _of_its_likelihood(model, experiment, data):
-    """What the whole record tells of the model's own multipliers."""
+    """What the whole record tells of the model's own multipliers; None where it is too short.
+
+    Inputs that move in many directions can explain all of it, whatever the multipliers are.
+    """
     found = multiplier_deviations(model.A, data.excitation, _raw_periods(experiment))
+    if not np.isfinite(found[1]).any():
+        return None
     return of_multipliers(*found, experiment, "its own likelihood has", True)
 
 

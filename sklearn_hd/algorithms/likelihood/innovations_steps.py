@@ -17,14 +17,19 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.residual_tests import sensitivities
+from sklearn_hd.algorithms.likelihood.residual_tests import (
+    regressors_of,
+    sensitivity_pieces,
+    sensitivity_sums,
+)
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 MOST_STEPS = 8  # of exact data, whose likelihood has no end
-MOST_NUMBERS = 5e6  # sensitivities of a record: of more, each step takes a second
+MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
+AT_ONCE = 2.5e5  # of them at once: what a processor keeps at hand
 VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
@@ -64,9 +69,9 @@ def most_likely(
     -------
     found : PeriodicInnovations, (ndarray, ndarray)
         The model; the logarithms of its multipliers to which a further step would lead, and
-        their standard deviations, √(σ²_real + σ²_imag). None where the record is so long, or the
-        model so large, that steps would take long, where the record is too short for so many
-        coefficients, where the predictor forgets nothing, and where steps are not worth it.
+        their standard deviations, √(σ²_real + σ²_imag). None where the record is too short for
+        so many coefficients, where the predictor forgets nothing, and where steps are not worth
+        it.
     """
     H = max(len(innovations.coefficients) // 2, layout.n_loads)
     coefficients = resize_harmonics(innovations.coefficients, H)
@@ -75,12 +80,13 @@ def most_likely(
     counted = [slice(None)] * len(segments) if counted is None else counted
     n_values = sum(y[some].size for (_, y, _), some in zip(segments, counted, strict=True))
     n_free = len(form.places)
-    if n_free * n_values > MOST_NUMBERS or n_values < VALUES_PER_PARAMETER * n_free:
+    if n_values < VALUES_PER_PARAMETER * n_free:
         return None
+    told = list(_telling(segments, int(MOST_NUMBERS / n_free / layout.n_outputs)))
     at = fitted(innovations, segments, sensor_noise, counted)
     if at is None:
         return None
-    damping, system, first = FIRST_DAMPING, form.system(at), at.cost
+    damping, system, first = FIRST_DAMPING, form.system(at, told), at.cost
     if system.promised < least_fall:
         return None
     for _ in range(MOST_STEPS):
@@ -94,7 +100,7 @@ def most_likely(
         if trial is None:
             break
         fall, at = at.cost - trial.cost, trial
-        system = form.system(at)
+        system = form.system(at, told)
         if fall < ENOUGH:
             break
     if first - at.cost < least_fall:
@@ -103,6 +109,17 @@ def most_likely(
     deviations = at.left * np.sqrt(np.sum(np.abs(slopes @ system.root) ** 2, axis=1))
     ahead = logarithms + slopes @ system.step(damping)
     return replace(at.innovations, covariance=at.covariance), (ahead, deviations)
+
+
+def _telling(segments, n_rows):
+    """Rows of each segment in the stretch of so many rows in which outputs move most."""
+    squares = [np.sum(y**2, axis=1) for _, y, _ in segments]
+    motion = np.cumsum(np.concatenate([[0.0], *squares]))
+    n_rows = min(n_rows, len(motion) - 1)
+    first, end = int(np.argmax(motion[n_rows:] - motion[: len(motion) - n_rows])), 0
+    for own in squares:
+        start, end = end, end + len(own)
+        yield slice(*np.clip([first - start, first + n_rows - start], 0, len(own)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,20 +168,57 @@ class _Form:
         places, kept = np.concatenate(places), np.concatenate(kept)
         return cls(H, L, layout.feedthrough, places[kept], kept, place[: 2 * H + 1, :n, :n])
 
-    def system(self, at):
-        """Normal equations of a step, initial states eliminated."""
-        W, k = at.weights, len(self.places)
-        gram, slope = np.zeros((k, k)), np.zeros(k)
-        for (rows, u, x, e, psi), some in zip(at.parts, at.counted, strict=True):
-            functions = harmonic_functions(psi, range(self.n_harmonics + 1))
-            loads = harmonic_functions(psi, range(self.n_loads + 1))
-            J = sensitivities(rows, u, x, e, functions, loads, feedthrough=self.feedthrough)
-            J, free, left = J[some][..., self.kept], rows.started()[some], e[some]
-            J, free = ((W @ each).reshape(left.size, each.shape[-1]) for each in (J, free))
-            start = linalg.qr(free, mode="economic")[0]
-            J, left = J - start @ (start.T @ J), (left @ W.T).ravel()
-            gram, slope = gram + J.T @ J, slope + J.T @ left
-        return _System.of(gram, slope)
+    def system(self, at, told):
+        """Normal equations of a step, initial states eliminated.
+
+        Second derivatives are those of some rows, told, of each segment; regressors are as large
+        as in all rows.
+        """
+        gram, slope, size, whole = 0.0, 0.0, 0.0, 0.0
+        for (rows, u, x, e, psi), some, own in zip(at.parts, at.counted, told, strict=True):
+            counts = np.zeros(len(e), dtype=bool)
+            counts[some] = True
+            orders = range(self.n_harmonics + 1), range(self.n_loads + 1)
+            functions = (harmonic_functions(psi, each) for each in orders)
+            pairs = regressors_of(rows, u, x, e, *functions, feedthrough=self.feedthrough)
+            slope = slope + self._slope(at.weights, rows, pairs, counts, e)
+            whole = whole + self._squares(rows, pairs, counts)
+            if own.stop > own.start:
+                pairs = [(drives[own], direct[own]) for drives, direct in pairs]
+                part = rows.some(own), pairs, counts[own]
+                size = size + self._squares(*part)
+                gram = gram + self._information(at.weights, *part)
+        size = np.sqrt(np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), 1.0))
+        return _System.of(gram * size * size[:, None], slope)
+
+    def _squares(self, rows, pairs, counts):
+        """Sums of squares of what the free coefficients are multiplied by."""
+        n, n_outputs = rows.n_states, rows.outputs.shape[1]
+        each = [
+            np.tile(np.sum(regressors[counts] ** 2, axis=0), copies)
+            for pair in pairs
+            for regressors, copies in zip(pair, (n, n_outputs), strict=True)
+        ]
+        return np.concatenate(each)[self.kept]
+
+    def _slope(self, W, rows, pairs, counts, e):
+        """Of the likelihood, by the free coefficients."""
+        start = _started(W, rows, counts)
+        left = np.where(counts[:, None], e @ W.T, 0.0).ravel()
+        left = (left - start @ (start.T @ left)).reshape(e.shape)
+        return sensitivity_sums(rows, pairs, left @ W)[self.kept]
+
+    def _information(self, W, rows, pairs, counts):
+        """Products of the sensitivities to the free coefficients."""
+        start, gram, inside = _started(W, rows, counts), 0.0, 0.0
+        start = start.reshape(len(counts), len(W), start.shape[1])
+        most = max(int(AT_ONCE / self.kept.size / len(W)), 1)
+        for piece, J in sensitivity_pieces(rows, pairs, most, W):
+            J = J[..., self.kept]
+            J[~counts[piece]] = 0.0
+            J, free = (z.reshape(-1, z.shape[-1]) for z in (J, start[piece]))
+            gram, inside = gram + J.T @ J, inside + free.T @ J
+        return gram - inside.T @ inside
 
     def moved(self, innovations, step):
         """The model a step further."""
@@ -184,6 +238,13 @@ class _Form:
         slopes = np.zeros((len(logarithms), size), dtype=complex)
         slopes[:, self.of_states] = np.einsum("tf,ktij->kfij", functions, by_steps)
         return logarithms, slopes[:, self.places]
+
+
+def _started(W, rows, counts):
+    """Orthonormal columns of what an initial state adds to weighted outputs of rows that count."""
+    free = W @ rows.started()
+    free[~counts] = 0.0
+    return linalg.qr(free.reshape(-1, rows.n_states), mode="economic")[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +267,7 @@ class _System:
 
     @classmethod
     def of(cls, gram, slope):
-        size = np.sqrt(np.diag(gram))
+        size = np.sqrt(np.maximum(np.diag(gram), 0.0))
         size = np.where(size > 0.0, size, np.inf)
         values, vectors = linalg.eigh(gram / size / size[:, None])
         return cls(np.maximum(values, 0.0), vectors, vectors.T @ (slope / size), size)

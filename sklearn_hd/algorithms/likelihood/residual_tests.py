@@ -51,25 +51,107 @@ def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthro
     -------
     sensitivities : ndarray, shape (n_samples, l, n_parameters)
     """
-    n, n_outputs, K = states.shape[1], residuals.shape[1], rows.gain
-    A, C = rows.states[..., :n], rows.outputs[..., :n]
-    moved = np.hstack([states, inputs, residuals] if K.any() else [states, inputs])
-    seen = np.hstack([states, inputs]) if feedthrough else states
-    pairs = [(f[:, None] * moved, f[:, None] * seen) for f in functions.T] + [(loads, loads)]
-    stable, found = A - K @ C, []
-    for drives, direct in pairs:
-        drives, direct = of_each_output(drives, n), of_each_output(direct, n_outputs)
-        forcing = np.concatenate([drives, -K @ direct], axis=-1)
-        change = C @ propagate_varying(stable, forcing, np.zeros((n, forcing.shape[-1])))
-        change[..., drives.shape[-1] :] += direct
-        found.append(change)
-    return np.concatenate(found, axis=-1)
+    signals = inputs, states, residuals
+    pairs = regressors_of(rows, *signals, functions, loads, feedthrough=feedthrough)
+    return next(sensitivity_pieces(rows, pairs, len(states)))[1]
 
 
-def of_each_output(regressors, n_outputs):
-    """Regressors for each output by itself, (n_samples, n_outputs, n_outputs * n_regressors)."""
-    stacked = np.einsum("tj,ik->tikj", regressors, np.eye(n_outputs))
-    return stacked.reshape(len(regressors), n_outputs, n_outputs * regressors.shape[1])
+def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthrough):
+    """What the coefficients of [A B K] and of [C D] are multiplied by, then those of a and c.
+
+    Parameters
+    ----------
+    rows, inputs, states, residuals, functions, loads, feedthrough
+        As for :func:`sensitivities`.
+
+    Returns
+    -------
+    pairs : list of (ndarray, ndarray), shapes (n_samples, q)
+        One for each function, and the loads.
+    """
+    moved = [states, inputs, residuals] if rows.gain.any() else [states, inputs]
+    moved, seen = np.hstack(moved), np.hstack([states, inputs]) if feedthrough else states
+    return [(f[:, None] * moved, f[:, None] * seen) for f in functions.T] + [(loads, loads)]
+
+
+def sensitivity_pieces(rows, pairs, most, weights=None):
+    """Sensitivities of a piece of some rows after the other, which take little memory.
+
+    Parameters
+    ----------
+    rows : Rows
+    pairs : list of (ndarray, ndarray)
+        From :func:`regressors_of`.
+    most : int
+        Rows of a piece.
+    weights : ndarray, shape (l, l), optional
+        Of the outputs.
+
+    Yields
+    ------
+    piece : slice
+        Its rows.
+    sensitivities : ndarray, shape (n_rows, l, n_parameters)
+    """
+    n, K, C = rows.n_states, rows.gain, rows.outputs[..., : rows.n_states]
+    W = np.eye(C.shape[1]) if weights is None else weights
+    stable, starts = rows.predicting, [np.zeros(1)] * len(pairs)
+    for first in range(0, len(C), most):
+        piece, found = slice(first, first + most), []
+        for k, (drives, direct) in enumerate(pairs):
+            drives = of_each_output(drives[piece], np.eye(n))
+            forcing = [drives, -of_each_output(direct[piece], K[piece])]
+            forcing = np.concatenate(forcing, axis=-1)
+            start = np.broadcast_to(starts[k], forcing.shape[1:])
+            x = propagate_varying(stable[piece], forcing, start)
+            starts[k] = stable[piece][-1] @ x[-1] + forcing[-1]
+            change = (W @ C[piece]) @ x
+            change[..., drives.shape[-1] :] += of_each_output(direct[piece], W)
+            found.append(change)
+        yield piece, np.concatenate(found, axis=-1)
+
+
+def sensitivity_sums(rows, pairs, directions):
+    """Σ wᵀ ∂ŷ/∂θ over all rows of a segment for some directions w, without the sensitivities.
+
+        λ[k] = (A − K C)ᵀ λ[k+1] + Cᵀ w[k]
+        Σ λ[k+1]ᵀ ∂[A B a K] [x u 1 e] + (w[k] − Kᵀ λ[k+1])ᵀ ∂[C D c] [x u 1]
+
+    Parameters
+    ----------
+    rows : Rows
+    pairs : list of (ndarray, ndarray)
+        From :func:`regressors_of`.
+    directions : ndarray, shape (n_samples, l)
+
+    Returns
+    -------
+    sums : ndarray, shape (n_parameters,)
+    """
+    n, w = rows.n_states, directions[..., None]
+    back = rows.predicting.transpose(0, 2, 1)[::-1]
+    forcing = (rows.outputs[..., :n].transpose(0, 2, 1) @ w)[::-1]
+    later = propagate_varying(back, forcing, np.zeros((n, 1)))[::-1]
+    seen = (w - rows.gain.transpose(0, 2, 1) @ later)[..., 0]
+    sums = [(later[..., 0].T @ drives, seen.T @ direct) for drives, direct in pairs]
+    return np.concatenate([part.ravel() for pair in sums for part in pair])
+
+
+def of_each_output(regressors, weights):
+    """Regressors for each output by itself, and what weights (…, a, l) make of the outputs.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (n_samples, q)
+    weights : ndarray, shape (a, l) or (n_samples, a, l)
+
+    Returns
+    -------
+    regressors : ndarray, shape (n_samples, a, l q)
+    """
+    a, n_outputs = weights.shape[-2:]
+    stacked = weights[..., None] * regressors[:, None, None, :]
+    return stacked.reshape(len(regressors), a, n_outputs * regressors.shape[1])
 
 
 def span_of(columns):
@@ -110,7 +192,7 @@ def score_test(residuals, regressors, span):
     Examples
     --------
     >>> e = np.random.default_rng(0).standard_normal((500, 1))
-    >>> late = of_each_output(lagged(e, [1]), 1)
+    >>> late = of_each_output(lagged(e, [1]), np.eye(1))
     >>> score_test(e, late, np.zeros((500, 0))).p_value > 0.01
     True
     >>> score_test(e + 0.5 * late[:, 0], late, np.zeros((500, 0))).p_value < 1e-6

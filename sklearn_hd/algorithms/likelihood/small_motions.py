@@ -32,7 +32,7 @@ from math import comb
 
 import numpy as np
 
-from sklearn_hd.algorithms.likelihood.innovations_steps import MOST_NUMBERS, fitted, most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import fitted, most_likely
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -43,6 +43,7 @@ DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not 
 NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmonics up to 10
 SETTLED = 1e-3  # of the motion: by no more may the last of them move
 REACHED = 0.99  # of the rows, the motion in which counts as its reach
+MOST_NUMBERS = 5e6  # sensitivities to products' coefficients: with more, steps take long
 AS_LITTLE = 1.1  # times what another model leaves: no more
 
 

@@ -348,9 +348,19 @@ class Rows:
         """Whether inputs act on outputs of the same row."""
         return bool(self.outputs[..., self.n_states : -1].any())
 
+    @property
+    def predicting(self):
+        """A − K C, shape (n_samples, n, n)."""
+        n = self.n_states
+        return self.states[..., :n] - self.gain @ self.outputs[..., :n]
+
+    def some(self, rows):
+        """Those at some of the samples, a slice."""
+        return Rows(self.states[rows], self.outputs[rows], self.gain[rows])
+
     def first(self, n_samples):
         """The first samples; all where None."""
-        return Rows(self.states[:n_samples], self.outputs[:n_samples], self.gain[:n_samples])
+        return self.some(slice(n_samples))
 
     def simulated(self, inputs, x0):
         """Outputs from an initial state, shape (n_samples, l); not finite where they overflow."""
@@ -440,17 +450,15 @@ class Rows:
     def started(self):
         """Predictions of each unit initial state, shape (n_samples, l, n)."""
         n = self.n_states
-        stable = self.states[..., :n] - self.gain @ self.outputs[..., :n]
         with np.errstate(over="ignore", invalid="ignore"):
-            return self.outputs[..., :n] @ propagate_varying(stable, None, np.eye(n))
+            return self.outputs[..., :n] @ propagate_varying(self.predicting, None, np.eye(n))
 
     def _predictor(self, u, outputs):
         """A − K C, and what inputs and outputs push x by."""
         n = self.n_states
-        stable = self.states[..., :n] - self.gain @ self.outputs[..., :n]
         direct = self.states[..., n:] - self.gain @ self.outputs[..., n:]
         forcing = np.einsum("tij,tj->ti", direct, u)
-        return stable, forcing + np.einsum("tij,tj->ti", self.gain, outputs)
+        return self.predicting, forcing + np.einsum("tij,tj->ti", self.gain, outputs)
 
 
 def _with_one(inputs):

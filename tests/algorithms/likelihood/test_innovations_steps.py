@@ -7,7 +7,7 @@ import pytest
 from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, record
 
 from sklearn_hd.algorithms.likelihood import innovations_steps
-from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import _Form, _telling, most_likely
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
 
 LAYOUT = Layout(N_INPUTS, N_OUTPUTS, 2, 1, 1, 2, feedthrough=True)
@@ -107,16 +107,53 @@ def test_no_step_leads_beyond_the_growth_allowed():
     assert free.growth() > limit
 
 
-@pytest.mark.parametrize("why", ["long", "short", "overflowing"])
-def test_steps_are_not_taken_where_they_lead_nowhere(monkeypatch, why):
+@pytest.mark.parametrize("moving", [2000, 300])
+def test_some_rows_of_a_long_record_tell_its_second_derivatives(monkeypatch, moving):
+    """A fifth of them, of inputs that always move, and of those that rest after 300 rows: the same
+    model as by all rows, of which the slowest mode is known as well."""
+    true, inputs = drawn(), (np.arange(2000) < moving)[:, None]
+    some = segments(true, 2000, noise=0.1, inputs=inputs)
+    start, asked, pieces = moved(true), [], innovations_steps.sensitivity_pieces
+    all_rows, by_all = most_likely(start, some, LAYOUT, 1e-3)
+
+    def counting(rows, *args):
+        asked.append(len(rows.states))
+        return pieces(rows, *args)
+
+    monkeypatch.setattr(innovations_steps, "sensitivity_pieces", counting)
+    n_free = len(_Form.of(true, LAYOUT).places)
+    monkeypatch.setattr(innovations_steps, "MOST_NUMBERS", 800 * N_OUTPUTS * n_free)
+    found, by_some = most_likely(start, some, LAYOUT, 1e-3)
+    assert set(asked) <= {800, *range(1, 800)}
+    slowest = max(multipliers(all_rows), key=lambda each: each.real)
+    (_, known), (_, told) = (
+        min(zip(*by, strict=True), key=lambda each: abs(each[0] - slowest))
+        for by in (by_all, by_some)
+    )
+    assert np.min(np.abs(multipliers(found) - slowest)) < 0.3 * known
+    assert told == pytest.approx(known, rel=0.3)
+    falls = [cost(start, some, 1e-3) - cost(each, some, 1e-3) for each in (found, all_rows)]
+    assert falls[0] > 0.99 * falls[1] > 100.0
+
+
+def test_the_stretch_told_is_that_in_which_outputs_move_most(rng):
+    y = 0.1 * rng.standard_normal((3, 100, 2))
+    y[1, 80:] += 1.0
+    y[2, :10] -= 1.0
+    some = [(None, each, None) for each in y]
+    told = [(each.start, each.stop) for each in _telling(some, 30)]
+    assert told[0][1] - told[0][0] == 0
+    assert told[1:] == [(80, 100), (0, 10)]
+    assert [(each.start, each.stop) for each in _telling(some, 999)] == [(0, 100)] * 3
+
+
+@pytest.mark.parametrize("why", ["short", "overflowing"])
+def test_steps_are_not_taken_where_they_lead_nowhere(why):
     true = drawn()
     some = segments(true, 300)
     if why == "short":  # fewer than five values for each coefficient
         assert most_likely(true, some, LAYOUT, 1e-3) is not None
         assert most_likely(true, segments(true, 50), LAYOUT, 1e-3) is None
-    elif why == "long":
-        monkeypatch.setattr(innovations_steps, "MOST_NUMBERS", 10.0)
-        assert most_likely(true, some, LAYOUT, 1e-3) is None
     else:
         wild = replace(true, gain=1e3 * true.gain)  # its predictor forgets nothing
         assert most_likely(wild, some, LAYOUT, 1e-3) is None

@@ -6,8 +6,11 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     filtered,
     lagged,
     of_each_output,
+    regressors_of,
     score_test,
     sensitivities,
+    sensitivity_pieces,
+    sensitivity_sums,
     span_of,
     times,
 )
@@ -61,7 +64,9 @@ def test_lags_begin_with_zeros():
 
 
 def test_of_each_output_and_times():
-    assert of_each_output(np.array([[1.0, 2.0]]), 2).tolist() == [[[1, 2, 0, 0], [0, 0, 1, 2]]]
+    assert of_each_output(np.array([[1.0, 2.0]]), np.eye(2)).tolist() == [
+        [[1, 2, 0, 0], [0, 0, 1, 2]]
+    ]
     assert times(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]])).tolist() == [[3, 4, 6, 8]]
 
 
@@ -102,6 +107,32 @@ def test_sensitivities_span_what_small_changes_of_coefficients_do(gain):
     n_gauge = n * n * (2 * H + 1)  # at least: the coordinates of the state
     n_free = coefficients.size + K.size * gain
     assert n_free - n_gauge - 10 < span.shape[1] < n_free
+
+
+@pytest.mark.parametrize("feedthrough", [True, False])
+@pytest.mark.parametrize("gain", [0.3, 0.0])
+def test_pieces_and_sums_are_those_of_all_sensitivities(rng, gain, feedthrough):
+    """Weighted, one row or some at once; Σ wᵀ ∂ŷ/∂θ goes backwards through the record."""
+    own = rng.standard_normal((3, 5, 6)), gain * rng.standard_normal((3, 3, 2))
+    model = PeriodicInnovations(0.2 * own[0], 0.2 * own[1], np.eye(2), 0.4)
+    u, y, W = (
+        rng.standard_normal((40, 2)),
+        rng.standard_normal((40, 2)),
+        rng.standard_normal((2, 2)),
+    )
+    psi = 0.4 * np.arange(40)
+    rows = model.rows(psi)
+    x, e = rows.innovations(u, y, np.ones(3))
+    known = u, x, e, harmonic_functions(psi, range(2)), harmonic_functions(psi, range(3))
+    S = sensitivities(rows, *known, feedthrough=feedthrough)
+    pairs = regressors_of(rows, *known, feedthrough=feedthrough)
+    for most in (1, 7, 40, 100):
+        pieces, found = zip(*sensitivity_pieces(rows, pairs, most, W), strict=True)
+        np.testing.assert_allclose(np.concatenate(found), W @ S, atol=1e-12)
+        assert pieces[0] == slice(0, most)
+    w = rng.standard_normal((40, 2))
+    sums = sensitivity_sums(rows, pairs, w)
+    np.testing.assert_allclose(sums, np.einsum("tl,tlk->k", w, S), atol=1e-11)
 
 
 def test_a_static_gain_is_sensitive_to_itself_alone():
