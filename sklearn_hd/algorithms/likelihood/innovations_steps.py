@@ -5,6 +5,7 @@
 Regressions on a few lags lose what noise hides in them. Gauss-Newton steps in all Fourier
 coefficients of A, B, C, D, K and the loads, damped while they do not pay (Levenberg, Marquardt),
 bring it back. Coordinates are free: damping holds them. Initial states are fitted at each step.
+The gradient is that of all rows; of long records, some rows tell the second derivatives.
 
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
@@ -171,8 +172,18 @@ class _Form:
     def system(self, at, told):
         """Normal equations of a step, initial states eliminated.
 
-        Second derivatives are those of some rows, told, of each segment; regressors are as large
-        as in all rows.
+        Second derivatives are those of the rows told. They are made larger by as much as the
+        squares of the regressors are larger in all rows.
+
+        Parameters
+        ----------
+        at : _Fitted
+        told : list of slice
+            Rows of each segment.
+
+        Returns
+        -------
+        system : _System
         """
         gram, slope, size, whole = 0.0, 0.0, 0.0, 0.0
         for (rows, u, x, e, psi), some, own in zip(at.parts, at.counted, told, strict=True):
