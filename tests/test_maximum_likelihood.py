@@ -204,6 +204,7 @@ def noisy_inputs(seed):
 
 
 @pytest.mark.filterwarnings("ignore:the record lasts")
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")  # the fast one, to 10 %
 @pytest.mark.slow
 def test_noise_on_the_inputs_is_allowed_for_or_shown():
     """Ignored, it colours what is left: deviations are those of blocks of the record."""
