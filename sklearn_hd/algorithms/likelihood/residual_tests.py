@@ -104,7 +104,8 @@ def sensitivity_pieces(rows, pairs, most, weights=None):
             forcing = np.concatenate(forcing, axis=-1)
             start = np.broadcast_to(starts[k], forcing.shape[1:])
             x = propagate_varying(stable[piece], forcing, start)
-            starts[k] = stable[piece][-1] @ x[-1] + forcing[-1]
+            with np.errstate(over="ignore", invalid="ignore"):  # of a model that grows
+                starts[k] = stable[piece][-1] @ x[-1] + forcing[-1]
             change = (W @ C[piece]) @ x
             change[..., drives.shape[-1] :] += of_each_output(direct[piece], W)
             found.append(change)
