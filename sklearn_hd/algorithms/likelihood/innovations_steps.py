@@ -172,8 +172,8 @@ class _Form:
     def system(self, at, told):
         """Normal equations of a step, initial states eliminated.
 
-        Second derivatives are those of the rows told. They are made larger by as much as the
-        squares of the regressors are larger in all rows.
+        Second derivatives come from the rows told. They are scaled to all rows by the squares of
+        the regressors.
 
         Parameters
         ----------

@@ -75,7 +75,7 @@ def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthro
 
 
 def sensitivity_pieces(rows, pairs, most, weights=None):
-    """Sensitivities of a piece of some rows after the other, which take little memory.
+    """Sensitivities piece by piece, each of some rows: this takes little memory.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def sensitivity_sums(rows, pairs, directions):
 
 
 def of_each_output(regressors, weights):
-    """Regressors for each output by itself, and what weights (…, a, l) make of the outputs.
+    """Regressors for each output by itself; weights then combine the outputs.
 
     Parameters
     ----------
