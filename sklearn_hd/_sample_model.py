@@ -8,8 +8,9 @@ from scipy import linalg
 
 from sklearn_hd._frame import LTIModel
 from sklearn_hd.algorithms.periodic.behind_samples import behind_samples, samples_of
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, PeriodicInnovations, Rows
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 from sklearn_hd.algorithms.signals.trim import QUIET, TURN, changes, energy_by_turn
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
@@ -139,6 +140,20 @@ class SampleModel:
             return np.log(np.where(z == 0.0, np.finfo(float).tiny, z)) / self.dt
         return self.innovations.multiplier_logarithms() * self.omega / (2.0 * np.pi)
 
+    def moving(self, inputs, psi):
+        """Inputs about their periodic mean at fit, of samples at some azimuths."""
+        if self.input_mean is None:
+            return inputs
+        return inputs - evaluate_harmonics(self.input_mean, psi)
+
+    def forced(self, psi):
+        """The forced periodic response while inputs do their mean, shape (n_samples, l)."""
+        innovations, mean = self.innovations, self.input_mean
+        if mean is not None:
+            none = np.zeros((len(mean), len(innovations.covariance)))
+            innovations = innovations.about(-mean, none).about_orbit()
+        return innovations.rows(psi).outputs[..., -1]
+
     def to_ltp(self):
         """The continuous model whose samples these are, as an LTPSystem.
 
@@ -164,25 +179,28 @@ class SampleModel:
         how = {"feedthrough": self.feedthrough, "closed_loop": True, "delays": self.delays}
         return LTIModel(A, B, C, D, self.dt, *names, **how)
 
-    def of_matched(self, coefficients, n_states, n_loads):
-        """The samples of a continuous model about the forced response of this one.
+    def of_matched(self, coefficients, n_states):
+        """The samples of a continuous model about the forced periodic response of this one.
 
         Parameters
         ----------
         coefficients : ndarray, shape (2 K + 1, n + l, n + m)
             Of its [F G; P Q](ψ).
         n_states : int
-        n_loads : int
-            Harmonics of the forced response.
         """
         moved = samples_of(coefficients, n_states, self.omega, self.innovations.step)
-        loads = self.innovations.forced_response(n_loads)
-        n, shape = n_states, (moved.shape[1], moved.shape[2] + 1)
-        whole = np.zeros((max(len(moved), len(loads)), *shape))
-        whole[: len(moved), :, :-1] = moved
-        whole[: len(loads), n:, -1] = loads
-        gain = np.zeros((1, n, shape[0] - n))
-        return replace(self, innovations=replace(self.innovations, coefficients=whole, gain=gain))
+        K = max(len(moved), len(self.innovations.coefficients)) // 2
+        whole = resize_harmonics(np.pad(moved, [(0, 0), (0, 0), (0, 1)]), K)
+        gain = np.zeros((1, n_states, whole.shape[1] - n_states))
+
+        def at(whole):
+            innovations = replace(self.innovations, coefficients=whole, gain=gain)
+            return replace(self, innovations=innovations)
+
+        psi = TURN * np.arange(4 * K + 1) / (4 * K + 1)
+        loads = whole.copy()
+        loads[:, n_states:, -1] = sampled_harmonics(self.forced(psi) - at(whole).forced(psi), K)
+        return at(loads)
 
     def to_control(self):
         """The discrete model as a control.StateSpace, without its forced response."""
@@ -251,11 +269,7 @@ class SampleSimulator:
 
     def forced(self):
         """The forced periodic response, trim not added, shape (n_samples, n_outputs)."""
-        innovations, mean = self.model.innovations, self.model.input_mean
-        if mean is not None:
-            none = np.zeros((len(mean), len(innovations.covariance)))
-            innovations = innovations.about(-mean, none).about_orbit()
-        return innovations.rows(self.psi).outputs[..., -1]
+        return self.model.forced(self.psi)
 
     def observe(self, Y, time, recompose=True):
         """The same: outputs of the model are what is measured."""

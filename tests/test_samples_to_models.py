@@ -18,6 +18,7 @@ from sklearn_hd import (
 )
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, InstabilityWarning
 from sklearn_hd.systems import LTPSystem
 
@@ -99,6 +100,30 @@ def test_predictions_begin_on_the_forced_motion(mean):
     pipe = pipeline(2.0).fit(u, y)
     for steps in (pipe[:2], pipe):
         assert apart(steps.predict(u), y) < 0.03
+
+
+def kinked():
+    """Damping by the speed of a flap, |cos ψ|: no number of harmonics is enough."""
+    psi, F = 2.0 * np.pi * np.arange(64) / 64, np.zeros((64, 2, 2))
+    F[:] = [[-0.2, 1.0], [-1.0, -0.3]]
+    F[:, 1, 1] -= 4.0 * np.abs(np.cos(psi))
+    F[:, 0, 1] += np.cos(psi)
+    F = sampled_harmonics(F, 16)
+    return LTPSystem(F, [[0.0], [1.0]], omega=2.0, state_names=["q", "v"])
+
+
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+def test_inputs_as_measured_match_as_those_about_their_trim():
+    """The response to a trim of 1000 times the motion is none of the match's."""
+    u, y = record(kinked(), samples=16, turns=80, noise=1e-4)
+    about, measured = (
+        pipeline(2.0, order=2, structure=HarmonicStructure()).fit(u + mean, y)
+        for mean in (0.0, 1e3)
+    )
+    assert measured[-1].ltp_.state_names == ("q", "v")  # F of as few harmonics as the samples
+    same_exponents(measured[-1].ltp_.floquet_exponents(), about[-1].ltp_, 1e-6)
+    assert measured.score(u + 1e3, y) == pytest.approx(about.score(u, y), abs=1e-6)
+    assert measured.score(u + 1e3, y) > about[:2].score(u, y) - 1e-4
 
 
 def test_counting_states_from_the_forced_motion_changes_nothing_else():

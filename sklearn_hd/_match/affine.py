@@ -32,7 +32,6 @@ from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic.behind_samples import nearest_steps, turn_of
 from sklearn_hd.algorithms.periodic.floquet_coordinates import fixed_scale
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning, UnstableModelError
 from sklearn_hd.structures import HarmonicStructure, MatrixStructure
@@ -318,7 +317,7 @@ def match_samples(model, experiment, structure, settings):
         match = match_affine(continuous, experiment, structure, settings)
         found = match.model
         coefficients, n = np.block([[found.A, found.B], [found.C, found.D]])[None], found.n_states
-    sampled = model.of_matched(coefficients, n, max(1, experiment.basis.most_loads))
+    sampled = model.of_matched(coefficients, n)
     unlike = _unlike(sampled, model, experiment)
     if unlike is None:
         return replace(match, sampled=sampled)
@@ -394,9 +393,8 @@ def _weights(found, model, experiment):
         seen = np.sqrt(np.mean(np.sum((found.P / y[:, None]) ** 2, axis=0), axis=0))
         seen = np.where(seen > 0.0, seen, 1.0)
         return np.diag(seen), outputs, np.diag(np.concatenate([1.0 / seen, u]))
-    loads = model.innovations.forced_response(max(1, experiment.basis.most_loads))
     moving = [
-        np.hstack([(Y - evaluate_harmonics(loads, psi))[:, found.rows], U])
+        np.hstack([(Y - model.forced(psi))[:, found.rows], model.moving(U, psi)])
         for U, Y, psi in zip(experiment.drive, experiment.outputs, experiment.phases, strict=True)
     ]
     R = linalg.qr(np.vstack(moving), mode="r")[0]
@@ -433,7 +431,8 @@ def _unlike(sampled, model, experiment):
     left, there = 0.0, 0.0
     for u, psi in zip(experiment.drive, experiment.phases, strict=True):
         found, wanted = (
-            _response(each, u[:MOST_ROWS], psi[:MOST_ROWS]) for each in (sampled, model)
+            _response(each, model.moving(u, psi)[:MOST_ROWS], psi[:MOST_ROWS])
+            for each in (sampled, model)
         )
         left = left + np.sum((found - wanted) ** 2, axis=0)
         there = there + np.sum(wanted**2, axis=0)
