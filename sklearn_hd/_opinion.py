@@ -14,11 +14,10 @@ from sklearn_hd._guards import searching, warn
 from sklearn_hd._records.data import lifted_periods, output_scale
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
+from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 DOUBT = 0.1  # of a rate, within which it has to be known: an engineer has another answer beyond
-LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
-LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 WAY_OUT = (
     "use a longer record, smaller motions, less noise or another order, and check omega (rad/s)"
 )

@@ -25,10 +25,13 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
 )
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
+from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-MOST_STEPS = 8  # of exact data, whose likelihood has no end
+FEW_STEPS = 8  # of exact data, whose likelihood has no end, unless exponents still move
+MOST_STEPS = 40
+STILL = 0.01  # of a rate, that a step moves no exponent by
 MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
 AT_ONCE = 2.5e5  # of them at once: what a processor keeps at hand
 VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
@@ -90,7 +93,9 @@ def most_likely(
     damping, system, first = FIRST_DAMPING, form.system(at, told), at.cost
     if system.promised < least_fall:
         return None
-    for _ in range(MOST_STEPS):
+    for n_steps in range(MOST_STEPS):
+        if n_steps >= FEW_STEPS and form.rests(at, system, damping):
+            break
         trial = None
         while trial is None and damping < DAMPING_LIMIT and system.promised > ENOUGH:
             moved = form.moved(at.innovations, system.step(damping))
@@ -106,10 +111,8 @@ def most_likely(
             break
     if first - at.cost < least_fall:
         return None
-    logarithms, slopes = form.slopes(at.innovations)
-    deviations = at.left * np.sqrt(np.sum(np.abs(slopes @ system.root) ** 2, axis=1))
-    ahead = logarithms + slopes @ system.step(damping)
-    return replace(at.innovations, covariance=at.covariance), (ahead, deviations)
+    _, *ahead = form.ahead(at, system, damping)
+    return replace(at.innovations, covariance=at.covariance), tuple(ahead)
 
 
 def _telling(segments, n_rows):
@@ -168,6 +171,20 @@ class _Form:
         kept.append(np.ones(loads.size, dtype=bool))
         places, kept = np.concatenate(places), np.concatenate(kept)
         return cls(H, L, layout.feedthrough, places[kept], kept, place[: 2 * H + 1, :n, :n])
+
+    def ahead(self, at, system, damping):
+        """Logarithms of multipliers, where another step leads them, and their deviations."""
+        logarithms, slopes = self.slopes(at.innovations)
+        deviations = at.left * np.sqrt(np.sum(np.abs(slopes @ system.root) ** 2, axis=1))
+        return logarithms, logarithms + slopes @ system.step(damping), deviations
+
+    def rests(self, at, system, damping):
+        """Whether another step moves no mode that lasts by more than it may be off."""
+        logarithms, ahead, deviations = self.ahead(at, system, damping)
+        lasting = logarithms.real > np.log(LASTING)
+        size = STILL * np.maximum(np.abs(logarithms.real), LEAST_RATE)
+        size = np.maximum(size, deviations)
+        return bool(np.all(np.abs(ahead - logarithms)[lasting] <= size[lasting]))
 
     def system(self, at, told):
         """Normal equations of a step, initial states eliminated.

@@ -14,6 +14,8 @@ from scipy.signal import lfilter
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EXACT, PRECISION, TINY
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
+LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
+LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
