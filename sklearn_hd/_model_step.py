@@ -223,9 +223,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             State at the start of each segment: one vector, shape (n_states,), for all; one row per
             segment; or a dict (or a DataFrame's rows) by record. The label of a record is a tuple
             if several index levels precede the time. None is rest: zero, or, for a model of samples
-            whose inputs at fit held their trim (their mean is larger than their motion), the state
-            in trim: of the inputs in the first two turns if they rest there, else of their mean at
-            fit.
+            whose inputs at fit held their trim (their periodic mean is larger than their motion),
+            the state in trim: of the inputs in the first two turns if they rest there, else of
+            their mean at fit.
 
         Returns
         -------

@@ -177,9 +177,9 @@ class MOESPRegressor(ModelStep):
     nonlinear_degrees_ : tuple of int
         With ``reading="sample"``: degrees of products of states and inputs that were further
         inputs of the fit, because a linear model alone leaves more (Akaike's criterion). The model
-        is that of small motions then, about the orbit with each input at zero (at its mean, if
-        that is larger than its motion), and its score on a record of large ones is lower. Empty
-        if a linear model holds.
+        is that of small motions then, about the orbit with each input at zero (at its periodic
+        mean, if that is larger than its motion), and its score on a record of large ones is
+        lower. Empty if a linear model holds.
     kalman_gain_ : ndarray, shape (order, n_outputs)
         K, if identified; Fourier coefficients, shape (2 H + 1, order, n_outputs), if it varies.
     innovations_covariance_ : ndarray, shape (n_outputs, n_outputs)

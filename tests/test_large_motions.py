@@ -205,10 +205,11 @@ def test_the_pass_about_rest_begins_with_the_gain_of_the_linear_model():
 
 
 def test_an_input_with_a_trim_is_held_and_the_others_rest_at_zero():
-    means, scales = np.array([[2.0, 0.1], [0.3, 0.0], [0.0, 0.2]]), np.array([0.5, 0.5])
+    """The second input's trim is a wave without a mean, as that of a blade's cyclic pitch."""
+    means, scales = np.array([[2.0, 0, 0.1], [0.3, 0.6, 0], [0, 0.6, 0.2]]), np.full(3, 0.5)
     samples = Samples([], (means, None), (scales, None), None, 0.1)
     assert samples.trim_in_inputs
-    np.testing.assert_array_equal(samples.rest, [[0.0, -0.2], [0.0, 0.0], [0.0, -0.4]])
+    np.testing.assert_array_equal(samples.rest, [[0, 0, -0.2], [0, 0, 0], [0, 0, -0.4]])
 
 
 @pytest.mark.slow

@@ -86,7 +86,7 @@ class Samples:
 
     @property
     def trim_in_inputs(self):
-        """Whether the inputs' mean is larger than their motion about it."""
+        """Whether the inputs' periodic mean is larger than their motion about it."""
         return bool(np.any(self._trimmed))
 
     @property
@@ -96,7 +96,8 @@ class Samples:
 
     @property
     def _trimmed(self):
-        return np.abs(self.means[0][0]) > self.scales[0]
+        constant, waves = self.means[0][0], self.means[0][1:]
+        return np.sqrt(constant**2 + 0.5 * np.sum(waves**2, axis=0)) > self.scales[0]
 
     @property
     def n_outputs(self):
