@@ -10,14 +10,13 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_hd._checks import check_outputs_given
 from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd._tables import without_inputs
+from sklearn_hd.algorithms.likelihood.predictor import of_each_output, sensitivities
 from sklearn_hd.algorithms.likelihood.residual_tests import (
     Score,
     autoregression,
     filtered,
     lagged,
-    of_each_output,
     score_test,
-    sensitivities,
     span_of,
     times,
 )

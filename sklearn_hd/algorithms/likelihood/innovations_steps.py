@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.residual_tests import (
+from sklearn_hd.algorithms.likelihood.predictor import (
     regressors_of,
     sensitivity_pieces,
     sensitivity_sums,

@@ -9,6 +9,9 @@ predictor, with z = [x; u]:
     ∂ŷ[k] = C_k ∂x[k] + ∂[C D]_k z[k]
 
 A record is read in pieces: neither its length nor the number of parameters is bounded by memory.
+Where all Fourier coefficients of a :class:`~.periodic_innovations.Rows` are free, those of one
+function of ψ differ in the row that they move alone. Likelihoods, the steps of models of samples
+and residual tests need it.
 """
 
 from dataclasses import dataclass
@@ -276,3 +279,129 @@ def _varying(A, forcing, x0):
     columns = forcing.reshape(-1, n_samples, n).transpose(1, 2, 0)
     start = np.broadcast_to(x0, (*batch, n)).reshape(-1, n).T
     return propagate_varying(A, columns, start).transpose(2, 0, 1).reshape(*batch, n_samples, n)
+
+
+# ---- of a model whose Fourier coefficients are all free -----------------------------------------
+
+
+def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthrough):
+    """Derivatives of predictions by the Fourier coefficients of [A B a; C D c] and K.
+
+    One-step predictions; of a model without a gain, simulated outputs.
+
+    Parameters
+    ----------
+    rows : Rows
+        The model at the samples of one segment.
+    inputs, states, residuals : ndarray, shapes (n_samples, m), (n_samples, n), (n_samples, l)
+    functions, loads : ndarray, shapes (n_samples, 2 H + 1), (n_samples, 2 L + 1)
+        1, cos ψ, sin ψ, …, of the matrices, and of a and c (none where they are not fitted).
+    feedthrough : bool
+        Whether D was fitted.
+
+    Returns
+    -------
+    sensitivities : ndarray, shape (n_samples, l, n_parameters)
+    """
+    signals = inputs, states, residuals
+    pairs = regressors_of(rows, *signals, functions, loads, feedthrough=feedthrough)
+    return next(sensitivity_pieces(rows, pairs, len(states)))[1]
+
+
+def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthrough):
+    """What the coefficients of [A B K] and of [C D] are multiplied by, then those of a and c.
+
+    Parameters
+    ----------
+    rows, inputs, states, residuals, functions, loads, feedthrough
+        As for :func:`sensitivities`.
+
+    Returns
+    -------
+    pairs : list of (ndarray, ndarray), shapes (n_samples, q)
+        One for each function, and the loads.
+    """
+    moved = [states, inputs, residuals] if rows.gain.any() else [states, inputs]
+    moved, seen = np.hstack(moved), np.hstack([states, inputs]) if feedthrough else states
+    return [(f[:, None] * moved, f[:, None] * seen) for f in functions.T] + [(loads, loads)]
+
+
+def sensitivity_pieces(rows, pairs, most, weights=None):
+    """Sensitivities piece by piece, each of some rows: this takes little memory.
+
+    Parameters
+    ----------
+    rows : Rows
+    pairs : list of (ndarray, ndarray)
+        From :func:`regressors_of`.
+    most : int
+        Rows of a piece.
+    weights : ndarray, shape (l, l), optional
+        Of the outputs.
+
+    Yields
+    ------
+    piece : slice
+        Its rows.
+    sensitivities : ndarray, shape (n_rows, l, n_parameters)
+    """
+    n, K, C = rows.n_states, rows.gain, rows.outputs[..., : rows.n_states]
+    W = np.eye(C.shape[1]) if weights is None else weights
+    stable, starts = rows.predicting, [np.zeros(1)] * len(pairs)
+    for first in range(0, len(C), most):
+        piece, found = slice(first, first + most), []
+        for k, (drives, direct) in enumerate(pairs):
+            drives = of_each_output(drives[piece], np.eye(n))
+            forcing = [drives, -of_each_output(direct[piece], K[piece])]
+            forcing = np.concatenate(forcing, axis=-1)
+            start = np.broadcast_to(starts[k], forcing.shape[1:])
+            x = propagate_varying(stable[piece], forcing, start)
+            with np.errstate(over="ignore", invalid="ignore"):  # of a model that grows
+                starts[k] = stable[piece][-1] @ x[-1] + forcing[-1]
+            change = (W @ C[piece]) @ x
+            change[..., drives.shape[-1] :] += of_each_output(direct[piece], W)
+            found.append(change)
+        yield piece, np.concatenate(found, axis=-1)
+
+
+def sensitivity_sums(rows, pairs, directions):
+    """Σ wᵀ ∂ŷ/∂θ over all rows of a segment for some directions w, without the sensitivities.
+
+        λ[k] = (A − K C)ᵀ λ[k+1] + Cᵀ w[k]
+        Σ λ[k+1]ᵀ ∂[A B a K] [x u 1 e] + (w[k] − Kᵀ λ[k+1])ᵀ ∂[C D c] [x u 1]
+
+    Parameters
+    ----------
+    rows : Rows
+    pairs : list of (ndarray, ndarray)
+        From :func:`regressors_of`.
+    directions : ndarray, shape (n_samples, l)
+
+    Returns
+    -------
+    sums : ndarray, shape (n_parameters,)
+    """
+    n, w = rows.n_states, directions[..., None]
+    back = rows.predicting.transpose(0, 2, 1)[::-1]
+    forcing = (rows.outputs[..., :n].transpose(0, 2, 1) @ w)[::-1]
+    later = propagate_varying(back, forcing, np.zeros((n, 1)))[::-1]
+    seen = (w - rows.gain.transpose(0, 2, 1) @ later)[..., 0]
+    sums = [(later[..., 0].T @ drives, seen.T @ direct) for drives, direct in pairs]
+    return np.concatenate([part.ravel() for pair in sums for part in pair])
+
+
+def of_each_output(regressors, weights):
+    """Regressors for each output by itself; weights then combine the outputs.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (n_samples, q)
+    weights : ndarray, shape (a, l) or (n_samples, a, l)
+
+    Returns
+    -------
+    regressors : ndarray, shape (n_samples, a, l q)
+    """
+    a, n_outputs = weights.shape[-2:]
+    stacked = weights[..., None] * regressors[:, None, None, :]
+    return stacked.reshape(len(regressors), a, n_outputs * regressors.shape[1])

@@ -15,9 +15,16 @@ from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.predictor import (
     n_columns,
     output_sensitivities,
+    regressors_of,
     residuals,
+    sensitivities,
+    sensitivity_pieces,
+    sensitivity_sums,
     simulate,
 )
+from sklearn_hd.algorithms.likelihood.residual_tests import span_of
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
 GAINS = [None, 0, 1]
 
@@ -141,3 +148,83 @@ def test_an_unstable_model_with_a_stable_predictor_is_predicted(rng):
     with np.errstate(over="ignore", invalid="ignore"):
         assert not np.all(np.isfinite(predictions(form, theta, record, np.ones(2))))
     assert np.max(np.abs(predictions(with_gain, parameters, record, np.ones(2)))) < 100.0
+
+
+# ---- all Fourier coefficients free ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gain", [True, False])
+def test_sensitivities_span_what_small_changes_of_coefficients_do(gain):
+    rng, n, m, n_outputs, H = np.random.default_rng(6), 3, 2, 2, 1
+    coefficients = 0.1 * rng.standard_normal((3, n + n_outputs, n + m + 1))
+    coefficients[0, :n, :n] += 0.6 * np.eye(n)
+    K = 0.1 * gain * rng.standard_normal((3, n, n_outputs))
+    u, y = rng.standard_normal((300, m)), rng.standard_normal((300, n_outputs))
+    psi = 1.0 + 0.4 * np.arange(300)
+
+    def left(step):
+        moved = step * np.random.default_rng(7).standard_normal(coefficients.shape)
+        turned = step * gain * np.random.default_rng(8).standard_normal(K.shape)
+        model = PeriodicInnovations(coefficients + moved, K + turned, np.eye(2), 0.4)
+        return model.rows(psi), *model.rows(psi).innovations(u, y, np.zeros(n))
+
+    rows, x, e = left(0.0)
+    functions = harmonic_functions(psi, range(H + 1))
+    S = sensitivities(rows, u, x, e, functions, functions, feedthrough=True)
+    change = (left(1e-6)[2] - left(-1e-6)[2]).ravel() / 2e-6
+    span = span_of(S.reshape(600, -1))
+    assert np.linalg.norm(change - span @ (span.T @ change)) < 1e-6 * np.linalg.norm(change)
+    n_gauge = n * n * (2 * H + 1)  # at least: the coordinates of the state
+    n_free = coefficients.size + K.size * gain
+    assert n_free - n_gauge - 10 < span.shape[1] < n_free
+
+
+@pytest.mark.parametrize("feedthrough", [True, False])
+@pytest.mark.parametrize("gain", [0.3, 0.0])
+def test_pieces_and_sums_are_those_of_all_sensitivities(rng, gain, feedthrough):
+    """Weighted, one row or some at once; Σ wᵀ ∂ŷ/∂θ goes backwards through the record."""
+    own = rng.standard_normal((3, 5, 6)), gain * rng.standard_normal((3, 3, 2))
+    model = PeriodicInnovations(0.2 * own[0], 0.2 * own[1], np.eye(2), 0.4)
+    u, y, W = (
+        rng.standard_normal((40, 2)),
+        rng.standard_normal((40, 2)),
+        rng.standard_normal((2, 2)),
+    )
+    psi = 0.4 * np.arange(40)
+    rows = model.rows(psi)
+    x, e = rows.innovations(u, y, np.ones(3))
+    known = u, x, e, harmonic_functions(psi, range(2)), harmonic_functions(psi, range(3))
+    S = sensitivities(rows, *known, feedthrough=feedthrough)
+    pairs = regressors_of(rows, *known, feedthrough=feedthrough)
+    for most in (1, 7, 40, 100):
+        pieces, found = zip(*sensitivity_pieces(rows, pairs, most, W), strict=True)
+        np.testing.assert_allclose(np.concatenate(found), W @ S, atol=1e-12)
+        assert pieces[0] == slice(0, most)
+    w = rng.standard_normal((40, 2))
+    sums = sensitivity_sums(rows, pairs, w)
+    np.testing.assert_allclose(sums, np.einsum("tl,tlk->k", w, S), atol=1e-11)
+
+
+def test_a_static_gain_is_sensitive_to_itself_alone():
+    model = PeriodicInnovations(np.ones((1, 1, 2)), np.zeros((1, 0, 1)), np.eye(1), 1.0)
+    u, y = np.random.default_rng(10).standard_normal((2, 50, 1))
+    rows, one = model.rows(np.zeros(50)), np.ones((50, 1))
+    x, e = rows.innovations(u, y, np.zeros(0))
+    assert np.allclose(e, y - u - 1.0)
+    S = sensitivities(rows, u, x, e, one, one[:, :0], feedthrough=True)
+    assert np.allclose(S[:, 0], u)
+
+
+def test_what_is_not_free_is_not_in_the_span():
+    rng = np.random.default_rng(9)
+    model = PeriodicInnovations(
+        np.array([[[0.5, 1.0, 0.0], [1.0, 0.0, 0.0]]]), np.zeros((1, 1, 1)), np.eye(1), 1.0
+    )
+    u, y = rng.standard_normal((2, 200, 1))
+    rows = model.rows(np.zeros(200))
+    x, e = rows.innovations(u, y, np.zeros(1))
+    one = np.ones((200, 1))
+    S = sensitivities(rows, u, x, e, one, one[:, :0], feedthrough=False)
+    assert span_of(S[:, 0]).shape[1] == 2  # pole and gain
+    S = sensitivities(rows, u, x, e, one, one, feedthrough=True)
+    assert span_of(S[:, 0]).shape[1] == 5  # D, a and c (whose start differs), too
