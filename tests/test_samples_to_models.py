@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from periodic_cases import coupled, deflection_only, mathieu, same_exponents
-from sklearn.pipeline import Pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import (
     HarmonicAnalyzer,
@@ -124,6 +124,31 @@ def test_inputs_as_measured_match_as_those_about_their_trim():
     same_exponents(measured[-1].ltp_.floquet_exponents(), about[-1].ltp_, 1e-6)
     assert measured.score(u + 1e3, y) == pytest.approx(about.score(u, y), abs=1e-6)
     assert measured.score(u + 1e3, y) > about[:2].score(u, y) - 1e-4
+
+
+@pytest.mark.slow
+def test_how_a_record_was_measured_does_not_matter():
+    """Trims and loads of 30 to 1000 times the motion, units, the clock, the order of outputs."""
+    u, y = record(kinked(), samples=16, turns=80)
+    psi, later = 2.0 * u.index.to_numpy(), u.index + 1e4 * np.pi
+    wave = 30.0 * (np.cos(psi) - 2.0 * np.sin(psi))[:, None]
+    records = {
+        "as simulated": (u, y),
+        "a trim of the inputs": (u + 1e3, y),
+        "a trim that is a wave": (u + wave, y),
+        "loads": (u, y + wave),
+        "units": (1e6 * u, y * [1e-5, 1e5]),
+        "the clock": (u.set_axis(later), y.set_axis(later)),
+        "the order": (u, y[["v", "q"]]),
+    }
+    found = {}
+    for name, (inputs, outputs) in records.items():
+        steps = HarmonicAnalyzer(2.0), MOESPRegressor(), SpuriousModeReducer()
+        pipe = make_pipeline(*steps, StructuredMatcher(structure=HarmonicStructure()))
+        exponents = pipe.fit(inputs, outputs)[-1].ltp_.floquet_exponents()
+        found[name] = *exponents, pipe.score(inputs, outputs)
+    expected = np.tile(found["as simulated"], (len(found), 1))
+    np.testing.assert_allclose(list(found.values()), expected, rtol=1e-7)
 
 
 def test_counting_states_from_the_forced_motion_changes_nothing_else():
