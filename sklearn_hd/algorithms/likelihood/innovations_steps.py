@@ -29,8 +29,8 @@ from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 
-FEW_STEPS = 8  # of exact data, whose likelihood has no end, unless exponents still move
-MOST_STEPS = 40
+FEW_STEPS = 8  # of exact data, whose likelihood has no end, if exponents rest
+MOST_STEPS = 40  # if they do not
 STILL = 0.01  # of a rate, that a step moves no exponent by
 MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
 AT_ONCE = 2.5e5  # of them at once: what a processor keeps at hand
