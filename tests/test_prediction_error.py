@@ -121,6 +121,8 @@ def test_what_noise_tells_of_a_mode_is_its_part_of_the_motion(size, rng):
     result = fit_gain(form, [(u[:, None], (x + e)[:, None], 0)], theta, [[[K]]])
     expected = K**2 / (K**2 + size**2)
     assert share_of_noise(result, np.array([1.0, 0.0])) == pytest.approx(expected, abs=0.02)
+    for unknown in (0.0, np.nan):  # as the slope of an exponent that is fixed, or repeated
+        assert share_of_noise(result, np.array([unknown, 0.0])) == 1.0
 
 
 @pytest.mark.slow

@@ -111,7 +111,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
 
 
 def _slopes(fit, parameters):
-    """Exponents, their derivatives by the parameters of a fit, and those by these of its search."""
+    """Exponents, their slopes by a fit's parameters, and the slopes of these by the search's."""
     places, own = fit.places, fit.structure.n_parameters
     exponents, slopes = exponent_slopes(fit.form, parameters)
     slopes = np.pad(slopes[:, :own], [(0, 0), (0, len(places) - own)])

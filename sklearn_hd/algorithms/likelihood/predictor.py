@@ -9,9 +9,8 @@ predictor, with z = [x; u]:
     ∂ŷ[k] = C_k ∂x[k] + ∂[C D]_k z[k]
 
 A record is read in pieces: neither its length nor the number of parameters is bounded by memory.
-Where all Fourier coefficients of a :class:`~.periodic_innovations.Rows` are free, those of one
-function of ψ differ in the row that they move alone. Likelihoods, the steps of models of samples
-and residual tests need it.
+The last part is for models whose Fourier coefficients are all free: coefficients of one function
+of ψ share their regressors. Likelihoods, the steps of models of samples and residual tests need it.
 """
 
 from dataclasses import dataclass

@@ -142,6 +142,12 @@ def share_of_noise(result, slope):
         Of predictions.
     slope : ndarray, shape (k,)
         ∂f/∂θ of the parameters of the search; those of the gain do not count.
+
+    Returns
+    -------
+    share : float
+        From 0 to 1, which it also is where the record tells nothing of f, f has no slope, or the
+        simulation overflows.
     """
     problem, point = result.problem, result.point
     own, without = np.arange(problem.form.n_model), problem.form.with_gain(None)
@@ -150,10 +156,12 @@ def share_of_noise(result, slope):
         replace(record, outputs=simulate(still, record, x0)[1])
         for record, x0 in zip(problem.records, point.x0, strict=True)
     ]
-    if not all(np.all(np.isfinite(record.outputs)) for record in quiet):
-        return 1.0  # the model grows: what holds it is the record
     spread, slope = problem.spread(point.moments), slope[own]
+    if not all(np.all(np.isfinite(each)) for each in [slope, *(r.outputs for r in quiet)]):
+        return 1.0
     v = problem.linearise(point, spread, own).covariance(gauge=True)[0] @ slope
+    if not slope @ v > 0.0:
+        return 1.0
     seen = replace(problem, records=quiet).linearise(point, spread, own).R[:, :-1] @ v
     return float(np.clip(1.0 - seen @ seen / (slope @ v), 0.0, 1.0))
 
