@@ -363,13 +363,12 @@ def test_gusts_name_prediction_error(reading, recorded):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
-def test_short_records_that_noise_moves_are_told():
-    with pytest.warns(IdentifiabilityWarning, match=r"lasts only 1\d time constants"):
-        pipeline().fit(*gusty(0, gust=2.0, periods=40))
+def test_short_records_are_told(recorded):
+    with pytest.warns(IdentifiabilityWarning, match=r"lasts only \d+ time constants"):
+        pipeline().fit(*gusty(0, periods=40))
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", f"[^$]*{SHORT}")
-        pipeline().fit(*gusty(0, periods=40))  # the inputs tell nearly all
-        pipeline().fit(*gusty(0, gust=2.0, periods=125))
+        warnings.simplefilter("error")
+        pipeline().fit(*gusty(0, periods=125))
 
 
 @pytest.mark.slow

@@ -4,14 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from innovation_cases import InnovationSystem
-from predictor_cases import structure_of
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import MOESPRegressor, StructuredMatcher
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.free_form import OutputNormal, free_form
-from sklearn_hd.algorithms.likelihood.prediction_error import fit_gain
-from sklearn_hd.algorithms.likelihood.uncertainty import share_of_noise
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.datasets import load_power_plant, load_slicot_example
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -106,23 +103,6 @@ def test_the_innovations_form_is_found_with_intervals_that_hold(rng):
     ahead = match.predict_ahead(pipe[:-1].transform(u), y)[50:] - y[50:]
     assert np.all(np.std(ahead, axis=0) < np.std(left, axis=0))
     assert np.allclose(np.cov(ahead.T), truth.E, rtol=0.1)
-
-
-@pytest.mark.parametrize("size", [0.0, 0.3, 1.0, 3.0])
-def test_what_noise_tells_of_a_mode_is_its_part_of_the_motion(size, rng):
-    """x[k+1] = a x[k] + u[k] + K e[k]: noise and inputs pass the same filter."""
-    a, K, n = 0.9, 0.5, 20000
-    u, e, x = size * rng.standard_normal(n), rng.standard_normal(n), np.zeros(n)
-    for k in range(n - 1):
-        x[k + 1] = a * x[k] + u[k] + K * e[k]
-    known = np.array([[[a, 1.0], [1.0, 0.0]]])
-    structure, theta = structure_of(known, np.arange(4).reshape(known.shape) == 0, 1)
-    form = Form(structure, 1.0, 1, discrete=True).with_gain(0)
-    result = fit_gain(form, [(u[:, None], (x + e)[:, None], 0)], theta, [[[K]]])
-    expected = K**2 / (K**2 + size**2)
-    assert share_of_noise(result, np.array([1.0, 0.0])) == pytest.approx(expected, abs=0.02)
-    for unknown in (0.0, np.nan):  # as the slope of an exponent that is fixed, or repeated
-        assert share_of_noise(result, np.array([unknown, 0.0])) == 1.0
 
 
 @pytest.mark.slow

@@ -79,9 +79,8 @@ def match_likelihood(match, structure, experiment, settings, opinion):
         fit = data.fit(given, match.theta, settings, bounds=bounds)
     data, delays = fit.data, fit.data.delays_of(fit, delays)
     experiment, sampled = data.experiment, data.sampled(fit, match)
-    parameters = fit.result.point.theta
-    trust = trusted(fit, experiment, sampled, parameters, settings, opinion)
-    warn_of_slow(fit, trust, experiment, parameters)
+    trust = trusted(fit, experiment, sampled, fit.result.point.theta, settings, opinion)
+    warn_of_slow(fit, trust, experiment)
     if data.cells is not None:
         delays = data.deviations(delays, trust.covariance[fit.structure.n_parameters :])
         warn_of_doubt(delays)
@@ -323,7 +322,7 @@ def match_free(model, experiment, settings):
     data = RecordData.of(experiment, True, model if of_samples else None, discrete=True)
     fit, sampled = _free(start, data, settings)
     trust = trusted(fit, experiment, sampled, fit.theta, settings, model.opinion)
-    warn_of_slow(fit, trust, experiment, fit.theta)
+    warn_of_slow(fit, trust, experiment)
     uncertainty, structure = _without_delays(fit, trust), fit.structure
     if of_samples:
         match = match_samples(sampled, experiment, None, None)

@@ -27,7 +27,6 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     exponent_slopes,
     part_scores,
     propagate_std,
-    share_of_noise,
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 
@@ -62,10 +61,12 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     trust : Uncertainty
         Covariance of the structure's parameters, then of free delays; no model yet.
     """
-    result = fit.result
-    exponents, slopes, into = _slopes(fit, parameters)
-    k, n = len(into), len(slopes)
+    result, places = fit.result, fit.places
+    exponents, slopes = exponent_slopes(fit.form, parameters)
+    k, n, own = len(places), len(slopes), fit.structure.n_parameters
+    slopes = np.pad(slopes[:, :own], [(0, 0), (0, k - own)])
     plain = propagate_std(slopes, fit.covariance)
+    into = np.eye(len(result.point.theta))[places] if fit.into is None else fit.into
     gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
     moves = gradients[k:] @ result.system.step(0.0)
     of_fit = result.sigma, result.aic, result.bic, exponents
@@ -108,15 +109,6 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     covariance = np.where(known, covariance, fit.covariance)
     stored = None if tests is None else tests.reset_index().to_dict("list")
     return Uncertainty(covariance, *of_fit, std, kind=kind, tests=stored, doubt=doubt)
-
-
-def _slopes(fit, parameters):
-    """Exponents, their slopes by a fit's parameters, and the slopes of these by the search's."""
-    places, own = fit.places, fit.structure.n_parameters
-    exponents, slopes = exponent_slopes(fit.form, parameters)
-    slopes = np.pad(slopes[:, :own], [(0, 0), (0, len(places) - own)])
-    into = np.eye(len(fit.result.point.theta))[places] if fit.into is None else fit.into
-    return exponents, slopes, into
 
 
 def _beside(std, exponents, opinion):
@@ -299,7 +291,7 @@ def _warn_of_parts(exponents, apart, own, more, doubt):
     )
 
 
-def warn_of_slow(fit, trust, experiment, parameters):
+def warn_of_slow(fit, trust, experiment):
     """Warn of modes that last longer than the record, and of intervals of a short record."""
     spans = [time[-1] - time[0] for time in experiment.times()]
     slowest = np.max(trust.exponents.real, initial=-np.inf)
@@ -316,26 +308,12 @@ def warn_of_slow(fit, trust, experiment, parameters):
             IdentifiabilityWarning,
         )
         return
-    total, enough = -slowest * sum(spans), 0.0
-    if fit.result.gain is not None:
-        enough = TIME_CONSTANTS * _told_by_noise(fit, parameters)
-    elif trust.doubt and _by_noise(trust):
-        enough = TIME_CONSTANTS
-    if 0.0 < total < enough:
+    excited = fit.result.gain is not None or (trust.doubt and _by_noise(trust))
+    total = -slowest * sum(spans)
+    if excited and 0.0 < total < TIME_CONSTANTS:
         warn(
             f"the record lasts only {total:.0f} time constants of the slowest mode ({slowest:.3g} "
             f"1/s), which noise excites: intervals assume a long record and cover less than "
-            f"stated; {enough:.0f} time constants are enough",
+            f"stated; {TIME_CONSTANTS} time constants are enough",
             IdentifiabilityWarning,
         )
-
-
-def _told_by_noise(fit, parameters):
-    """Part of what a record tells of its slowest mode that comes from motion by noise.
-
-    All of it, where every entry is free: that predictor reads outputs as inputs.
-    """
-    if fit.result.problem.form.n_gain_harmonics is None:
-        return 1.0
-    exponents, slopes, into = _slopes(fit, parameters)
-    return share_of_noise(fit.result, slopes[np.argmax(exponents.real)].real @ into)

@@ -22,7 +22,7 @@ References: H. White, "Maximum likelihood estimation of misspecified models", Ec
 autocorrelation consistent covariance matrix", Econometrica 55 (1987).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -31,7 +31,6 @@ from scipy.signal import welch
 from scipy.stats import chi2
 
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
-from sklearn_hd.algorithms.likelihood.predictor import simulate
 from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents, on_branch
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
@@ -127,43 +126,6 @@ def propagate_std(jacobian, covariance):
     variance = np.einsum("...i,ij,...j->...", jacobian, known, jacobian)
     depends = np.any(jacobian[..., unknown] != 0, axis=-1)
     return np.where(depends, np.inf, np.sqrt(np.maximum(variance, 0.0)))
-
-
-def share_of_noise(result, slope):
-    """Part of what a record tells of a function f(θ) that comes from motion by noise.
-
-        1 − vᵀ I₀ v / (vᵀ I v),   v = I⁻¹ ∂f/∂θ,
-
-    with the information I₀ of the record that the model simulates, which has no noise.
-
-    Parameters
-    ----------
-    result : LikelihoodResult
-        Of predictions.
-    slope : ndarray, shape (k,)
-        ∂f/∂θ of the parameters of the search; those of the gain do not count.
-
-    Returns
-    -------
-    share : float
-        From 0 to 1, which it also is where the record tells nothing of f, f has no slope, or the
-        simulation overflows.
-    """
-    problem, point = result.problem, result.point
-    own, without = np.arange(problem.form.n_model), problem.form.with_gain(None)
-    still = without.response(point.theta[own], sensitivities=False)
-    quiet = [
-        replace(record, outputs=simulate(still, record, x0)[1])
-        for record, x0 in zip(problem.records, point.x0, strict=True)
-    ]
-    spread, slope = problem.spread(point.moments), slope[own]
-    if not all(np.all(np.isfinite(each)) for each in [slope, *(r.outputs for r in quiet)]):
-        return 1.0
-    v = problem.linearise(point, spread, own).covariance(gauge=True)[0] @ slope
-    if not slope @ v > 0.0:
-        return 1.0
-    seen = replace(problem, records=quiet).linearise(point, spread, own).R[:, :-1] @ v
-    return float(np.clip(1.0 - seen @ seen / (slope @ v), 0.0, 1.0))
 
 
 def exponent_slopes(form, parameters):
