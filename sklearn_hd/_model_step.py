@@ -570,7 +570,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
         - *autocorrelation*: residuals of earlier rows. For simulations this test requires more
           than a correct effect of the inputs: the noise must be white and on the outputs.
-        - *inputs*: those of the same row and of earlier rows.
+        - *inputs*: those of the same row and of earlier rows; of a machine that turns, their sums
+          over intervals that reach back three turns.
         - *nonlinearity*: squares (also times the first harmonic of the turn) and cubes of
           predictions and inputs about their periodic means. A wrong order may fail it, too.
         - *mean*, or *loads* of a machine that turns: a constant, or harmonics of the turn (not
@@ -588,7 +589,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
             Measured outputs on the rows of X.
         lags : int, optional
             Number of earlier rows in the tests; by default 20, or fewer with several outputs or
-            few rows.
+            few rows, and three turns of inputs.
         level : float, default=0.001
             Share of correct models that fail one of the tests; it is divided among the tests.
 

@@ -16,22 +16,27 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     autoregression,
     filtered,
     lagged,
+    past,
     score_test,
     span_of,
     times,
 )
 from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
+from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
 ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
 MOST_LAGS = 20
+TURNS_BACK = 3  # of inputs, which a state that is missing answers to for long
+INTERVALS_AN_OCTAVE = 2
 MOST_DEGREES = 60  # of freedom of one test: with more, it sees less
 ROWS_PER_DEGREE = 10
 LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 LEVEL = 0.001  # of tests: share of linear machines taken for others
+MOST_PRODUCTS = 2e10  # of a test at fit: some seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +124,8 @@ class Remainder:
         return [s.residuals @ W.T for s in self.segments], W
 
 
-def remainder(experiment, simulators):
-    """Residuals of a model over an experiment.
+def remainder(experiment, simulators, most_rows=MOST_ROWS):
+    """Residuals of a model over an experiment, or its first rows.
 
     Raises
     ------
@@ -129,7 +134,7 @@ def remainder(experiment, simulators):
     ValueError
         If there are too few rows for the parameters.
     """
-    basis, segments, left = experiment.basis, [], MOST_ROWS
+    basis, segments, left = experiment.basis, [], most_rows
     parts = zip(simulators, experiment.outputs, experiment.phases, experiment.times(), strict=True)
     for simulator, outputs, psi, time in parts:
         first, last = basis.scored_rows(time)
@@ -189,13 +194,14 @@ def _segment(at, outputs, psi, first):
 # ---- the tests -------------------------------------------------------------------------------
 
 
-def scored(left, lags, level):
-    """Score tests of a remainder as a DataFrame, one row a test.
+def scored(left, lags, level, only=None):
+    """Score tests of a remainder, all or only one, as a DataFrame, one row a test.
 
     Residuals of simulations may be coloured by noise that moves the machine. All tests except that
     of their autocorrelation then use the residuals of an autoregression.
     """
     asked = _questions(left, lags)
+    asked = asked if only is None else {only: asked[only]}
     found = {name: Score(0.0, 0, 1.0) for name in asked}
     if left.output_names:
         own, W = left.white()
@@ -262,7 +268,7 @@ def _questions(left, lags):
     e = left.white()[0] if left.output_names else [s.residuals for s in segments]
     asked = {"autocorrelation": [lagged(each, range(1, counts.own + 1)) for each in e]}
     if left.input_names:
-        asked["inputs"] = [lagged(each, range(counts.inputs)) for each in u]
+        asked["inputs"] = _earlier(u, counts.inputs, None if lags else left.samples_per_period)
     asked["nonlinearity"] = _powers(segments, counts.loads)
     if not left.trim:
         name = "mean" if left.samples_per_period is None else "loads"
@@ -277,6 +283,16 @@ def _questions(left, lags):
         late, pairs = range(counts.by_phase), zip(u, turning, strict=True)
         asked["inputs by phase"] = [times(lagged(each, late), f) for each, f in pairs]
     return asked
+
+
+def _earlier(inputs, count, samples_per_period):
+    """Inputs of the same row and those before, or their sums back to some turns before."""
+    if samples_per_period is None:
+        return [lagged(u, range(count)) for u in inputs]
+    back = max(TURNS_BACK * samples_per_period, 2.0)
+    edges = np.geomspace(1.0, back, min(count, int(INTERVALS_AN_OCTAVE * np.log2(back)) + 1))
+    edges = np.append(0, np.unique(np.rint(edges).astype(int)))
+    return [past(u, edges) for u in inputs]
 
 
 def _powers(segments, n_loads):
@@ -333,3 +349,43 @@ def left_of(step, X, y):
     experiment = step._experiment(without_inputs(y) if X is None else X, y)
     experiment = step._compared(experiment)
     return remainder(experiment, step._simulators(experiment))
+
+
+def why_incomplete(model, experiment, simulators):
+    """Why a model of samples lacks states: what it leaves goes with inputs of the past; or "".
+
+    Where rows are too few to test, the simulation overflows, or less is left than sensors leave,
+    nothing is told.
+
+    Parameters
+    ----------
+    model : SampleModel
+    experiment : Experiment
+    simulators : list
+        Of the model without a gain, which would follow what states that are missing do.
+
+    Returns
+    -------
+    words : str
+    """
+    own, m = model.innovations, len(model.input_names)
+    n, n_outputs = own.n_states, len(model.output_names)
+    n_parameters = (2 * own.n_harmonics + 1) * (n + n_outputs) * (n + m)
+    most = min(MOST_ROWS, int(MOST_PRODUCTS / (n_outputs * n_parameters**2)))
+    if not (n and m):
+        return ""
+    try:
+        left = remainder(experiment, simulators, most)
+    except (UnstableModelError, ValueError):
+        return ""
+    if left.part_of_motion() < SENSOR_NOISE**2:
+        return ""
+    test = scored(left, None, LEVEL, "inputs").loc["inputs"]
+    if test["passed"]:
+        return ""
+    return (
+        f"what a simulation leaves goes with inputs of the last {TURNS_BACK} turns: the test gives "
+        f"{test['statistic']:.4g} instead of {test['degrees']:.0f} for noise, {test['share']:.2g} "
+        f"of what is left; states are missing, or the response is not linear: raise order=, use "
+        f"smaller motions, and see residual_tests"
+    )

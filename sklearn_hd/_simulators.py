@@ -3,6 +3,8 @@
 Comparison in scores: measured and simulated outputs on the rows that count, with weights.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from scipy import linalg
@@ -194,6 +196,13 @@ def sample_simulators(model, experiment):
         inputs = [both_values(u, model.split[0]) for u in experiment.origin.inputs]
     parts = zip(inputs, experiment.times(), experiment.phases, strict=True)
     return [SampleSimulator(model, experiment.basis, *part) for part in parts]
+
+
+def without_gain(model, experiment):
+    """The same of the model's simulation, which a gain would bring back to what is measured."""
+    own = model.innovations
+    still = replace(model, innovations=replace(own, gain=np.zeros_like(own.gain)))
+    return sample_simulators(still, experiment)
 
 
 def steady(simulator, piece, basis, n_outputs, samples):

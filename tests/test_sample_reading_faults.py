@@ -263,23 +263,27 @@ def test_one_doublet_of_two_measured_states_takes_no_third():
 
 
 @pytest.mark.parametrize(
-    ("exponent", "left", "against", "serves"),
+    ("exponent", "left", "bic", "noise", "against", "serves"),
     [
-        (-0.14, 2.6e-3, "", False),  # one mode in place of two
-        (-0.225, 2.6e-3, "", True),
-        (-0.225 + 0.8j, 2.6e-3, "", True),
-        (-0.14, 4.2e-4, "", True),  # the record tells no two
-        (-0.225, 2.6e-3, "halves differ", False),
+        (-0.14, 2.6e-3, 0.0, 1e-4, "", False),  # one mode in place of two
+        (-0.225, 2.6e-3, 0.0, 1e-4, "", True),
+        (-0.225 + 0.8j, 2.6e-3, 0.0, 1e-4, "", True),
+        (-0.14, 4.2e-4, 0.0, 1e-4, "", True),  # the record tells no two
+        (-0.225, 2.6e-3, 0.0, 1e-4, "halves differ", False),
+        (-0.225, 2.6e-3, 0.0, 4e-4, "", False),  # the other leaves but noise
+        (-0.14, 4.2e-4, -1e3, 4e-4, "", True),
     ],
 )
 def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
-    exponent, left, against, serves
+    exponent, left, bic, noise, against, serves
 ):
-    def found(left, against, *exponents):
+    def found(left, bic, against, *exponents):
         model = SimpleNamespace(exponents=lambda: np.array(exponents, complex), omega=0.8)
-        it = _Found(None, None, None)
-        it.__dict__.update(left=SimpleNamespace(variance=left), model=model, against=against)
+        predictor = SimpleNamespace(left=np.array([noise]))
+        it = _Found(SimpleNamespace(predictor=predictor), None, None)
+        it.__dict__.update(left=SimpleNamespace(variance=left, bic=bic), model=model)
+        it.__dict__.update(against=against)
         return it
 
-    whole = found(4e-4, "halves differ", -0.23, -0.365)
-    assert found(left, against, exponent).serves_for(whole) == serves
+    whole = found(4e-4, -500.0, "halves differ", -0.23, -0.365)
+    assert found(left, bic, against, exponent).serves_for(whole) == serves

@@ -30,7 +30,9 @@ from sklearn_hd._identify.sample_models import Choice
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
+from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._sample_model import SampleModel
+from sklearn_hd._simulators import without_gain
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -161,7 +163,10 @@ def identify(data, settings, experiment):
     if settings.order == "auto" and not searching():
         found = _or_simpler(found, choice)
     model, chosen = found.model, found.chosen
-    for message in found.against:
+    words = list(found.against)
+    if not searching():
+        words.append(why_incomplete(model, experiment, without_gain(model, experiment)))
+    for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
     warn_of_little(layout, choice.n_rows, chosen, experiment.basis)
     warn_of_growth(model, chosen, data, settings)
@@ -274,13 +279,22 @@ class _Found:
         """With products, or of their simulation; infinite without them."""
         return self.choice.bic_of_predictions(self.chosen, self.refined)
 
+    @property
+    def leaves_noise(self):
+        """Whether its simulation leaves as little as one-step predictions of the predictor."""
+        noise = np.exp(np.mean(np.log(self.choice.predictor.left)))
+        return self.left.variance <= AS_LITTLE * noise
+
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
 
-        A mode between two that are too near for the record to tell is neither of them.
+        A mode between two that are too near for the record to tell is neither of them. Where the
+        other leaves but noise, the criterion of simulations knows whether its states are there.
         """
-        if self.against or self.left.variance <= AS_LITTLE * other.left.variance:
-            return not self.against
+        if self.against or (other.leaves_noise and self.left.bic > other.left.bic):
+            return False
+        if self.left.variance <= AS_LITTLE * other.left.variance:
+            return True
         exponents, omega = other.model.exponents(), other.model.omega
         known = Opinion(exponents, np.zeros(len(exponents)), omega, "")
         return bool(np.all(known.about(self.model.exponents())[1] <= DOUBT))

@@ -13,11 +13,13 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._fit_checks import grows, longest_span
-from sklearn_hd._guards import warn
+from sklearn_hd._guards import searching, warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
 from sklearn_hd._match.trust import MOST_SYSTEMATIC
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
+from sklearn_hd._residuals import why_incomplete
+from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import without_noise
@@ -65,6 +67,7 @@ def match_periodic(model, experiment, structure, simulated=True):
     warn_feedthrough(found)
     if simulated:  # what it is refined to is tested by itself
         warn_realized(found, model)
+        warn_incomplete(found, experiment)
         warn_growing(found.model, model, experiment)
     return periodic_match(found.structure, found.theta, found.model, model, experiment.basis)
 
@@ -380,6 +383,16 @@ def warn_realized(found, model):
             f"that change at more phases of the period, or give G and Q fewer harmonics",
             IdentifiabilityWarning,
         )
+
+
+def warn_incomplete(found, experiment):
+    """Of states that a periodic model lacks, where what it leaves is little and tells so."""
+    if searching() or found.systematic > MOST_SYSTEMATIC:
+        return
+    sampled = found.model.sampled(experiment.base.sample_time)
+    words = why_incomplete(sampled, experiment, sample_simulators(sampled, experiment))
+    if words:
+        warn(words, IdentifiabilityWarning)
 
 
 def warn_in_place_of_states(periodic, why):

@@ -16,7 +16,7 @@ from sklearn_hd._guards import warn
 from sklearn_hd._match import Uncertainty
 from sklearn_hd._opinion import SURE, doubtful, lasting
 from sklearn_hd._residuals import LEVEL, remainder, scored
-from sklearn_hd._simulators import sample_simulators
+from sklearn_hd._simulators import sample_simulators, without_gain
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
 from sklearn_hd.algorithms.likelihood.predictor import simulate
@@ -150,12 +150,10 @@ def _systematic(alike, experiment, sampled):
     its model does not explain, so a model with a gain is simulated without it. What colours its
     residuals then is noise that moves the machine, and the other tests tell.
     """
-    own = sampled.innovations
-    if not own.gain.any():
+    if not sampled.innovations.gain.any():
         return alike
-    still = replace(sampled, innovations=replace(own, gain=np.zeros_like(own.gain)))
     try:
-        left = remainder(experiment, sample_simulators(still, experiment))
+        left = remainder(experiment, without_gain(sampled, experiment))
     except UnstableModelError:  # feedback holds it
         return 0.0
     tests = scored(left, None, ALARM)

@@ -8,11 +8,13 @@ and present, beyond what any small change of the model's parameters θ would tak
 with z⊥ what z leaves of the sensitivities ∂ŷ/∂θ. So the errors of the parameters do not count
 to first order, however they were estimated (Neyman's C(α) test); with z = e[k−1] … e[k−L] this is
 Breusch's and Godfrey's test for autocorrelation, with z = u[k] … u[k−L] Ljung's for what inputs
-explain, which allows for their own colour. The variance of e may change with time or azimuth
-(Wooldridge): P takes each residual's own square.
+explain, which allows for their own colour. A state that is missing answers to inputs for as long
+as its mode lasts: sums over ever longer intervals reach back that far with few numbers. The
+variance of e may change with time or azimuth (Wooldridge): P takes each residual's own square.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, stats
@@ -98,6 +100,30 @@ def lagged(signal, lags):
     for row, lag in zip(late, lags, strict=True):
         row[lag:] = signal[: max(len(signal) - lag, 0)]
     return late.transpose(1, 0, 2).reshape(len(signal), -1)
+
+
+def past(signal, edges):
+    """Sums of a signal over intervals of its past, zeros before its start.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n_samples, n_signals)
+    edges : ndarray of int, shape (n_intervals + 1,)
+        Rows back, rising from 0, the row itself.
+
+    Returns
+    -------
+    sums : ndarray, shape (n_samples, n_signals * n_intervals)
+
+    Examples
+    --------
+    >>> past(np.array([[1.0], [2.0], [4.0]]), np.array([0, 1, 3])).tolist()
+    [[1.0, 0.0], [2.0, 1.0], [4.0, 3.0]]
+    """
+    before = edges[-1] + 1
+    sums = np.vstack([np.zeros((before, signal.shape[1])), np.cumsum(signal, axis=0)])
+    rows = before + np.arange(len(signal))
+    return np.hstack([sums[rows - a] - sums[rows - b] for a, b in pairwise(edges)])
 
 
 def times(regressors, functions):
