@@ -101,6 +101,8 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     stopped(std, part)
     systematic = _systematic(alike, experiment, sampled) if robust else 0.0
     doubt = _doubt(exponents, std, opinion, systematic)
+    if doubt is None and robust and not tests["passed"].get("inputs", True):
+        doubt = "what is left goes with earlier inputs, as the motion of a missing state does"
     if doubt and robust and np.all(more[k:] <= own[k:]):
         _warn_of_tests(tests, result.gain is None, doubt)
     elif doubt:
