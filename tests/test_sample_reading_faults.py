@@ -10,7 +10,8 @@ import pytest
 from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._identify.sample import _Found
+from sklearn_hd._identify.sample import _Found, _or_fuller
+from sklearn_hd._identify.sample_models import Refined
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
@@ -260,6 +261,29 @@ def test_one_doublet_of_two_measured_states_takes_no_third():
     assert model.order_ == 2
     found = np.sort_complex(model.ltp_.floquet_exponents())
     np.testing.assert_allclose(found, [-0.25 - 0.0331j, -0.25 + 0.0331j], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("own", "fuller", "taken"),
+    [
+        (4e-4, 1.05e-4, True),
+        (4e-4, 2e-4, False),  # gusts, or a machine that is not linear: both leave more than noise
+        (1.05e-4, 1e-4, False),  # nothing is missing
+    ],
+)
+def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(own, fuller, taken):
+    tried = [SimpleNamespace(order=n, n_harmonics=1, bic=0.0, stable=True) for n in (2, 3)]
+    left = {n: SimpleNamespace(variance=v, bic=np.log(v)) for n, v in ((2, own), (3, fuller))}
+    refined = Refined(None, None, None)
+    choice = SimpleNamespace(
+        predictor=SimpleNamespace(left=np.array([1e-4])),
+        kept=lambda: tried,
+        whole=lambda one: one,
+        refined=lambda innovations, stable, like: refined,
+        compared=lambda order, count, innovations: left[order],
+    )
+    found = _or_fuller(_Found(choice, tried[0], refined), choice)
+    assert found.chosen.order == (3 if taken else 2)
 
 
 @pytest.mark.parametrize(

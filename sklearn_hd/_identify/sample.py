@@ -161,7 +161,7 @@ def identify(data, settings, experiment):
     choice, best, reason, tried = Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, best)
     if settings.order == "auto" and not searching():
-        found = _or_simpler(found, choice)
+        found = _or_simpler(_or_fuller(found, choice), choice)
     model, chosen = found.model, found.chosen
     words = list(found.against)
     if not searching():
@@ -298,6 +298,22 @@ class _Found:
         exponents, omega = other.model.exponents(), other.model.omega
         known = Opinion(exponents, np.zeros(len(exponents)), omega, "")
         return bool(np.all(known.about(self.model.exponents())[1] <= DOUBT))
+
+
+def _or_fuller(found, choice):
+    """A linear model of one state more that leaves but noise after steps of the likelihood, if any.
+
+    Before them, closed forms may leave so much more than noise that the state pays for nothing, and
+    products of the other states stand for it.
+    """
+    if found.leaves_noise:
+        return found
+    more = [one for one in choice.kept() if one.order == found.chosen.order + 1 and one.stable]
+    if not more:
+        return found
+    one, linear = min(more, key=lambda one: one.bic), replace(found.refined, large=None)
+    fuller = _Found(choice, one, choice.refined(choice.whole(one), one.stable, linear))
+    return fuller if fuller.leaves_noise and fuller.left.bic < found.left.bic else found
 
 
 def _or_simpler(found, choice):
