@@ -1,6 +1,6 @@
 """Residuals of a fitted model, and the tests whether they are noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,7 @@ from sklearn_hd.algorithms.likelihood.residual_tests import (
     span_of,
     times,
 )
-from sklearn_hd.algorithms.linalg.rounding import EPS, OVERFLOW, PRECISION
+from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, OVERFLOW, PRECISION
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
@@ -36,6 +36,7 @@ LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 LEVEL = 0.001  # of tests: share of linear machines taken for others
+ALARM = 1e-4  # of tests at fit, which nobody asked for
 MOST_PRODUCTS = 2e10  # of a test at fit: some seconds
 
 
@@ -118,9 +119,9 @@ class Remainder:
     def white(self):
         """Residuals of unit covariance, one array a segment, and the matrix that made them so."""
         e = np.vstack([s.residuals for s in self.segments])
-        covariance = e.T @ e / len(e)
-        root = linalg.cholesky(covariance + EPS * np.diag(np.diag(covariance)), lower=True)
-        W = linalg.inv(root)
+        size = np.sqrt(np.mean(e**2, axis=0))
+        alike = (e / size).T @ (e / size) / len(e)
+        W = linalg.inv(linalg.cholesky(alike + DEPENDENT * np.eye(len(size)), lower=True)) / size
         return [s.residuals @ W.T for s in self.segments], W
 
 
@@ -154,7 +155,7 @@ def remainder(experiment, simulators, most_rows=MOST_ROWS):
         )
     size = np.sqrt(np.mean(np.vstack([s.predicted + s.residuals for s in segments]) ** 2, axis=0))
     rest = np.sqrt(np.mean(np.vstack([s.residuals for s in segments]) ** 2, axis=0))
-    kept = np.flatnonzero(rest > PRECISION * size)
+    kept = np.flatnonzero((rest > PRECISION * size) & (size > 0.0))
     return Remainder(
         [s.of_outputs(kept) for s in segments],
         tuple(names[i] for i in kept),
@@ -354,15 +355,17 @@ def left_of(step, X, y):
 def why_incomplete(model, experiment, simulators):
     """Why a model of samples lacks states: what it leaves goes with inputs of the past; or "".
 
-    Where rows are too few to test, the simulation overflows, or less is left than sensors leave,
-    nothing is told.
+    Whatever a feedthrough could explain is taken out: it stands for inputs that move between
+    samples. Where rows are too few to test, the simulation overflows, or less is left than sensors
+    leave, nothing is told.
 
     Parameters
     ----------
     model : SampleModel
     experiment : Experiment
-    simulators : list
-        Of the model without a gain, which would follow what states that are missing do.
+    simulators : callable
+        ``simulators(model, experiment)`` are those without a gain, which would follow what states
+        that are missing do.
 
     Returns
     -------
@@ -375,12 +378,13 @@ def why_incomplete(model, experiment, simulators):
     if not (n and m):
         return ""
     try:
-        left = remainder(experiment, simulators, most)
+        free = replace(model, feedthrough=True)
+        left = remainder(experiment, simulators(free, experiment), most)
     except (UnstableModelError, ValueError):
         return ""
     if left.part_of_motion() < SENSOR_NOISE**2:
         return ""
-    test = scored(left, None, LEVEL, "inputs").loc["inputs"]
+    test = scored(left, None, ALARM, "inputs").loc["inputs"]
     if test["passed"]:
         return ""
     return (

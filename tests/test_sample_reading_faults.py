@@ -276,7 +276,7 @@ def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(own, fuller, ta
     left = {n: SimpleNamespace(variance=v, bic=np.log(v)) for n, v in ((2, own), (3, fuller))}
     refined = Refined(None, None, None)
     choice = SimpleNamespace(
-        predictor=SimpleNamespace(left=np.array([1e-4])),
+        noise=1e-4,
         kept=lambda: tried,
         whole=lambda one: one,
         refined=lambda innovations, stable, like: refined,
@@ -303,8 +303,7 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
 ):
     def found(left, bic, against, *exponents):
         model = SimpleNamespace(exponents=lambda: np.array(exponents, complex), omega=0.8)
-        predictor = SimpleNamespace(left=np.array([noise]))
-        it = _Found(SimpleNamespace(predictor=predictor), None, None)
+        it = _Found(SimpleNamespace(noise=noise), None, None)
         it.__dict__.update(left=SimpleNamespace(variance=left, bic=bic), model=model)
         it.__dict__.update(against=against)
         return it

@@ -164,8 +164,8 @@ def identify(data, settings, experiment):
         found = _or_simpler(_or_fuller(found, choice), choice)
     model, chosen = found.model, found.chosen
     words = list(found.against)
-    if not searching():
-        words.append(why_incomplete(model, experiment, without_gain(model, experiment)))
+    if not (searching() or found.refined.no_noise):
+        words.append(why_incomplete(model, experiment, without_gain))
     for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
     warn_of_little(layout, choice.n_rows, chosen, experiment.basis)
@@ -282,8 +282,7 @@ class _Found:
     @property
     def leaves_noise(self):
         """Whether its simulation leaves as little as one-step predictions of the predictor."""
-        noise = np.exp(np.mean(np.log(self.choice.predictor.left)))
-        return self.left.variance <= AS_LITTLE * noise
+        return self.left.variance <= AS_LITTLE * self.choice.noise
 
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.

@@ -209,6 +209,12 @@ class Choice:
         """Rows times outputs that are simulated."""
         return sum(y.size for _, y, _ in self.simulated)
 
+    @property
+    def noise(self):
+        """What one-step predictions of the predictor leave, as ``Simulated.variance`` counts it."""
+        left = self.predictor.left[self.total > 0.0]
+        return float(np.exp(np.mean(np.log(left + SENSOR_NOISE**2))))
+
     def best(self):
         """What the model of the least criterion leaves: a Simulated; None if none may be kept."""
         asked = self.settings.order

@@ -390,7 +390,7 @@ def warn_incomplete(found, experiment):
     if searching() or found.systematic > MOST_SYSTEMATIC:
         return
     sampled = found.model.sampled(experiment.base.sample_time)
-    words = why_incomplete(sampled, experiment, sample_simulators(sampled, experiment))
+    words = why_incomplete(sampled, experiment, sample_simulators)
     if words:
         warn(words, IdentifiabilityWarning)
 

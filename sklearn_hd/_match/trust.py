@@ -15,7 +15,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Uncertainty
 from sklearn_hd._opinion import SURE, doubtful, lasting
-from sklearn_hd._residuals import LEVEL, remainder, scored
+from sklearn_hd._residuals import ALARM, LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators, without_gain
 from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
@@ -35,7 +35,6 @@ WORDS = {
     "direction": "from one side of the motion to the other",
     "record": "from the first record to the last",
 }
-ALARM = 1e-4  # level of the tests at fit: a tenth of that of residual_tests, which are asked for
 MOST_SYSTEMATIC = 1e-2  # of the motion's variance, in what noise alone would leave
 ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
