@@ -186,6 +186,7 @@ def test_ltp_has_the_exponents_of_the_model_and_of_the_machine(make, samples):
     same_exponents(found, system, rtol=0.02)
 
 
+@pytest.mark.filterwarnings("ignore:what a simulation leaves goes with inputs")  # too few states
 @pytest.mark.parametrize("seed", [1, 7, 13])
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 @pytest.mark.slow

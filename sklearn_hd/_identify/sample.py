@@ -164,7 +164,8 @@ def identify(data, settings, experiment):
         found = _or_simpler(_or_fuller(found, choice), choice)
     model, chosen = found.model, found.chosen
     words = list(found.against)
-    if not (searching() or found.refined.no_noise):
+    held = experiment.basis.hop == 1  # else inputs move between rows, which goes with inputs, too
+    if held and not (searching() or found.refined.no_noise):
         words.append(why_incomplete(model, experiment, without_gain))
     for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
