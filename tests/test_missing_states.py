@@ -55,11 +55,11 @@ def record(seed, rests, noise=0.02, gust=0.0, seen=0.05):
     return pd.DataFrame({"u": u}, time), pd.DataFrame(y, time, ["y"])
 
 
-def fitted(reading, order, u, y):
+def fitted(reading, order, u, y, **match):
     analyzer = HarmonicAnalyzer(2.0 * np.pi, reading=reading)
     steps = [analyzer, MOESPRegressor(order)]
-    if reading == "period":
-        steps.append(StructuredMatcher(structure=HarmonicStructure()))
+    if reading == "period" or match:
+        steps.append(StructuredMatcher(structure=HarmonicStructure(), **match))
     return make_pipeline(*steps).fit(u, y)
 
 
@@ -73,6 +73,17 @@ def test_a_missing_state_is_told_and_a_model_that_has_it_is_not(reading):
     assert lacking.score(u, y) > 0.97  # which says nothing of it
     whole = fitted(reading, 3, u, y)  # warnings are errors here
     assert whole[1].order_ == 3
+
+
+@pytest.mark.slow
+def test_a_likelihood_without_the_state_is_in_doubt():
+    """Where nothing else speaks against it."""
+    u, y = record(3, False, seen=0.01)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        match = fitted("sample", 2, u, y, criterion="output_error")[-1]
+    assert not match.residual_tests_.loc["inputs", "passed"]
+    assert any("goes with earlier inputs" in str(w.message) for w in said)
 
 
 @pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
