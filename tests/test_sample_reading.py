@@ -90,6 +90,29 @@ def test_a_periodic_machine_is_found_with_nothing_chosen(samples):
     np.testing.assert_allclose(model.innovations_covariance_, 0.03**2, rtol=0.1)
 
 
+@pytest.mark.parametrize("order", ["auto", 2])
+def test_states_that_the_outputs_show_in_turning_coordinates_are_not_more(order):
+    """Constant coordinates of these futures are singular at some azimuth, and take three states."""
+    F = [
+        [[-0.07, 0.01], [0.01, -0.15]],
+        [[-0.39, 0.05], [-0.16, -0.33]],
+        [[-0.46, -0.35], [0.67, 0.18]],
+    ]
+    G = [[[0.81], [-2.37]], [[0.4], [-0.62]], [[0.4], [0.23]]]
+    true = LTPSystem(np.array(F), np.array(G), [[-1.63, -1.35]], omega=2.0)
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 800), 4)
+    time = pd.Index(np.arange(len(u)) * true.period / 16, name="time")
+    y = np.asarray(true.simulate(u[:, None], time.to_numpy()))
+    y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
+    pipe = pipeline(2.0, order=order).fit(
+        pd.DataFrame({"u": u}, time), pd.DataFrame(y, time, ["y"])
+    )
+    assert pipe["identify"].order_ == 2
+    found = np.sort(pipe["identify"].ltp_.floquet_exponents().real)
+    np.testing.assert_allclose(found, np.sort(true.floquet_exponents().real), rtol=0.02)
+
+
 def test_loads_are_told_from_the_dynamics():
     u, *_ = machine(1000)
     u[:] = 0.0

@@ -2,10 +2,12 @@
 
 1. The forced periodic means of inputs and outputs are taken out, and signals brought to like size.
 2. A periodic predictor by ridge regression; its lags and harmonics by Akaike's criterion.
-3. States by one singular value decomposition of what it knows of the outputs to come.
+3. States by a singular value decomposition of what it knows of the outputs to come, in coordinates
+   that are constant or turn with the azimuth.
 4. Matrices, K and loads by least squares; order and harmonics by simulation (Schwarz's criterion).
 5. Steps of the likelihood from there, which bring back what the lags have lost.
 6. Products of states and inputs as further inputs, where a linear model does not hold.
+7. One state more or fewer, where that serves as well after these steps.
 """
 
 from dataclasses import dataclass, replace
@@ -372,7 +374,8 @@ def _of_halves(model, whole, chosen, refined):
         fixed = replace(whole.settings, order=chosen.order)
         sums = LagSums.of(segments, layout)
         choice = Choice(half, sums, fixed, whole.basis, whole.steps)
-        found = choice.model(choice.sums, chosen.order, chosen.n_harmonics)
+        choice.best()  # of that order: its coordinates
+        found = choice.model(choice.sums(chosen.order), chosen.n_harmonics)
         found = choice.refined(found, chosen.stable, refined)
         exponents.append(replace(model, innovations=found.innovations).exponents())
     omega = whole.basis.omega

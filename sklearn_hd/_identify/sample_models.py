@@ -12,9 +12,10 @@ from scipy import linalg
 from sklearn_hd._identify.checks import why_no_noise
 from sklearn_hd._identify.predictor_layout import compared_rows, predictor_layouts
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
-from sklearn_hd.algorithms.likelihood.small_motions import LargeMotions
+from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE, LargeMotions
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.moving_coordinates import coordinates_without_modes, within
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import (
     SENSOR_NOISE,
@@ -22,6 +23,7 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     StateSums,
     futures_known,
 )
+from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.subspace.order import Simulated, best_of
 
 MOST_STATE_HARMONICS = 8  # of the matrices, in coordinates that are no one's
@@ -33,21 +35,20 @@ PATIENCE = 6  # orders that may pass without a better one
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """States of every row, of more orders than one: the first n columns are those of order n.
+    """States of every row, in constant coordinates: the first n are those of order n.
 
     Attributes
     ----------
     parts : list of (first, x, e)
-        Of each segment: its first row with a state, states, and innovations (n_rows, l).
+        Of each segment: its first row with a state, states (n_rows, bound), and innovations
+        (n_rows, l).
     singular_values : ndarray
-    covariance : ndarray, shape (l, l)
     bound : int
         The most states that there are.
     """
 
     parts: list
     singular_values: np.ndarray
-    covariance: np.ndarray
     bound: int
 
     @classmethod
@@ -77,22 +78,26 @@ class _States:
                 e -= np.einsum("til,ti->tl", evaluate_harmonics(predictor.D, psi[rows]), u[rows])
             parts.append((first, ahead @ V, e))
         singular_values = np.sqrt(np.maximum(values[::-1], 0.0))
-        return cls(parts, singular_values, predictor.covariance, n)
+        return cls(parts, singular_values, n)
 
-    def rows(self, data, order, some=True):
-        """States, next states, inputs, outputs, innovations and azimuths, of some order.
+    def rows(self, data, coordinates, some=True):
+        """States, next states, inputs, outputs, innovations and azimuths, in some coordinates.
 
-        Of the rows that choices are made on, or of all.
+        These are Fourier coefficients (2 H + 1, bound, n). Of the rows that choices are made on, or
+        of all.
         """
         whole = [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(data.segments)]
+        turning = len(coordinates) // 2 + 1
         for s, rows in compared_rows(data.segments) if some else whole:
-            first, x, e = self.parts[s]
+            first, states, e = self.parts[s]
             u, y, psi = data.segments[s]
-            start, stop = max(rows.start, first), min(rows.stop, first + len(x) - 1)
+            start, stop = max(rows.start, first), min(rows.stop, first + len(states) - 1)
             if stop > start:
                 rows, own = slice(start, stop), slice(start - first, stop - first)
-                following = x[own.start + 1 : own.stop + 1, :order]
-                yield x[own, :order], following, u[rows], y[rows], e[own], psi[rows]
+                functions = harmonic_functions(psi[start : stop + 1], range(turning))
+                both = zip(functions.T, coordinates, strict=True)
+                x = sum(f[:, None] * (states[own.start : own.stop + 1] @ V) for f, V in both)
+                yield x[:-1], x[1:], u[rows], y[rows], e[own], psi[rows]
 
 
 def _with_noise(covariance, noise=SENSOR_NOISE):
@@ -167,11 +172,10 @@ class Choice:
         self.data, self.settings, self.basis, self.steps = data, settings, basis, steps
         self.layout, self.n_rows, self.predictor = layout, sums.n_rows, sums.predictor()
         noise = SENSOR_NOISE if steps else LEAST_NOISE  # which steps take to be there, too
-        self.states = states = _States.of(data, self.predictor, settings, noise)
-        self.tried, self.possible = [], []
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
-        self.sums = self._sums(states.bound, self.most)
+        self.states = _States.of(data, self.predictor, settings, noise)
+        self.coordinates, self.models = {}, {}
         self.simulated = list(_simulated(data.segments, layout.n_lags))
         total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
         self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
@@ -200,9 +204,18 @@ class Choice:
         tried = tuple(one for each in choices for one in each.tried)
         return choices[0], best, reason.format("D free" if best.feedthrough else "D = 0"), tried
 
-    def _sums(self, order, count, some=True):
-        rows = self.states.rows(self.data, order, some)
-        return StateSums.of(rows, count, self.basis.most_loads)
+    def sums(self, order, some=True):
+        """Sums of which models of some order are made, with any number of harmonics.
+
+        Over the rows that choices are made on, or over all.
+        """
+        rows = self.states.rows(self.data, self.coordinates[order], some)
+        return StateSums.of(rows, self.most, self.basis.most_loads)
+
+    @property
+    def tried(self):
+        """All models simulated: Simulated."""
+        return [one for models in self.models.values() for one, _ in models]
 
     @property
     def n_values(self):
@@ -217,29 +230,84 @@ class Choice:
 
     def best(self):
         """What the model of the least criterion leaves: a Simulated; None if none may be kept."""
-        asked = self.settings.order
-        orders = range(1, self.states.bound + 1) if asked == "auto" else [asked]
-        found = None
-        for order in orders:
-            before = None
-            for count in self._counts():
-                innovations = self.model(self.sums, order, count)
-                one = self.compared(order, count, innovations)
-                self.tried.append(one)
-                self.possible.append(innovations.is_possible())
-                if before is not None and one.bic >= before.bic:
-                    break
-                before = one
+        asked, found = self.settings.order, None
+        for order in range(1, self.states.bound + 1) if asked == "auto" else [asked]:
+            self._take(self._of(self._constant(order)))
             kept = self.kept()
             found = best_of(kept, self.n_values) if kept else None
             if found is not None and found.order <= order - PATIENCE:
                 break
+        if found is None or not (found.stable and self.most):
+            return found
+        return self._without_spurious_modes(found) if asked == "auto" else self._of_more(found)
+
+    def _constant(self, order):
+        return np.eye(self.states.bound)[None, :, :order]
+
+    def _of(self, coordinates):
+        """Models with more and more harmonics: the best, coordinates, (Simulated, possible)."""
+        rows, order = self.states.rows(self.data, coordinates), coordinates.shape[2]
+        sums, models = StateSums.of(rows, self.most, self.basis.most_loads), []
+        for count in self._counts():
+            innovations = self.model(sums, count)
+            one = self.compared(order, count, innovations)
+            models.append((one, innovations.is_possible()))
+            if len(models) > 1 and one.bic >= models[-2][0].bic:
+                break
+        best = best_of(self._kept(models) or [one for one, _ in models], self.n_values)
+        return best, coordinates, models
+
+    def _take(self, found):
+        """Keep the models of one order in some coordinates, those of other ones no longer."""
+        best, self.coordinates[best.order], self.models[best.order] = found
+
+    def _without_spurious_modes(self, found):
+        """The best model, without the modes that constant coordinates have brought in.
+
+        A model in coordinates that turn with the states may be as good with fewer of them.
+        """
+        more = [one for one, _ in self.models.get(found.order + 1, ()) if one.stable]
+        ahead = [found, *sorted(more, key=lambda one: one.bic)[:1]]
+        while ahead:
+            one = ahead.pop()
+            fewer = self._without_a_mode(one, self.coordinates[one.order])
+            for rival in sorted(fewer, key=lambda each: -each[0].bic):  # the best of an order last
+                known = self.models.get(rival[0].order, ())
+                if all(rival[0].bic < each.bic for each, _ in known):
+                    self._take(rival)
+            best = min((best for best, *_ in fewer), key=lambda best: best.bic, default=found)
+            if best.bic < found.bic:
+                found, ahead = best, [best]
         return found
+
+    def _of_more(self, found):
+        """The model asked for, by way of more states where constant coordinates take more."""
+        asked, rival = found.order, None
+        for order in range(asked + 1, min(asked + PATIENCE, self.states.bound) + 1):
+            rival = self._of(self._constant(order))
+            if rival[0].variance <= AS_LITTLE * self.noise:
+                break
+        while rival is not None and rival[0].order > asked:
+            fewer = [one for one in self._without_a_mode(*rival[:2]) if one[0].order >= asked]
+            rival = min(fewer, key=lambda one: one[0].bic, default=None)
+        if rival is None or rival[0].bic >= found.bic:
+            return found
+        self._take(rival)
+        return rival[0]
+
+    def _without_a_mode(self, found, coordinates):
+        """Stable models of what is left of a model's states without each of its modes."""
+        rows = self.states.rows(self.data, coordinates)
+        sums = StateSums.of(rows, self.most, self.basis.most_loads)
+        turning = self.layout.n_harmonics
+        fewer = coordinates_without_modes(self.model(sums, found.n_harmonics), turning)
+        n_harmonics = min(len(coordinates) // 2 + turning, self.most)
+        models = [self._of(within(coordinates, V, n_harmonics)) for V in fewer]
+        return [one for one in models if one[0].stable]
 
     def whole(self, chosen):
         """The model of some order and harmonics, of all rows."""
-        order, count = chosen.order, chosen.n_harmonics
-        return self.model(self._sums(order, count, some=False), order, count)
+        return self.model(self.sums(chosen.order, some=False), chosen.n_harmonics)
 
     def simpler(self, chosen, most_left):
         """Of each smaller order the best model tried, if it leaves little; the smallest first."""
@@ -302,14 +370,16 @@ class Choice:
 
     def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
-        both = zip(self.tried, self.possible, strict=True)
-        kept = [pair for pair in both if pair[0].stable or not self.settings.stable]
+        return self._kept([pair for models in self.models.values() for pair in models])
+
+    def _kept(self, models):
+        kept = [pair for pair in models if pair[0].stable or not self.settings.stable]
         return [one for one, possible in kept if possible] or [one for one, _ in kept]
 
     def _noise(self, innovations):
         """Covariance of innovations, and of what is left of next states and of outputs."""
         n, total, n_rows = innovations.n_states, 0.0, 0
-        for x, following, u, y, e, psi in self.states.rows(self.data, n):
+        for x, following, u, y, e, psi in self.states.rows(self.data, self.coordinates[n]):
             form = innovations.rows(psi)
             known = np.hstack([x, u, np.ones((len(u), 1))])[..., None]
             rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
@@ -325,17 +395,17 @@ class Choice:
         first = self.layout.n_harmonics
         return sorted({first, *(min(k * first, self.most) for k in (2, 3)), self.most})
 
-    def model(self, sums, order, count):
+    def model(self, sums, count):
+        """The closed form of some number of harmonics."""
         asked = self.basis.n_input_harmonics
         coefficients, gain = sums.matrices(
-            order,
             count,
             count if asked is None else min(count, asked),
             self.basis.most_loads,
             self.layout.feedthrough,
         )
         start = self.data.segments[0][2][0]
-        covariance, step = self.states.covariance, self.data.step
+        covariance, step = self.predictor.covariance, self.data.step
         return PeriodicInnovations(coefficients, gain, covariance, step, float(start))
 
     def compared(self, order, count, innovations, rate=None):
@@ -394,8 +464,8 @@ def _as_fairly_compared(unstable, choices):
         return unstable
     choice, rival = min(kept, key=lambda pair: pair[1].bic)
     own = next(each for each in choices if unstable in each.tried)
-    rate = own.model(own.sums, unstable.order, unstable.n_harmonics).growth()
-    innovations = choice.model(choice.sums, rival.order, rival.n_harmonics)
+    rate = own.model(own.sums(unstable.order), unstable.n_harmonics).growth()
+    innovations = choice.model(choice.sums(rival.order), rival.n_harmonics)
     again = choice.compared(rival.order, rival.n_harmonics, innovations, rate)
     return unstable if best_of([unstable, again], choice.n_values) is unstable else rival
 

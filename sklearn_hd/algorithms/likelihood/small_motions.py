@@ -31,6 +31,7 @@ from itertools import chain, combinations, combinations_with_replacement
 from math import comb
 
 import numpy as np
+from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.innovations_steps import fitted, most_likely
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
@@ -44,6 +45,7 @@ NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmoni
 SETTLED = 1e-3  # of the motion: by no more may the last of them move
 REACHED = 0.99  # of the rows, the motion in which counts as its reach
 MOST_NUMBERS = 5e6  # sensitivities to products' coefficients: with more, steps take long
+LEAST_APART = 0.05  # of a product's variance, which states and inputs do not explain
 AS_LITTLE = 1.1  # times what another model leaves: no more
 
 
@@ -141,12 +143,17 @@ class LargeMotions:
             more = sum(comb(n + m + degree - 1, degree) for degree in tried)
             if motion is None or more * per_input * n_values > MOST_NUMBERS:
                 break
-            before = ()
+            before, left_out = (), ()
             if found.products is not None:  # of the same states as those to come
-                before = found.products.degrees
-                found = found._with(found.model, _Products.of(motion, before, L), motion)
+                before, left_out = found.products.degrees, found.products.left_out
+                products = _Products.of(motion, before, L, left_out=left_out)
+                found = found._with(found.model, products, motion)
+            left_out += _told_as_factors(motion, tried, L)
+            products = _Products.of(motion, before + tried, L, left_out=left_out)
+            more = m + len(products.which) - found.model.n_inputs
+            if more == 0:
+                continue
             start = _with_inputs(found.model, found.model.n_inputs, more)
-            products = _Products.of(motion, before + tried, L)
             found = found._with(start, products, motion, 0.0 if asked else more * per_input)
         if found.products is None:
             return None
@@ -231,6 +238,8 @@ class _Products:
     Attributes
     ----------
     degrees : tuple of int
+    left_out : tuple of tuple of int
+        Products that are not among them, for they tell the same as their factors.
     which : list of tuple of int
         The factors of each product.
     centre : ndarray, shape (2 L + 1, n + m)
@@ -242,22 +251,21 @@ class _Products:
     """
 
     degrees: tuple
+    left_out: tuple
     which: list
     centre: np.ndarray
     size: np.ndarray
     means: np.ndarray
 
     @classmethod
-    def of(cls, motion, degrees, n_loads, centre=None, size=None):
+    def of(cls, motion, degrees, n_loads, centre=None, left_out=()):
         """Products of some degrees, about the means of the motion by default."""
         centre = fitted_harmonics(motion, n_loads) if centre is None else centre
-        places = range(motion[0][0].shape[1])
-        which = [w for d in degrees for w in combinations_with_replacement(places, d)]
+        which = [w for w in _factors(motion, degrees) if w not in left_out]
         products = [(_values(which, centre, z, psi), psi) for z, psi in motion]
         means = fitted_harmonics(products, n_loads)
-        if size is None:
-            size = _sizes([q - evaluate_harmonics(means, psi) for q, psi in products])
-        return cls(tuple(degrees), which, centre, size, means / size)
+        size = _sizes([q - evaluate_harmonics(means, psi) for q, psi in products])
+        return cls(tuple(degrees), left_out, which, centre, size, means / size)
 
     def beside(self, segments, motion):
         """Segments whose inputs have the products of a motion beside them."""
@@ -289,7 +297,8 @@ class _Products:
                 break
         if not (far(centre - before) <= SETTLED and far(centre - self.centre) <= 1.0):
             return None
-        products = _Products.of(motion, tuple(range(2, max(self.degrees) + 1)), L, centre)
+        degrees = tuple(range(2, max(self.degrees) + 1))
+        products = _Products.of(motion, degrees, L, centre, self.left_out)
         moved = products.with_means(self._moved(model, centre, products), -1.0)
         H = model.n_harmonics
         whole = resize_harmonics(moved.coefficients, max(H, L))
@@ -339,6 +348,26 @@ class _Products:
             return np.sqrt(np.max(np.einsum("ti,ij,tj->t", x, inverse, x)) / most)
 
         return far
+
+
+def _factors(motion, degrees):
+    """Factors of all products of some degrees of states and inputs."""
+    places = range(motion[0][0].shape[1])
+    return [w for degree in degrees for w in combinations_with_replacement(places, degree)]
+
+
+def _told_as_factors(motion, degrees, n_loads):
+    """Products that go with states and inputs themselves: u³ of steps to −a, 0 and a is a² u.
+
+    Noise would decide what is whose, and with it the linear part.
+    """
+    products = _Products.of(motion, degrees, n_loads)
+    moved = np.vstack([z - evaluate_harmonics(products.centre, psi) for z, psi in motion])
+    beside = products.beside([(z[:, :0], None, psi) for z, psi in motion], motion)
+    q = np.vstack([own for own, *_ in beside])
+    left = q - moved @ linalg.lstsq(moved, q)[0]
+    share = np.mean(left**2, axis=0)  # products are of size one
+    return tuple(w for w, own in zip(products.which, share, strict=True) if own < LEAST_APART)
 
 
 def _values(which, centre, z, psi):

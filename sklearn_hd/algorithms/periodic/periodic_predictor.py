@@ -14,16 +14,18 @@ of the next f outputs is known from data before k alone is
 
     O_k = (Σ_{s>j} Φ_s(ψ_{k+j}) z[k+j−s])_{j=0…f−1} = Γ(ψ_k) x_k
 
-and x_k = V_nᵀ O_k, of one singular value decomposition over all k, is the state in coordinates
-T(ψ) = V_nᵀ Γ(ψ). Each output of O_k is measured in its innovations, or a large channel decides all;
-and its periodic mean is taken out first, or V_n spans the orbit instead of the motion about it.
+and x_k = VᵀO_k is the state in coordinates T(ψ) = VᵀΓ(ψ), V the first n vectors of one singular
+value decomposition over all k. Where Γ turns so far with ψ that T is singular at some azimuth, this
+takes more states than the machine has, and modes of a model that no input moves; without these
+V turns, too. Each output of O_k is measured in its innovations, or a large channel decides all; and
+its periodic mean is taken out first, or V spans the orbit instead of the motion about it.
 
 Exact data leave the coefficients of a long predictor open, and what nonlinearity leaves of the
 outputs would decide. So lagged outputs are taken to hold white noise of 0.3 % of their motion: the
 regression then tends to the Kalman predictor for that noise.
 
 Two more regressions give C, and A, B, K, a. Sums of products over rows are all that is kept: any
-number of lags, harmonics and states is read from the same sums. The reading of samples
+number of lags, and of harmonics, is read from the same sums. The reading of samples
 (:mod:`sklearn_hd._identify.sample`) needs it.
 """
 
@@ -355,7 +357,7 @@ class StateSums:
     """Sums of one regression of outputs and next states on states, inputs and innovations.
 
     Regressors, each with functions 1, cos ψ, …: the forced response, inputs, innovations, states.
-    Those of few states and few harmonics are part of them.
+    Those of few harmonics are part of them.
 
     Attributes
     ----------
@@ -399,23 +401,22 @@ class StateSums:
             sums[3] += len(x)
         return cls(*sums[:3], kinds, sums[3])
 
-    def matrices(self, order, n_harmonics, n_input_harmonics, n_loads, feedthrough):
-        """Fourier coefficients of [A B a; C D c] and of K, of some order.
+    def matrices(self, n_harmonics, n_input_harmonics, n_loads, feedthrough):
+        """Fourier coefficients of [A B a; C D c] and of K.
 
         Their number is that of the largest number of harmonics.
         """
         kind, which, function = self.kinds
         most = np.array([n_loads, n_input_harmonics, n_harmonics, n_harmonics])
         used = function <= 2 * most[kind]
-        used &= (kind != 3) | (which < order)
         m = int(which[kind == 1].max(initial=-1)) + 1
-        n_outputs = self.outputs.shape[1]
+        order, n_outputs = self.following.shape[1], self.outputs.shape[1]
         H = int(max(most))
         seen = used & (kind != 2) & (feedthrough | (kind != 1))
         coefficients = np.zeros((2 * H + 1, order + n_outputs, order + m + 1))
         gain = np.zeros((2 * H + 1, order, n_outputs))
         column = np.choose(kind, [order + m, order + which, 0, which])
-        moved = self._solved(used, self.following[:, :order])
+        moved = self._solved(used, self.following)
         read = self._solved(seen, self.outputs)
         for regressors, found, rows in (
             (used, moved, slice(0, order)),

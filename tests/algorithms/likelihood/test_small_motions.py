@@ -5,7 +5,11 @@ import pytest
 from innovation_cases import STEP
 
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
-from sklearn_hd.algorithms.likelihood.small_motions import LargeMotions, _Products
+from sklearn_hd.algorithms.likelihood.small_motions import (
+    LargeMotions,
+    _Products,
+    _told_as_factors,
+)
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
@@ -113,7 +117,7 @@ def test_products_about_another_centre_are_the_same_polynomial():
     rng, psi = np.random.default_rng(8), STEP * np.arange(300)
     z = 0.3 * rng.standard_normal((300, 3))
     before = _Products.of([(z, psi)], (2, 3), 0)
-    after = _Products.of([(z, psi)], (2, 3), 0, 0.2 * rng.standard_normal((1, 3)), before.size)
+    after = _Products.of([(z, psi)], (2, 3), 0, 0.2 * rng.standard_normal((1, 3)))
     model = seen(len(before.which))
     model.coefficients[:, :2, 3:] = rng.standard_normal(model.coefficients[:, :2, 3:].shape)
 
@@ -126,6 +130,19 @@ def test_products_about_another_centre_are_the_same_polynomial():
     same = led_to(before, before.with_means(model))
     moved = led_to(after, before._moved(model, after.centre, after))
     np.testing.assert_allclose(moved, same, rtol=0.0, atol=1e-11 * np.max(np.abs(same)))
+
+
+def test_a_power_that_goes_with_its_input_is_left_out():
+    """u³ of steps to −1, 0 and 1 is u: noise would decide which of them moves the machine."""
+    rng, psi = np.random.default_rng(5), STEP * np.arange(2000)
+    x, u = rng.standard_normal((2000, 1)), rng.choice([-1.0, 0.0, 1.0], (2000, 1))
+    motion = [(np.hstack([x, u]), psi)]
+    assert _told_as_factors(motion, (3,), 0) == ((1, 1, 1),)
+    assert _told_as_factors(motion, (2,), 0) == ()  # x², x u and u² tell more
+    motion = [(np.hstack([x, rng.choice([-1.0, 1.0], (2000, 1))]), psi)]
+    assert _told_as_factors(motion, (2, 3), 0) == ((1, 1), (0, 1, 1), (1, 1, 1))
+    products = _Products.of(motion, (2, 3), 0, left_out=((1, 1), (0, 1, 1), (1, 1, 1)))
+    assert products.which == [(0, 0), (0, 1), (0, 0, 0), (0, 0, 1)]
 
 
 def test_products_do_not_pay_for_a_linear_machine():

@@ -1,0 +1,104 @@
+"""Coordinates of the states that a periodic model has without one of its Floquet modes.
+
+The other modes span a subspace that A(ψ) carries from sample to sample, and that turns with ψ. Of
+coordinates of it, orthonormal at every azimuth, V(ψ), those have the fewest harmonics that do not
+turn within the subspace (parallel transport); what they have turned by after 2π, a rotation R, is
+taken back evenly,
+
+    V_k ← V_k exp(−(k/q) log R),   k = 0 … q − 1
+
+If R is a reflection, the subspace has no coordinates that repeat every turn: so it is where a mode
+of a negative multiplier is left out, or left alone.
+
+The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+
+
+def within(coordinates, others, n_harmonics):
+    """Coordinates V(ψ) W(ψ) of states W(ψ)ᵀx, where those of x are V(ψ).
+
+    Parameters
+    ----------
+    coordinates, others : ndarray, shapes (2 M + 1, r, n), (2 L + 1, n, k)
+    n_harmonics : int
+        Kept of the product.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (2 n_harmonics + 1, r, k)
+    """
+    n_azimuths = len(coordinates) + len(others) + 2 * n_harmonics
+    psi = 2.0 * np.pi * np.arange(n_azimuths) / n_azimuths
+    product = evaluate_harmonics(coordinates, psi) @ evaluate_harmonics(others, psi)
+    return sampled_harmonics(product, n_harmonics)
+
+
+def coordinates_without_modes(model, n_harmonics):
+    """Coordinates of the other states, without each mode or complex pair of modes.
+
+    Parameters
+    ----------
+    model : PeriodicInnovations
+    n_harmonics : int
+        Below half of the samples in a turn; what is beyond is left out.
+
+    Yields
+    ------
+    coefficients : ndarray, shape (2 n_harmonics + 1, n, k)
+        Of V(ψ), in the order 0, 1c, 1s, …; k states are left.
+    """
+    A = replace(model, start=0.0).whole_turn()[1][..., : model.n_states]
+    turn = np.eye(model.n_states)
+    for each in A:
+        turn = each @ turn
+    values, vectors = np.linalg.eig(turn)
+    for k in np.flatnonzero(values.imag >= 0.0):  # the other one of a pair follows it
+        others = np.delete(vectors, [k, k + 1] if values[k].imag > 0.0 else [k], axis=1)
+        if others.size:
+            n_kept = others.shape[1]
+            start = linalg.svd(np.hstack([others.real, others.imag]))[0][:, :n_kept]
+            V = _closed(_carried(A, start))
+            if V is not None:
+                yield sampled_harmonics(V, n_harmonics)
+
+
+def _carried(A, start):
+    """Orthonormal bases of a subspace at the start of every step, and after the last one."""
+    bases = [start]
+    for each in A:
+        basis = linalg.qr(each @ bases[-1], mode="economic")[0]
+        left, _, right = linalg.svd(basis.T @ bases[-1])
+        bases.append(basis @ (left @ right))  # the nearest one to that before
+    return np.array(bases)
+
+
+def _closed(bases):
+    """The same bases, turned so that the last is the first, without it; None if none is."""
+    turn, q = bases[0].T @ bases[-1], len(bases) - 1
+    if linalg.det(turn) < 0.0:
+        return None
+    return bases[:-1] @ linalg.expm(-np.arange(q)[:, None, None] / q * _logarithm(turn))
+
+
+def _logarithm(rotation):
+    """The real logarithm of a rotation, of the least angles."""
+    blocks, vectors = linalg.schur(rotation)
+    angles, reversed_axes, k, n = np.zeros_like(blocks), [], 0, len(blocks)
+    while k < n:
+        if k + 1 < n and blocks[k + 1, k] != 0.0:
+            angles[k + 1, k] = np.arctan2(blocks[k + 1, k], blocks[k, k])
+            k += 1
+        elif blocks[k, k] < 0.0:
+            reversed_axes.append(k)
+        k += 1
+    for one, other in zip(reversed_axes[::2], reversed_axes[1::2], strict=True):
+        angles[other, one] = np.pi
+    return vectors @ (angles - angles.T) @ vectors.T

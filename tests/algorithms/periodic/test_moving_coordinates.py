@@ -1,0 +1,91 @@
+"""Coordinates of the states that are left without a mode."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.stats import ortho_group, special_ortho_group
+
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.moving_coordinates import (
+    _logarithm,
+    coordinates_without_modes,
+    within,
+)
+from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
+from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
+
+STEP = 2 * np.pi / 16
+PSI = 2 * np.pi * np.arange(64) / 64
+
+
+def axes(psi, n_turns=1):
+    """Three axes, of which the first two turn."""
+    c, s, zero, one = np.cos(n_turns * psi), np.sin(n_turns * psi), 0 * psi, 1 + 0 * psi
+    rows = [np.stack(row, axis=-1) for row in ((c, -s, zero), (s, c, zero), (zero, zero, one))]
+    return np.stack(rows, axis=-2)
+
+
+def turning(transition, n_turns=1):
+    """A model whose states are constant ones, seen in turning axes."""
+    A = axes(PSI + STEP, n_turns) @ transition @ axes(PSI, n_turns).swapaxes(1, 2)
+    coefficients = np.zeros((4 * n_turns + 1, 4, 5))
+    coefficients[:, :3, :3] = sampled_harmonics(A, 2 * n_turns)
+    coefficients[0, 3, :3] = 1.0
+    return PeriodicInnovations(coefficients, np.zeros((1, 3, 1)), np.eye(1), STEP, start=0.3)
+
+
+@pytest.mark.parametrize("n_turns", [1, 2])
+def test_the_states_of_the_other_modes_are_kept(n_turns):
+    model = turning(np.diag([0.95, 0.5, 0.8]), n_turns)
+    kept = [[0, 1], [0, 2], [1, 2]]
+    found = list(coordinates_without_modes(model, n_turns))
+    assert len(found) == 3
+    for V in found:
+        V = evaluate_harmonics(V, PSI)
+        np.testing.assert_allclose(V.swapaxes(1, 2) @ V, np.tile(np.eye(2), (64, 1, 1)), atol=1e-9)
+        own = [np.linalg.svd(axes(PSI, n_turns)[..., k].swapaxes(1, 2) @ V)[1].min() for k in kept]
+        kept.pop(int(np.argmax(own)))  # each pair is that of one of them
+        assert max(own) > 1.0 - 1e-9
+    assert not kept
+
+
+def test_a_pair_is_left_out_as_one():
+    model = turning(np.array([[0.9, 0.0, 0.0], [0.0, 0.5, 0.2], [0.0, -0.2, 0.5]]))
+    sizes = [V.shape for V in coordinates_without_modes(model, 1)]
+    assert sorted(sizes) == [(3, 3, 1), (3, 3, 2)]
+
+
+def test_a_mode_of_a_negative_multiplier_has_no_coordinates_of_its_own():
+    """It comes back as its mirror image; so do the modes beside it."""
+    half = axes(PSI + STEP, 0.5) @ np.diag([0.95, 0.5, 0.8]) @ axes(PSI, 0.5).swapaxes(1, 2)
+    coefficients = np.zeros((31, 4, 5))
+    coefficients[:, :3, :3] = sampled_harmonics(half, 15)
+    model = PeriodicInnovations(coefficients, np.zeros((1, 3, 1)), np.eye(1), STEP)
+    assert np.sum(model.multipliers().real < 0.0) == 2
+    (left,) = coordinates_without_modes(model, 1)
+    np.testing.assert_allclose(left[0] @ left[0].T, np.diag([1.0, 1.0, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(left[1:], 0.0, atol=1e-9)
+
+
+def test_coordinates_within_coordinates_are_their_product():
+    rng = np.random.default_rng(3)
+    first, second = rng.standard_normal((3, 5, 4)), rng.standard_normal((5, 4, 2))
+    both = within(first, second, 3)
+    expected = evaluate_harmonics(first, PSI) @ evaluate_harmonics(second, PSI)
+    np.testing.assert_allclose(evaluate_harmonics(both, PSI), expected, atol=1e-12)
+    np.testing.assert_allclose(within(first, second, 1), both[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_the_exponential_of_the_logarithm_is_the_rotation(n):
+    for rotation in [special_ortho_group.rvs(n, random_state=k) for k in range(5)]:
+        skew = _logarithm(rotation)
+        np.testing.assert_allclose(skew, -skew.T, atol=1e-12)
+        np.testing.assert_allclose(expm(skew), rotation, atol=1e-12)
+        assert np.abs(np.linalg.eigvals(skew)).max() <= np.pi + 1e-12
+
+
+def test_two_axes_that_are_reversed_are_turned_by_half_a_turn():
+    V = ortho_group.rvs(4, random_state=0)
+    rotation = V @ np.diag([-1.0, 1.0, -1.0, 1.0]) @ V.T
+    np.testing.assert_allclose(expm(_logarithm(rotation)), rotation, atol=1e-12)
