@@ -161,6 +161,28 @@ class Refined:
         return self.large is not None and self.large.gain is not None
 
 
+@dataclass(frozen=True, eq=False)
+class _Models:
+    """Models of some order with more and more harmonics.
+
+    Attributes
+    ----------
+    coordinates : ndarray, shape (2 H + 1, bound, n)
+        Of their states among constant ones, Fourier coefficients.
+    tried : list of (Simulated, bool)
+        And whether a machine may have such multipliers.
+    best : Simulated
+    """
+
+    coordinates: np.ndarray
+    tried: list
+    best: Simulated
+
+    @property
+    def order(self):
+        return self.best.order
+
+
 class Choice:
     """The order and the harmonics of the matrices, by what simulations of the record leave.
 
@@ -175,7 +197,7 @@ class Choice:
         most = min(MOST_STATE_HARMONICS, basis.most_harmonics)
         self.most = most if layout.n_harmonics else 0
         self.states = _States.of(data, self.predictor, settings, noise)
-        self.coordinates, self.models = {}, {}
+        self.models = {}  # by order: _Models
         self.simulated = list(_simulated(data.segments, layout.n_lags))
         total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
         self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
@@ -209,13 +231,16 @@ class Choice:
 
         Over the rows that choices are made on, or over all.
         """
-        rows = self.states.rows(self.data, self.coordinates[order], some)
+        return self._sums(self.models[order].coordinates, some)
+
+    def _sums(self, coordinates, some=True):
+        rows = self.states.rows(self.data, coordinates, some)
         return StateSums.of(rows, self.most, self.basis.most_loads)
 
     @property
     def tried(self):
-        """All models simulated: Simulated."""
-        return [one for models in self.models.values() for one, _ in models]
+        """What all models leave that are kept: Simulated."""
+        return [one for models in self.models.values() for one, _ in models.tried]
 
     @property
     def n_values(self):
@@ -232,7 +257,7 @@ class Choice:
         """What the model of the least criterion leaves: a Simulated; None if none may be kept."""
         asked, found = self.settings.order, None
         for order in range(1, self.states.bound + 1) if asked == "auto" else [asked]:
-            self._take(self._of(self._constant(order)))
+            self.models[order] = self._of(self._constant(order))
             kept = self.kept()
             found = best_of(kept, self.n_values) if kept else None
             if found is not None and found.order <= order - PATIENCE:
@@ -245,39 +270,32 @@ class Choice:
         return np.eye(self.states.bound)[None, :, :order]
 
     def _of(self, coordinates):
-        """Models with more and more harmonics: the best, coordinates, (Simulated, possible)."""
-        rows, order = self.states.rows(self.data, coordinates), coordinates.shape[2]
-        sums, models = StateSums.of(rows, self.most, self.basis.most_loads), []
+        """Models in some coordinates."""
+        sums, order, tried = self._sums(coordinates), coordinates.shape[2], []
         for count in self._counts():
             innovations = self.model(sums, count)
             one = self.compared(order, count, innovations)
-            models.append((one, innovations.is_possible()))
-            if len(models) > 1 and one.bic >= models[-2][0].bic:
+            tried.append((one, innovations.is_possible()))
+            if len(tried) > 1 and one.bic >= tried[-2][0].bic:
                 break
-        best = best_of(self._kept(models) or [one for one, _ in models], self.n_values)
-        return best, coordinates, models
-
-    def _take(self, found):
-        """Keep the models of one order in some coordinates, those of other ones no longer."""
-        best, self.coordinates[best.order], self.models[best.order] = found
+        kept = self._kept(tried) or [one for one, _ in tried]
+        return _Models(coordinates, tried, best_of(kept, self.n_values))
 
     def _without_spurious_modes(self, found):
         """The best model, without the modes that constant coordinates have brought in.
 
         A model in coordinates that turn with the states may be as good with fewer of them.
         """
-        more = [one for one, _ in self.models.get(found.order + 1, ()) if one.stable]
-        ahead = [found, *sorted(more, key=lambda one: one.bic)[:1]]
+        more = (self.models.get(order) for order in (found.order, found.order + 1))
+        ahead = [models for models in more if models is not None and models.best.stable]
         while ahead:
-            one = ahead.pop()
-            fewer = self._without_a_mode(one, self.coordinates[one.order])
-            for rival in sorted(fewer, key=lambda each: -each[0].bic):  # the best of an order last
-                known = self.models.get(rival[0].order, ())
-                if all(rival[0].bic < each.bic for each, _ in known):
-                    self._take(rival)
-            best = min((best for best, *_ in fewer), key=lambda best: best.bic, default=found)
-            if best.bic < found.bic:
-                found, ahead = best, [best]
+            fewer = sorted(self._without_a_mode(ahead.pop()), key=lambda one: one.best.bic)
+            for one in fewer:
+                known = self.models.get(one.order)
+                if known is None or one.best.bic < known.best.bic:
+                    self.models[one.order] = one
+            if fewer and fewer[0].best.bic < found.bic:
+                found, ahead = fewer[0].best, fewer[:1]
         return found
 
     def _of_more(self, found):
@@ -285,25 +303,25 @@ class Choice:
         asked, rival = found.order, None
         for order in range(asked + 1, min(asked + PATIENCE, self.states.bound) + 1):
             rival = self._of(self._constant(order))
-            if rival[0].variance <= AS_LITTLE * self.noise:
+            if rival.best.variance <= AS_LITTLE * self.noise:
                 break
-        while rival is not None and rival[0].order > asked:
-            fewer = [one for one in self._without_a_mode(*rival[:2]) if one[0].order >= asked]
-            rival = min(fewer, key=lambda one: one[0].bic, default=None)
-        if rival is None or rival[0].bic >= found.bic:
+        while rival is not None and rival.order > asked:
+            fewer = (one for one in self._without_a_mode(rival) if one.order >= asked)
+            rival = min(fewer, key=lambda one: one.best.bic, default=None)
+        if rival is None or rival.best.bic >= found.bic:
             return found
-        self._take(rival)
-        return rival[0]
+        self.models[asked] = rival
+        return rival.best
 
-    def _without_a_mode(self, found, coordinates):
-        """Stable models of what is left of a model's states without each of its modes."""
-        rows = self.states.rows(self.data, coordinates)
-        sums = StateSums.of(rows, self.most, self.basis.most_loads)
-        turning = self.layout.n_harmonics
-        fewer = coordinates_without_modes(self.model(sums, found.n_harmonics), turning)
+    def _without_a_mode(self, models):
+        """Stable models of what is left of the best one's states without each of its modes."""
+        coordinates, turning = models.coordinates, self.layout.n_harmonics
+        whole = self.model(self._sums(coordinates), models.best.n_harmonics)
         n_harmonics = min(len(coordinates) // 2 + turning, self.most)
-        models = [self._of(within(coordinates, V, n_harmonics)) for V in fewer]
-        return [one for one in models if one[0].stable]
+        for V in coordinates_without_modes(whole, turning):
+            found = self._of(within(coordinates, V, n_harmonics))
+            if found.best.stable:
+                yield found
 
     def whole(self, chosen):
         """The model of some order and harmonics, of all rows."""
@@ -370,7 +388,7 @@ class Choice:
 
     def kept(self):
         """Models to choose from: stable ones if asked for, and of them those of a machine."""
-        return self._kept([pair for models in self.models.values() for pair in models])
+        return self._kept([pair for models in self.models.values() for pair in models.tried])
 
     def _kept(self, models):
         kept = [pair for pair in models if pair[0].stable or not self.settings.stable]
@@ -379,7 +397,7 @@ class Choice:
     def _noise(self, innovations):
         """Covariance of innovations, and of what is left of next states and of outputs."""
         n, total, n_rows = innovations.n_states, 0.0, 0
-        for x, following, u, y, e, psi in self.states.rows(self.data, self.coordinates[n]):
+        for x, following, u, y, e, psi in self.states.rows(self.data, self.models[n].coordinates):
             form = innovations.rows(psi)
             known = np.hstack([x, u, np.ones((len(u), 1))])[..., None]
             rest = following - (form.states @ known + form.gain @ e[..., None])[..., 0]
