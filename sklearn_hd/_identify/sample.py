@@ -279,7 +279,7 @@ class _Found:
 
     @property
     def bic_of_predictions(self):
-        """With products, or of their simulation; infinite without them."""
+        """With products, or of their simulation."""
         return self.choice.bic_of_predictions(self.chosen, self.refined)
 
     @property
@@ -306,7 +306,7 @@ def _or_fuller(found, choice):
     """A linear model of one state more that leaves but noise after steps of the likelihood, if any.
 
     Before them, closed forms may leave so much more than noise that the state pays for nothing, and
-    products of the other states stand for it.
+    products of the other states stand for it. Where these predict better, they do not.
     """
     if found.leaves_noise:
         return found
@@ -315,7 +315,11 @@ def _or_fuller(found, choice):
         return found
     one, linear = min(more, key=lambda one: one.bic), replace(found.refined, large=None)
     fuller = _Found(choice, one, choice.refined(choice.whole(one), one.stable, linear))
-    return fuller if fuller.leaves_noise and fuller.left.bic < found.left.bic else found
+    if not (fuller.leaves_noise and fuller.left.bic < found.left.bic):
+        return found
+    if found.refined.degrees and fuller.bic_of_predictions >= found.bic_of_predictions:
+        return found
+    return fuller
 
 
 def _or_simpler(found, choice):
@@ -333,7 +337,8 @@ def _or_simpler(found, choice):
     )
     if found.refined.degrees:
         simpler, way = list(simpler), found.refined.simulates
-        alike = [found, *(one for one in simpler if one.refined.simulates == way)]
+        with_products = (one for one in simpler if one.refined.degrees)
+        alike = [found, *(one for one in with_products if one.refined.simulates == way)]
         found = min(alike, key=lambda one: one.bic_of_predictions)
     if not found.against and found.lasts:
         return found

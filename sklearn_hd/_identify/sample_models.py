@@ -454,13 +454,13 @@ class Choice:
         return n_free * ((2 * first + 1) * np.log(n_rows) + 4 * (count - first))
 
     def bic_of_predictions(self, chosen, refined):
-        """The criterion of one-step predictions with products as inputs; infinite without."""
-        large = refined.large
-        if large is None:
-            return np.inf
+        """The criterion of one-step predictions, with products as inputs where these pay."""
+        large, linear = refined.large, refined.linear
+        covariance = linear.covariance if large is None else large.covariance
+        n_inputs = linear.n_inputs if large is None else large.model.n_inputs
         n_rows = sum(len(y) for _, y, _ in self.data.segments)
-        left = n_rows * np.linalg.slogdet(_with_noise(large.covariance))[1]
-        return left + self._spent(chosen.order, chosen.n_harmonics, large.model.n_inputs, n_rows)
+        left = n_rows * np.linalg.slogdet(_with_noise(covariance))[1]
+        return left + self._spent(chosen.order, chosen.n_harmonics, n_inputs, n_rows)
 
     def start(self, innovations, s):
         """State at the first row of a segment, in the units of the signals."""
