@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd._identify.sample import _Found, _or_fuller
-from sklearn_hd._identify.sample_models import Refined
+from sklearn_hd._identify.sample_models import Choice, Refined
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
@@ -263,21 +264,37 @@ def test_one_doublet_of_two_measured_states_takes_no_third():
     np.testing.assert_allclose(found, [-0.25 - 0.0331j, -0.25 + 0.0331j], atol=0.01)
 
 
+def knowing(noise, **others):
+    """A choice that knows the noise."""
+    choice = SimpleNamespace(noise=noise, **others)
+    choice.leaves_noise = partial(Choice.leaves_noise, choice)
+    return choice
+
+
 @pytest.mark.parametrize(
-    ("own", "fuller", "taken"),
+    ("own", "fuller", "degrees", "predictions", "taken"),
     [
-        (4e-4, 1.05e-4, True),
-        (4e-4, 2e-4, False),  # gusts, or a machine that is not linear: both leave more than noise
-        (1.05e-4, 1e-4, False),  # nothing is missing
+        (4e-4, 1.05e-4, (), 0.0, True),
+        (4e-4, 2e-4, (), 0.0, False),  # gusts, or not linear: both leave more than noise
+        (1.05e-4, 1e-4, (), 0.0, False),  # nothing is missing
+        (4e-4, 1.05e-4, (2,), 1.0, True),  # products stand for the state
+        (4e-4, 1.05e-4, (2,), -1.0, False),  # the machine is not linear
     ],
 )
-def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(own, fuller, taken):
+def test_one_state_more_is_taken_where_it_alone_leaves_but_noise(
+    own, fuller, degrees, predictions, taken
+):
     tried = [SimpleNamespace(order=n, n_harmonics=1, bic=0.0, stable=True) for n in (2, 3)]
     left = {n: SimpleNamespace(variance=v, bic=np.log(v)) for n, v in ((2, own), (3, fuller))}
-    refined = Refined(None, None, None)
-    choice = SimpleNamespace(
-        noise=1e-4,
+    large = SimpleNamespace(
+        products=SimpleNamespace(degrees=degrees),
+        small_motions=lambda rest: SimpleNamespace(innovations=None),
+    )
+    refined = Refined(None, None, None, large=large if degrees else None)
+    choice = knowing(
+        1e-4,
         kept=lambda: tried,
+        bic_of_predictions=lambda chosen, refined: predictions if chosen.order == 2 else 0.0,
         whole=lambda one: one,
         refined=lambda innovations, stable, like: refined,
         compared=lambda order, count, innovations: left[order],
@@ -303,7 +320,7 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
 ):
     def found(left, bic, against, *exponents):
         model = SimpleNamespace(exponents=lambda: np.array(exponents, complex), omega=0.8)
-        it = _Found(SimpleNamespace(noise=noise), None, None)
+        it = _Found(knowing(noise), None, None)
         it.__dict__.update(left=SimpleNamespace(variance=left, bic=bic), model=model)
         it.__dict__.update(against=against)
         return it

@@ -285,7 +285,7 @@ class _Found:
     @property
     def leaves_noise(self):
         """Whether its simulation leaves as little as one-step predictions of the predictor."""
-        return self.left.variance <= AS_LITTLE * self.choice.noise
+        return self.choice.leaves_noise(self.left)
 
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.

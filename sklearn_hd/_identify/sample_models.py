@@ -220,6 +220,9 @@ class Choice:
                 f"stable; use stable=False and predict_ahead, another order, or fewer harmonics"
             )
         best = best_of(found, choices[0].n_values)
+        both = zip(bests, choices, strict=True)
+        if all(one is not None and one.stable and each.leaves_noise(one) for one, each in both):
+            best = min(found, key=lambda one: (one.order, one.bic))  # D, or states instead of it
         if not best.stable:
             best = _as_fairly_compared(best, choices)
         choices.sort(key=lambda each: best not in each.tried)
@@ -252,6 +255,10 @@ class Choice:
         """What one-step predictions of the predictor leave, as ``Simulated.variance`` counts it."""
         left = self.predictor.left[self.total > 0.0]
         return float(np.exp(np.mean(np.log(left + SENSOR_NOISE**2))))
+
+    def leaves_noise(self, one):
+        """Whether a simulation leaves as little as one-step predictions of the predictor."""
+        return one.variance <= AS_LITTLE * self.noise
 
     def best(self):
         """What the model of the least criterion leaves: a Simulated; None if none may be kept."""
@@ -303,7 +310,7 @@ class Choice:
         asked, rival = found.order, None
         for order in range(asked + 1, min(asked + PATIENCE, self.states.bound) + 1):
             rival = self._of(self._constant(order))
-            if rival.best.variance <= AS_LITTLE * self.noise:
+            if self.leaves_noise(rival.best):
                 break
         while rival is not None and rival.order > asked:
             fewer = (one for one in self._without_a_mode(rival) if one.order >= asked)
@@ -314,13 +321,16 @@ class Choice:
         return rival.best
 
     def _without_a_mode(self, models):
-        """Stable models of what is left of the best one's states without each of its modes."""
+        """Models of what is left of the best one's states without each of its modes.
+
+        Stable ones, those that a machine may have.
+        """
         coordinates, turning = models.coordinates, self.layout.n_harmonics
         whole = self.model(self._sums(coordinates), models.best.n_harmonics)
         n_harmonics = min(len(coordinates) // 2 + turning, self.most)
         for V in coordinates_without_modes(whole, turning):
             found = self._of(within(coordinates, V, n_harmonics))
-            if found.best.stable:
+            if found.best.stable and (found.best, True) in found.tried:
                 yield found
 
     def whole(self, chosen):
