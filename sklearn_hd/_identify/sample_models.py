@@ -293,8 +293,8 @@ class Choice:
 
         A model in coordinates that turn with the states may be as good with fewer of them.
         """
-        more = (self.models.get(order) for order in (found.order, found.order + 1))
-        ahead = [models for models in more if models is not None and models.best.stable]
+        orders = found.order, found.order + 1
+        ahead = [self.models[order] for order in orders if order in self.models]
         while ahead:
             fewer = sorted(self._without_a_mode(ahead.pop()), key=lambda one: one.best.bic)
             for one in fewer:
@@ -323,8 +323,10 @@ class Choice:
     def _without_a_mode(self, models):
         """Models of what is left of the best one's states without each of its modes.
 
-        Stable ones, those that a machine may have.
+        Of a stable one, stable ones that a machine may have.
         """
+        if not models.best.stable:
+            return
         coordinates, turning = models.coordinates, self.layout.n_harmonics
         whole = self.model(self._sums(coordinates), models.best.n_harmonics)
         n_harmonics = min(len(coordinates) // 2 + turning, self.most)

@@ -83,7 +83,7 @@ def _carried(A, start):
 def _closed(bases):
     """The same bases, turned so that the last is the first, without it; None if none is."""
     turn, q = bases[0].T @ bases[-1], len(bases) - 1
-    if linalg.det(turn) < 0.0:
+    if linalg.det(turn) < 0.5:  # −1 of a reflection; 0 where a mode is lost in rounding
         return None
     return bases[:-1] @ linalg.expm(-np.arange(q)[:, None, None] / q * _logarithm(turn))
 
