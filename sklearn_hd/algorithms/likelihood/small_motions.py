@@ -45,7 +45,7 @@ NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmoni
 SETTLED = 1e-3  # of the motion: by no more may the last of them move
 REACHED = 0.99  # of the rows, the motion in which counts as its reach
 MOST_NUMBERS = 5e6  # sensitivities to products' coefficients: with more, steps take long
-LEAST_APART = 0.05  # of a product's variance, which states and inputs do not explain
+LEAST_OF_ITS_OWN = 0.05  # of a product's variance, which states and inputs do not explain
 AS_LITTLE = 1.1  # times what another model leaves: no more
 
 
@@ -367,7 +367,7 @@ def _told_as_factors(motion, degrees, n_loads):
     q = np.vstack([own for own, *_ in beside])
     left = q - moved @ linalg.lstsq(moved, q)[0]
     share = np.mean(left**2, axis=0)  # products are of size one
-    return tuple(w for w, own in zip(products.which, share, strict=True) if own < LEAST_APART)
+    return tuple(w for w, own in zip(products.which, share, strict=True) if own < LEAST_OF_ITS_OWN)
 
 
 def _values(which, centre, z, psi):

@@ -1,14 +1,14 @@
 """Coordinates of the states that a periodic model has without one of its Floquet modes.
 
-The other modes span a subspace that A(ψ) carries from sample to sample, and that turns with ψ. Of
-coordinates of it, orthonormal at every azimuth, V(ψ), those have the fewest harmonics that do not
-turn within the subspace (parallel transport); what they have turned by after 2π, a rotation R, is
+The other modes span a subspace that A(ψ) carries from sample to sample, and that turns with ψ. Its
+coordinates V(ψ) are orthonormal at every azimuth. They do not turn within the subspace (parallel
+transport), so that they have few harmonics. After 2π they are turned by a rotation R, which is
 taken back evenly,
 
     V_k ← V_k exp(−(k/q) log R),   k = 0 … q − 1
 
-If R is a reflection, the subspace has no coordinates that repeat every turn: so it is where a mode
-of a negative multiplier is left out, or left alone.
+If R is a reflection, the subspace has no coordinates that repeat every turn. That is so where one
+mode of a negative multiplier is left out, or left alone.
 
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 """
