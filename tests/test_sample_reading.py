@@ -20,7 +20,7 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 from sklearn_hd.model_selection import BlockSplit
-from sklearn_hd.systems import LTPSystem
+from sklearn_hd.systems import LTPSystem, flapping_blade
 
 OMEGA = 2 * np.pi  # a turn is a second
 
@@ -111,6 +111,22 @@ def test_states_that_the_outputs_show_in_turning_coordinates_are_not_more(order)
     assert pipe["identify"].order_ == 2
     found = np.sort(pipe["identify"].ltp_.floquet_exponents().real)
     np.testing.assert_allclose(found, np.sort(true.floquet_exponents().real), rtol=0.02)
+
+
+def test_outputs_are_the_states_where_there_are_enough():
+    """All that is known of a blade's flap to come turns far over a turn; flap and rate do not."""
+    blade, rng = flapping_blade(gamma=4.0), np.random.default_rng(1)
+    u = np.repeat(rng.choice([-1.0, 1.0], 300), 16)
+    time = pd.Index(np.arange(len(u)) * blade.period / 32, name="time")
+    y = np.asarray(blade.simulate(u[:, None], time.to_numpy()))
+    y = y + 0.02 * y.std(axis=0) * rng.standard_normal(y.shape)
+    frames = pd.DataFrame({"u": u}, time), pd.DataFrame(y, time, ["flap", "rate"])
+    identify = pipeline(blade.omega).fit(*frames)["identify"]
+    tried = pd.DataFrame(identify.order_search_)
+    assert identify.order_ == 2
+    assert tried.loc[tried["order"] == 2, "share"].min() < 1.02 * 0.02  # before steps of likelihood
+    assert identify.n_harmonics_ <= 3
+    same_exponents(identify.ltp_.floquet_exponents(), blade, 0.02)
 
 
 def test_loads_are_told_from_the_dynamics():

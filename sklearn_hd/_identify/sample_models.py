@@ -45,11 +45,14 @@ class _States:
     singular_values : ndarray
     bound : int
         The most states that there are.
+    of_outputs : ndarray, shape (bound, l)
+        Coordinates of what the predictor knows of a row's own outputs, the strongest first.
     """
 
     parts: list
     singular_values: np.ndarray
     bound: int
+    of_outputs: np.ndarray
 
     @classmethod
     def of(cls, data, predictor, settings, noise):
@@ -78,7 +81,9 @@ class _States:
                 e -= np.einsum("til,ti->tl", evaluate_harmonics(predictor.D, psi[rows]), u[rows])
             parts.append((first, ahead @ V, e))
         singular_values = np.sqrt(np.maximum(values[::-1], 0.0))
-        return cls(parts, singular_values, n)
+        sights = vectors[:n_outputs, ::-1][:, :n].T
+        strongest = linalg.svd(singular_values[:n, None] * sights)[2]
+        return cls(parts, singular_values, n, sights @ strongest.T)
 
     def rows(self, data, coordinates, some=True):
         """States, next states, inputs, outputs, innovations and azimuths, in some coordinates.
@@ -264,7 +269,7 @@ class Choice:
         """What the model of the least criterion leaves: a Simulated; None if none may be kept."""
         asked, found = self.settings.order, None
         for order in range(1, self.states.bound + 1) if asked == "auto" else [asked]:
-            self.models[order] = self._of(self._constant(order))
+            self.models[order] = self._constant(order)
             kept = self.kept()
             found = best_of(kept, self.n_values) if kept else None
             if found is not None and found.order <= order - PATIENCE:
@@ -274,7 +279,12 @@ class Choice:
         return self._without_spurious_modes(found) if asked == "auto" else self._of_more(found)
 
     def _constant(self, order):
-        return np.eye(self.states.bound)[None, :, :order]
+        """Models in constant coordinates: of all that is known of outputs to come, or, where there
+        are enough of them, of a row's own outputs, which turn no more than C(ψ) does."""
+        every = [np.eye(self.states.bound)[:, :order]]
+        if order <= self.data.n_outputs:
+            every.append(self.states.of_outputs[:, :order])
+        return min((self._of(V[None]) for V in every), key=lambda models: models.best.bic)
 
     def _of(self, coordinates):
         """Models in some coordinates."""
@@ -309,7 +319,7 @@ class Choice:
         """The model asked for, by way of more states where constant coordinates take more."""
         asked, rival = found.order, None
         for order in range(asked + 1, min(asked + PATIENCE, self.states.bound) + 1):
-            rival = self._of(self._constant(order))
+            rival = self._constant(order)
             if self.leaves_noise(rival.best):
                 break
         while rival is not None and rival.order > asked:
