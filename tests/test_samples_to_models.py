@@ -409,6 +409,24 @@ def test_a_feedthrough_that_data_show_is_kept():
         pipeline(2.0, structure=HarmonicStructure(F=1, G=0, Q={"0": np.zeros((2, 1))})).fit(u, y)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_structure_left_open_leaves_no_more_than_the_model_identified(seed):
+    """Two outputs that are nearly one: with few harmonics of F, states would be off by more."""
+    F = [
+        [[-0.198, -1.257], [3.62, -0.413]],
+        [[0.253, -0.819], [0.062, 0.052]],
+        [[-0.415, 0.004], [-0.658, 0.231]],
+    ]
+    G = [[[-1.348], [-1.387]], [[-0.027], [0.106]], [[-0.518], [-0.181]]]
+    P = [[-0.002, -0.726], [0.104, 1.152]]
+    twins = LTPSystem(F, G, P, omega=2.0, input_names=["u"], output_names=["a", "b"])
+    u, y = record(twins, samples=16, seed=seed)
+    pipe = pipeline(2.0, structure=HarmonicStructure()).fit(u, y)
+    left, identified = 1.0 - pipe.score(u, y), 1.0 - pipe[:2].score(u, y)
+    assert left < 2.0 * identified
+    same_exponents(pipe["match"].ltp_.floquet_exponents(), twins, 0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the model's residuals are not noise")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine the 2 states")

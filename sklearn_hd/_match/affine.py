@@ -318,13 +318,14 @@ def match_samples(model, experiment, structure, settings):
         found = match.model
         coefficients, n = np.block([[found.A, found.B], [found.C, found.D]])[None], found.n_states
     sampled = model.of_matched(coefficients, n)
-    unlike = _unlike(sampled, model, experiment)
-    if unlike is None:
-        return replace(match, sampled=sampled)
     harmonic = isinstance(structure, HarmonicStructure)
     constrained = structure is not None and not (harmonic and structure.left_open)
-    if harmonic and not constrained and match.periodic.physical and not model.time_invariant:
-        return match_samples(model, experiment, None, settings)  # F was allowed few harmonics
+    few = harmonic and not (constrained or model.time_invariant) and match.periodic.physical
+    unlike = _unlike(sampled, model, experiment, within_noise=few)
+    if unlike is None:
+        return replace(match, sampled=sampled)
+    if few:  # harmonics, which F was allowed
+        return match_samples(model, experiment, None, settings)
     words, category = unlike
     if constrained:
         way = "give the structure more harmonics, Q where there is a feedthrough, or fewer fixed "
@@ -413,9 +414,12 @@ def _decomposed(model, basis):
     return like, basis
 
 
-def _unlike(sampled, model, experiment):
+def _unlike(sampled, model, experiment, within_noise):
     """Words and kind of warning of a match that grows e-fold within a segment, or responds
-    otherwise, where the model identified does not; None where it is like that model."""
+    otherwise, where the model identified does not; None where it is like that model.
+
+    To a part of the response, or to within the noise.
+    """
     longest = max(map(len, experiment.outputs))
     if longest * model.innovations.growth() > 1.0:  # it has been warned of
         return None
@@ -428,7 +432,7 @@ def _unlike(sampled, model, experiment):
             f"although the identified model is stable",
             InstabilityWarning,
         )
-    left, there = 0.0, 0.0
+    left, there, n_rows = 0.0, 0.0, 0
     for u, psi in zip(experiment.drive, experiment.phases, strict=True):
         found, wanted = (
             _response(each, model.moving(u, psi)[:MOST_ROWS], psi[:MOST_ROWS])
@@ -436,9 +440,12 @@ def _unlike(sampled, model, experiment):
         )
         left = left + np.sum((found - wanted) ** 2, axis=0)
         there = there + np.sum(wanted**2, axis=0)
-    share = np.max(left / np.where(there > 0.0, there, np.inf))
-    if not share > UNLIKE:
+        n_rows += len(wanted)
+    noise = n_rows * np.diag(model.innovations_covariance)
+    most = np.minimum(noise, UNLIKE * there) if within_noise else UNLIKE * there
+    if not np.any(left > most):
         return None
+    share = np.max(left / np.where(there > 0.0, there, np.inf))
     return (
         f"the matched model's response to the inputs differs from the identified model's by "
         f"{share:.2g} times its variance",
