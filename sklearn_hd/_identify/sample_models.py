@@ -187,6 +187,11 @@ class _Models:
     def order(self):
         return self.best.order
 
+    @property
+    def is_possible(self):
+        """Whether a machine may have the best one's multipliers."""
+        return (self.best, True) in self.tried
+
 
 class Choice:
     """The order and the harmonics of the matrices, by what simulations of the record leave.
@@ -282,9 +287,12 @@ class Choice:
         """Models in constant coordinates: of all that is known of outputs to come, or, where there
         are enough of them, of a row's own outputs, which turn no more than C(ψ) does."""
         every = [np.eye(self.states.bound)[:, :order]]
-        if order <= self.data.n_outputs:
+        if self.most and order <= self.data.n_outputs:
             every.append(self.states.of_outputs[:, :order])
-        return min((self._of(V[None]) for V in every), key=lambda models: models.best.bic)
+        models = [self._of(V[None]) for V in every]
+        models = [each for each in models if each.is_possible] or models
+        best = best_of([each.best for each in models], self.n_values)
+        return next(each for each in models if each.best is best)
 
     def _of(self, coordinates):
         """Models in some coordinates."""
@@ -342,7 +350,7 @@ class Choice:
         n_harmonics = min(len(coordinates) // 2 + turning, self.most)
         for V in coordinates_without_modes(whole, turning):
             found = self._of(within(coordinates, V, n_harmonics))
-            if found.best.stable and (found.best, True) in found.tried:
+            if found.best.stable and found.is_possible:
                 yield found
 
     def whole(self, chosen):
