@@ -416,10 +416,8 @@ def _decomposed(model, basis):
 
 def _unlike(sampled, model, experiment, within_noise):
     """Words and kind of warning of a match that grows e-fold within a segment, or responds
-    otherwise, where the model identified does not; None where it is like that model.
-
-    To a part of the response, or to within the noise.
-    """
+    otherwise, where the model identified does not; None where it is like that model, to a
+    hundredth of the response's variance or to within the noise."""
     longest = max(map(len, experiment.outputs))
     if longest * model.innovations.growth() > 1.0:  # it has been warned of
         return None
@@ -443,7 +441,7 @@ def _unlike(sampled, model, experiment, within_noise):
         n_rows += len(wanted)
     noise = n_rows * np.diag(model.innovations_covariance)
     most = np.minimum(noise, UNLIKE * there) if within_noise else UNLIKE * there
-    if not np.any(left > most):
+    if not np.any((left > most) & (there > 0.0)):  # an output at rest has rounding alone
         return None
     share = np.max(left / np.where(there > 0.0, there, np.inf))
     return (
