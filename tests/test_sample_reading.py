@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -13,6 +14,10 @@ from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer
+from sklearn_hd._identify import sample
+from sklearn_hd._identify.sample_models import Choice, Refined
+from sklearn_hd._identify.stages import Settings
+from sklearn_hd._records.data import read_for_fit
 from sklearn_hd.datasets import make_rotor
 from sklearn_hd.exceptions import (
     FrequencyMismatchWarning,
@@ -127,6 +132,30 @@ def test_outputs_are_the_states_where_there_are_enough():
     assert tried.loc[tried["order"] == 2, "share"].min() < 1.02 * 0.02  # before steps of likelihood
     assert identify.n_harmonics_ <= 3
     same_exponents(identify.ltp_.floquet_exponents(), blade, 0.02)
+
+
+def test_a_mode_that_nothing_moves_is_truncated():
+    """A third state that neither inputs nor innovations move, beside two that are coupled to it."""
+    u, y, *_ = machine()
+    X = HarmonicAnalyzer(OMEGA, reading="sample").fit(u, y).transform(u)
+    experiment = read_for_fit(X, y)
+    data = sample.read(experiment, Settings())
+    choice, best, *_ = Choice.of(data, Settings(), experiment.basis)
+    good = choice.refined(choice.whole(best), best.stable).linear
+    n = good.n_states
+    coefficients = np.insert(np.insert(good.coefficients, n, 0.0, axis=1), n, 0.0, axis=2)
+    coefficients[0, n, n], coefficients[0, :n, n], coefficients[0, n + 1 :, n] = 0.6, 0.3, 0.5
+    more = replace(good, coefficients=coefficients, gain=np.insert(good.gain, n, 0.0, axis=1))
+    left, few = choice.without_a_mode(more, best.n_harmonics)
+    np.testing.assert_allclose(
+        np.sort_complex(few.multipliers()), np.sort_complex(good.multipliers())
+    )
+    np.testing.assert_allclose(left.variance, choice.compared(n, 0, good).variance, rtol=1e-3)
+    one = choice.compared(n + 1, best.n_harmonics, more)
+    found = sample._Found(choice, one, Refined(more, None, data.rest, "what it leaves is no noise"))
+    kept = sample._without_spurious_modes(found, choice)
+    assert kept.chosen.order == n == 2
+    assert kept.left.bic < found.left.bic
 
 
 def test_loads_are_told_from_the_dynamics():

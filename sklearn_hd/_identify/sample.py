@@ -7,7 +7,8 @@
 4. Matrices, K and loads by least squares; order and harmonics by simulation (Schwarz's criterion).
 5. Steps of the likelihood from there, which bring back what the lags have lost.
 6. Products of states and inputs as further inputs, where a linear model does not hold.
-7. One state more or fewer, where that serves as well after these steps.
+7. One state more or fewer, where that serves as well after these steps; modes that it does not
+   need are truncated.
 """
 
 from dataclasses import dataclass, replace
@@ -163,7 +164,8 @@ def identify(data, settings, experiment):
     choice, best, reason, tried = Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, best)
     if settings.order == "auto" and not searching():
-        found = _or_simpler(_or_fuller(found, choice), choice)
+        found = _without_spurious_modes(_or_fuller(found, choice), choice)
+        found = _or_simpler(found, choice)
     model, chosen = found.model, found.chosen
     words = list(found.against)
     held = experiment.basis.hop == 1  # else inputs move between rows, which goes with inputs, too
@@ -320,6 +322,25 @@ def _or_fuller(found, choice):
     if found.refined.degrees and fuller.bic_of_predictions >= found.bic_of_predictions:
         return found
     return fuller
+
+
+def _without_spurious_modes(found, choice):
+    """A linear model in doubt, truncated by the modes that it does not need.
+
+    The mode that a simulation misses least is left out, and steps of the likelihood follow. If
+    they leave more of the record than it did, or the criterion is not lower, it stays.
+    """
+    while found.against and found.left.stable and not found.refined.degrees:
+        n_harmonics = found.chosen.n_harmonics
+        fewer = choice.without_a_mode(found.refined.linear, n_harmonics)
+        if fewer is None:
+            break
+        one, linear = fewer[0], replace(found.refined, large=None)
+        one = _Found(choice, one, choice.after_steps(fewer[1], one.stable, linear))
+        if one.left.bic >= found.left.bic or one.left.variance > AS_LITTLE * found.left.variance:
+            break
+        found = one
+    return found
 
 
 def _or_simpler(found, choice):

@@ -15,7 +15,11 @@ from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE, LargeMotions
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.periodic.moving_coordinates import coordinates_without_modes, within
+from sklearn_hd.algorithms.periodic.moving_coordinates import (
+    coordinates_without_modes,
+    within,
+    without_modes,
+)
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_predictor import (
     SENSOR_NOISE,
@@ -376,10 +380,23 @@ class Choice:
         -------
         refined : Refined
         """
-        asked, count = self.basis.n_input_harmonics, innovations.n_harmonics
+        start = innovations.filtered(self._noise(innovations))
+        return self.after_steps(start, stable, like)
+
+    def without_a_mode(self, innovations, n_harmonics):
+        """The model without the mode that a simulation misses least, and what that leaves."""
+        few = [
+            (self.compared(one.n_states, n_harmonics, one), one)
+            for one in without_modes(innovations, n_harmonics)
+        ]
+        few = [(left, one) for left, one in few if left.stable and one.is_possible()]
+        return min(few, key=lambda pair: pair[0].bic, default=None)
+
+    def after_steps(self, start, stable, like=None):
+        """A model that has a gain, after steps of its likelihood, as :meth:`refined` gives it."""
+        asked, count = self.basis.n_input_harmonics, start.n_harmonics
         layout = replace(self.layout, n_input_harmonics=count if asked is None else asked)
         most_growth = GROWN / self.data.longest if stable else np.inf
-        start = innovations.filtered(self._noise(innovations))
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
         found = most_likely(start, *likelihood) if self.steps else None
         model, ahead = (start, None) if found is None else found

@@ -18,7 +18,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import (
+    evaluate_harmonics,
+    resize_harmonics,
+)
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 
@@ -55,19 +58,61 @@ def coordinates_without_modes(model, n_harmonics):
     coefficients : ndarray, shape (2 n_harmonics + 1, n, k)
         Of V(ψ), in the order 0, 1c, 1s, …; k states are left.
     """
+    for V, _ in _split(model):
+        yield sampled_harmonics(V, n_harmonics)
+
+
+def without_modes(model, n_harmonics):
+    """The model truncated by each mode or complex pair of modes, its other modes as they are.
+
+        z = L(ψ) x,   L V = I, and L is zero on the mode left out
+        A ← L(ψ + δ) A V,   B, a, K ← L(ψ + δ) B, a, K,   C ← C V
+
+    Parameters
+    ----------
+    model : PeriodicInnovations
+    n_harmonics : int
+        Kept of A, B, C, D and K.
+
+    Yields
+    ------
+    model : PeriodicInnovations
+    """
+    n, highest = model.n_states, max(n_harmonics, len(model.coefficients) // 2)
+    for V, others in _split(model):
+        most, k = (len(V) - 1) // 2, V.shape[2]
+        L = np.linalg.inv(np.concatenate([V, others], axis=2))[:, :k]
+        n_azimuths = 4 * (most + highest) + 1
+        psi = 2.0 * np.pi * np.arange(n_azimuths) / n_azimuths
+        V = evaluate_harmonics(sampled_harmonics(V, most), psi)
+        L = evaluate_harmonics(sampled_harmonics(L, most), psi + model.step)
+        whole = evaluate_harmonics(model.coefficients, psi)
+        whole = np.concatenate([L @ whole[:, :n], whole[:, n:]], axis=1)
+        whole = np.concatenate([whole[..., :n] @ V, whole[..., n:]], axis=2)
+        coefficients = sampled_harmonics(whole, highest)
+        coefficients[2 * n_harmonics + 1 :, :, :-1] = 0.0  # loads may have more
+        gain = resize_harmonics(
+            sampled_harmonics(L @ evaluate_harmonics(model.gain, psi), n_harmonics), highest
+        )
+        yield replace(model, coefficients=coefficients, gain=gain)
+
+
+def _split(model):
+    """Bases of the subspaces of the other modes, and of the mode left out, for each of a model."""
     A = replace(model, start=0.0).whole_turn()[1][..., : model.n_states]
     turn = np.eye(model.n_states)
     for each in A:
         turn = each @ turn
     values, vectors = np.linalg.eig(turn)
     for k in np.flatnonzero(values.imag >= 0.0):  # the other one of a pair follows it
-        others = np.delete(vectors, [k, k + 1] if values[k].imag > 0.0 else [k], axis=1)
-        if others.size:
-            n_kept = others.shape[1]
-            start = linalg.svd(np.hstack([others.real, others.imag]))[0][:, :n_kept]
-            V = _closed(_carried(A, start))
+        own = [k, k + 1] if values[k].imag > 0.0 else [k]
+        both = np.delete(vectors, own, axis=1), vectors[:, own]
+        if both[0].size:
+            starts = (linalg.svd(np.hstack([v.real, v.imag]))[0][:, : v.shape[1]] for v in both)
+            others, left_out = (_carried(A, start) for start in starts)
+            V = _closed(others)
             if V is not None:
-                yield sampled_harmonics(V, n_harmonics)
+                yield V, left_out[:-1]
 
 
 def _carried(A, start):

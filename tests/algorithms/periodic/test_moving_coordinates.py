@@ -1,5 +1,7 @@
 """Coordinates of the states that are left without a mode."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -10,6 +12,7 @@ from sklearn_hd.algorithms.periodic.moving_coordinates import (
     _logarithm,
     coordinates_without_modes,
     within,
+    without_modes,
 )
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
@@ -65,6 +68,32 @@ def test_a_mode_of_a_negative_multiplier_has_no_coordinates_of_its_own():
     (left,) = coordinates_without_modes(model, 1)
     np.testing.assert_allclose(left[0] @ left[0].T, np.diag([1.0, 1.0, 0.0]), atol=1e-9)
     np.testing.assert_allclose(left[1:], 0.0, atol=1e-9)
+
+
+def test_truncation_leaves_the_other_modes_and_what_inputs_do_to_them():
+    """Inputs and innovations move two of three modes; without the third nothing changes."""
+    model = turning(np.array([[0.95, 0.1, 0.2], [0.0, 0.5, 0.3], [0.0, 0.0, 0.8]]))
+    moved = axes(PSI + STEP) @ np.array([[0.7, 0.1], [0.3, -0.2], [0.0, 0.0]])
+    coefficients = model.coefficients.copy()
+    coefficients[:, :3, 3:4] = sampled_harmonics(moved[..., :1], 2)
+    coefficients[0, 3] = [1.0, -0.5, 0.4, 0.2, 0.0]
+    gain = sampled_harmonics(moved[..., 1:], 2)
+    model = replace(model, coefficients=coefficients, gain=gain)
+    found, size = list(without_modes(model, 4)), np.array([0.5, 0.8, 0.95]) ** 16
+    own = [np.sort(each.multipliers().real) for each in found]
+    for k in range(3):
+        assert sum(np.allclose(each, np.delete(size, k), rtol=1e-9) for each in own) == 1
+    (few,) = (f for f, each in zip(found, own, strict=True) if np.allclose(each, size[[0, 2]]))
+    rng, psi = np.random.default_rng(0), 0.1 + STEP * np.arange(40)
+    u, y = rng.standard_normal((2, 40, 1))
+    for answer in ("simulated", "innovations"):
+        signals = (u,) if answer == "simulated" else (u, y)
+        ours, wanted = (
+            getattr(each.rows(psi), answer)(*signals, np.zeros(each.n_states))
+            for each in (few, model)
+        )
+        ours, wanted = (np.asarray(z[-1] if len(signals) > 1 else z) for z in (ours, wanted))
+        np.testing.assert_allclose(ours, wanted, atol=1e-9)
 
 
 def test_coordinates_within_coordinates_are_their_product():
