@@ -291,7 +291,8 @@ class Choice:
         """Models in constant coordinates: of all that is known of outputs to come, or, where there
         are enough of them, of a row's own outputs, which turn no more than C(ψ) does."""
         every = [np.eye(self.states.bound)[:, :order]]
-        if self.most and order <= self.data.n_outputs:
+        moving = sum(np.any([np.any(y, axis=0) for _, y, _ in self.data.segments], axis=0))
+        if self.most and order <= moving:
             every.append(self.states.of_outputs[:, :order])
         models = [self._of(V[None]) for V in every]
         models = [each for each in models if each.is_possible] or models
