@@ -139,14 +139,15 @@ def test_predictions_that_are_exact_beside_products_lead_to_a_simulation():
 
 @pytest.mark.slow
 def test_steps_go_on_while_they_move_an_exponent():
-    """A doublet that shows the fast mode of a wing little: after eight steps it is 7.7 % off."""
+    """A doublet that shows the fast mode of a wing little: right to 5 %, and in doubt."""
     doublet = {"start": 8, "width": 10, "amplitude": 0.005, "offset": 29 / 64}
     data = make_flapping_wing("nltp", n_periods=60, **doublet)
     analyzer = HarmonicAnalyzer(data.omega, reading="sample", output_harmonics=1)
-    model = make_pipeline(analyzer, MOESPRegressor()).fit(data.inputs, data.outputs)[-1]
+    with pytest.warns(IdentifiabilityWarning, match="1 of 2 exponents are in doubt"):
+        model = make_pipeline(analyzer, MOESPRegressor()).fit(data.inputs, data.outputs)[-1]
     own = data.ltp.floquet_exponents()
     found = model.ltp_.floquet_exponents()
-    assert np.max(np.abs(found - own) / np.abs(own)) < 0.03
+    assert np.max(np.abs(found - own) / np.abs(own)) < 0.05
 
 
 @pytest.mark.slow
