@@ -8,7 +8,11 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, report
+from sklearn_hd._identify import sample
 from sklearn_hd._identify.sample import Samples
+from sklearn_hd._identify.sample_models import Choice
+from sklearn_hd._identify.stages import Settings
+from sklearn_hd._records.data import read_for_fit
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
@@ -139,15 +143,24 @@ def test_predictions_that_are_exact_beside_products_lead_to_a_simulation():
 
 @pytest.mark.slow
 def test_steps_go_on_while_they_move_an_exponent():
-    """A doublet that shows the fast mode of a wing little: right to 5 %, and in doubt."""
+    """A doublet that shows the fast mode of a wing little: after eight steps it is 3.9 % off.
+
+    From coordinates that turn far. With the outputs as states no steps pay beside the least noise
+    of a sensor, and the mode is in doubt.
+    """
     doublet = {"start": 8, "width": 10, "amplitude": 0.005, "offset": 29 / 64}
     data = make_flapping_wing("nltp", n_periods=60, **doublet)
     analyzer = HarmonicAnalyzer(data.omega, reading="sample", output_harmonics=1)
+    X = analyzer.fit_transform(data.inputs, data.outputs)
     with pytest.warns(IdentifiabilityWarning, match="1 of 2 exponents are in doubt"):
-        model = make_pipeline(analyzer, MOESPRegressor()).fit(data.inputs, data.outputs)[-1]
+        MOESPRegressor().fit(X, data.outputs)
+    experiment = read_for_fit(X, data.outputs)
+    choice, *_ = Choice.of(sample.read(experiment, Settings()), Settings(), experiment.basis)
+    far = choice.models[2] = choice._of(np.eye(choice.states.bound)[None, :, :2])
+    refined = choice.refined(choice.whole(far.best), far.best.stable)
+    found = refined.innovations.multiplier_logarithms() * data.omega / (2.0 * np.pi)
     own = data.ltp.floquet_exponents()
-    found = model.ltp_.floquet_exponents()
-    assert np.max(np.abs(found - own) / np.abs(own)) < 0.05
+    assert np.max(np.abs(found - own) / np.abs(own)) < 0.03
 
 
 @pytest.mark.slow

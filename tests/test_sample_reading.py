@@ -146,14 +146,14 @@ def test_a_mode_that_nothing_moves_is_truncated():
     coefficients = np.insert(np.insert(good.coefficients, n, 0.0, axis=1), n, 0.0, axis=2)
     coefficients[0, n, n], coefficients[0, :n, n], coefficients[0, n + 1 :, n] = 0.6, 0.3, 0.5
     more = replace(good, coefficients=coefficients, gain=np.insert(good.gain, n, 0.0, axis=1))
-    left, few = choice.without_a_mode(more, best.n_harmonics)
+    left, few = choice.truncated(more, best.n_harmonics)
     np.testing.assert_allclose(
         np.sort_complex(few.multipliers()), np.sort_complex(good.multipliers())
     )
     np.testing.assert_allclose(left.variance, choice.compared(n, 0, good).variance, rtol=1e-3)
     one = choice.compared(n + 1, best.n_harmonics, more)
     found = sample._Found(choice, one, Refined(more, None, data.rest, "what it leaves is no noise"))
-    kept = sample._without_spurious_modes(found, choice)
+    kept = sample._truncated(found, choice)
     assert kept.chosen.order == n == 2
     assert kept.left.bic < found.left.bic
 

@@ -164,7 +164,7 @@ def identify(data, settings, experiment):
     choice, best, reason, tried = Choice.of(data, settings, experiment.basis)
     layout, found = choice.layout, _Found.of(choice, best)
     if settings.order == "auto" and not searching():
-        found = _without_spurious_modes(_or_fuller(found, choice), choice)
+        found = _truncated(_or_fuller(found, choice), choice)
         found = _or_simpler(found, choice)
     model, chosen = found.model, found.chosen
     words = list(found.against)
@@ -324,7 +324,7 @@ def _or_fuller(found, choice):
     return fuller
 
 
-def _without_spurious_modes(found, choice):
+def _truncated(found, choice):
     """A linear model in doubt, truncated by the modes that it does not need.
 
     The mode that a simulation misses least is left out, and steps of the likelihood follow. If
@@ -332,7 +332,7 @@ def _without_spurious_modes(found, choice):
     """
     while found.against and found.left.stable and not found.refined.degrees:
         n_harmonics = found.chosen.n_harmonics
-        fewer = choice.without_a_mode(found.refined.linear, n_harmonics)
+        fewer = choice.truncated(found.refined.linear, n_harmonics)
         if fewer is None:
             break
         one, linear = fewer[0], replace(found.refined, large=None)

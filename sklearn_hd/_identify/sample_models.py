@@ -384,7 +384,7 @@ class Choice:
         start = innovations.filtered(self._noise(innovations))
         return self.after_steps(start, stable, like)
 
-    def without_a_mode(self, innovations, n_harmonics):
+    def truncated(self, innovations, n_harmonics):
         """The model without the mode that a simulation misses least, and what that leaves."""
         few = [
             (self.compared(one.n_states, n_harmonics, one), one)
