@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
     resize_harmonics,
@@ -81,7 +82,10 @@ def without_modes(model, n_harmonics):
     n, highest = model.n_states, max(n_harmonics, len(model.coefficients) // 2)
     for V, others in _split(model):
         most, k = (len(V) - 1) // 2, V.shape[2]
-        L = np.linalg.inv(np.concatenate([V, others], axis=2))[:, :k]
+        both = np.concatenate([V, others], axis=2)
+        if np.linalg.svd(both, compute_uv=False).min() < HALF:  # the mode is lost in rounding
+            continue
+        L = np.linalg.inv(both)[:, :k]
         n_azimuths = 4 * (most + highest) + 1
         psi = 2.0 * np.pi * np.arange(n_azimuths) / n_azimuths
         V = evaluate_harmonics(sampled_harmonics(V, most), psi)

@@ -96,6 +96,17 @@ def test_truncation_leaves_the_other_modes_and_what_inputs_do_to_them():
         np.testing.assert_allclose(ours, wanted, atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_a_mode_that_a_turn_forgets_beyond_rounding_does_no_harm(size):
+    """Carried on, its direction turns to those that last; the model without it may be none."""
+    model = turning(np.array([[0.95, 0.1, 0.2], [0.0, size, 0.3], [0.0, 0.0, 0.8]]))
+    found = list(without_modes(model, 4))
+    assert len(found) >= 1
+    for each in found:
+        assert np.isfinite(each.coefficients).all()
+        assert np.isfinite(each.gain).all()
+
+
 def test_coordinates_within_coordinates_are_their_product():
     rng = np.random.default_rng(3)
     first, second = rng.standard_normal((3, 5, 4)), rng.standard_normal((5, 4, 2))
