@@ -156,6 +156,7 @@ def test_a_mode_that_nothing_moves_is_truncated():
     kept = sample._truncated(found, choice)
     assert kept.chosen.order == n == 2
     assert kept.left.bic < found.left.bic
+    assert "what it leaves is no noise" in kept.against  # nothing said is lost
 
 
 def test_loads_are_told_from_the_dynamics():

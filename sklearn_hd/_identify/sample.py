@@ -328,15 +328,17 @@ def _truncated(found, choice):
     """A linear model in doubt, truncated by the modes that it does not need.
 
     The mode that a simulation misses least is left out, and steps of the likelihood follow. If
-    they leave more of the record than it did, or the criterion is not lower, it stays.
+    they leave more of the record than it did, or the criterion is not lower, it stays. What that
+    leaves is no more like noise than before.
     """
     while found.against and found.left.stable and not found.refined.degrees:
-        n_harmonics = found.chosen.n_harmonics
-        fewer = choice.truncated(found.refined.linear, n_harmonics)
+        linear = replace(found.refined, large=None)
+        fewer = choice.truncated(linear.linear, found.chosen.n_harmonics)
         if fewer is None:
             break
-        one, linear = fewer[0], replace(found.refined, large=None)
-        one = _Found(choice, one, choice.after_steps(fewer[1], one.stable, linear))
+        one, start = fewer
+        refined = choice.after_steps(start, one.stable, linear)
+        one = _Found(choice, one, replace(refined, no_noise=linear.no_noise))
         if one.left.bic >= found.left.bic or one.left.variance > AS_LITTLE * found.left.variance:
             break
         found = one
