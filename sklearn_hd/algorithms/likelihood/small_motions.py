@@ -149,10 +149,10 @@ class LargeMotions:
                 products = _Products.of(motion, before, L, left_out=left_out)
                 found = found._with(found.model, products, motion)
             left_out += _told_as_factors(motion, tried, L)
+            if set(_factors(motion, tried)) <= set(left_out):
+                continue
             products = _Products.of(motion, before + tried, L, left_out=left_out)
             more = m + len(products.which) - found.model.n_inputs
-            if more == 0:
-                continue
             start = _with_inputs(found.model, found.model.n_inputs, more)
             found = found._with(start, products, motion, 0.0 if asked else more * per_input)
         if found.products is None:

@@ -145,6 +145,16 @@ def test_a_power_that_goes_with_its_input_is_left_out():
     assert products.which == [(0, 0), (0, 1), (0, 0, 0), (0, 0, 1)]
 
 
+def test_motions_between_two_values_have_no_products_of_their_own():
+    """x and u of a delay are −1 or 1, by turns: x², x u and u² are constant."""
+    coefficients = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]])
+    delay = PeriodicInnovations(coefficients, np.zeros((1, 1, 1)), np.eye(1), STEP, 0.0)
+    u, layout = np.resize([1.0, -1.0], (400, 1)), Layout(1, 1, 2, 0, 0, 0, feedthrough=False)
+    some = [(u, -u, STEP * np.arange(400))]
+    for degrees in (None, (2,)):
+        assert LargeMotions.of(delay, some, layout, 1e-3, np.inf, degrees) is None
+
+
 def test_products_do_not_pay_for_a_linear_machine():
     true = seen()
     for seed in range(5):
