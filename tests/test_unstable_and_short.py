@@ -11,10 +11,14 @@ from sklearn.pipeline import Pipeline
 from sklearn_hd import (
     HarmonicAnalyzer,
     HarmonicStructure,
+    MatrixStructure,
     MOESPRegressor,
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd._frame import LTIModel
+from sklearn_hd._match import MatchSettings
+from sklearn_hd._match.affine import match_affine
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import (
     IdentifiabilityWarning,
@@ -289,3 +293,12 @@ def test_the_ways_out_of_a_match_that_explodes():
     assert pipe.set_params(match__structure=None).fit(u, y).score(u, y) > 0.9
     lifted = {"harmonics__reading": "period", "match__structure": HarmonicStructure()}
     assert pipe.set_params(**lifted).fit(u, y).score(u, y) > 0.999
+
+
+def test_a_model_that_drifts_has_no_norm():
+    A, B, C = np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)
+    model = LTIModel(A, B, C, np.zeros((2, 1)), 0.0, ("u",), ("y", "z"))
+    structure = MatrixStructure(A=np.full((2, 2), np.nan), B=np.full((2, 1), np.nan))
+    settings = MatchSettings("hinf", None, None, 0, 0, 10, None)
+    with pytest.raises(UnstableModelError, match="the model has a pole at 0, outside"):
+        match_affine(model, None, structure, settings)

@@ -27,6 +27,7 @@ from sklearn_hd._readings import coefficient_names, highest_harmonic
 from sklearn_hd._records.data import input_scale, output_scale, to_continuous
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.linalg.rounding import EXACT
+from sklearn_hd.algorithms.lti.hinf import check_stable
 from sklearn_hd.algorithms.lti.simulation import frequency_response
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
@@ -84,6 +85,7 @@ def _matched(model, affine, settings, initial=None, bounds=None):
         )
     outputs = read_weights("output_weights", settings.output_weights, model.output_names)
     inputs = read_weights("input_weights", settings.input_weights, model.input_names)
+    check_stable(model.A, None)
     poles = np.linalg.eigvals(model.A)
     grid = matching_grid(poles)
     s = 1j * grid[np.isfinite(grid)]
