@@ -51,6 +51,13 @@ ABOUT_MEAN = (
     "is larger than their motion) is not to be had from the record: the model is about the mean "
     "motion; let the motion pass the orbit at rest, or move the inputs about zero"
 )
+TOO_LARGE = (
+    "products of states and inputs predict better than a linear model, but their linear part does "
+    "not simulate the record: the machine is not linear and its motions are too large to tell the "
+    "small ones, or states are missing; the model is one linear model of the whole record; use "
+    "smaller motions, or raise order="
+)
+TWICE = 2.0  # times what a linear model leaves: a model of small motions that is in doubt may not
 LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
 
 
@@ -162,7 +169,7 @@ def identify(data, settings, experiment):
             f"HarmonicAnalyzer(reading='period')"
         )
     choice, best, reason, tried = Choice.of(data, settings, experiment.basis)
-    layout, found = choice.layout, _Found.of(choice, best)
+    layout, found = choice.layout, _or_linear(_Found.of(choice, best))
     if settings.order == "auto" and not searching():
         found = _truncated(_or_fuller(found, choice), choice)
         found = _or_simpler(found, choice)
@@ -302,6 +309,19 @@ class _Found:
         exponents, omega = other.model.exponents(), other.model.omega
         known = Opinion(exponents, np.zeros(len(exponents)), omega, "")
         return bool(np.all(known.about(self.model.exponents())[1] <= DOUBT))
+
+
+def _or_linear(found):
+    """One linear model of all motions, if that of small ones is in doubt and leaves twice as much.
+
+    The record's motions are too large to tell the small ones then.
+    """
+    if not (found.refined.degrees and found.against):
+        return found
+    linear = replace(found, refined=replace(found.refined, large=None, no_noise=TOO_LARGE))
+    chosen, at_rest = found.chosen, found.refined.at_rest
+    left = found.choice.compared(chosen.order, chosen.n_harmonics, at_rest)
+    return linear if left.variance > TWICE * linear.left.variance else found
 
 
 def _or_fuller(found, choice):

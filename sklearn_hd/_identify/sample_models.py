@@ -35,11 +35,6 @@ MOST_STATES = 20  # tried by order="auto"
 LEAST_NOISE = 1e-6  # of an output's motion, where data are exact and no steps follow
 PIECE = 4  # times the lags: the least piece of an unstable model that is simulated
 PATIENCE = 6  # orders that may pass without a better one
-TOO_LARGE = (
-    "the machine is not linear, and its motions are too large to tell the small ones: products of "
-    "states and inputs predict better, but their linear part does not simulate the record, so the "
-    "model is one linear model of all of it; use smaller motions"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,20 +404,10 @@ class Choice:
         large = None
         if found is not None and (like is None or like.degrees):
             large = self._large_motions(model, start, likelihood, stable, like)
-        found = Refined(model, ahead, self.data.rest, "", large)
-        if like is not None:
-            return found
-        compared = self.simulated, model, self.predictor
-        if large is None or why_no_noise(*compared, large.covariance):
-            return replace(found, no_noise=why_no_noise(*compared), large=None)
-        if self._is_lost(found):
-            return replace(found, no_noise=why_no_noise(*compared) or TOO_LARGE, large=None)
-        return found
-
-    def _is_lost(self, refined):
-        """Whether the model of small motions, about its orbit, explains nothing of a record."""
-        part = refined.at_rest
-        return self.compared(part.n_states, part.n_harmonics, part).variance >= 1.0
+        compared, no_noise = (self.simulated, model, self.predictor), ""
+        if like is None and (large is None or why_no_noise(*compared, large.covariance)):
+            large, no_noise = None, why_no_noise(*compared)
+        return Refined(model, ahead, self.data.rest, no_noise, large)
 
     def _large_motions(self, model, start, likelihood, stable, like):
         """The model with products as further inputs, those of another one or where they pay.

@@ -45,7 +45,7 @@ NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmoni
 SETTLED = 1e-3  # of the motion: by no more may the last of them move
 REACHED = 0.99  # of the rows, the motion in which counts as its reach
 MOST_NUMBERS = 5e6  # sensitivities to products' coefficients: with more, steps take long
-LEAST_OF_ITS_OWN = 0.05  # of a product's variance, which states and inputs do not explain
+LEAST_OF_ITS_OWN = 0.05  # of a product's mean square, which states, inputs, means do not explain
 AS_LITTLE = 1.1  # times what another model leaves: no more
 
 
@@ -298,7 +298,9 @@ class _Products:
         if not (far(centre - before) <= SETTLED and far(centre - self.centre) <= 1.0):
             return None
         degrees = tuple(range(2, max(self.degrees) + 1))
-        products = _Products.of(motion, degrees, L, centre, self.left_out)
+        others = tuple(degree for degree in degrees if degree not in self.degrees)
+        left_out = self.left_out + (_told_as_factors(motion, others, L) if others else ())
+        products = _Products.of(motion, degrees, L, centre, left_out)
         moved = products.with_means(self._moved(model, centre, products), -1.0)
         H = model.n_harmonics
         whole = resize_harmonics(moved.coefficients, max(H, L))
@@ -357,17 +359,20 @@ def _factors(motion, degrees):
 
 
 def _told_as_factors(motion, degrees, n_loads):
-    """Products that go with states and inputs themselves: u³ of steps to −a, 0 and a is a² u.
+    """Products that go with states and inputs themselves, or are constant.
 
-    Noise would decide what is whose, and with it the linear part.
+    u³ of steps to −a, 0 and a is a² u, and u² of steps to −a and a is a². Noise would decide what
+    is whose, and with it the linear part.
     """
     products = _Products.of(motion, degrees, n_loads)
     moved = np.vstack([z - evaluate_harmonics(products.centre, psi) for z, psi in motion])
     beside = products.beside([(z[:, :0], None, psi) for z, psi in motion], motion)
     q = np.vstack([own for own, *_ in beside])
     left = q - moved @ linalg.lstsq(moved, q)[0]
-    share = np.mean(left**2, axis=0)  # products are of size one
-    return tuple(w for w, own in zip(products.which, share, strict=True) if own < LEAST_OF_ITS_OWN)
+    whole = [_values(products.which, products.centre, z, psi) / products.size for z, psi in motion]
+    least = LEAST_OF_ITS_OWN * np.mean(np.vstack(whole) ** 2, axis=0)
+    told = np.mean(left**2, axis=0) <= least
+    return tuple(w for w, goes in zip(products.which, told, strict=True) if goes)
 
 
 def _values(which, centre, z, psi):

@@ -140,7 +140,8 @@ def test_a_power_that_goes_with_its_input_is_left_out():
     assert _told_as_factors(motion, (3,), 0) == ((1, 1, 1),)
     assert _told_as_factors(motion, (2,), 0) == ()  # x², x u and u² tell more
     motion = [(np.hstack([x, rng.choice([-1.0, 1.0], (2000, 1))]), psi)]
-    assert _told_as_factors(motion, (2, 3), 0) == ((1, 1), (0, 1, 1), (1, 1, 1))
+    for n_loads in (0, 2):  # about a mean at each phase, which chance gives to u, u² moves
+        assert _told_as_factors(motion, (2, 3), n_loads) == ((1, 1), (0, 1, 1), (1, 1, 1))
     products = _Products.of(motion, (2, 3), 0, left_out=((1, 1), (0, 1, 1), (1, 1, 1)))
     assert products.which == [(0, 0), (0, 1), (0, 0, 0), (0, 0, 1)]
 
