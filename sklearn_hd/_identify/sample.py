@@ -180,7 +180,7 @@ def identify(data, settings, experiment):
         words.append(why_incomplete(model, experiment, without_gain))
     for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
-    warn_of_little(layout, choice.n_rows, chosen, experiment.basis)
+    warn_of_little(layout, choice.n_rows, found.left_at_rest, experiment.basis)
     warn_of_growth(model, chosen, data, settings)
     x0 = np.array([choice.start(model.innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(choice.n_rows, 1)))
@@ -239,8 +239,15 @@ class _Found:
     @cached_property
     def left(self):
         """What it leaves after the steps."""
-        order, count = self.chosen.order, self.chosen.n_harmonics
-        return self.choice.compared(order, count, self.refined.innovations)
+        return self._left(self.refined.innovations)
+
+    @cached_property
+    def left_at_rest(self):
+        """The same about the orbit of a machine at rest."""
+        return self.left if self.refined.small is None else self._left(self.refined.at_rest)
+
+    def _left(self, innovations):
+        return self.choice.compared(self.chosen.order, self.chosen.n_harmonics, innovations)
 
     @cached_property
     def model(self):
@@ -319,9 +326,7 @@ def _or_linear(found):
     if not (found.refined.degrees and found.against):
         return found
     linear = replace(found, refined=replace(found.refined, large=None, no_noise=TOO_LARGE))
-    chosen, at_rest = found.chosen, found.refined.at_rest
-    left = found.choice.compared(chosen.order, chosen.n_harmonics, at_rest)
-    return linear if left.variance > TWICE * linear.left.variance else found
+    return linear if found.left_at_rest.variance > TWICE * linear.left.variance else found
 
 
 def _or_fuller(found, choice):
