@@ -75,6 +75,10 @@ class FreeDecay:
     deviations: np.ndarray
     turned: float = 0.0
 
+    def spread(self, n_deviations):
+        """So many deviations; zero for none, also of what is not known at all (infinite)."""
+        return n_deviations * self.deviations if n_deviations else np.zeros(len(self.deviations))
+
 
 def periods_at_rest(inputs):
     """Periods of free decay: those at rest that follow on motion, or whole segments at rest.
@@ -209,7 +213,7 @@ def _changes(found, decays, start, n_deviations):
     if rest is None:
         return np.zeros(len(found.multipliers))
     gaps = apart(logarithms(found.multipliers), logarithms(rest.multipliers))
-    return np.min(np.maximum(gaps - n_deviations * rest.deviations, 0.0), axis=1)
+    return np.min(np.maximum(gaps - rest.spread(n_deviations), 0.0), axis=1)
 
 
 def _until_no_motion(found, decays):
@@ -303,7 +307,7 @@ def logarithms(multipliers):
 def _products(found, share, n_deviations=0.0):
     """Which modes are products of others, within a share of their rate or some deviations."""
     logs = logarithms(found.multipliers)
-    within = np.maximum(share * np.abs(logs.real), n_deviations * found.deviations)
+    within = np.maximum(share * np.abs(logs.real), found.spread(n_deviations))
     each = enumerate(zip(logs, within, strict=True))
     return np.array([is_product(own, np.delete(logs, i), some)[0] for i, (own, some) in each])
 

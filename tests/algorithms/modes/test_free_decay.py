@@ -1,5 +1,7 @@
 """Multipliers from free decays: exact where linear, unbiased by what is of second order."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import linalg
@@ -136,6 +138,14 @@ def test_slow_modes_of_a_linear_machine_do_not_change(slow):
 
 def test_decays_that_are_gone_after_a_period():
     assert free_decay([np.outer(np.arange(20) == 0, np.ones(PHASES))], 1).deviations.size == 1
+
+
+def test_what_is_not_known_at_all_does_not_end_a_fit():
+    """Deviations may be infinite: zero times one is no number, and errors of numpy end a fit."""
+    decays = decays_of([0.8, 0.64])
+    found = replace(free_decay(decays), deviations=np.full(2, np.inf))
+    with np.errstate(invalid="raise"):
+        assert len(without_products(found, decays).multipliers) == 2
 
 
 @pytest.mark.slow
