@@ -87,7 +87,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         - ``"period"``, if the inputs rest: in at least half of the turns, and of 12 turns or more,
           they do what they did a turn before, except for noise. ``basis_.alternative`` is then the
           reading of the samples. :class:`MOESPRegressor` tries it if something speaks against the
-          model of periods, and keeps the surer one;
+          model of periods, or that may be off by 5 %, and keeps the surer one;
         - ``"sample"``, if the inputs move in more turns than that, or there are fewer turns.
 
         ``basis_.reading`` holds the choice.

@@ -49,10 +49,10 @@ class MOESPRegressor(ModelStep):
     periodic response.
 
     Behind ``HarmonicAnalyzer(reading="auto")`` the estimator may change the reading. If inputs
-    rest, it identifies whole periods first. If something speaks against that model, it also
-    identifies the samples, and keeps the surer model. In a search, or if ``block_rows`` is given,
-    it tries the samples only if the first reading raises an error. ``basis_.reading`` says which
-    reading was kept.
+    rest, it identifies whole periods first. If something speaks against that model, or one of its
+    exponents may be off by more than 5 % of its rate, it also identifies the samples, and keeps
+    the surer model. In a search, or if ``block_rows`` is given, it tries the samples only if the
+    first reading raises an error. ``basis_.reading`` says which reading was kept.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify import period, plain, sample, sliding
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR, checked
 from sklearn_hd._identify.stages import Settings, SubspaceFit
-from sklearn_hd._opinion import decays_at_rest, of_free_decays
+from sklearn_hd._opinion import DOUBT, decays_at_rest, of_free_decays
 from sklearn_hd._readings import SampleBasis
 from sklearn_hd._records.data import as_frame, is_decomposed, output_scale, read_for_fit
 from sklearn_hd._records.delays import (
@@ -173,9 +173,10 @@ def identify_frame(X, y, settings, *delays):
     """Identify a model from a frame and outputs in memory, by the reading that they confirm.
 
     A frame may carry two readings. The second one is tried if something speaks against the model
-    of the first; of two that are in doubt the one that may be less far off is kept. In a search,
-    and with block rows given, which are others for each reading, it is tried only if the first
-    one fails.
+    of the first, or if that may be far off by half of what counts as doubt. A model that nothing
+    speaks against is kept; of two of them, or of two in doubt, the one that may be less far off.
+    In a search, and with block rows given, which are others for each reading, the second one is
+    tried only if the first one fails.
 
     Returns
     -------
@@ -189,10 +190,10 @@ def identify_frame(X, y, settings, *delays):
     if other is None:
         return identify_record(read_for_fit(X, y), settings, *delays)
     first, doubts, error = _attempt(X, y, settings, delays)
-    if first is None or (_in_doubt(doubts) and settings.block_rows is None and not searching()):
+    asked = settings.block_rows is None and not searching()
+    if first is None or (asked and _far_off(first, doubts) > (False, DOUBT / 2.0)):
         second, others, _ = _attempt(read_as(as_frame(X), other.reading), y, settings, delays)
-        surer = second is not None and (first is None or not _in_doubt(others))
-        if surer or (second is not None and second[0].doubt < first[0].doubt):
+        if second and (first is None or _far_off(second, others) < _far_off(first, doubts)):
             first, doubts = second, others
     if first is None:
         raise error
@@ -211,8 +212,10 @@ def _attempt(X, y, settings, delays):
             return None, held, error
 
 
-def _in_doubt(held):
-    return any(category in (IdentifiabilityWarning, InstabilityWarning) for _, category in held)
+def _far_off(found, held):
+    """Whether warnings say that a model is in doubt, and how far its exponents may be off."""
+    doubtful = IdentifiabilityWarning, InstabilityWarning
+    return any(category in doubtful for _, category in held), found[0].doubt
 
 
 def identify_record(experiment, settings, input_delay=0.0, output_delay=0.0):
