@@ -97,6 +97,22 @@ def test_a_plateau_is_another_orbit():
     np.testing.assert_allclose(analyzer().fit(u, y).basis_.output_trim, wave, atol=0.02)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_record_that_begins_at_rest_begins_in_trim(noise):
+    """However long it rests at another level afterwards; predictions of it begin there, too."""
+    X, y, _ = machine(60, [], noise=0.0)
+    step = np.where(np.arange(len(X)) < 10 * SPP, 0.0, 1.0)
+    A, x, moved = expm(STEP), np.zeros(2), np.zeros(y.shape)
+    for k, u in enumerate(step):
+        moved[k] = [x[0], x[1] + 0.5 * np.cos(OMEGA * X.index[k]) * x[0]]
+        x = A @ x + np.array([0.0, 1.0]) * u / SPP
+    still = y + noise * moved.std(axis=0) * np.random.default_rng(0).standard_normal(y.shape)
+    pipe = pipeline(2).fit(X.add(step, axis=0), still + moved)
+    np.testing.assert_allclose(pipe[0].basis_.input_trim, X[:SPP], atol=1e-9)
+    left = pipe.predict(X.add(step, axis=0))[: 8 * SPP] - y[: 8 * SPP]
+    assert np.max(np.abs(left.to_numpy())) <= (1e-6 + noise) * np.max(np.abs(moved))
+
+
 def test_a_speed_that_varies_and_gaps(rng):
     u, y, wave = machine(60, [6], noise=0.01)
     psi = OMEGA * u.index.to_numpy()

@@ -189,8 +189,9 @@ def in_trim(inputs, outputs):
 
     Of turns at rest that begin a segment all, or the later half; of those that follow on a motion
     the later half, if the motion has died away by then, and noise would not hide that it has not:
-    the mean waveform has to be known to a tenth of the motion. The most at one level of the
-    inputs are the trim, or the most in which outputs are zero: others are another orbit's.
+    the mean waveform has to be known to a tenth of the motion. The trim are those in which outputs
+    are zero, else those that begin a segment and are known as well, else the most at one level of
+    the inputs: others are another orbit's.
 
     Parameters
     ----------
@@ -220,7 +221,7 @@ def in_trim(inputs, outputs):
     groups = [g for g in groups if not g.waited or g.size > memory]
     found = [np.zeros(len(u), dtype=bool) for u in inputs]
     if groups:
-        most = max(groups, key=lambda g: (g.is_zero(motions[1]), g.size))
+        most = max(groups, key=lambda g: (g.is_zero(motions[1]), g.is_start(motions), g.size))
         for g in groups:
             apart = [_gap(*each) for each in zip(most.signals, g.signals, motions, strict=True)]
             found[g.segment][g.turns] = g is most or (g.drift == 0.0 and not any(apart))
@@ -240,6 +241,10 @@ class _Group:
     @property
     def size(self):
         return self.turns.stop - self.turns.start
+
+    def is_start(self, motions):
+        """Whether a segment begins with them, and noise leaves their mean known."""
+        return not self.waited and max(map(_uncertainty, self.signals, motions)) <= QUIET
 
     def is_zero(self, motion):
         """Whether the outputs' mean is next to nothing."""
