@@ -37,7 +37,7 @@ from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import without_gain
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
-from sklearn_hd.algorithms.linalg.rounding import HALF
+from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, forced_mean
 from sklearn_hd.algorithms.subspace.order import Simulated
@@ -57,7 +57,8 @@ TOO_LARGE = (
     "small ones, or states are missing; the model is one linear model of the whole record; use "
     "smaller motions, or raise order="
 )
-TWICE = 2.0  # times what a linear model leaves: a model of small motions that is in doubt may not
+MOST_LEFT = 0.5  # of the outputs' variance, by a model of small motions that is in doubt,
+TWICE = 2.0  # if a linear one leaves less than half of that
 LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
 
 
@@ -168,19 +169,17 @@ def identify(data, settings, experiment):
             f"predictor there, whatever the weighting; leave weighting='moesp', or 'pbsid', or use "
             f"HarmonicAnalyzer(reading='period')"
         )
-    choice, best, reason, tried = Choice.of(data, settings, experiment.basis)
-    layout, found = choice.layout, _or_linear(_Found.of(choice, best))
-    if settings.order == "auto" and not searching():
-        found = _truncated(_or_fuller(found, choice), choice)
-        found = _or_simpler(found, choice)
-    model, chosen = found.model, found.chosen
+    found, reason, tried = _or_stable(*_chosen(data, settings, experiment.basis))
+    choice, model, chosen = found.choice, found.model, found.chosen
+    layout = choice.layout
     words = list(found.against)
     held = experiment.basis.hop == 1  # else inputs move between rows, which goes with inputs, too
     if held and not (searching() or found.refined.no_noise):
         words.append(why_incomplete(model, experiment, without_gain))
     for message in filter(None, words):
         warn(message, IdentifiabilityWarning)
-    warn_of_little(layout, choice.n_rows, found.left_at_rest, experiment.basis)
+    left = found.left_at_rest if found.refined.degrees else chosen
+    warn_of_little(layout, choice.n_rows, left, experiment.basis)
     warn_of_growth(model, chosen, data, settings)
     x0 = np.array([choice.start(model.innovations, s) for s in range(len(data.segments))])
     floor = float(np.sqrt(layout.n_columns / max(choice.n_rows, 1)))
@@ -318,15 +317,49 @@ class _Found:
         return bool(np.all(known.about(self.model.exponents())[1] <= DOUBT))
 
 
+def _chosen(data, settings, basis):
+    """The model of the best order after steps of its likelihood, the reason for its D, all tried.
+
+    Outside of searches also others, where something speaks against that.
+    """
+    choice, best, reason, tried = Choice.of(data, settings, basis)
+    found, others = _Found.of(choice, best), settings.order == "auto" and not searching()
+    if others:
+        found = _truncated(_or_fuller(found, choice), choice)
+        found = _or_simpler(found, choice)
+    linear = _or_linear(found)
+    if others and linear is not found:
+        linear = _or_fuller(linear, choice)
+    return linear, reason, tried
+
+
+def _or_stable(found, reason, tried):
+    """A stable model for one in doubt that grows as no record in open loop does; as _chosen.
+
+    By more than from rounding to the outputs. Large motions may look like that.
+    """
+    choice, asked = found.choice, found.choice.settings
+    growth = choice.data.longest * found.refined.innovations.growth()
+    held = asked.weighting == "pbsid" or searching() or not found.against
+    if growth <= -np.log(EPS) or held:
+        return found, reason, tried
+    try:
+        stable = _chosen(choice.data, replace(asked, stable=True), choice.basis)
+    except ValueError:  # none of those tried is stable
+        return found, reason, tried
+    return stable if stable[0].left.variance < 1.0 else (found, reason, tried)
+
+
 def _or_linear(found):
-    """One linear model of all motions, if that of small ones is in doubt and leaves twice as much.
+    """One linear model of all motions, if that of small ones is in doubt and simulates none.
 
     The record's motions are too large to tell the small ones then.
     """
     if not (found.refined.degrees and found.against):
         return found
     linear = replace(found, refined=replace(found.refined, large=None, no_noise=TOO_LARGE))
-    return linear if found.left_at_rest.variance > TWICE * linear.left.variance else found
+    most = max(MOST_LEFT, TWICE * linear.left.variance)
+    return linear if found.left_at_rest.variance > most else found
 
 
 def _or_fuller(found, choice):
