@@ -101,10 +101,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Span in which the machine is in periodic trim: index times, in seconds within each record
         (for dates: since ``time_origin``). The mean waveforms there are subtracted before
         decomposition, and ``predict`` adds them again. ``"auto"`` takes the turns in which inputs
-        rest and outputs repeat themselves, except for noise. It subtracts nothing if the outputs
-        are zero there, except for noise, or if nothing rests. None subtracts nothing. With
-        ``reading="sample"``, ``"auto"`` means None: the forced response is identified together
-        with the dynamics.
+        rest and outputs repeat themselves, except for noise: those that begin the record, else
+        the most at one level of the inputs. It subtracts nothing if the outputs are zero there,
+        except for noise, or if nothing rests. None subtracts nothing. With ``reading="sample"``,
+        ``"auto"`` means None: the forced response is identified together with the dynamics.
     sample_time : float or None, default=None
         Seconds. None reads it from the index; without times it is 1.0.
     azimuth : str or None, default=None

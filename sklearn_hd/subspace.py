@@ -110,7 +110,8 @@ class MOESPRegressor(ModelStep):
         Whether A is replaced by the nearest stable matrix, where each state counts by how much the
         outputs see of it: unstable eigenvalues are mirrored at the unit circle, λ → 1/λ̄, and the
         others stay. B, D and K are fitted to that A. With ``reading="sample"`` only stable models
-        are compared; a ValueError reports if there is none.
+        are compared; a ValueError reports if there is none. There, a model in doubt that grows as
+        no record in open loop does gives way to a stable one in any case, with a warning.
     scale : bool, default=True
         Divide each signal by its root mean square before the projection, so that units do not
         decide what counts as large. With one output nothing changes. With several, the outputs get

@@ -157,7 +157,7 @@ def test_the_other_reading_is_taken_where_the_first_leaves_a_doubt():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_other_reading_is_taken_where_it_is_surer(seed):
-    """Of 3 % noise, periods leave 8 % of a rate open, without a doubt, and samples 1 %."""
+    """Under 3 % noise, periods leave 8 % of a rate open and nothing in doubt; samples know 1 %."""
     F = np.array([[[-1.2, 1.0], [-1.0, -1.2]], [[0.1, 0.0], [0.2, 0.1]], [[0.0, 0.1], [0.0, 0.0]]])
     system = LTPSystem(F, [[1.0], [0.5]], np.eye(2), omega=OMEGA)
     t, u = np.arange(60 * 32) / 32, np.zeros(60 * 32)

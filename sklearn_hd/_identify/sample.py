@@ -8,7 +8,7 @@
 5. Steps of the likelihood from there, which bring back what the lags have lost.
 6. Products of states and inputs as further inputs, where a linear model does not hold.
 7. One state more or fewer, where that serves as well after these steps; modes that it does not
-   need are truncated.
+   need are truncated. Without products, or stable, where a model in doubt does not simulate.
 """
 
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, forced_mean
 from sklearn_hd.algorithms.subspace.order import Simulated
-from sklearn_hd.exceptions import IdentifiabilityWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MOST_ROWS_A_TURN = 200  # whose multipliers take no time to find and to sort
 MOST_SIMPLER = 3  # models with fewer states that are looked at if the best one is in doubt
@@ -57,8 +57,8 @@ TOO_LARGE = (
     "small ones, or states are missing; the model is one linear model of the whole record; use "
     "smaller motions, or raise order="
 )
-MOST_LEFT = 0.5  # of the outputs' variance, by a model of small motions that is in doubt,
-TWICE = 2.0  # if a linear one leaves less than half of that
+MOST_LEFT = 0.5  # of the outputs' variance, that a model of small motions in doubt may leave
+TWICE = 2.0  # times what a linear one leaves, that it may leave in any case
 LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
 
 
@@ -340,20 +340,29 @@ def _or_stable(found, reason, tried):
     """
     choice, asked = found.choice, found.choice.settings
     growth = choice.data.longest * found.refined.innovations.growth()
-    held = asked.weighting == "pbsid" or searching() or not found.against
-    if growth <= -np.log(EPS) or held:
+    feedback = asked.weighting == "pbsid"
+    if growth <= -np.log(EPS) or feedback or searching() or not found.against:
         return found, reason, tried
     try:
         stable = _chosen(choice.data, replace(asked, stable=True), choice.basis)
     except ValueError:  # none of those tried is stable
         return found, reason, tried
-    return stable if stable[0].left.variance < 1.0 else (found, reason, tried)
+    if stable[0].left.variance >= 1.0:
+        return found, reason, tried
+    warn(
+        f"a model of {found.chosen.order} states explains the record best, but it is in doubt, and "
+        f"it grows by e^{growth:.0f} over the longest segment, which no record in open loop does: "
+        f"the best stable model takes its place; use smaller motions, give order=, or use "
+        f"weighting='pbsid' if feedback held the machine",
+        InstabilityWarning,
+    )
+    return stable
 
 
 def _or_linear(found):
-    """One linear model of all motions, if that of small ones is in doubt and simulates none.
+    """One linear model of all motions, if that of small ones is in doubt and simulates too little.
 
-    The record's motions are too large to tell the small ones then.
+    The record's motions are too large to tell the small ones then, or states are missing.
     """
     if not (found.refined.degrees and found.against):
         return found
