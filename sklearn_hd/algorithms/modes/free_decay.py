@@ -21,6 +21,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
     is_noise,
     left_by,
     multiplier_deviations,
+    orthonormal_range,
     outgrows_numbers,
     refine_multipliers,
     turned_back,
@@ -41,6 +42,8 @@ __all__ = [
     "without_products",
 ]
 
+LIKE_A_PRODUCT = 0.25  # of a rate, within which fits of several products together lie
+MOST_COLUMNS = 0.75  # of the periods, that regressors may be
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12  # tried by order="auto": raw periods are simulated with each
 ALIKE = 0.01  # of a rate, by which a product may miss two others
@@ -268,7 +271,8 @@ def without_products(found, decays):
 
     These are products of two or three other modes, to 1 % of their rate, and weak: without one,
     the others leave less than a hundredth of the decays' energy. If one is surely such a product,
-    others are that may be within two standard deviations.
+    others are that may be within two standard deviations. Weak modes in whose place squares of the
+    others explain the decays stay, and are known no better than such products are told apart.
 
     Parameters
     ----------
@@ -282,21 +286,56 @@ def without_products(found, decays):
     """
     ones, stacked = offsets(decays), np.vstack(decays)
     sure, known = _products(found, ALIKE), np.vstack(ones)
-    if not np.any(sure & (found.deviations <= ALIKE * np.abs(logarithms(found.multipliers).real))):
-        return found
+    sure &= found.deviations <= ALIKE * np.abs(logarithms(found.multipliers).real)
     least = np.sum((stacked - known @ linalg.lstsq(known, stacked)[0]) ** 2)
     least *= MOST_OF_SECOND_ORDER**2
     at = 0
-    while at < len(found.multipliers):  # the fastest first
-        order = np.argsort(np.abs(found.multipliers))
-        i, z = order[at], found.multipliers
-        few = _without(found, [i, np.abs(z - z[i].conj()).argmin()])
+    while sure.any() and at < len(found.multipliers):  # the fastest first
+        i = np.argsort(np.abs(found.multipliers))[at]
+        few = _without(found, _pair(found, i))
         drop = len(few.Phi) and _products(found, ALIKE, SURE)[i]
         if drop and np.sum(left_by(few.Phi, ones, stacked) ** 2) <= least:
             found, at = few, 0
         else:
             at += 1
-    return found
+    like = np.flatnonzero(_products(found, LIKE_A_PRODUCT))
+    unknown = [i for i in like if _like_squares(found, i, decays, least)]
+    spread = found.deviations.copy()
+    spread[unknown] += LIKE_A_PRODUCT * np.abs(logarithms(found.multipliers).real[unknown])
+    return replace(found, deviations=spread)
+
+
+def _like_squares(found, i, decays, least):
+    """Whether a mode is weak, and squares of the others explain the decays as well as it does."""
+    few, ones, stacked = _without(found, _pair(found, i)), offsets(decays), np.vstack(decays)
+    if not len(few.Phi) or np.sum(left_by(few.Phi, ones, stacked) ** 2) > least:
+        return False
+    states = np.vstack([_smooth(few.Phi, x) for x in few.states])
+    states = states / np.sqrt(np.mean(states**2, axis=0))
+    squares = [states[:, [i]] * states[:, i:] for i in range(states.shape[1])]
+    Q = orthonormal_range(np.hstack([np.vstack(ones), states, *squares]))
+    n_free = len(stacked) - Q.shape[1]
+    if n_free < (1.0 - MOST_COLUMNS) * len(stacked):
+        return False
+    by_squares = np.sum((stacked - Q @ (Q.T @ stacked)) ** 2) / n_free
+    own = np.sum(left_by(found.Phi, ones, stacked) ** 2)
+    own /= len(stacked) - len(decays) - len(found.Phi)
+    chance = SURE * np.sqrt(2.0 / (n_free * stacked.shape[1]))
+    return by_squares <= (1.0 + chance) * own
+
+
+def _smooth(Phi, states):
+    """States of a decay without noise: those of the best start, beside a constant."""
+    n = len(Phi)
+    powers = np.array([np.linalg.matrix_power(Phi, k) for k in range(len(states))])
+    known = np.hstack([powers.reshape(-1, n), np.tile(np.eye(n), (len(states), 1))])
+    return powers @ linalg.lstsq(known, states.ravel())[0][:n]
+
+
+def _pair(found, i):
+    """A mode and its conjugate."""
+    z = found.multipliers
+    return [i, int(np.abs(z - z[i].conj()).argmin())]
 
 
 def logarithms(multipliers):

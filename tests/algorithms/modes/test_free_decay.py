@@ -168,6 +168,33 @@ def test_a_response_of_second_order_is_no_mode(multipliers, noise):
     np.testing.assert_allclose(x[1:], x[:-1] @ Phi.T, atol=1e-2 * np.abs(x).max())
 
 
+@pytest.mark.parametrize("noise", [3e-3, 1e-2])
+def test_one_mode_fitted_to_several_products_is_known_no_better_than_they_are_told_apart(noise):
+    """It lies between their multipliers, and its scatter does not show that it is none."""
+    pairs = np.array([0.9 * np.exp(2j), 0.85 * np.exp(1j)])
+    true = np.log(np.concatenate([pairs, pairs.conj()]))
+    between = 0
+    for seed in range(10):
+        decays = decays_of(np.exp(true), n_periods=48, noise=noise, curved=0.05, seed=seed)
+        found = without_products(free_decay(decays), decays)
+        logs = np.log(found.multipliers.astype(complex))
+        wrong = np.abs(logs[:, None] - true).min(axis=1) > -0.1 * logs.real
+        known = 2.0 * found.deviations < -0.1 * logs.real
+        assert not np.any(wrong & known)
+        assert known[~wrong].all()
+        between += wrong.any()
+    assert between >= 8
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3])
+def test_what_is_known_of_a_linear_machine_stays(noise):
+    modes = [0.9 * np.exp(2j), 0.9 * np.exp(-2j), 0.78, 0.5]
+    for seed in range(10):
+        decays = decays_of(modes, n_periods=48, noise=noise, seed=seed)
+        found = free_decay(decays)
+        np.testing.assert_array_equal(without_products(found, decays).deviations, found.deviations)
+
+
 def test_noise_of_a_mode_that_a_period_forgets_is_turned_to_a_real_systems():
     """A lone negative multiplier is that of no periodic system (Liouville)."""
     for seed in range(20):
