@@ -41,6 +41,7 @@ MOST_STEPS = 8
 MOST_ROWS = 20_000  # looked at of longer records
 PLACES = 16  # evenly over the record, at which these lie
 LAGS = 8  # of the predictor
+ORBITS = 2  # harmonics of what inputs do: one alone takes the orbit of another input for a speed
 ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds
 SURE = 5.0  # standard deviations at which another speed is no chance
 WORTH = 0.01  # of what a predictor leaves, that another speed has to explain
@@ -207,7 +208,7 @@ def _layout(segments, n_rows, n_loads):
     """The predictor that so many rows determine; None where that is none."""
     m, n_outputs = segments[0][0].shape[1], segments[0][1].shape[1]
     for lags in range(LAGS, 0, -1):
-        layout = Layout(m, n_outputs, lags, 1, 1, n_loads, False)
+        layout = Layout(m, n_outputs, lags, 1, ORBITS, n_loads, False)
         if n_rows >= ROWS_PER_COLUMN * layout.n_columns:
             return layout
     return None

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from sklearn_hd.algorithms.periodic.speed import measured_speed, orbit_drift, orbit_speed
 from sklearn_hd.datasets import make_flapping_wing
@@ -127,3 +128,31 @@ def test_what_is_too_short_or_still_tells_nothing():
     assert told(np.ones((3000, 2)), OMEGA * 1.01) is None
     noise = np.random.default_rng(0).standard_normal((3000, 2))
     assert told(noise, OMEGA * 1.01) is None
+
+
+def stepped_shaft(per_turn=24, n_turns=60, steps=(8, 36)):
+    """An asymmetric shaft that stiffens as it bends; forces that stay move its whole orbit."""
+    period, begin = 2 * np.pi / 100.0, 30 * per_turn  # settled
+    time = np.arange(begin, begin + n_turns * per_turn) * period / per_turn
+    edges = time[0] + np.array(steps) * period
+
+    def slopes(t, z):
+        q, v, psi = z[:2], z[2:], 100.0 * t
+        c, s = np.cos(2 * psi), np.sin(2 * psi)
+        stiff = 4900.0 * ((1 + 0.8e-6 * q @ q) * q + 0.18 * np.array([[c, s], [s, -c]]) @ q)
+        damped = 8.2 * v + 120.0 * np.array([q[1], -q[0]])
+        force = 3e5 * np.array([np.cos(psi), np.sin(psi)]) + 5e4 * (t >= edges) - [0.0, 4e5]
+        return np.concatenate([v, force - stiff - damped])
+
+    limits = {"max_step": period / 24, "rtol": 1e-8, "atol": 1e-6}
+    run = solve_ivp(slopes, (0.0, time[-1]), np.zeros(4), t_eval=time, **limits)
+    return (time[:, None] >= edges).astype(float), run.y[:2].T, time
+
+
+def test_the_orbit_of_another_input_is_not_another_speed():
+    u, y, time = stepped_shaft()
+    for seed in range(3):
+        noise = 0.003 * y.std(axis=0) * np.random.default_rng(seed).standard_normal(y.shape)
+        assert measured_speed([(u, y + noise, time)], 100.0, 9) is None
+    found = measured_speed([(u, y + noise, time)], 100.1, 9)
+    assert abs(found.omega / 100.0 - 1.0) < 2e-5
