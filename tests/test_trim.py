@@ -201,6 +201,23 @@ def test_without_rest_the_trim_is_identified_with_the_dynamics(noise):
     )
 
 
+@pytest.mark.parametrize("reading", ["period", "sample"])
+def test_inputs_about_zero_leave_a_machine_in_trim_at_zero(reading):
+    """Not at their mean over a record in which they never rest for long."""
+    still, trim, _ = machine(60, [])
+    still = 0.0 * still
+    levels = [1.0, 0.0, -0.5, 0.0, 0.0, 1.0, 0.0, -0.5, 0.0, 0.5, 1.0, 0.5]
+    held = np.repeat(levels, 5 * SPP)
+    A, x, answer = expm(STEP), np.zeros(2), np.zeros((len(held), 2))
+    for k, value in enumerate(held):
+        answer[k] = [x[0], x[1] + 0.5 * np.cos(OMEGA * still.index[k]) * x[0]]
+        x = A @ x + np.array([0.0, 1.0]) * value / SPP
+    assert abs(held.mean()) > 0.2
+    pipe = pipeline(reading=reading).fit(still.assign(u=held), trim + answer)
+    off = np.abs(pipe.predict(still) - trim)
+    assert np.max(off) < 1e-3 * np.max(np.abs(answer))
+
+
 def test_a_sliding_window_says_that_nothing_rests():
     u, y, _ = machine(24, [2], x0=(0.5, 0.0))
     pipe = pipeline(reading="sliding")

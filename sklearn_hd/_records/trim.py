@@ -86,7 +86,8 @@ def _found(sampling, blocks, basis):
     """Waveforms of turns in trim; None where those of the outputs are no more than noise.
 
     Where nothing rests those of all turns, if outputs hold little else, or of those in which the
-    inputs alone rest: what that of the outputs is off by is identified with the dynamics.
+    inputs alone rest: what that of the outputs is off by is identified with the dynamics. Period
+    by period the trim of inputs is then zero, unless their mean is larger than their motion.
     """
     units = [_exponent(values) for values in blocks]
     inputs, outputs = (
@@ -111,10 +112,16 @@ def _found(sampling, blocks, basis):
     waveform = y[rest].mean(axis=0)
     if not stands or np.max(np.abs(waveform)) <= PRECISION * np.max(np.abs(y)):
         return None
-    trim = (
-        np.ldexp(z, unit) for z, unit in zip((u[rest].mean(axis=0), waveform), units, strict=True)
-    )
+    level = u[rest].mean(axis=0)
+    if not known and basis.reading == "period":  # which identifies what that brings about
+        level = np.where(_in_square(level) > _in_square(u - level), level, 0.0)
+    trim = (np.ldexp(z, unit) for z, unit in zip((level, waveform), units, strict=True))
     return dict(zip(("input_trim", "output_trim"), trim, strict=True), trim_known=known)
+
+
+def _in_square(turns):
+    """Mean square of each signal."""
+    return np.mean(turns**2, axis=tuple(range(turns.ndim - 1)))
 
 
 def _exponent(values):
