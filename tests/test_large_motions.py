@@ -7,7 +7,13 @@ import pandas as pd
 import pytest
 from sklearn.pipeline import make_pipeline
 
-from sklearn_hd import HarmonicAnalyzer, MOESPRegressor, report
+from sklearn_hd import (
+    HarmonicAnalyzer,
+    HarmonicStructure,
+    MOESPRegressor,
+    StructuredMatcher,
+    report,
+)
 from sklearn_hd._identify import sample
 from sklearn_hd._identify.sample import Samples
 from sklearn_hd._identify.sample_models import Choice
@@ -15,6 +21,7 @@ from sklearn_hd._identify.stages import Settings
 from sklearn_hd._records.data import read_for_fit
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
+from sklearn_hd.systems import duffing
 
 OMEGA, SAMPLES, TURNS = 2.0, 16, 160
 
@@ -282,3 +289,22 @@ def test_what_products_do_not_take_up_is_told():
     with pytest.warns(IdentifiabilityWarning, match="smaller motions of the record have"):
         model = fitted(*record(drag=1.2))
     assert error(model) > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_likelihood_whose_few_harmonics_do_not_converge_begins_with_all_of_them():
+    """Three iterations are too few; from all of them it leaves less than the closed form."""
+    system = duffing(damping=0.3, hardening=0.5, omega=1.3)
+    t = 2.0 * np.pi / 1.3 / 64 * np.arange(64 * 60)
+    u = np.repeat([0.0, 0.03, -0.03, 0.0], 64 * np.array([8, 6, 6, 40]))
+    y = system.simulate(u, t, system.trim(20).initial_state)
+    index = pd.Index(t, name="time")
+    u, y = pd.DataFrame({"u": u}, index), pd.DataFrame(y, index, ["y", "v"])
+    left = []
+    for criterion in ("least_squares", "output_error"):
+        match = StructuredMatcher(structure=HarmonicStructure(), criterion=criterion, max_iter=3)
+        steps = HarmonicAnalyzer(1.3, reading="sample"), MOESPRegressor(), match
+        off = make_pipeline(*steps).fit(u, y).predict(u) - y
+        left.append(np.sum(off.to_numpy() ** 2))
+    assert left[1] < left[0]

@@ -34,6 +34,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
+AFFORDABLE = 4.0  # times the parameters of a fit that does not converge, for all of the start's
 FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
 
 
@@ -202,6 +203,8 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     miss the truth (the rotor blade's by four standard deviations). Noise on the inputs, where it
     is allowed for, looks like harmonics of G if it is not: it comes in before G is judged.
 
+    Few harmonics may not converge where the start's own do: then it begins with all of these.
+
     Parameters
     ----------
     match : Match
@@ -229,8 +232,13 @@ def _refine_harmonics(match, structure, open_to, data, settings):
 
     exact = replace(settings, input_noise=None)
     best = begun = fit(first, start.coefficients, exact)
-    if not begun.fit.result.converged:  # more harmonics would not be judged
-        return begun.fit
+    if not begun.fit.result.converged:  # others would not be judged beside it
+        every = {name: start.highest(name) for name in open_to}
+        if of_counts(every).n_parameters <= AFFORDABLE * begun.fit.structure.n_parameters:
+            best = fit(every, start.coefficients, exact)
+        if not best.fit.result.converged:
+            return min(begun.fit, best.fit, key=lambda each: each.aic)
+        begun = best
     for name in open_to:
         if name == "G" and settings.input_noise is not None:
             exact = settings
