@@ -274,7 +274,7 @@ def what_it_has(exponents, opinion, k):
         return f"{opinion.way} nothing that confirms it"
     if apart <= spread and error > DOUBT:
         return f"{opinion.way} it only to within ± {size:.2g} 1/s"
-    return f"{opinion.way} {_within(nearest, size)} 1/s next to it"
+    return f"{opinion.way} {_within(nearest, size)} 1/s nearest to it"
 
 
 def lacks(exponents, opinion, told=()):
@@ -288,7 +288,7 @@ def lacks(exponents, opinion, told=()):
     its = _within(opinion.exponents[k], SURE * opinion.deviations[k])
     return (
         f"the model lacks {int(lacking.sum())} of {len(lacking)} exponents: {opinion.way} "
-        f"{its} 1/s, the model has {beside:.4g} 1/s next to it"
+        f"{its} 1/s, the model has {beside:.4g} 1/s nearest to it"
     )
 
 

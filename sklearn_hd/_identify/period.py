@@ -44,6 +44,7 @@ from sklearn_hd.algorithms.modes.free_decay import (
     logarithms,
     offsets,
     smooth_parts,
+    with_confirmed,
     without_products,
 )
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -245,7 +246,7 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
         _warn_of_turned(turned)
         return Phi, C, still, False
     if auto:
-        still = without_products(still, decays)
+        still = without_products(with_confirmed(still, Phi, decays, DOUBT), decays)
     _warn_of_turned(still.turned)
     return still.Phi, _sight(still, stretches, data, unit), still, True
 

@@ -39,6 +39,7 @@ __all__ = [
     "offsets",
     "periods_at_rest",
     "smooth_parts",
+    "with_confirmed",
     "without_products",
 ]
 
@@ -336,6 +337,42 @@ def _pair(found, i):
     """A mode and its conjugate."""
     z = found.multipliers
     return [i, int(np.abs(z - z[i].conj()).argmin())]
+
+
+def with_confirmed(found, Phi, decays, doubt):
+    """The modes of free decays with weak ones that the map of the whole record has, too.
+
+    As many modes as that map has are fitted. Products of others are left out, and what the two do
+    not agree on; if a mode is left that was not found before, these modes are better known.
+
+    Parameters
+    ----------
+    found : FreeDecay
+    Phi : ndarray, shape (n, n)
+        The map of the whole record.
+    decays : list of ndarray, shapes (n_periods_s, q)
+    doubt : float
+        Of a rate, within which both have to know it and agree.
+
+    Returns
+    -------
+    found : FreeDecay
+    """
+    more = free_decay(decays, len(Phi)) if len(Phi) > len(found.Phi) else None
+    if more is None:
+        return found
+    own, logs = (logarithms(each.multipliers) for each in (found, more))
+    within = doubt * np.abs(logs.real)
+    off = apart(logs, logarithms(linalg.eigvals(Phi))).min(axis=1) + more.spread(SURE)
+    both = np.flatnonzero(off <= within)
+    alone = [
+        not is_product(logs[i], np.delete(logs[both], at), within[i])[0]
+        for at, i in enumerate(both)
+    ]
+    both = both[alone]
+    if not np.any(apart(logs[both], own).min(axis=1) > within[both]):
+        return found
+    return _without(more, np.delete(np.arange(len(logs)), both))
 
 
 def logarithms(multipliers):

@@ -10,6 +10,7 @@ from sklearn_hd.algorithms.modes.free_decay import (
     free_decay,
     periods_at_rest,
     smooth_parts,
+    with_confirmed,
     without_products,
 )
 
@@ -39,6 +40,11 @@ def decays_of(multipliers, n_periods=30, noise=0.0, curved=0.0, seed=0, n_decays
         y = (powers @ shapes).real + curved * (np.abs(powers) ** 2) @ second
         found.append(y + noise * y.std() * rng.standard_normal(y.shape))
     return found
+
+
+def turn(angle):
+    """A rotation."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def nearest(found, multipliers):
@@ -193,6 +199,21 @@ def test_what_is_known_of_a_linear_machine_stays(noise):
         decays = decays_of(modes, n_periods=48, noise=noise, seed=seed)
         found = free_decay(decays)
         np.testing.assert_array_equal(without_products(found, decays).deviations, found.deviations)
+
+
+def test_a_weak_mode_that_the_whole_record_has_is_no_response_of_second_order():
+    strong, weak = 0.9 * np.exp(2j * np.array([1, -1])), 0.85 * np.exp(1j * np.array([1, -1]))
+    (large,), (small,) = decays_of(strong, 48), decays_of(weak, 48, seed=1)
+    decays = [large + 3e-3 * small + 1e-3 * large**2 + 1e-5 * large**3]
+    found = free_decay(decays, 2)
+    squares = linalg.block_diag(0.81 * turn(4.0), 0.81)
+    whole = linalg.block_diag(0.85 * turn(1.0), 0.9 * turn(2.0), squares)
+    confirmed = with_confirmed(found, whole, decays, 0.1)
+    assert len(confirmed.multipliers) == 4
+    assert nearest(confirmed, np.concatenate([strong, weak])).max() < 1e-3
+    other = linalg.block_diag(0.6 * turn(1.5), 0.9 * turn(2.0), squares)
+    assert with_confirmed(found, other, decays, 0.1) is found
+    assert with_confirmed(found, 0.9 * turn(2.0), decays, 0.1) is found
 
 
 def test_noise_of_a_mode_that_a_period_forgets_is_turned_to_a_real_systems():
