@@ -12,6 +12,8 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
+from sklearn_hd._identify import _is_surer
+from sklearn_hd._identify.stages import SubspaceFit
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import IdentifiabilityWarning, TimeBaseWarning
 from sklearn_hd.systems import LTPSystem
@@ -172,6 +174,28 @@ def test_the_other_reading_is_taken_where_it_is_surer(seed):
     found, true = step.model_.exponents(), system.floquet_exponents()
     gaps = np.abs(found[:, None] - np.concatenate([true, true.conj()]))
     assert np.max(gaps.min(axis=1)) < 0.01 * np.abs(true.real).max()
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ((0.03, 0.5, False), (0.04, 0.1, False)),  # nothing speaks against either: by errors
+        ((9.0, 0.5, False), (0.3, 0.1, True)),  # nothing speaks against one
+        ((0.3, 0.2, True), (0.4, 0.1, True)),  # both in doubt: by errors,
+        ((0.4, 0.1, True), (0.3, 0.5, True)),  # unless one leaves far more,
+        ((7.0, 0.1, True), (2.0, 0.2, True)),  # or both may be off by all of a rate
+    ],
+)
+def test_which_of_two_models_is_kept(one, other):
+    """Each as the error of an exponent, the variance left, and whether it is in doubt."""
+
+    def model(doubt, left, told):
+        return (SubspaceFit(None, None, 1, 1, doubt=doubt, left=left),), [
+            ("", IdentifiabilityWarning if told else TimeBaseWarning)
+        ]
+
+    assert _is_surer(*model(*one), *model(*other))
+    assert not _is_surer(*model(*other), *model(*one))
 
 
 @pytest.mark.slow

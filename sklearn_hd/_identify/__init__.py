@@ -48,7 +48,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
 HARMONICS = 1  # of the regression, where the machine turns
-
+DECISIVE = 4.0  # times the variance left: between two models in doubt it tells more than doubts do
 
 MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
 
@@ -174,7 +174,8 @@ def identify_frame(X, y, settings, *delays):
 
     A frame may carry two readings. The second one is tried if something speaks against the model
     of the first, or if that may be far off by half of what counts as doubt. A model that nothing
-    speaks against is kept; of two of them, or of two in doubt, the one that may be less far off.
+    speaks against is kept; of two of them, or of two in doubt, the one that may be less far off,
+    unless one of those in doubt leaves far more of the record.
     In a search, and with block rows given, which are others for each reading, the second one is
     tried only if the first one fails.
 
@@ -193,7 +194,7 @@ def identify_frame(X, y, settings, *delays):
     asked = settings.block_rows is None and not searching()
     if first is None or (asked and _far_off(first, doubts) > (False, DOUBT / 2.0)):
         second, others, _ = _attempt(read_as(as_frame(X), other.reading), y, settings, delays)
-        if second and (first is None or _far_off(second, others) < _far_off(first, doubts)):
+        if second and (first is None or _is_surer(second, others, first, doubts)):
             first, doubts = second, others
     if first is None:
         raise error
@@ -213,9 +214,20 @@ def _attempt(X, y, settings, delays):
 
 
 def _far_off(found, held):
-    """Whether warnings say that a model is in doubt, and how far its exponents may be off."""
+    """Whether warnings say that a model is in doubt, how far its exponents may be off, up to all
+    of a rate, beyond which no number tells anything, and what it leaves."""
     doubtful = IdentifiabilityWarning, InstabilityWarning
-    return any(category in doubtful for _, category in held), found[0].doubt
+    told = any(category in doubtful for _, category in held)
+    return told, min(found[0].doubt, 1.0), found[0].left
+
+
+def _is_surer(one, its, other, others):
+    """Whether the first of two models is to be kept."""
+    far, farther = _far_off(one, its), _far_off(other, others)
+    left, more = far[-1], farther[-1]
+    if far[0] and farther[0] and max(left, more) > DECISIVE * min(left, more):
+        return left < more
+    return far < farther
 
 
 def identify_record(experiment, settings, input_delay=0.0, output_delay=0.0):

@@ -130,7 +130,16 @@ def identify(data, settings, experiment):
     doubt = 0.0 if held is None else held.doubt(exponents)
     model = _lifted(fit.model, data, experiment, known, forced)
     model = replace(model, at_rest=at_rest, opinion=opinion)
-    return replace(fit, model=model, forced=forced, doubt=doubt)
+    left = _left_of_motion(model, experiment)
+    return replace(fit, model=model, forced=forced, doubt=doubt, left=left)
+
+
+def _left_of_motion(model, experiment):
+    """Share of the outputs' variance about their mean turn that the lifted model leaves."""
+    if model.lifted is None:
+        return np.inf
+    y = np.vstack(_raw_periods(experiment))
+    return model.lifted.left * float(np.sum(y**2) / max(np.sum((y - y.mean(axis=0)) ** 2), TINY))
 
 
 def _of_its_likelihood(model, experiment, data):

@@ -194,6 +194,7 @@ def identify(data, settings, experiment):
         tried,
         doubt=0.0 if model.opinion is None else model.opinion.doubt(model.exponents()),
         degrees=found.refined.degrees,
+        left=found.left.share**2,
     )
 
 

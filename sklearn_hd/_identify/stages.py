@@ -74,6 +74,8 @@ class SubspaceFit:
         How far an exponent may be off, in parts of its rate, by the opinion that doubts most.
     degrees : tuple of int
         Of products of states and inputs, beside which the model is that of small motions.
+    left : float
+        Share of the outputs' variance, about their periodic means, that a simulation leaves.
     """
 
     model: LTIModel
@@ -87,6 +89,7 @@ class SubspaceFit:
     forced: np.ndarray | None = None
     doubt: float = 0.0
     degrees: tuple = ()
+    left: float = 0.0
 
     @property
     def order_search(self):
