@@ -343,7 +343,8 @@ def with_confirmed(found, Phi, decays, doubt):
     """The modes of free decays with weak ones that the map of the whole record has, too.
 
     As many modes as that map has are fitted. Products of others are left out, and what the two do
-    not agree on; if a mode is left that was not found before, these modes are better known.
+    not agree on. The rest is taken if it has a mode that was not found before, and all that were
+    and are known.
 
     Parameters
     ----------
@@ -365,12 +366,14 @@ def with_confirmed(found, Phi, decays, doubt):
     within = doubt * np.abs(logs.real)
     off = apart(logs, logarithms(linalg.eigvals(Phi))).min(axis=1) + more.spread(SURE)
     both = np.flatnonzero(off <= within)
-    alone = [
-        not is_product(logs[i], np.delete(logs[both], at), within[i])[0]
-        for at, i in enumerate(both)
+    products = [
+        is_product(logs[i], np.delete(logs[both], at), within[i])[0] for at, i in enumerate(both)
     ]
-    both = both[alone]
-    if not np.any(apart(logs[both], own).min(axis=1) > within[both]):
+    both = both[~np.array(products, dtype=bool)]
+    new = apart(logs[both], own).min(axis=1) > within[both]
+    known = found.spread(SURE) <= doubt * np.abs(own.real)
+    lost = apart(own, logs[both]).min(axis=1, initial=np.inf) > doubt * np.abs(own.real)
+    if not new.any() or np.any(lost & known):
         return found
     return _without(more, np.delete(np.arange(len(logs)), both))
 

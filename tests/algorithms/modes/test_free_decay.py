@@ -214,6 +214,10 @@ def test_a_weak_mode_that_the_whole_record_has_is_no_response_of_second_order():
     other = linalg.block_diag(0.6 * turn(1.5), 0.9 * turn(2.0), squares)
     assert with_confirmed(found, other, decays, 0.1) is found
     assert with_confirmed(found, 0.9 * turn(2.0), decays, 0.1) is found
+    nothing = linalg.block_diag(0.3 * turn(0.5), 0.2 * turn(1.5), 0.1)
+    assert with_confirmed(found, nothing, decays, 0.1) is found
+    only_weak = linalg.block_diag(0.85 * turn(1.0), 0.2 * turn(1.5), squares)
+    assert with_confirmed(found, only_weak, decays, 0.1) is found
 
 
 def test_noise_of_a_mode_that_a_period_forgets_is_turned_to_a_real_systems():
