@@ -48,7 +48,7 @@ from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
 HARMONICS = 1  # of the regression, where the machine turns
-DECISIVE = 4.0  # times the variance left: between two models in doubt it tells more than doubts do
+DECISIVE = 4.0  # times the variance left, which tells more than doubts that both have
 
 MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
 
@@ -175,7 +175,7 @@ def identify_frame(X, y, settings, *delays):
     A frame may carry two readings. The second one is tried if something speaks against the model
     of the first, or if that may be far off by half of what counts as doubt. A model that nothing
     speaks against is kept; of two of them, or of two in doubt, the one that may be less far off,
-    unless one of those in doubt leaves far more of the record.
+    unless the first of those in doubt leaves far more of the record.
     In a search, and with block rows given, which are others for each reading, the second one is
     tried only if the first one fails.
 
@@ -221,12 +221,15 @@ def _far_off(found, held):
     return told, min(found[0].doubt, 1.0), found[0].left
 
 
-def _is_surer(one, its, other, others):
-    """Whether the first of two models is to be kept."""
-    far, farther = _far_off(one, its), _far_off(other, others)
-    left, more = far[-1], farther[-1]
-    if far[0] and farther[0] and max(left, more) > DECISIVE * min(left, more):
-        return left < more
+def _is_surer(second, others, first, doubts):
+    """Whether the second of two models is to be kept.
+
+    Of two in doubt it is if the first leaves far more of the record. Not the other way round: many
+    parameters for the inputs' effect within a period leave less, whatever the multipliers are.
+    """
+    far, farther = _far_off(second, others), _far_off(first, doubts)
+    if far[0] and farther[0] and farther[-1] > DECISIVE * far[-1]:
+        return True
     return far < farther
 
 
