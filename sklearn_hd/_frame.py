@@ -65,6 +65,8 @@ class LTIModel:
         Whether it was identified as if inputs reacted to outputs.
     at_rest : bool
         Whether A is that of free decays alone (period by period).
+    second_order : complex ndarray
+        Multipliers of other motions in these decays: the response is not linear.
     opinion : Opinion or None
         Its exponents as estimated in another way.
     lifted : Lifted or None
@@ -87,6 +89,7 @@ class LTIModel:
     innovations_covariance: np.ndarray | None = None
     closed_loop: bool = False
     at_rest: bool = False
+    second_order: np.ndarray | tuple = ()
     opinion: object = None
     lifted: Lifted | None = None
     delays: object = None

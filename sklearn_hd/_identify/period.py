@@ -44,7 +44,6 @@ from sklearn_hd.algorithms.modes.free_decay import (
     logarithms,
     offsets,
     smooth_parts,
-    with_confirmed,
     without_products,
 )
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -129,7 +128,8 @@ def identify(data, settings, experiment):
     warn_unconfirmed(exponents, held)
     doubt = 0.0 if held is None else held.doubt(exponents)
     model = _lifted(fit.model, data, experiment, known, forced)
-    model = replace(model, at_rest=at_rest, opinion=opinion)
+    second_order = still.beside if at_rest else ()
+    model = replace(model, at_rest=at_rest, second_order=second_order, opinion=opinion)
     left = _left_of_motion(model, experiment)
     return replace(fit, model=model, forced=forced, doubt=doubt, left=left)
 
@@ -255,7 +255,7 @@ def _own_map(A, C, noise, experiment, data, unit, settings):
         _warn_of_turned(turned)
         return Phi, C, still, False
     if auto:
-        still = without_products(with_confirmed(still, Phi, decays, DOUBT), decays)
+        still = without_products(still, decays)
     _warn_of_turned(still.turned)
     return still.Phi, _sight(still, stretches, data, unit), still, True
 
@@ -339,7 +339,7 @@ def _of_second_order(Phi, still, decays):
 def _sight(still, stretches, data, unit):
     """C of the states of free decays, by least squares beside what the trim is off by."""
     seen = np.vstack([data.outputs[s][rows] for s, rows in stretches]) / unit
-    known = np.hstack([np.vstack(still.states), np.vstack(offsets(still.states))])
+    known = np.hstack([np.vstack(still.states), np.vstack(offsets(still.states, still.beside))])
     return linalg.lstsq(known, seen)[0][: len(still.Phi)].T
 
 

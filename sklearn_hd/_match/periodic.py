@@ -330,7 +330,7 @@ def _simulated(model, C, inputs, directions, lifted, seen):
     if model.at_rest:
         stretches = periods_at_rest(inputs)
         lifted, seen = ([each[s][rows] for s, rows in stretches] for each in (lifted, seen))
-        directions = offsets(lifted)
+        directions = offsets(lifted, model.second_order)
     response = state_response(Phi, C, directions, lifted, seen)
     return response, sum(map(len, lifted)) - directions[0].shape[1] - n
 

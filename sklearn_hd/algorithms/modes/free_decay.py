@@ -8,7 +8,8 @@ trim is off by. The period reading needs it where a whole record is not that of 
 system, and every reading of inputs that rest as a second opinion.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
@@ -39,16 +40,17 @@ __all__ = [
     "offsets",
     "periods_at_rest",
     "smooth_parts",
-    "with_confirmed",
     "without_products",
 ]
 
+AGREED = 0.05  # of a rate, within which fits of two orders have to know a mode, and have it alike
 LIKE_A_PRODUCT = 0.25  # of a rate, within which fits of several products together lie
 MOST_COLUMNS = 0.75  # of the periods, that regressors may be
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12  # tried by order="auto": raw periods are simulated with each
 ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
+NOTHING_ELSE = 1e-2  # of what few modes leave, that more have to leave: noise is left by all
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
 LEAST_GONE = 0.05  # of a mode's motion, to tell what the rest of it leads to
@@ -71,6 +73,8 @@ class FreeDecay:
         left, else what is beyond the errors of the rest), and of slow modes until it is gone.
     turned : float
         A negative multiplier that was turned back, 0 if none was.
+    beside : complex ndarray
+        Multipliers of other motions in the decays, which are not the machine's own modes.
     """
 
     Phi: np.ndarray
@@ -78,6 +82,7 @@ class FreeDecay:
     multipliers: np.ndarray
     deviations: np.ndarray
     turned: float = 0.0
+    beside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=complex))
 
     def spread(self, n_deviations):
         """So many deviations; zero for none, also of what is not known at all (infinite)."""
@@ -139,9 +144,31 @@ def smooth_parts(decays):
     return [np.hstack([c[:, :k, j] for j, k in enumerate(kept)]) for c in cosines]
 
 
-def offsets(decays):
-    """A constant of its own for each decay: what its level is off by."""
-    return [np.eye(len(decays))[[s] * len(y)] for s, y in enumerate(decays)]
+def offsets(decays, multipliers=()):
+    """What each decay has of its own: a constant, which its level is off by, and other motions.
+
+    Parameters
+    ----------
+    decays : list of ndarray, n_periods_s rows each
+    multipliers : complex array_like
+        Of motions beside those of the modes, as a nonlinear response has them. They are left out
+        if the decays are too few periods for so many columns.
+
+    Returns
+    -------
+    columns : list of ndarray, shapes (n_periods_s, c)
+    """
+    first = np.asarray(multipliers, dtype=complex)
+    first = first[first.imag >= 0.0]
+    own, n_rows = np.eye(len(decays)), sum(map(len, decays))
+    if len(decays) * (1 + np.sum(1 + (first.imag > 0.0))) > MOST_COLUMNS * n_rows:
+        first = first[:0]
+    columns = []
+    for s, y in enumerate(decays):
+        z = first ** np.arange(len(y))[:, None]
+        motions = np.hstack([np.ones((len(y), 1)), z.real, z.imag[:, first.imag > 0.0]])
+        columns.append(np.kron(own[s], motions))
+    return columns
 
 
 def free_decay(decays, order=None, compare=True):
@@ -150,7 +177,8 @@ def free_decay(decays, order=None, compare=True):
     Their number is that of a wide gap between the directions that outputs move in; else of the
     least Bayesian information criterion. Where that leaves more than noise, directions in which
     outputs move by less than a hundredth of the strongest are not counted: the second order of a
-    nonlinear machine's response is of that size.
+    nonlinear machine's response is of that size. Modes that fits of more states agree on then take
+    their place, without products of others.
 
     Parameters
     ----------
@@ -179,14 +207,14 @@ def free_decay(decays, order=None, compare=True):
     if order is None:
         orders = range(1, most + 1) if wide is None else [wide]
     n_free, price = cost_of_a_state(ones, decays)
-    best = None
+    rounding, best = EXACT**2 * float(np.sum(stacked**2)), None
     for n in orders:
         states = np.split(stacked @ V[:n].T, edges)
         Phi, turned = turned_back(refine_multipliers(_steps(states, ones), ones, decays))
         if outgrows_numbers(Phi, max(len(y) for y in decays)):
             continue  # no free decay
         left = left_by(Phi, ones, stacked)
-        rss = max(float(np.sum(left**2)), EXACT**2 * float(np.sum(stacked**2)))
+        rss = max(float(np.sum(left**2)), rounding)
         bic = n_free * np.log(rss / n_free) + n * price
         if best is None or bic < best[0]:
             best = bic, n, Phi, states, left, turned
@@ -195,19 +223,21 @@ def free_decay(decays, order=None, compare=True):
     if best is None:
         return None
     _, n, Phi, states, left, turned = best
-    told = int(np.sum(values > WEAK * values[0]))
     sizes = n_rows - len(decays) - n, left.shape[1]
-    noise = wide is not None or is_noise(left, *sizes)
-    if n > told and len(orders) > 1 and not noise:
-        return free_decay(decays, told, compare)
-    if n == most < MOST_STATES and order is None and not noise:
-        return None  # there may be more
+    noise = np.sum(left**2) <= rounding or is_noise(left, *sizes)
+    if len(orders) > 1 and not noise:
+        told = int(np.sum(values > WEAK * values[0]))
+        if n > told:
+            return _agreed(free_decay(decays, told), decays)
+        if n == most < MOST_STATES:
+            return None  # there may be more
     found = FreeDecay(Phi, states, *multiplier_deviations(Phi, ones, decays), turned)
     if not compare:
         return found
-    allowed = SURE if is_noise(left, *sizes) else 0.0
+    allowed = SURE if noise else 0.0
     moved = np.maximum(_changes(found, decays, 1, allowed), _until_no_motion(found, decays))
-    return replace(found, deviations=np.hypot(found.deviations, moved))
+    found = replace(found, deviations=np.hypot(found.deviations, moved))
+    return found if noise or order is not None else _agreed(found, decays)
 
 
 def _changes(found, decays, start, n_deviations):
@@ -339,43 +369,84 @@ def _pair(found, i):
     return [i, int(np.abs(z - z[i].conj()).argmin())]
 
 
-def with_confirmed(found, Phi, decays, doubt):
-    """The modes of free decays with weak ones that the map of the whole record has, too.
+def _agreed(found, decays):
+    """The modes that fits of two successive orders agree on, if none that was found is lost.
 
-    As many modes as that map has are fitted. Products of others are left out, and what the two do
-    not agree on. The rest is taken if it has a mode that was not found before, and all that were
-    and are known.
+    Of a machine that is not linear, products of its modes are modes of its free decays, too. Fits
+    of few states are off by these, fits of many have them as modes of their own, and others that
+    are different in each fit. Fits count that leave no more than a hundredth of what was left: if
+    that is noise, none does. Products of others are left out, of new modes also what may be one.
+    Deviations are at least what the two fits differ by, and the square of what they were, in parts
+    of the rate: the next order of what the response is not linear by. A mode that was found, and
+    that the two fits do not have, is known no better than their nearest.
 
     Parameters
     ----------
-    found : FreeDecay
-    Phi : ndarray, shape (n, n)
-        The map of the whole record.
+    found : FreeDecay or None
+        Of as many states as the directions that count.
     decays : list of ndarray, shapes (n_periods_s, q)
-    doubt : float
-        Of a rate, within which both have to know it and agree.
 
     Returns
     -------
-    found : FreeDecay
+    found : FreeDecay or None
     """
-    more = free_decay(decays, len(Phi)) if len(Phi) > len(found.Phi) else None
-    if more is None:
+    if found is None:
+        return None
+    ones, stacked = offsets(decays), np.vstack(decays)
+    most_left = NOTHING_ELSE * np.sum(left_by(found.Phi, ones, stacked) ** 2)
+    fits = []
+    for order in range(len(found.Phi) + 1, MOST_STATES + 1):
+        fit = free_decay(decays, order, False)
+        if fit is not None and np.sum(left_by(fit.Phi, ones, stacked) ** 2) <= most_left:
+            fits.append(free_decay(decays, order))
+    alike = [_alike(fit, more) for fit, more in pairwise(fits)]
+    most = max(alike, key=lambda fit: (len(fit.Phi), -fit.deviations.sum()), default=None)
+    if most is None or not len(most.Phi):
         return found
-    own, logs = (logarithms(each.multipliers) for each in (found, more))
-    within = doubt * np.abs(logs.real)
-    off = apart(logs, logarithms(linalg.eigvals(Phi))).min(axis=1) + more.spread(SURE)
-    both = np.flatnonzero(off <= within)
-    products = [
-        is_product(logs[i], np.delete(logs[both], at), within[i])[0] for at, i in enumerate(both)
-    ]
-    both = both[~np.array(products, dtype=bool)]
-    new = apart(logs[both], own).min(axis=1) > within[both]
-    known = found.spread(SURE) <= doubt * np.abs(own.real)
-    lost = apart(own, logs[both]).min(axis=1, initial=np.inf) > doubt * np.abs(own.real)
-    if not new.any() or np.any(lost & known):
-        return found
-    return _without(more, np.delete(np.arange(len(logs)), both))
+    before, logs = (logarithms(each.multipliers) for each in (found, most))
+    rates, gaps = np.abs(before.real), apart(before, logs)
+    off, nearest = gaps.min(axis=1), gaps.argmin(axis=1)
+    kept = off <= AGREED * rates
+    new = np.isin(np.arange(len(logs)), nearest[kept], invert=True)
+    within = np.where(new, AGREED, ALIKE) * np.abs(logs.real)
+    products = _products_of_slower(logs, np.maximum(within, most.spread(SURE)))
+    deviations = most.deviations.copy()
+    np.maximum.at(deviations, nearest[kept], (found.deviations**2 / np.maximum(rates, TINY))[kept])
+    others = _without(replace(most, deviations=deviations), np.flatnonzero(products))
+    lost = np.any(_known(found) & ~kept)
+    if lost or len(others.Phi) < np.sum(~(kept & products[nearest])):
+        off[kept] = 0.0
+        return replace(found, deviations=np.maximum(found.deviations, off))
+    return others
+
+
+def _products_of_slower(logs, within):
+    """Which modes are products of slower ones: of two or three, or of two that may be products."""
+    products = np.zeros(len(logs), dtype=bool)
+    for i in np.argsort(-logs.real):
+        slower = logs.real > logs[i].real
+        sums = logs[slower][:, None] + logs[slower]
+        products[i] = is_product(logs[[i]], logs[slower & ~products], within[i])[0]
+        products[i] |= apart(logs[[i]], sums.ravel()).min(initial=np.inf) <= within[i]
+    return products
+
+
+def _alike(fit, more):
+    """The modes of a fit that one of more states has, too, known no better than these agree."""
+    logs, others = (logarithms(each.multipliers) for each in (fit, more))
+    off = apart(logs, others[_known(more)]).min(axis=1, initial=np.inf)
+    fit = replace(fit, deviations=np.hypot(fit.deviations, off))
+    stays = _known(fit)
+    for i in np.argsort(-fit.deviations):  # of two that may be one, the surer stays
+        rest = np.delete(logs, i)[np.delete(stays, i)]
+        if apart(logs[[i]], rest).min(initial=np.inf) <= fit.spread(SURE)[i]:
+            stays[_pair(fit, i)] = False
+    return _without(fit, np.flatnonzero(~stays))
+
+
+def _known(found):
+    """Which modes are known, each by its deviation."""
+    return SURE * found.deviations <= AGREED * np.abs(logarithms(found.multipliers).real)
 
 
 def logarithms(multipliers):
@@ -406,7 +477,9 @@ def _without(found, dropped):
     Phi = (to_modal @ found.Phi @ basis)[np.ix_(columns, columns)]
     states = [x @ to_modal.T[:, columns] for x in found.states]
     rest = [np.delete(each, dropped) for each in (found.multipliers, found.deviations)]
-    return FreeDecay(Phi, states, *rest, found.turned)
+    turned = found.turned if np.any(np.isclose(rest[0], -found.turned)) else 0.0
+    beside = np.append(found.beside, found.multipliers[dropped])
+    return FreeDecay(Phi, states, *rest, turned, beside)
 
 
 def _steps(states, ones):
