@@ -374,11 +374,10 @@ def _agreed(found, decays):
 
     Of a machine that is not linear, products of its modes are modes of its free decays, too. Fits
     of few states are off by these, fits of many have them as modes of their own, and others that
-    are different in each fit. Fits count that leave no more than a hundredth of what was left: if
-    that is noise, none does. Products of others are left out, of new modes also what may be one.
-    Deviations are at least what the two fits differ by, and the square of what they were, in parts
-    of the rate: the next order of what the response is not linear by. A mode that was found, and
-    that the two fits do not have, is known no better than their nearest.
+    are different in each fit. Products of slower ones are left out; a new mode is one if it may be
+    one. Deviations are at least what the two fits differ by, and the square of what they were, in
+    parts of the rate: the next order of what is not linear. If the two fits know the modes found
+    less well, these stay. One that the two do not have is known no better than their nearest.
 
     Parameters
     ----------
@@ -390,15 +389,7 @@ def _agreed(found, decays):
     -------
     found : FreeDecay or None
     """
-    if found is None:
-        return None
-    ones, stacked = offsets(decays), np.vstack(decays)
-    most_left = NOTHING_ELSE * np.sum(left_by(found.Phi, ones, stacked) ** 2)
-    fits = []
-    for order in range(len(found.Phi) + 1, MOST_STATES + 1):
-        fit = free_decay(decays, order, False)
-        if fit is not None and np.sum(left_by(fit.Phi, ones, stacked) ** 2) <= most_left:
-            fits.append(free_decay(decays, order))
+    fits = [] if found is None else _of_more_states(found, decays)
     alike = [_alike(fit, more) for fit, more in pairwise(fits)]
     most = max(alike, key=lambda fit: (len(fit.Phi), -fit.deviations.sum()), default=None)
     if most is None or not len(most.Phi):
@@ -407,28 +398,36 @@ def _agreed(found, decays):
     rates, gaps = np.abs(before.real), apart(before, logs)
     off, nearest = gaps.min(axis=1), gaps.argmin(axis=1)
     kept = off <= AGREED * rates
-    new = np.isin(np.arange(len(logs)), nearest[kept], invert=True)
-    within = np.where(new, AGREED, ALIKE) * np.abs(logs.real)
-    products = _products_of_slower(logs, np.maximum(within, most.spread(SURE)))
+    share = np.full(len(logs), AGREED)
+    share[nearest[kept]] = ALIKE
+    products = _products_of_slower(most, share)
+    worse = np.sum(most.deviations[nearest[kept]]) > np.sum(found.deviations[kept])
+    worse |= np.any(_known(found) & ~kept)
+    if worse or np.sum(~products) < np.sum(~(kept & products[nearest])):
+        return replace(found, deviations=np.maximum(found.deviations, np.where(kept, 0.0, off)))
     deviations = most.deviations.copy()
     np.maximum.at(deviations, nearest[kept], (found.deviations**2 / np.maximum(rates, TINY))[kept])
-    others = _without(replace(most, deviations=deviations), np.flatnonzero(products))
-    lost = np.any(_known(found) & ~kept)
-    if lost or len(others.Phi) < np.sum(~(kept & products[nearest])):
-        off[kept] = 0.0
-        return replace(found, deviations=np.maximum(found.deviations, off))
-    return others
+    return _without(replace(most, deviations=deviations), np.flatnonzero(products))
 
 
-def _products_of_slower(logs, within):
-    """Which modes are products of slower ones: of two or three, or of two that may be products."""
-    products = np.zeros(len(logs), dtype=bool)
-    for i in np.argsort(-logs.real):
-        slower = logs.real > logs[i].real
-        sums = logs[slower][:, None] + logs[slower]
-        products[i] = is_product(logs[[i]], logs[slower & ~products], within[i])[0]
-        products[i] |= apart(logs[[i]], sums.ravel()).min(initial=np.inf) <= within[i]
-    return products
+def _of_more_states(found, decays):
+    """Fits that leave no more than a hundredth of what was left: where that is noise, none does."""
+    ones, stacked = offsets(decays), np.vstack(decays)
+    most_left = NOTHING_ELSE * np.sum(left_by(found.Phi, ones, stacked) ** 2)
+    fits = []
+    for order in range(len(found.Phi) + 1, MOST_STATES + 1):
+        fit = free_decay(decays, order, False)
+        if fit is not None and np.sum(left_by(fit.Phi, ones, stacked) ** 2) <= most_left:
+            fits.append(free_decay(decays, order))
+    return fits
+
+
+def _products_of_slower(found, share):
+    """Which modes are products of slower ones, within shares of their rates or their deviations."""
+    logs = logarithms(found.multipliers)
+    within = np.maximum(share * np.abs(logs.real), found.spread(SURE))
+    each = enumerate(zip(logs[:, None].real < logs.real, within, strict=True))
+    return np.array([is_product(logs[[i]], logs[slower], some)[0] for i, (slower, some) in each])
 
 
 def _alike(fit, more):
