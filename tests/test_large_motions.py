@@ -308,3 +308,18 @@ def test_a_likelihood_whose_few_harmonics_do_not_converge_begins_with_all_of_the
         off = make_pipeline(*steps).fit(u, y).predict(u) - y
         left.append(np.sum(off.to_numpy() ** 2))
     assert left[1] < left[0]
+
+
+@pytest.mark.parametrize("offset", [0, 50])
+def test_exact_decays_show_small_motions_beside_the_second_order(offset):
+    """Exponents and mode shapes of the flapping wing after one doublet of 2 %."""
+    data = make_flapping_wing("nltp", n_periods=60, start=8, width=10, offset=offset / 64)
+    steps = MOESPRegressor(), StructuredMatcher(structure=HarmonicStructure())
+    pipe = make_pipeline(HarmonicAnalyzer(data.omega), *steps).fit(data.inputs, data.outputs)
+    exact, found = data.ltp.floquet_exponents(), pipe[-1].ltp_.floquet_exponents()
+    np.testing.assert_allclose(np.sort(found.real), np.sort(exact.real), rtol=2e-3)
+    assert np.max(found.real) == pytest.approx(np.max(exact.real), rel=1e-6)
+    names = list(data.A_exact.index)
+    rows = [list(pipe[-1].system_.state_labels).index(name) for name in names]
+    off = pipe[-1].system_.A[np.ix_(rows, rows)] - data.A_exact.to_numpy()
+    assert np.linalg.norm(off) < 6e-4 * np.linalg.norm(data.A_exact)

@@ -339,7 +339,7 @@ def _of_second_order(Phi, still, decays):
 def _sight(still, stretches, data, unit):
     """C of the states of free decays, by least squares beside what the trim is off by."""
     seen = np.vstack([data.outputs[s][rows] for s, rows in stretches]) / unit
-    known = np.hstack([np.vstack(still.states), np.vstack(offsets(still.states, still.beside))])
+    known = np.hstack([np.vstack(still.states), np.vstack(offsets(still.states))])
     return linalg.lstsq(known, seen)[0][: len(still.Phi)].T
 
 

@@ -330,8 +330,11 @@ def _simulated(model, C, inputs, directions, lifted, seen):
     if model.at_rest:
         stretches = periods_at_rest(inputs)
         lifted, seen = ([each[s][rows] for s, rows in stretches] for each in (lifted, seen))
-        directions = offsets(lifted, model.second_order)
+        directions = offsets(lifted)
     response = state_response(Phi, C, directions, lifted, seen)
+    if len(model.second_order):  # beside it, but as well known as without: it is no noise
+        beside = offsets(lifted, model.second_order)
+        response = state_response(Phi, C, beside, lifted, seen)[0], *response[1:]
     return response, sum(map(len, lifted)) - directions[0].shape[1] - n
 
 

@@ -462,7 +462,7 @@ def _products(found, share, n_deviations=0.0):
 
 
 def _without(found, dropped):
-    """The modes without some of them."""
+    """The modes without some of them, which are motions beside them then."""
     values, V = linalg.eig(found.Phi)
     stays = ~np.isin(np.abs(values[:, None] - found.multipliers).argmin(axis=1), dropped)
     first = values.imag >= 0.0  # of each pair
