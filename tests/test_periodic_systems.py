@@ -9,8 +9,10 @@ import pytest
 from periodic_cases import bittanti_colaneri, record, synchronous
 from scipy import linalg, signal
 
-from sklearn_hd import HarmonicStructure
+from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor
+from sklearn_hd._frame import LTIModel
 from sklearn_hd._identify.period import unless_it_leaves_less
+from sklearn_hd._match.periodic import has_its_modes
 from sklearn_hd.algorithms.periodic.multipliers import (
     characteristic,
     invariant_blocks,
@@ -21,7 +23,7 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 )
 from sklearn_hd.algorithms.periodic.periodic_realization import equation_error
 from sklearn_hd.exceptions import IdentifiabilityWarning
-from sklearn_hd.systems import flapping_blade, mathieu
+from sklearn_hd.systems import LTPSystem, flapping_blade, mathieu
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "benchmarks"))
 import periodic_systems_study as study
@@ -354,3 +356,45 @@ def test_a_few_modes_are_refined(sizes, seed):
     (_, refined, kept), as_refined = many_modes(sizes, seed)
     assert as_refined
     assert kept == refined < 0.01
+
+
+def test_a_map_that_outgrows_numbers_gives_way():
+    """Its response over the record has a square that overflows."""
+    fine, grows, y = np.diag([0.5, 0.3]), np.diag([20.0, 0.3]), np.ones((80, 4))
+    known = np.eye(2), [np.ones((80, 1))], [y], [y[:, :2]]
+    assert unless_it_leaves_less(grows, fine, *known) is fine
+    assert unless_it_leaves_less(fine, grows, *known) is fine
+
+
+def test_outputs_that_an_11_bit_converter_holds_still_are_fitted_with_a_warning():
+    """After the motion the outputs do not change at all, and models of many states grow."""
+    rng, F = np.random.default_rng(0), np.zeros((3, 2, 2))
+    F[0] = [[-0.6, 0.25], [0.3, -1.1]]
+    F[1:] = 0.35 * rng.standard_normal((2, 2, 2))
+    system = LTPSystem(F, [[1.0], [0.3]], np.eye(2), omega=2.0 * np.pi / 3.0)
+    index = pd.Index(np.arange(60 * 48) * system.period / 48, name="time")
+    u = pd.DataFrame({"u": 0.0}, index)
+    u.iloc[394:490] = 1.0
+    y = np.asarray(system.simulate(u.to_numpy(), index.to_numpy()))
+    y += 1e-3 * y.std(axis=0) * rng.standard_normal(y.shape)
+    bit = 2.0 * np.ptp(y, axis=0) / 2**11
+    y = pd.DataFrame(np.round(y / bit) * bit, index).add_prefix("y")
+    frame = HarmonicAnalyzer(system.omega, reading="period").fit_transform(u, y)
+    with pytest.warns(IdentifiabilityWarning):
+        MOESPRegressor().fit(frame, y)
+
+
+def test_a_periodic_model_has_the_modes_of_a_map_to_a_tenth():
+    """All that a period leaves something of, apart from multiples of jω."""
+    periodic = flapping_blade(gamma=4.0)
+    exponents = periodic.floquet_exponents() + 2j * periodic.omega
+    rates = np.abs(exponents.real)
+    for off, alike in ((0.0, True), (0.05, True), (0.2, False)):
+        logs = (exponents + off * rates) * periodic.period
+        A = _of_pair(np.exp(logs[0]))
+        map_ = LTIModel(A, A, A, A, periodic.period, (), ())
+        assert has_its_modes(periodic, map_) is alike
+
+
+def _of_pair(z):
+    return np.array([[z.real, z.imag], [-z.imag, z.real]])

@@ -296,8 +296,11 @@ def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
     the inputs. Many modes that last but a period or two can then stand for each other, and noise
     decides; with one B for all that is seen they cannot.
     """
-    if outgrows_numbers(identified, max(map(len, lifted))):
+    longest = max(map(len, lifted))
+    if outgrows_numbers(identified, longest):
         return refined
+    if outgrows_numbers(refined, longest):
+        return identified
     left, others = (
         np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
     )

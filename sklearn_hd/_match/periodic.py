@@ -17,6 +17,7 @@ from sklearn_hd._guards import searching, warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
 from sklearn_hd._match.trust import MOST_SYSTEMATIC
+from sklearn_hd._opinion import DOUBT, Opinion
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
@@ -131,8 +132,15 @@ def _without_feedthrough(model, experiment, structure, scale):
         other = _from_equation_error(model, experiment, structure, scale)
         enough = CLEARLY_LESS if found.physical else HARDLY_MORE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
-            return other
+            # noise in its regressors biases the modes
+            return other if has_its_modes(other.model.to_system(), model) else found
     return found
+
+
+def has_its_modes(system, model):
+    """Whether the exponents of an LTPSystem are those of the map, to a tenth."""
+    known = Opinion(model.exponents(), np.zeros(model.n_states), system.omega, "")
+    return known.doubt(system.floquet_exponents()) <= DOUBT
 
 
 def _told(realization, model, why):

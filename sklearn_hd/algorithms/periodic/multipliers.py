@@ -17,7 +17,7 @@ from sklearn_hd.algorithms.lti.structured_model import column_sizes
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
-LARGEST_RESPONSE = 1e100  # squares of more than 1e154 overflow
+LARGEST_RESPONSE = 1e70  # alternating fits may come to its fourth power, and 1e308 overflows
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
 PATIENCE = 2  # orders that may pass without a better one
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
