@@ -50,6 +50,7 @@ LEAST_DECAY = 4  # periods for each state in decays that can stand alone
 MOST_STATES = 12  # tried by order="auto": raw periods are simulated with each
 ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
+ENOUGH = 1e-3  # of a rate: modes known so well stay as they are, for products are weak
 NOTHING_ELSE = 1e-2  # of what few modes leave, that more have to leave: noise is left by all
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
@@ -389,7 +390,9 @@ def _agreed(found, decays):
     -------
     found : FreeDecay or None
     """
-    fits = [] if found is None else _of_more_states(found, decays)
+    if found is None or _known(found, ENOUGH).all():
+        return found
+    fits = _of_more_states(found, decays)
     alike = [_alike(fit, more) for fit, more in pairwise(fits)]
     most = max(alike, key=lambda fit: (len(fit.Phi), -fit.deviations.sum()), default=None)
     if most is None or not len(most.Phi):
@@ -443,9 +446,9 @@ def _alike(fit, more):
     return _without(fit, np.flatnonzero(~stays))
 
 
-def _known(found):
-    """Which modes are known, each by its deviation."""
-    return SURE * found.deviations <= AGREED * np.abs(logarithms(found.multipliers).real)
+def _known(found, share=AGREED):
+    """Which modes are known to a share of their rate, each by its deviation."""
+    return SURE * found.deviations <= share * np.abs(logarithms(found.multipliers).real)
 
 
 def logarithms(multipliers):
