@@ -51,7 +51,7 @@ MOST_STATES = 12  # tried by order="auto": raw periods are simulated with each
 ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
 ENOUGH = 1e-3  # of a rate: modes known so well stay as they are, for products are weak
-NOTHING_ELSE = 1e-2  # of what few modes leave, that more have to leave: noise is left by all
+NOTHING_ELSE = 1e-4  # of what few modes leave, that more have to leave: noise is left by all
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
 LEAST_GONE = 0.05  # of a mode's motion, to tell what the rest of it leads to
@@ -414,7 +414,7 @@ def _agreed(found, decays):
 
 
 def _of_more_states(found, decays):
-    """Fits that leave no more than a hundredth of what was left: where that is noise, none does."""
+    """Fits that leave no more than 1e-4 of what was left: where that is noise, none does."""
     ones, stacked = offsets(decays), np.vstack(decays)
     most_left = NOTHING_ELSE * np.sum(left_by(found.Phi, ones, stacked) ** 2)
     fits = []
