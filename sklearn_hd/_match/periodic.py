@@ -17,13 +17,14 @@ from sklearn_hd._guards import searching, warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
 from sklearn_hd._match.trust import MOST_SYSTEMATIC
-from sklearn_hd._opinion import DOUBT, Opinion
+from sklearn_hd._opinion import DOUBT, lasting, of_multipliers
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
+from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
-from sklearn_hd.algorithms.periodic.multipliers import without_noise
+from sklearn_hd.algorithms.periodic.multipliers import multiplier_deviations, without_noise
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
     equation_error,
@@ -133,14 +134,24 @@ def _without_feedthrough(model, experiment, structure, scale):
         enough = CLEARLY_LESS if found.physical else HARDLY_MORE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
             # noise in its regressors biases the modes
-            return other if has_its_modes(other.model.to_system(), model) else found
+            known = _modes_known(model, experiment, scale)
+            return other if has_modes(other.model.to_system(), known) else found
     return found
 
 
-def has_its_modes(system, model):
-    """Whether the exponents of an LTPSystem are those of the map, to a tenth."""
-    known = Opinion(model.exponents(), np.zeros(model.n_states), system.omega, "")
-    return known.doubt(system.floquet_exponents()) <= DOUBT
+def _modes_known(model, experiment, scale):
+    """The exponents of a map, each known as well as the whole record has it."""
+    _, lifted, directions = _raw_periods(experiment, model.n_states, scale)
+    found = multiplier_deviations(model.A, directions, lifted)
+    return of_multipliers(*found, experiment, "its own likelihood has", own=True)
+
+
+def has_modes(system, known):
+    """Whether exponents of an LTPSystem are those known, to a tenth or within chance."""
+    exponents = system.floquet_exponents()
+    _, apart, spread = known.about(exponents)
+    near = apart <= np.maximum(DOUBT, STANDARD_ERRORS * spread)
+    return bool(np.all(near[lasting(exponents, system.omega)]))
 
 
 def _told(realization, model, why):
