@@ -27,6 +27,7 @@ BETWEEN = tuple(
 SEARCHES = "sklearn.model_selection"
 ONCE = ("default", "module", "once")
 _HELD = ContextVar("held", default=None)
+FEW = 6  # names that a message has room for
 
 
 @functools.cache
@@ -191,6 +192,20 @@ def extremes(signal):
         return by.reduce(np.concatenate([found, rest]))
 
     return np.array([reduced(np.minimum), reduced(np.maximum)])
+
+
+def first_of(names):
+    """The first six of some names as words, and how many more there are.
+
+    Examples
+    --------
+    >>> first_of(["b", "c"])
+    'b, c'
+    >>> first_of(list("abcdefgh"))
+    'a, b, c, d, e, f and 2 more'
+    """
+    more = len(names) - FEW
+    return ", ".join(names[:FEW]) + (f" and {more} more" if more > 0 else "")
 
 
 @contextmanager

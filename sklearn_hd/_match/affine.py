@@ -20,7 +20,7 @@ import pandas as pd
 from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._guards import warn
+from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, PeriodicModel, periodic_match
 from sklearn_hd._match.periodic import state_outputs, warn_coordinates
 from sklearn_hd._readings import coefficient_names, highest_harmonic
@@ -281,7 +281,7 @@ def warn_matched(result, criterion, poles, affine):
         )
     if result.unidentified:
         warn(
-            f"these outputs do not determine {', '.join(result.unidentified)} (only some "
+            f"these outputs do not determine {first_of(result.unidentified)} (only some "
             f"combinations of them): fix some, share a name, or measure more outputs",
             IdentifiabilityWarning,
         )

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from sklearn_hd._fit_checks import longest_span
-from sklearn_hd._guards import warn
+from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, periodic_match
 from sklearn_hd._match.affine import decomposed_basis, match_samples
 from sklearn_hd._match.input_problem import PATIENCE
@@ -304,7 +304,7 @@ def warn_unidentified(result):
     """Of parameters that a fit by maximum likelihood leaves open."""
     if result.unidentified:
         warn(
-            f"the record does not determine {', '.join(result.unidentified)} (only some "
+            f"the record does not determine {first_of(result.unidentified)} (only some "
             f"combinations of them): their standard deviation is infinite; fix some, share a name, "
             f"or use a richer record",
             IdentifiabilityWarning,

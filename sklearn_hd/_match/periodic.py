@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._fit_checks import grows, longest_span
-from sklearn_hd._guards import searching, warn
+from sklearn_hd._guards import first_of, searching, warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
 from sklearn_hd._match.trust import MOST_SYSTEMATIC
@@ -400,7 +400,7 @@ def warn_realized(found, model):
         )
     if found.unidentified:
         warn(
-            f"the record does not determine {', '.join(found.unidentified)} (only some "
+            f"the record does not determine {first_of(found.unidentified)} (only some "
             f"combinations of them): of all that fit, the smoothest G(ψ) is taken; record inputs "
             f"that change at more phases of the period, or give G and Q fewer harmonics",
             IdentifiabilityWarning,

@@ -16,6 +16,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._fit_checks import warn_of_mismatch
+from sklearn_hd._guards import first_of
 from sklearn_hd._model_step import ModelStep
 from sklearn_hd._opinion import DOUBT, contradictions, warn_unconfirmed
 from sklearn_hd._records.data import Experiment
@@ -321,7 +322,7 @@ def _of_match(matcher):
     std = pd.Series(matcher.theta_std_)
     unknown = std.index[np.isinf(std)]
     if len(unknown):
-        found.append((f"The record does not determine {', '.join(unknown)}.", "model"))
+        found.append((f"The record does not determine {first_of(unknown)}.", "model"))
     return found
 
 
