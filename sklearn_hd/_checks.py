@@ -9,6 +9,7 @@ import pandas as pd
 
 from sklearn_hd._guards import square_sums
 
+STANDARD_ERRORS = 4.0  # by which chance does not move what is estimated
 PERIOD_TOLERANCE = 1e-3  # samples by which a period may miss a whole number
 MOST_SAMPLES = 1e7  # in a period
 MOST = 2**32 - 1  # of anything counted
@@ -448,7 +449,7 @@ def _samples(omega, sample_time, highest_harmonic, uncertainty, hint=""):
         f"omega={omega:.6g} rad/s and a sample time of {sample_time:.6g} s give {samples:.4g} "
         f"samples a period{hint}",
     )
-    tolerance = PERIOD_TOLERANCE + 4.0 * samples * uncertainty / sample_time
+    tolerance = PERIOD_TOLERANCE + STANDARD_ERRORS * samples * uncertainty / sample_time
     return samples, abs(samples - round(samples)) <= min(tolerance, 0.1)
 
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from sklearn_hd._checks import SMALLEST
+from sklearn_hd._checks import SMALLEST, STANDARD_ERRORS
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._records.sampling import MOST_ROWS
-from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions

@@ -10,6 +10,7 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_hd._checks import (
+    STANDARD_ERRORS,
     check_count,
     check_fraction,
     check_output_names,
@@ -48,7 +49,7 @@ from sklearn_hd._simulators import (
     states_by_record,
     steady,
 )
-from sklearn_hd._tables import STANDARD_ERRORS, STEP_TOLERANCE, as_container, without_inputs
+from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd.algorithms.signals.resampling import advanced, late
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.export import write

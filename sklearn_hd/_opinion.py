@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from sklearn_hd._checks import STANDARD_ERRORS
 from sklearn_hd._fit_checks import longest_span
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._records.data import lifted_periods, output_scale
-from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.modes.free_decay import SURE, logarithms, periods_at_rest
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.exceptions import IdentifiabilityWarning
@@ -167,8 +167,8 @@ def doubtful(exponents, opinion):
     """Which exponents an opinion does not confirm.
 
     - It has to know them, and to agree: to DOUBT, distance and error apart where it is their own,
-      together else. Of another way that is not needed and does not know, modes within the record
-      pass.
+      together else. Of another way that is not needed, modes within its error pass, too; those
+      within the record do if it does not know.
     - Of another way, it contradicts from LEAST_APART on if chance does not explain that. If it is
       complete, those that are more than it has are in doubt.
     - What does not change within the record is in doubt whatever is known of it.
@@ -183,7 +183,7 @@ def doubtful(exponents, opinion):
         sure = (apart <= DOUBT) & (error <= DOUBT)
     else:
         within = (np.abs(exponents.real) >= 1.0 / opinion.duration) & np.isfinite(apart)
-        sure = np.where(error <= DOUBT, apart + error <= DOUBT, within)
+        sure = np.where(error <= DOUBT, apart <= np.maximum(DOUBT - error, error), within)
     vague = ~sure | unchanging(exponents, opinion)
     if not opinion.own:
         vague |= apart > np.maximum(LEAST_APART, STANDARD_ERRORS * spread)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import issparse
 
-from sklearn_hd._checks import FIRST, at, check_positive
+from sklearn_hd._checks import FIRST, STANDARD_ERRORS, at, check_positive
 from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
 from sklearn_hd._guards import searches, step_extremes, warn
 from sklearn_hd.exceptions import TimeBaseWarning
@@ -172,7 +172,6 @@ def _culprit(data):
 
 STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
 ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
-STANDARD_ERRORS = 4.0  # by which chance does not move what is estimated
 REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off

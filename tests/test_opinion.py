@@ -56,6 +56,15 @@ def test_own_exponents_have_to_be_known(deviation, own, doubted):
     assert doubtful(PAIR, opinion(PAIR, deviation, own)).all() == doubted
 
 
+@pytest.mark.parametrize("deviation", [0.01, 0.03, 0.045, 0.06, 0.2])
+def test_chance_makes_an_opinion_of_another_way_doubt_no_more_often_than_it_says(deviation, rng):
+    """In one of twenty right models: beyond two of its standard deviations."""
+    right = np.array([-0.2])
+    its = right * (1.0 + deviation * rng.standard_normal((4000, 1)))
+    doubted = [doubtful(right, opinion(own, 0.2 * deviation)).any() for own in its]
+    assert np.mean(doubted) < 0.055
+
+
 @pytest.mark.parametrize(("deviation", "doubted"), [(0.1, False), (0.8, True)])
 def test_a_mode_that_dies_within_a_turn_has_to_be_known_to(deviation, doubted):
     """A turn leaves 3e-4 of a motion of -1.3 1/s, and all of it if it is off by two of 0.8."""

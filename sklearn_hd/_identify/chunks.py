@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from sklearn_hd._checks import FIRST, RAISE, at
+from sklearn_hd._checks import FIRST, RAISE, STANDARD_ERRORS, at
 from sklearn_hd._guards import warn
 from sklearn_hd._identify import asked_block_rows, identify, most_block_rows
 from sklearn_hd._identify.checks import check_rank_bound, fewer_block_rows
@@ -185,7 +185,7 @@ class Stream:
             )
         dt, base = experiment.base.sample_time, experiment.base
         single = all(s.stop - s.start == 1 for s in base.segments)  # one row tells no step
-        tolerance = STEP_TOLERANCE * self.sample_time + 4.0 * base.uncertainty
+        tolerance = STEP_TOLERANCE * self.sample_time + STANDARD_ERRORS * base.uncertainty
         if not single and abs(dt - self.sample_time) > tolerance:
             raise ValueError(
                 f"the rows of this chunk are {dt:.6g} s apart, those of the first one "

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd._checks import STANDARD_ERRORS
 from sklearn_hd._fit_checks import grows, longest_span
 from sklearn_hd._guards import first_of, searching, warn
 from sklearn_hd._match import periodic_match
@@ -21,7 +22,7 @@ from sklearn_hd._opinion import DOUBT, lasting, of_multipliers
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
-from sklearn_hd._tables import STANDARD_ERRORS
+from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import multiplier_deviations, without_noise
@@ -42,7 +43,6 @@ from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, In
 
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
 CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
-HARDLY_MORE = 1.1  # the same, where in the first way noise hides that outputs are the states
 POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
 LARGER_LEFT = 2.0  # times what the map leaves: beyond what fitting its freedom to noise explains
 EQUATION_HARMONICS = 2  # of F and G in the equation-error start
@@ -131,7 +131,7 @@ def _without_feedthrough(model, experiment, structure, scale):
         return found  # no simulation compares two ways
     elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
-        enough = CLEARLY_LESS if found.physical else HARDLY_MORE
+        enough = CLEARLY_LESS if found.physical else AS_LITTLE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
             # noise in its regressors biases the modes
             known = _modes_known(model, experiment, scale)

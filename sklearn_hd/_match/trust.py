@@ -12,12 +12,12 @@ from functools import partial
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._checks import STANDARD_ERRORS
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Uncertainty
 from sklearn_hd._opinion import SURE, doubtful, lasting
 from sklearn_hd._residuals import ALARM, LEVEL, remainder, scored
 from sklearn_hd._simulators import sample_simulators, without_gain
-from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
 from sklearn_hd.algorithms.likelihood.predictor import simulate
 from sklearn_hd.algorithms.likelihood.uncertainty import (

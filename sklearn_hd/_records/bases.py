@@ -14,6 +14,7 @@ import numpy as np
 
 from sklearn_hd._checks import (
     PERIOD_TOLERANCE,
+    STANDARD_ERRORS,
     check_count,
     check_harmonics,
     check_period,
@@ -23,7 +24,6 @@ from sklearn_hd._checks import (
 from sklearn_hd._guards import warn
 from sklearn_hd._readings import READINGS
 from sklearn_hd._records.data import sample
-from sklearn_hd._tables import STANDARD_ERRORS
 from sklearn_hd.algorithms.periodic.speed import measured_speed
 from sklearn_hd.algorithms.signals.trim import inputs_rest
 from sklearn_hd.exceptions import FrequencyMismatchWarning

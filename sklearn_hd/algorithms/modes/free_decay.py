@@ -30,23 +30,11 @@ from sklearn_hd.algorithms.periodic.multipliers import (
 from sklearn_hd.algorithms.signals.trim import rests
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 
-__all__ = [
-    "MOST_STATES",
-    "FreeDecay",
-    "apart",
-    "free_decay",
-    "is_product",
-    "logarithms",
-    "offsets",
-    "periods_at_rest",
-    "smooth_parts",
-    "without_products",
-]
-
 AGREED = 0.05  # of a rate, within which fits of two orders have to know a mode, and have it alike
 LIKE_A_PRODUCT = 0.25  # of a rate, within which fits of several products together lie
 MOST_COLUMNS = 0.75  # of the periods, that regressors may be
 LEAST_DECAY = 4  # periods for each state in decays that can stand alone
+LEAST_AT_REST = 0.25  # of the periods, in records that end at rest
 MOST_STATES = 12  # tried by order="auto": raw periods are simulated with each
 ALIKE = 0.01  # of a rate, by which a product may miss two others
 MOST_OF_SECOND_ORDER = 0.1  # of the decays' motion, rms
@@ -93,6 +81,9 @@ class FreeDecay:
 def periods_at_rest(inputs):
     """Periods of free decay: those at rest that follow on motion, or whole segments at rest.
 
+    Where less than half of the periods rest, inputs pass the level of the rest as they pass others:
+    only decays that end a segment count then.
+
     Parameters
     ----------
     inputs : list of ndarray, shapes (n_periods_s, samples_per_period, m)
@@ -107,11 +98,12 @@ def periods_at_rest(inputs):
     largest = moved.max(axis=(0, 1), initial=0.0)
     energy = np.sum((moved / np.where(largest > 0.0, largest, 1.0)) ** 2, axis=(1, 2))
     edges = np.cumsum([len(u) for u in inputs])[:-1]
-    found = []
-    for s, still in enumerate(np.split(rests(energy), edges)):
+    most, found = rests(energy), []
+    resting = most if most.any() else rests(energy, LEAST_AT_REST)
+    for s, still in enumerate(np.split(resting, edges)):
         bounds = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
         for start, stop in zip(bounds[::2], bounds[1::2], strict=True):
-            if stop - start > 1 and (start > 0 or stop == len(still)):
+            if stop - start > 1 and (stop == len(still) or (start > 0 and most.any())):
                 found.append((s, slice(int(start), int(stop))))
     return found
 
@@ -367,7 +359,7 @@ def _smooth(Phi, states):
 def _pair(found, i):
     """A mode and its conjugate."""
     z = found.multipliers
-    return [i, int(np.abs(z - z[i].conj()).argmin())]
+    return np.unique([i, np.abs(z - z[i].conj()).argmin()])
 
 
 def _agreed(found, decays):

@@ -131,18 +131,20 @@ def _told(inputs, psi):
     return [inputs[k] for k in told], [psi[k] for k in told]
 
 
-def rests(energy):
+def rests(energy, least=0.5):
     """Which turns are at rest.
 
     Parameters
     ----------
     energy : ndarray, shape (n_turns,)
         Of what inputs do in each.
+    least : float
+        Share of the turns that are judged by: the quietest.
 
     Returns
     -------
     rests : ndarray of bool, shape (n_turns,)
-        False throughout where the quieter half of the turns moves, too, or nothing does.
+        False throughout where these move, too, or nothing does.
 
     Examples
     --------
@@ -151,7 +153,7 @@ def rests(energy):
     >>> bool(rests(np.array([0.7, 1.0, 0.9, 0.8])).any())
     False
     """
-    quieter = np.mean(np.sort(energy)[: max(1, len(energy) // 2)])
+    quieter = np.mean(np.sort(energy)[: max(1, int(least * len(energy)))])
     still = energy <= max(LIKE * quieter, HALF**2 * np.max(energy))
     if still.all() or quieter > QUIET * np.mean(energy[~still]):
         return np.zeros(len(energy), dtype=bool)

@@ -66,6 +66,13 @@ def test_inputs_rest_at_any_level_and_in_any_unit():
     assert periods_at_rest([u]) == [(0, slice(5, 20))]
 
 
+def test_of_a_record_that_rests_for_a_third_only_the_last_decay_counts(rng):
+    u = rng.standard_normal((30, PHASES, 1))
+    u[[0, 1, 14, 15, *range(24, 30)]] = 0.0
+    assert periods_at_rest([u]) == [(0, slice(24, 30))]
+    assert periods_at_rest([u[:24]]) == []
+
+
 def test_inputs_that_always_move_leave_no_decay(rng):
     assert periods_at_rest([rng.standard_normal((40, PHASES, 2))]) == []
 
@@ -167,6 +174,7 @@ def test_a_response_of_second_order_is_no_mode(multipliers, noise):
     found = without_products(free_decay(decays), decays)
     assert len(found.multipliers) == len(multipliers)
     assert nearest(found, multipliers).max() < 1e-3
+    assert len(found.beside) == len(np.unique(found.beside)) > 0
     x, Phi = found.states[0], found.Phi
     np.testing.assert_allclose(x[1:], x[:-1] @ Phi.T, atol=1e-2 * np.abs(x).max())
 
