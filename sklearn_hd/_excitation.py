@@ -10,6 +10,7 @@ Rosenblatt, *Statistical Analysis of Stationary Time Series*, 1957, chapter 7).
 """
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy import linalg
@@ -184,19 +185,19 @@ class Information:
         variance = energy = pushed = own = 0.0
         m, left = len(self.input_scale), LARGEST / self.root.size
         roots = self.root.reshape(len(self.root) // m, m, -1)
-        for simulator, psi in zip(simulators, experiment.phases, strict=True):
-            n = simulator.model.n_states
-            for _, u, slopes in _slopes(simulator, psi, n_harmonics):
-                slopes, forced = np.split(slopes / self.scale[:, None], [-2], axis=-1)
-                each = slopes[..., n:].reshape(*slopes.shape[:2], -1, m)
-                each = np.einsum("tlkj,kjr->jtlr", each, roots, optimize=True)
-                own = own + np.sum(each**2, axis=(1, 2, 3))
-                variance += np.sum(np.sum(each, axis=0) ** 2)
-                energy += np.sum(forced[..., 0] ** 2)
-                pushed += np.sum((u / self.input_scale) ** 2)
-                left -= forced.size
-                if left < 0.0:
-                    break
+        n = simulators[0].model.n_states
+        segments = zip(simulators, experiment.phases, strict=True)
+        for _, u, slopes in chain.from_iterable(_slopes(*each, n_harmonics) for each in segments):
+            slopes, forced = np.split(slopes / self.scale[:, None], [-2], axis=-1)
+            each = slopes[..., n:].reshape(*slopes.shape[:2], -1, m)
+            each = np.einsum("tlkj,kjr->jtlr", each, roots, optimize=True)
+            own = own + np.sum(each**2, axis=(1, 2, 3))
+            variance += np.sum(np.sum(each, axis=0) ** 2)
+            energy += np.sum(forced[..., 0] ** 2)
+            pushed += np.sum((u / self.input_scale) ** 2)
+            left -= forced.size
+            if left < 0.0:
+                break
         energy = min(energy, self.answer * pushed)
         return (self.noise * np.sqrt(variance / energy) if energy > 0.0 else 0.0), own
 

@@ -9,28 +9,17 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, NOTABLE, or_hop, warn_of_feedback
-from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, Layout
+from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, Layout, spread_rows
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
-PLACES = 8  # evenly over it, at which these lie
 
 
 def compared_rows(segments):
-    """Segments, and slices of them, that choices are made on: a long record may begin at rest."""
-    ends = np.cumsum([len(y) for _, y, _ in segments])
-    if ends[-1] <= ROWS_COMPARED:
-        return [(s, slice(0, len(y))) for s, (_, y, _) in enumerate(segments)]
-    length = ROWS_COMPARED // PLACES
-    starts = np.linspace(0, ends[-1] - length, PLACES).astype(int)
-    found = []
-    for s, (_, y, _) in enumerate(segments):
-        for start in starts - (ends[s] - len(y)):
-            rows = slice(max(0, start), min(start + length, len(y)))
-            found += [(s, rows)] if rows.stop > rows.start else []
-    return found
+    """Segments, and slices of them, that choices are made on."""
+    return spread_rows([len(y) for _, y, _ in segments], ROWS_COMPARED)
 
 
 def predictor_layouts(data, settings, basis):

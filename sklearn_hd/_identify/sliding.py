@@ -25,13 +25,13 @@ from sklearn_hd._identify.stages import decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import rows_read
+from sklearn_hd._residuals import MOST_PRODUCTS
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.modes.families import FAINT, agreeing_copies, is_window_pole
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, input_directions
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 
 STEP_SHARE = 0.25  # of an input's largest change, below which one is no step, but maybe noise
-LARGEST_TRY = 2e10  # operations: beyond, only what noise lets be told apart
 
 
 def read(experiment, settings):
@@ -188,7 +188,7 @@ def _fits(data, block_rows):
     columns = n_hankel_columns(data.lengths, block_rows)
     left = columns - block_rows * data.n_inputs
     work = columns * (2.0 * block_rows * (data.n_inputs + data.n_outputs)) ** 2
-    return left >= max(columns // 4, block_rows) and work <= LARGEST_TRY
+    return left >= max(columns // 4, block_rows) and work <= MOST_PRODUCTS
 
 
 # ---- inputs as a window sees them -------------------------------------------------------------

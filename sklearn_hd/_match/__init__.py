@@ -16,6 +16,7 @@ from sklearn_hd.algorithms.lti.simulation import step_response
 from sklearn_hd.algorithms.lti.structured_model import AffineStructure
 from sklearn_hd.algorithms.matching.matching import MatchResult
 from sklearn_hd.algorithms.periodic.behind_samples import samples_of
+from sklearn_hd.algorithms.periodic.harmonic_balance import trimmed_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
@@ -93,11 +94,11 @@ class PeriodicModel:
 
     def highest(self, name):
         """Highest harmonic of F, G, P or Q that is not zero."""
-        return len(_trimmed(self.matrices()["FGPQ".index(name)])) // 2
+        return len(trimmed_harmonics(self.matrices()["FGPQ".index(name)])) // 2
 
     def to_system(self):
         """The model as an LTPSystem."""
-        F, G, P, Q = (_trimmed(M) for M in self.matrices())
+        F, G, P, Q = (trimmed_harmonics(M) for M in self.matrices())
         return LTPSystem(
             F,
             G,
@@ -164,7 +165,7 @@ class PeriodicModel:
         L = highest_harmonic(basis.outputs)
         if self.state_names == self.output_names:
             return L, kept_places(basis.outputs)
-        N = L + len(_trimmed(self.matrices()[2])) // 2
+        N = L + len(trimmed_harmonics(self.matrices()[2])) // 2
         return N, list(range((2 * N + 1) * self.n_states))
 
 
@@ -179,13 +180,6 @@ def _decompose(coefficients, omega, basis, n_harmonics, states):
     left = [A[np.ix_(states, states)], C[np.ix_(rows, states)]]
     right = [B[np.ix_(states, columns)], D[np.ix_(rows, columns)]]
     return np.hstack([np.vstack(left), np.vstack(right)])
-
-
-def _trimmed(coefficients):
-    """Fourier coefficients without harmonics that are zero."""
-    moving = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2)))
-    highest = (moving[-1] + 1) // 2 if len(moving) else 0
-    return coefficients[: 2 * highest + 1]
 
 
 def kept_places(signals):

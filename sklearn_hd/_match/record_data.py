@@ -30,12 +30,11 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovati
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels, sampled_harmonics
-from sklearn_hd.algorithms.signals.resampling import turned
+from sklearn_hd.algorithms.signals.resampling import ON_GRID, turned
 
 FEW_STEPS = 30  # of a search with more harmonics: one that takes longer is not determined
 FEW_STEPS_IN_CELLS = 10  # of a search for the samples in which delays lie
 COARSE = 0.1  # of the likelihood, in all, by which a candidate may miss its best
-ALIGNED = 1e-6  # of a sample, by which the first may miss a phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +344,7 @@ def _where(phases, n_phases):
     """First phase of each segment where all samples lie on those of a whole number; else all ψ."""
     first = np.array([psi[0] for psi in phases]) * n_phases / (2.0 * np.pi)
     drift = abs(n_phases - round(n_phases)) / n_phases * max(map(len, phases))
-    if max(drift, np.max(np.abs(first - np.round(first)))) <= ALIGNED:
+    if max(drift, np.max(np.abs(first - np.round(first)))) <= ON_GRID:
         return [round(each) for each in first]
     return list(phases)
 

@@ -21,9 +21,9 @@ from sklearn_hd.algorithms.signals.fourier import (
     window_weights,
     windowed_coefficients,
 )
+from sklearn_hd.algorithms.signals.resampling import ON_GRID
 
 DUST = 1e-12  # share of a signal, or of the trim that was subtracted, that is rounding
-HALF = 1e-6  # of a sample, so that rows halfway between two phases all go to the same side
 WARMUP_PERIODS = 5
 
 
@@ -210,7 +210,8 @@ class HarmonicBasis:
             return np.zeros(0, dtype=int)
         first = time[0] * self.omega / (2.0 * np.pi) * self.samples_per_period
         steps = np.rint((time - time[0]) / self.sample_time).astype(int)
-        return (int(np.floor(first + 0.5 + HALF)) + steps) % self.samples_per_period
+        # rows halfway between two phases all go to the same side
+        return (int(np.floor(first + 0.5 + ON_GRID)) + steps) % self.samples_per_period
 
     def coefficients(self, values, time, signals, rows):
         """Windowed coefficients of some signals at some rows of one segment.

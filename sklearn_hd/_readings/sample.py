@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sklearn_hd._readings.basis import HALF, WARMUP_PERIODS, HarmonicBasis, Timing
+from sklearn_hd._readings.basis import WARMUP_PERIODS, HarmonicBasis, Timing
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.resampling import ON_GRID
 
 _SIGNALS = ("inputs", "outputs")
 MOST_LOADS = 12  # harmonics of the forced response, where the samples tell more
@@ -203,7 +204,7 @@ class SampleBasis(EveryRow, HarmonicBasis):
     @property
     def most_harmonics(self):
         """Highest harmonic that the samples of a turn tell from others."""
-        return max(0, math.ceil(0.5 * self.samples_per_period * (1.0 - HALF)) - 1)
+        return max(0, math.ceil(0.5 * self.samples_per_period * (1.0 - ON_GRID)) - 1)
 
     @property
     def most_loads(self):

@@ -1,8 +1,8 @@
 """The report of a fitted pipeline: one page of HTML that stands by itself.
 
 ``page.py`` has the frame of the page, its tables and figures; ``facts.py`` what is read once from
-the pipeline and the record; ``sections.py`` one function a section; ``doubts.py`` what speaks
-against the model. All but this module import matplotlib, and are imported when a report is made.
+the pipeline and the record; ``sections.py`` one function a section; ``models.py`` those of
+the models. All but this module import matplotlib, and are imported when a report is made.
 """
 
 __all__ = ["report"]

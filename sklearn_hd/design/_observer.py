@@ -268,7 +268,7 @@ class Observer:
             )
         self.estimator = estimator
         system, psi = estimator.system, samples_of(estimator.system, estimator.sample_time)
-        tolerance = max(1e-14, precision(system.F, system.G))
+        tolerance = precision(system.F, system.G)
         self._steps = transition_matrices(
             system.F, system.G, psi, system.omega, tolerance=tolerance
         )

@@ -99,7 +99,7 @@ class ContinuousProblem:
         return G @ np.linalg.solve(self.R(psi), transposed(G))
 
     def _triples(self, F, E, Q):
-        tolerance = max(1e-14, precision(self.F, self.G, self.Q, self.R))
+        tolerance = precision(self.F, self.G, self.Q, self.R)
         return hamiltonian_triples(F, E, Q, self.psi, self.omega, tolerance=tolerance)
 
 
@@ -168,7 +168,7 @@ def held_integral(M, system, W, psi):
         entered = M(psi)
         return entered @ W(psi) @ transposed(entered)
 
-    tolerance = max(1e-14, precision(system.F, M, W))
+    tolerance = precision(system.F, M, W)
     Phi, covariance, _ = hamiltonian_triples(
         system.F, intensity, None, psi, system.omega, tolerance=tolerance
     )

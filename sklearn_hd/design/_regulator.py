@@ -338,7 +338,7 @@ def _held_problem(system, Q, R, psi):
         M[:, :n, :n], M[:, n:, n:] = Q(psi), R(psi) * (units * units[:, None])
         return M
 
-    tolerance = max(1e-14, precision(system.F, system.G, Q, R))
+    tolerance = precision(system.F, system.G, Q, R)
     A, _, H = hamiltonian_triples(rates, None, weights, psi, system.omega, tolerance=tolerance)
     Gamma, S, R = A[:, :n, n:] / units, H[:, :n, n:] / units, H[:, n:, n:]
     inputs = system.G(np.linspace(psi[0], psi[-1], 257))

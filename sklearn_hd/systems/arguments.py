@@ -188,8 +188,8 @@ def matrix_coefficients(matrix, n_harmonics):
 
 
 def precision(*matrices):
-    """Relative error of the values themselves, where a matrix states it (differences do)."""
-    return max(getattr(matrix, "precision", 0.0) for matrix in matrices)
+    """Relative error of matrices: rounding, or what one of them states (differences do)."""
+    return max(1e-14, *(getattr(matrix, "precision", 0.0) for matrix in matrices))
 
 
 def measure(matrix, signals, psi):

@@ -96,7 +96,7 @@ def ltp_contents(system, n_phases=64):
     n_phases = check_count("n_phases", n_phases, 1, "64 is usual")
     matrices = {name: getattr(system, name) for name in "FGPQ"}
     psi = 2.0 * np.pi * np.arange(n_phases + 1) / n_phases
-    tolerance = max(1e-14, precision(system.F, system.G))
+    tolerance = precision(system.F, system.G)
     steps = transition_matrices(system.F, system.G, psi, system.omega, tolerance=tolerance)
     contents = {"kind": "ltp", "omega": system.omega, **system._names()}
     contents |= {name: _series(name, M) for name, M in matrices.items()}

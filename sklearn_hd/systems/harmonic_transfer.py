@@ -240,7 +240,7 @@ def _held(system, frequencies, N, sample_time):
         system.G,
         psi,
         system.omega,
-        tolerance=max(1e-14, precision(system.F, system.G)),
+        tolerance=precision(system.F, system.G),
     )
     P, Q = system.P(psi[:-1]), system.Q(psi[:-1])
     return held_harmonic_transfer(Phi, Gamma, P, Q, frequencies, dt, N)

@@ -220,7 +220,7 @@ class LTPSystem(NamedSignals):
             If ``start`` is not finite.
         """
         check_numbers("finite", "it is the azimuth ψ in radians", start=start)
-        tolerance = max(1e-14, precision(self.F))
+        tolerance = precision(self.F)
         return floquet.monodromy_matrix(self.F, self.omega, start=start, tolerance=tolerance)
 
     @within_range
@@ -242,7 +242,7 @@ class LTPSystem(NamedSignals):
         ValueError
             If F exceeds the range of floating-point numbers.
         """
-        tolerance = max(1e-14, precision(self.F))
+        tolerance = precision(self.F)
         return floquet_exponents(self.F, self.omega, tolerance=tolerance)
 
     @within_range
@@ -536,7 +536,7 @@ class LTPSystem(NamedSignals):
         x0 = check_state(x0, u.shape[:-2], self.state_names)
         psi = self.omega * times_near_zero_phase(t, self.omega)
         intervals = psi[: floquet.intervals_of_a_period(psi) + 1]
-        tolerance = max(1e-14, precision(self.F, self.G))
+        tolerance = precision(self.F, self.G)
         Phi, Gamma = floquet.transition_matrices(
             self.F, self.G, intervals, self.omega, tolerance=tolerance
         )

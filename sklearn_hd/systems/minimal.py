@@ -26,6 +26,7 @@ from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF, PRECISION, UNKNOWN
 from sklearn_hd.algorithms.lti.simulation import block_diagonal
 from sklearn_hd.algorithms.periodic.floquet import state_units
+from sklearn_hd.algorithms.periodic.harmonic_balance import trimmed_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     base_families,
     derivative_matrix,
@@ -249,7 +250,7 @@ def read_decomposition(model, omega, names, tolerance):
         misfits["ABCD"["FGPQ".index(name)]] = _misfit(name, left, sizes, scale)
     _check_misfits(misfits, tolerance)
     read = {name: tuple(side) for name, side in zip(names, sides, strict=True)}
-    return [_without_dust(coefficients) for coefficients in found.values()], read
+    return [trimmed_harmonics(coefficients, EXACT) for coefficients in found.values()], read
 
 
 def _read_labels(parameter, labels, given):
@@ -357,12 +358,3 @@ def _check_misfits(misfits, tolerance):
             f"match the model to a HarmonicStructure (StructuredMatcher), which has this pattern"
         )
     warn(f"{words}; the nearest periodic system is returned", IdentifiabilityWarning)
-
-
-def _without_dust(coefficients):
-    """Coefficients without the harmonics that are only rounding."""
-    sizes = np.abs(coefficients)
-    unit = np.max(sizes, axis=0)
-    moving = np.flatnonzero(np.any(sizes > EXACT * unit, axis=(1, 2)))
-    highest = (moving[-1] + 1) // 2 if len(moving) else 0
-    return coefficients[: 2 * highest + 1]

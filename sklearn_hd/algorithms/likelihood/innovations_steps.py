@@ -27,14 +27,13 @@ from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
 
 FEW_STEPS = 8  # of exact data, whose likelihood has no end, if exponents rest
 MOST_STEPS = 40  # if they do not
 STILL = 0.01  # of a rate, that a step moves no exponent by
 MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
 AT_ONCE = 2.5e5  # of them at once: what a processor keeps at hand
-VALUES_PER_PARAMETER = 5  # below which a fit is largely noise
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
@@ -84,7 +83,7 @@ def most_likely(
     counted = [slice(None)] * len(segments) if counted is None else counted
     n_values = sum(y[some].size for (_, y, _), some in zip(segments, counted, strict=True))
     n_free = len(form.places)
-    if n_values < VALUES_PER_PARAMETER * n_free:
+    if n_values < ROWS_PER_COLUMN * n_free:
         return None
     told = list(_telling(segments, int(MOST_NUMBERS / n_free / layout.n_outputs)))
     at = fitted(innovations, segments, sensor_noise, counted)

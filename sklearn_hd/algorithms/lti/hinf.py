@@ -11,8 +11,6 @@ from sklearn_hd._checks import real_array
 from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.exceptions import UnstableModelError
 
-__all__ = ["check_stable", "hinf_norm", "refine_peaks", "tops_between"]
-
 
 def hinf_norm(A, B, C, D, dt=None):
     """H∞ norm of a stable model, and the frequency where it is reached.

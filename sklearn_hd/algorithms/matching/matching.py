@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from sklearn_hd.algorithms.linalg.rounding import PRECISION
 from sklearn_hd.algorithms.matching.least_squares import (
     TOLERANCE,
     GridFit,
@@ -167,7 +168,6 @@ _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that wit
 _CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
 _DESCENTS = 3  # matches and starts that go down
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
-_EXACT = 1e-9  # relative residual of an exact match: no norm resolves such a difference
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
 
 
@@ -177,11 +177,11 @@ def exact_match(problem, fit):
         return fit, False
     theta, residual = solve_similarity(problem, fit.theta)
     inside = problem.inside(theta)
-    kept = np.allclose(inside, theta, rtol=_EXACT, atol=0.0)
-    if residual <= _EXACT and kept and problem.abscissa(inside) < 0:
+    kept = np.allclose(inside, theta, rtol=PRECISION, atol=0.0)
+    if residual <= PRECISION and kept and problem.abscissa(inside) < 0:
         error = linalg.norm(problem.residual_and_jacobian(inside)[0])
         return replace(fit, theta=inside, residual=float(error)), True
-    return fit, bool(fit.residual <= _EXACT)
+    return fit, bool(fit.residual <= PRECISION)
 
 
 def _result(problem, fit, fits, exact, start=None, descent=None):

@@ -22,7 +22,7 @@ from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.periodic.floquet import separated_factors, steps_between
 from sklearn_hd.algorithms.periodic.floquet_coordinates import FloquetForm, floquet_coordinates
-from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, trimmed_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import (
     FloquetError,
     FloquetShapes,
@@ -39,15 +39,6 @@ from sklearn_hd.algorithms.periodic.periodic_structure import (
 )
 from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 from sklearn_hd.algorithms.signals.resampling import turned
-
-__all__ = [
-    "ContinuousModel",
-    "Turn",
-    "behind_samples",
-    "nearest_steps",
-    "samples_of",
-    "turn_of",
-]
 
 FINER = 16  # azimuths for each sample, at which F is formed
 FEWEST = 256  # azimuths
@@ -227,7 +218,7 @@ def turn_of(innovations, omega):
     X, R, flips = floquet_states(A, 2.0 * np.pi / omega)
     seen = np.concatenate([C @ X, X], axis=1)
     shapes = interpolated_shapes(seen, psi, R, flips)
-    return Turn(psi, omega, shapes, B, _trimmed(innovations.matrices()[3]))
+    return Turn(psi, omega, shapes, B, trimmed_harmonics(innovations.matrices()[3]))
 
 
 def floquet_states(A, period):
@@ -399,7 +390,7 @@ def samples_of(coefficients, n_states, omega, step):
         Of [A B; C D](ψ): over the step that begins at ψ.
     """
     n = n_states
-    F, G = _trimmed(coefficients[:, :n, :n]), _trimmed(coefficients[:, :n, n:])
+    F, G = trimmed_harmonics(coefficients[:, :n, :n]), trimmed_harmonics(coefficients[:, :n, n:])
     n_points = FEWEST
     while True:
         psi = 2.0 * np.pi * np.arange(n_points) / n_points
@@ -419,10 +410,3 @@ def samples_of(coefficients, n_states, omega, step):
 def _resolved(values):
     """Fourier coefficients of a matrix at azimuths of a turn, all that count."""
     return sampled_harmonics(values, tail_begins(values, 0.0))
-
-
-def _trimmed(coefficients):
-    """Fourier coefficients without harmonics that are zero."""
-    moving = np.flatnonzero(np.any(coefficients != 0.0, axis=(1, 2)))
-    highest = (moving[-1] + 1) // 2 if len(moving) else 0
-    return coefficients[: 2 * highest + 1]

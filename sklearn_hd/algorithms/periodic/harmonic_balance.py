@@ -171,6 +171,17 @@ def resize_harmonics(coefficients, n_harmonics):
     return resized
 
 
+def trimmed_harmonics(coefficients, least=0.0):
+    """Fourier coefficients (2 H + 1, a, b) without the harmonics above the highest that counts.
+
+    One counts if an entry of it is more than ``least`` times the largest of that entry.
+    """
+    sizes = np.abs(coefficients)
+    moving = np.flatnonzero(np.any(sizes > least * np.max(sizes, axis=0), axis=(1, 2)))
+    highest = (moving[-1] + 1) // 2 if len(moving) else 0
+    return coefficients[: 2 * highest + 1]
+
+
 def _check_points(n_points, n_harmonics):
     if n_points is None:
         return max(4096, 128 * n_harmonics)

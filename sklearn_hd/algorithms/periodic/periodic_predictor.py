@@ -151,6 +151,35 @@ def forced_mean(segments, n_harmonics):
     return np.split(found, [segments[0][0].shape[1]], axis=1)
 
 
+def spread_rows(lengths, most, n_places=8):
+    """Rows of some segments to look at: all, or pieces that lie evenly over a long record.
+
+    A long record may begin at rest.
+
+    Parameters
+    ----------
+    lengths : list of int
+    most : int
+        Rows in all.
+    n_places : int
+
+    Returns
+    -------
+    rows : list of (segment, slice)
+    """
+    ends = np.cumsum(lengths)
+    if ends[-1] <= most:
+        return [(s, slice(0, n)) for s, n in enumerate(lengths)]
+    length = most // n_places
+    starts = np.linspace(0, ends[-1] - length, n_places).astype(int)
+    found = []
+    for s, n in enumerate(lengths):
+        for start in starts - (ends[s] - n):
+            rows = slice(max(0, start), min(start + length, n))
+            found += [(s, rows)] if rows.stop > rows.start else []
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class LagSums:
     """Sums of squares and products of one regression, from which smaller ones are read.

@@ -31,19 +31,19 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     Layout,
     azimuth_drift,
     forced_mean,
+    spread_rows,
 )
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
+from sklearn_hd.algorithms.signals.fundamental import BEYOND
 
 LEAST_TURNS = 3.0  # of a record: fewer repeat nothing
 FIRST_TURNS = 16  # about the middle, of the first steps: speeds off by a hundredth are found
 MORE_TURNS = 4  # times as many in the next
 MOST_STEPS = 8
 MOST_ROWS = 20_000  # looked at of longer records
-PLACES = 16  # evenly over the record, at which these lie
 LAGS = 8  # of the predictor
 ORBITS = 2  # harmonics of what inputs do: one alone takes the orbit of another input for a speed
 ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds
-SURE = 5.0  # standard deviations at which another speed is no chance
 WORTH = 0.01  # of what a predictor leaves, that another speed has to explain
 
 
@@ -89,7 +89,7 @@ def measured_speed(segments, omega, n_harmonics):
     segments, given, found = sought
     n_rows = sum(len(y) for _, y, _ in segments)
     off, std = found.omega / omega - 1.0, found.std
-    enough = max(SURE**2, WORTH * n_rows)
+    enough = max(BEYOND**2, WORTH * n_rows)
     if not ((off / std) ** 2 > enough and n_rows * (given.left - found.left) > enough):
         return None
     slopes, rest, _ = _waveform_slopes(segments, found.omega, n_harmonics)
@@ -172,18 +172,12 @@ def _sought(segments, omega, n_harmonics):
 
 def _some_rows(segments):
     """Segments, or pieces of them evenly over a long record."""
-    ends = np.cumsum([len(y) for _, y, _ in segments])
-    if ends[-1] <= MOST_ROWS:
+    lengths = [len(y) for _, y, _ in segments]
+    if sum(lengths) <= MOST_ROWS:
         return segments
-    length = MOST_ROWS // PLACES
-    starts = np.linspace(0, ends[-1] - length, PLACES).astype(int)
-    pieces = []
-    for segment, end in zip(segments, ends, strict=True):
-        for start in starts - (end - len(segment[1])):
-            rows = slice(max(0, start), min(start + length, len(segment[1])))
-            if rows.stop - rows.start > LAGS:
-                pieces.append(tuple(z[rows] for z in segment))
-    return pieces
+    pieces = spread_rows(lengths, MOST_ROWS, n_places=16)
+    pieces = [(s, rows) for s, rows in pieces if rows.stop - rows.start > LAGS]
+    return [tuple(z[rows] for z in segments[s]) for s, rows in pieces]
 
 
 def _alike(segments):
