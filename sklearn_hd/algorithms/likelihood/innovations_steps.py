@@ -57,7 +57,8 @@ def most_likely(
         To start from.
     segments : list of (inputs, outputs, psi)
     layout : Layout
-        Harmonics of the inputs' effect and of the loads, and whether D is free.
+        Harmonics of the inputs' effect and of the loads, and whether D is free. Of inputs beyond
+        those that it counts, the effect is a constant one.
     sensor_noise : float
         σ.
     most_growth : float
@@ -76,15 +77,11 @@ def most_likely(
         so many coefficients, where the predictor forgets nothing, and where steps are not worth
         it.
     """
-    H = max(len(innovations.coefficients) // 2, layout.n_loads)
-    coefficients = resize_harmonics(innovations.coefficients, H)
-    innovations = replace(innovations, coefficients=coefficients)
-    form = _Form.of(innovations, layout)
-    counted = [slice(None)] * len(segments) if counted is None else counted
-    n_values = sum(y[some].size for (_, y, _), some in zip(segments, counted, strict=True))
-    n_free = len(form.places)
-    if n_values < ROWS_PER_COLUMN * n_free:
+    if not is_told(innovations, segments, layout, counted):
         return None
+    innovations = _with_loads(innovations, layout)
+    form = _Form.of(innovations, layout)
+    counted, n_free = _counted(segments, counted), len(form.places)
     told = list(_telling(segments, int(MOST_NUMBERS / n_free / layout.n_outputs)))
     at = fitted(innovations, segments, sensor_noise, counted)
     if at is None:
@@ -112,6 +109,25 @@ def most_likely(
         return None
     _, *ahead = form.ahead(at, system, damping)
     return replace(at.innovations, covariance=at.covariance), tuple(ahead)
+
+
+def is_told(innovations, segments, layout, counted=None):
+    """Whether the rows are enough for all coefficients; arguments as for :func:`most_likely`."""
+    rows = zip(segments, _counted(segments, counted), strict=True)
+    n_values = sum(y[some].size for (_, y, _), some in rows)
+    form = _Form.of(_with_loads(innovations, layout), layout)
+    return n_values >= ROWS_PER_COLUMN * len(form.places)
+
+
+def _with_loads(innovations, layout):
+    """A model with as many harmonics as its loads have, if these are more."""
+    H = max(len(innovations.coefficients) // 2, layout.n_loads)
+    return replace(innovations, coefficients=resize_harmonics(innovations.coefficients, H))
+
+
+def _counted(segments, counted):
+    """Rows of each segment that count: all by default."""
+    return [slice(None)] * len(segments) if counted is None else counted
 
 
 def _telling(segments, n_rows):
@@ -163,7 +179,8 @@ class _Form:
             places += [moved.ravel(), seen.ravel()]
             for block in (moved, seen):
                 free = np.ones(block.shape, dtype=bool)
-                free[:, n : n + own.n_inputs] = h <= 2 * layout.n_input_harmonics
+                free[:, n : n + layout.n_inputs] = h <= 2 * layout.n_input_harmonics
+                free[:, n + layout.n_inputs : n + own.n_inputs] = h == 0
                 kept.append(free.ravel())
         loads = place[: 2 * L + 1, :, -1].T
         places += [loads[:n].ravel(), loads[n:].ravel()]

@@ -33,7 +33,7 @@ from math import comb
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.innovations_steps import fitted, most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import fitted, is_told, most_likely
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -113,6 +113,9 @@ class LargeMotions:
     def of(cls, innovations, segments, layout, sensor_noise, most_growth, degrees=None, gain=None):
         """The model with products; None where none pay, or steps are not to be had.
 
+        Their effect turns with ψ as B does; of a record too short for squares of that kind, it is a
+        constant one.
+
         Parameters
         ----------
         innovations : PeriodicInnovations
@@ -126,13 +129,16 @@ class LargeMotions:
         """
         n, m, L = innovations.n_states, innovations.n_inputs, layout.n_loads
         layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
-        per_input = (n + (layout.n_outputs if layout.feedthrough else 0)) * layout.n_functions
+        squares = _with_inputs(innovations, m, comb(n + m + 1, 2))
+        turning = is_told(squares, segments, replace(layout, n_inputs=squares.n_inputs))
+        per_input = n + (layout.n_outputs if layout.feedthrough else 0)
+        per_input *= layout.n_functions if turning else 1
         n_values = sum(y.size for _, y, _ in segments)
 
         def stepped(model, driven, **options):
             if not model.growth() < most_growth:
                 return None
-            wide = replace(layout, n_inputs=model.n_inputs)
+            wide = replace(layout, n_inputs=model.n_inputs if turning else m)
             return most_likely(model, driven, wide, sensor_noise, most_growth, **options)
 
         asked = degrees is not None
