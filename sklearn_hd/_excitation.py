@@ -63,7 +63,8 @@ class Excitation:
             return None
         by_period = _by_period(experiment, simulators)
         noise = NOISE if by_period else 0.0
-        directions = InputDirections.of(_lifted(experiment, by_period), noise)
+        loads = experiment.basis.reading == "sample"
+        directions = InputDirections.of(_lifted(experiment, by_period), noise, about_mean=loads)
         information = None
         if experiment.basis.harmonic and simulators[0].steps_at_samples:
             information = Information.of(experiment, simulators, n_harmonics)

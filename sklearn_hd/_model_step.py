@@ -125,7 +125,8 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         Returns
         -------
         frame : HarmonicFrame, shape (n_samples, n_features)
-            The values unchanged.
+            The values unchanged. If the analyzer left the reading open, the columns are those of
+            the reading that the model chose.
 
         Raises
         ------
@@ -147,6 +148,12 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         if frame.basis is None:
             return frame
         frame = read_as(frame, self.basis_.reading)
+        labels = list(frame.basis.coefficient_labels)
+        if labels and frame[labels].isna().all(axis=None):
+            raise ValueError(
+                "a segment of X is shorter than a period, and this model reads whole periods; give "
+                "longer segments, or use HarmonicAnalyzer(reading='sample'), which has no window"
+            )
         basis = replace(frame.basis, alternative=None)
         if basis.output_trim is not None:
             basis = replace(basis, output_trim=self.basis_.output_trim)
@@ -189,7 +196,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         return experiment if delays is None else in_machine_time(experiment, delays), frame.model
 
     def get_feature_names_out(self, input_features=None):
-        """Names of the columns of ``transform``: those of the input.
+        """Names of the columns of ``transform``: those of the input, in the model's reading.
 
         Parameters
         ----------
@@ -209,7 +216,9 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         default = [f"x{i}" for i in range(self.n_features_in_)]
         names = input_features if input_features is not None else default
-        return np.asarray(getattr(self, "feature_names_in_", names), dtype=object)
+        names = list(getattr(self, "feature_names_in_", names))
+        read = [*self.basis_.measured, *self.basis_.coefficient_labels]
+        return np.asarray(read if set(read) < set(names) else names, dtype=object)
 
     @one_blas_thread
     @within_range

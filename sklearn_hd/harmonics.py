@@ -27,7 +27,7 @@ from sklearn_hd._records.data import (
     warn_of_jitter,
     without_trim,
 )
-from sklearn_hd._records.sampling import lay_grid, warn_of_resampling
+from sklearn_hd._records.sampling import lay_grid, warn_of_outliers, warn_of_resampling
 from sklearn_hd._records.trim import with_trim
 from sklearn_hd._tables import check_has_signals, check_upright, why_short
 from sklearn_hd.algorithms.signals.fourier import WINDOW_PERIODS, recompose
@@ -277,6 +277,9 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
         omega = settled_omega(self, inputs, outputs, timing)
+        if outputs is not None:
+            samples = 2.0 * np.pi / omega / inputs.base.sample_time
+            warn_of_outliers(inputs, outputs, output_names, samples)
 
         def basis_of(reading):
             basis = record_basis(self, reading, inputs, output_names, timing, omega)
@@ -319,33 +322,39 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Returns
         -------
         frame : HarmonicFrame, shape (n_samples, n_inputs + n_coefficients)
-            The raw inputs, then ``u_0, u_1c, u_1s, …``.
+            The raw inputs, then ``u_0, u_1c, u_1s, …``. Where the reading is left open, and a
+            segment is shorter than the window, these are NaN: only models of samples predict it.
 
         Raises
         ------
         NotFittedError
             Before ``fit``.
         ValueError
-            If a segment is shorter than the window, or the inputs are not those of fit.
+            If a segment is shorter than the window and the reading is not left open, or the
+            inputs are not those of fit.
         """
         check_is_fitted(self)
         basis = self.basis_
         X = check_features(self, X, reset=False)
         signals = read_signals(X, basis.timing)
         sampling, inputs, _ = sample(signals, basis)
-        shortest = min(len(piece.grid) for piece in sampling.pieces)
-        if shortest < len(basis.weights):
+        lengths = [len(piece.grid) for piece in sampling.pieces]
+        few = sum(length < len(basis.weights) for length in lengths)
+        if few and basis.alternative is None:
             raise ValueError(
-                f"the shortest segment has {shortest} rows, less than the {len(basis.weights)} of "
-                f"the analysis window{why_short(signals.base)}; drop it, use a window of fewer "
-                f"periods, or reading='sample', which has no window"
+                f"the shortest segment has {min(lengths)} rows, less than the {len(basis.weights)} "
+                f"of the analysis window, and {few} of {len(lengths)} are too "
+                f"short{why_short(signals.base)}; drop them, use a window of fewer periods, or "
+                f"reading='sample', which has no window"
             )
         if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)
         columns = dict(zip(signals.names, signals.data.T, strict=True))
         if basis.timing.azimuth is not None:
             columns[basis.timing.azimuth] = signals.azimuth
-        if basis.coefficient_labels:
+        if few:  # for a model that reads samples
+            columns |= dict.fromkeys(basis.coefficient_labels, np.nan)
+        elif basis.coefficient_labels:
             times = [piece.grid for piece in sampling.pieces]
             inputs = without_trim(inputs, times, basis, basis.input_trim)
             coefficients = sampling.back(

@@ -17,7 +17,8 @@ from sklearn_hd import (
     SpuriousModeReducer,
     StructuredMatcher,
 )
-from sklearn_hd.exceptions import JitterWarning, TimeBaseWarning
+from sklearn_hd._records.sampling import outliers
+from sklearn_hd.exceptions import IdentifiabilityWarning, JitterWarning, TimeBaseWarning
 from sklearn_hd.model_selection import fit_percent
 
 OMEGA = 2 * np.pi
@@ -378,3 +379,64 @@ def test_arrays_that_lie_on_their_side_are_refused(rng):
         MOESPRegressor().fit(np.zeros((3, 1)), y)
     with pytest.raises(ValueError, match="X " + words):
         HarmonicAnalyzer(1.0).fit(u)
+
+
+# ---- outliers ------------------------------------------------------------------------------------
+
+
+def turning(n=960, noise=0.01, seed=0):
+    """A waveform of a turn that swells and dies, with noise."""
+    k = np.arange(n)
+    y = np.exp(-(((k - n / 2) / 200.0) ** 2)) * np.sin(0.4 * k) + 0.5 * np.cos(0.2 * k)
+    return (y + noise * np.random.default_rng(seed).standard_normal(n))[:, None]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("size", [-3.0, 1.5])
+def test_outliers_are_found_wherever_they_are(noise, size):
+    y, rows = turning(noise=noise), [9, 333, 480, 481 + 16]
+    y[rows] += size
+    assert np.flatnonzero(outliers(y)).tolist() == rows
+    np.testing.assert_allclose(outliers(y)[333], abs(size) / y.std(), rtol=0.15)
+
+
+def test_noise_edges_and_steps_are_no_outliers(rng):
+    k = np.arange(2000)
+    signals = {
+        "noise": rng.standard_normal(2000),
+        "heavy tails": rng.standard_t(4, 2000),
+        "steps": np.repeat(rng.standard_normal(100), 20),
+        "a kink": np.maximum(k - 1000.0, 0.0),
+        "quantised": np.round(3.0 * np.sin(0.01 * k)),
+        "still": np.zeros(2000),
+    }
+    found = {name for name, y in signals.items() if outliers(y[:, None]).any()}
+    assert not found
+    assert not outliers(signals["noise"][:16, None]).any()
+
+
+def test_outliers_are_named_with_the_way_out(rng):
+    """Bridged, they leave the model as it was; those of the input are no one's error."""
+    index = pd.Index(np.arange(60 * SPP) / SPP, name="time")
+    u = np.repeat(rng.standard_normal(60 * SPP // 8), 8)
+    u[500] += 20.0
+    y = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        y[k + 1] = 0.9 * y[k] + 0.1 * u[k]
+    y = y + u + 1e-3 * rng.standard_normal(len(u))
+    X, clean = pd.DataFrame({"u": u}, index), pd.DataFrame({"w": y}, index)
+    spoilt, lost = clean.copy(), clean.copy()
+    spoilt.iloc[[203, 700], 0] += [25.0, -30.0]
+    lost.iloc[[203, 700], 0] = np.nan
+    right = HarmonicAnalyzer(OMEGA).fit(X, clean)
+    impacts = 30.0 * (np.arange(len(u)) % SPP == 3)[:, None]
+    HarmonicAnalyzer(OMEGA).fit(X, clean + impacts)
+    message = (
+        r"2 value\(s\) of the outputs \['w'\] stand .* t = 43.75 s, row 700, .*missing=0.125\)"
+    )
+    with pytest.warns(IdentifiabilityWarning, match=message):
+        HarmonicAnalyzer(OMEGA).fit(X, spoilt)
+    pipe = Pipeline([("h", HarmonicAnalyzer(OMEGA, missing=0.125)), ("i", MOESPRegressor())])
+    found = pipe.fit(X, lost)["i"].model_.exponents()
+    assert np.min(np.abs(found - SPP * np.log(0.9))) < 0.02
+    assert pipe["h"].basis_.reading == right.basis_.reading

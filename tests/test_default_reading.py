@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.base import clone
 from sklearn.pipeline import make_pipeline
 
 from sklearn_hd import (
@@ -155,6 +156,28 @@ def test_the_other_reading_is_taken_where_the_first_leaves_a_doubt():
     asked = make_pipeline(HarmonicAnalyzer(OMEGA, reading="sample"), MOESPRegressor()).fit(X, y)
     pd.testing.assert_frame_equal(pipe.predict(X), asked.predict(X))
     assert pipe.score(X, y) == pytest.approx(asked.score(X, y))
+    assert pipe[1].get_feature_names_out().tolist() == ["u"]
+    framed = clone(pipe).set_output(transform="pandas").fit(X, y)
+    pd.testing.assert_frame_equal(framed.predict(X), pipe.predict(X))
+    less = X.iloc[: SPP // 2]  # of a period, which samples do not need
+    pd.testing.assert_frame_equal(pipe.predict(less), asked.predict(less))
+
+
+def test_rows_that_are_lost_leave_a_record_readable():
+    """Between two of them lies less than a period: the others are read as samples."""
+    X, y = record(n_turns=40)
+    kept = ~np.isin(np.arange(len(X)), [20 * SPP, 20 * SPP + 8])
+    assert (reading(X, y), reading(X[kept], y[kept])) == ("period", "sample")
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor()).fit(X[kept], y[kept])
+    assert pipe[1].model_.exponents()[0] == pytest.approx(SPP * np.log(0.97), rel=1e-3)
+    whole = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor()).fit(X, y)
+    assert whole[1].basis_.reading == "period"
+    with pytest.raises(ValueError, match="shorter than a period, and this model reads whole"):
+        whole.predict(X[kept])
+    with pytest.raises(ValueError, match=r"1 of 3 are too short.*reading='sample'"):
+        make_pipeline(HarmonicAnalyzer(OMEGA, reading="period"), MOESPRegressor()).fit(
+            X[kept], y[kept]
+        )
 
 
 @pytest.mark.parametrize("seed", range(3))

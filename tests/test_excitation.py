@@ -181,22 +181,23 @@ def steps(n, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("reading", "n_steps", "factor"),
+    ("reading", "n_steps", "factor", "offset"),
     [
-        *(("plain", 1, factor) for factor in (1.0, -2.5, 1.0 + 1e-9)),
-        *(("period", 2, factor) for factor in (1.0, -2.5, 1.0 + 1e-9)),
-        *(("sample", 2, factor) for factor in (1.0, -2.5, 1.0 + 1e-9)),
-        ("period", 4, -2.5),
-        ("sliding", 3, -2.5),
+        *(("plain", 1, factor, 0.0) for factor in (1.0, -2.5, 1.0 + 1e-9)),
+        *(("period", 2, factor, 0.0) for factor in (1.0, -2.5, 1.0 + 1e-9)),
+        *(("sample", 2, factor, 0.0) for factor in (1.0, -2.5, 1.0 + 1e-9)),
+        ("sample", 2, 1.8, 32.0),
+        ("period", 4, -2.5, 0.0),
+        ("sliding", 3, -2.5, 0.0),
     ],
 )
 @pytest.mark.slow
-def test_twin_inputs_are_named_and_share_their_effect(reading, n_steps, factor):
+def test_twin_inputs_are_named_and_share_their_effect(reading, n_steps, factor, offset):
     """Each by itself has no effect that the record tells; together they have the right one."""
     u = steps(80 * SPP)
     y = oscillator(u)[:, :1]
     y += 1e-3 * y.std() * np.random.default_rng(0).standard_normal(y.shape)
-    X, y = frames(np.hstack([u, factor * u]), y)
+    X, y = frames(np.hstack([u, factor * u + offset]), y)
     pipe = pipeline(reading, n_steps)
     if reading == "plain":
         pipe = Pipeline([("identify", MOESPRegressor())])
@@ -207,7 +208,7 @@ def test_twin_inputs_are_named_and_share_their_effect(reading, n_steps, factor):
     words = [str(w.message) for w in told if w.category is IdentifiabilityWarning]
     assert any("['u0', 'u1'] never move separately" in text and "drop" in text for text in words)
     assert pipe.score(X, y) > alone - 0.01
-    apart = X.assign(u1=0.0)
+    apart = X.assign(u1=offset)
     with pytest.warns(ExcitationWarning, match=r"of the energy of the inputs \['u0', 'u1'\]"):
         moved = pipe.predict(apart).to_numpy()
     assert np.max(np.abs(moved)) < 2.0 * np.max(np.abs(y.to_numpy()))
@@ -271,6 +272,11 @@ def test_inputs_that_are_sums_of_others_are_told_from_those_that_are_not(rng):
     u = np.stack([a, c, b, 1e3 * a - b], axis=1)[:, None]
     assert InputDirections.of([u]).together.tolist() == [0, 2, 3]
     assert InputDirections.of([u[..., :3]]).together.tolist() == []
+    fahrenheit = np.stack([a, c, 1.8 * a + 32.0], axis=1)[:, None]
+    assert InputDirections.of([fahrenheit]).together.tolist() == []
+    found = InputDirections.of([fahrenheit], about_mean=True)
+    assert found.together.tolist() == [0, 2]
+    assert found.outside([fahrenheit + 5.0 * np.array([1.0, 3.0, 1.8])])[0] < 1e-12
 
 
 # ---- a machine that is not linear ---------------------------------------------------------------

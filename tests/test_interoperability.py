@@ -371,6 +371,7 @@ def test_skops_saves_periodic_models(tmp_path, periodic):
         "sklearn_hd._readings.basis.Timing",
         "sklearn_hd._match.Match",
         "sklearn_hd._match.PeriodicModel",
+        "sklearn_hd._opinion.Opinion",
         "sklearn_hd.harmonics.HarmonicAnalyzer",
         "sklearn_hd.matching.StructuredMatcher",
         "sklearn_hd.structures._harmonic.HarmonicStructure",

@@ -10,6 +10,7 @@ from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MOESPRegressor, StructuredMatcher
+from sklearn_hd._records.trim import _share
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.model_selection import PeriodBlockSplit
 
@@ -267,3 +268,9 @@ def test_a_mode_that_outlasts_the_record_does_not_carry_the_trim_away():
     largest = np.abs(pipe[0].basis_.output_trim).max()
     assert np.abs(pipe[-1].basis_.output_trim).max() < 1.1 * largest
     assert np.abs(pipe.predict(u).to_numpy()).max() < 3.0 * np.abs(y.to_numpy()).max()
+
+
+def test_no_waveform_is_more_than_an_output(rng):
+    turns = rng.standard_normal((20, 16, 2)) + 3.0
+    assert 0.85 < _share(turns.mean(axis=0), turns) < _share(np.full((16, 2), 3.0), turns) + 0.01
+    assert _share(1.1 * turns.mean(axis=0), turns) < 1.0

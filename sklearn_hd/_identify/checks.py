@@ -235,10 +235,10 @@ def warn_of_little(layout, n_rows, best, basis):
     if best.bic >= 0.0:  # which loads alone have
         warn(
             f"no model explains the outputs better than their loads alone (by Schwarz's "
-            f"criterion): the simulation of the best one leaves {best.variance:.3g} of their "
-            f"variance about the forced periodic response; check that outputs follow inputs, that "
-            f"omega (or the azimuth) is that of the machine, and that {n_rows} rows are enough for "
-            f"order {best.order} with {best.n_harmonics} harmonic(s)",
+            f"criterion): the simulation of the best one leaves {best.variance:.3g} times "
+            f"their variance about the forced periodic response; check that outputs follow "
+            f"inputs, that omega (or the azimuth) is that of the machine, and that {n_rows} rows "
+            f"are enough for order {best.order} with {best.n_harmonics} harmonic(s)",
             IdentifiabilityWarning,
         )
 

@@ -126,7 +126,9 @@ def _together(experiment):
     names = experiment.basis.input_signals
     if len(names) < 2:
         return ()
-    found = InputDirections.of([u[:, None] for u in experiment.inputs]).together
+    loads = experiment.basis.reading == "sample"
+    inputs = [u[:, None] for u in experiment.inputs]
+    found = InputDirections.of(inputs, about_mean=loads).together
     return tuple(names[i] for i in found)
 
 

@@ -25,7 +25,8 @@ from sklearn_hd._guards import warn
 from sklearn_hd._readings import READINGS
 from sklearn_hd._records.data import sample
 from sklearn_hd.algorithms.periodic.speed import measured_speed
-from sklearn_hd.algorithms.signals.trim import inputs_rest
+from sklearn_hd.algorithms.signals.resampling import ON_GRID
+from sklearn_hd.algorithms.signals.trim import TURN, inputs_rest
 from sklearn_hd.exceptions import FrequencyMismatchWarning
 
 AUTO = "auto"
@@ -38,7 +39,8 @@ SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is n
 def chosen_readings(analyzer, inputs, outputs, omega):
     """How model steps read the record, by what is asked for and what the inputs do.
 
-    Two readings where both may serve: the second one if the first leaves a doubt.
+    Two readings where both may serve: the second one if the first leaves a doubt. A segment of less
+    than a turn has no period.
     """
     if analyzer.reading != AUTO:
         return (analyzer.reading,)
@@ -55,7 +57,9 @@ def chosen_readings(analyzer, inputs, outputs, omega):
     psi = omega * inputs.places(omega, inputs.base.sample_time)
     known = np.isfinite(inputs.data).all(axis=1) & np.isfinite(psi)
     rows = [np.flatnonzero(known[segment]) + segment.start for segment in inputs.base.segments]
-    rest = inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
+    step = omega * inputs.base.sample_time
+    whole = all(len(k) and np.ptp(psi[k]) + step > TURN * (1.0 - ON_GRID) for k in rows)
+    rest = whole and inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
     return ("period", "sample") if rest else ("sample",)
 
 

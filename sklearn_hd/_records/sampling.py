@@ -22,9 +22,10 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from sklearn_hd._checks import RAISE, at
-from sklearn_hd._guards import warn
+from sklearn_hd._guards import searching, warn
 from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
@@ -35,9 +36,11 @@ from sklearn_hd.algorithms.signals.resampling import (
     interpolation_error,
     uniform_grid,
 )
-from sklearn_hd.exceptions import ResamplingWarning
+from sklearn_hd.exceptions import IdentifiabilityWarning, ResamplingWarning
 
 MOST_HARMONICS = 50  # of a mean waveform
+NEARBY = 8  # rows before and after, beside which an outlier stands out
+STANDS_OUT = 6.0  # times their largest second difference
 MOST_ROWS = 20_000  # of a longer record, that are looked at
 
 
@@ -240,6 +243,81 @@ def _runs_of(present, segment):
     inside = np.concatenate([[False], present[segment], [False]]).astype(int)
     edges = np.flatnonzero(np.diff(inside)) + segment.start
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def outliers(values):
+    """How far a signal of one segment leaves its neighbours for one row alone, and comes back.
+
+        d_k = y_k − (y_{k−1} + y_{k+1}) / 2:   s at such a row, −s/2 before and after it
+
+    s is half of the signal's spread or more, and six times every other d nearby: noise and edges
+    are no outliers.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_rows, n_signals)
+
+    Returns
+    -------
+    sizes : ndarray, shape (n_rows, n_signals)
+        |s| in parts of the standard deviation; zero elsewhere.
+
+    Examples
+    --------
+    >>> y = np.sin(0.3 * np.arange(60))[:, None]
+    >>> y[20] += 2.0
+    >>> np.flatnonzero(outliers(y)).tolist()
+    [20]
+    """
+    if len(values) <= 2 * NEARBY or np.isnan(values).all(axis=0).any():
+        return np.zeros(values.shape)
+    values = _filled(values)
+    largest = np.max(np.abs(values), axis=0)
+    values = values / np.where(largest > 0.0, largest, 1.0)
+    spread = np.std(values, axis=0)
+    apart = np.zeros(values.shape)
+    apart[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    apart /= np.where(spread > 0.0, spread, np.inf)
+    size, around = np.abs(apart), np.ones((2 * NEARBY + 1, 1), dtype=bool)
+    around[NEARBY - 1 : NEARBY + 2] = False
+    others = ndimage.maximum_filter(size, footprint=around)
+    before, after = (np.abs(np.roll(apart, by, axis=0) + 0.5 * apart) for by in (1, -1))
+    back = np.maximum(before, after) < 0.25 * size
+    return np.where((size > np.maximum(0.5, STANDS_OUT * others)) & back, size, 0.0)
+
+
+def warn_of_outliers(inputs, outputs, names, samples):
+    """Warn of values of the outputs that look like a sensor's errors, where no input does that.
+
+    What comes as often as every other turn is a part of the motion: impacts.
+
+    Parameters
+    ----------
+    inputs : Signals
+    outputs : ndarray, shape (n_rows, n_outputs)
+    names : tuple of str
+    samples : float
+        In a turn.
+    """
+    if searching():
+        return
+    off, base = np.zeros(outputs.shape), inputs.base
+    for rows in base.segments:
+        moved = ndimage.binary_dilation(outliers(inputs.data[rows]).any(axis=1))
+        off[rows] = np.where(moved[:, None], 0.0, outliers(outputs[rows]))
+    off[:, np.count_nonzero(off, axis=0) > 0.5 * len(off) / samples] = 0.0
+    if not off.any():
+        return
+    k, j = np.unravel_index(np.argmax(off), off.shape)
+    named = [name for name, own in zip(names, off.T, strict=True) if own.any()]
+    warn(
+        f"{np.count_nonzero(off)} value(s) of the outputs {named} stand out from the rows around "
+        f"them, each for one row alone (the largest of {names[j]!r} at t = {at(base.time[k])}, row "
+        f"{k}, by {off[k, j]:.3g} times the standard deviation of that output): outliers spoil the "
+        f"model, and what is found about omega; set them to NaN and give "
+        f"HarmonicAnalyzer(missing={2.0 * base.sample_time:.3g}), which bridges single rows",
+        IdentifiabilityWarning,
+    )
 
 
 def warn_of_resampling(basis, inputs, outputs):

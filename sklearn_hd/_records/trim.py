@@ -131,8 +131,8 @@ def _exponent(values):
 
 def _share(waveform, turns):
     """Of the energy of an output that is a waveform which repeats itself, the largest."""
-    known, whole = len(turns) * np.sum(waveform**2, axis=0), np.sum(turns**2, axis=(0, 1))
-    return float(np.max(known / np.where(whole > 0.0, whole, 1.0)))
+    whole, left = (np.sum(each**2, axis=(0, 1)) for each in (turns, turns - waveform))
+    return float(np.max((whole - left) / np.where(whole > 0.0, whole, 1.0)))
 
 
 def _lifted(sampling, values, basis, inside=None):

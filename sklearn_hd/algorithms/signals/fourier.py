@@ -435,17 +435,19 @@ class InputDirections:
 
     Attributes
     ----------
-    size : ndarray, shape (m,)
-        Root mean square of each input; one where it is zero.
+    middle, size : ndarray, shape (m,)
+        Constant of each input that is no motion, and the root mean square about it; one where that
+        is zero.
     moved : ndarray, shape (n_phases m, r)
         Orthonormal, of inputs in parts of their size.
     """
 
+    middle: np.ndarray
     size: np.ndarray
     moved: np.ndarray
 
     @classmethod
-    def of(cls, lifted, left_out=0.0):
+    def of(cls, lifted, left_out=0.0, about_mean=False):
         """Of rows of one sample or more, the strongest.
 
         Parameters
@@ -454,8 +456,14 @@ class InputDirections:
         left_out : float, default=0.0
             Share of the energy, noise say, that may lie in directions left out. What is but
             rounding is left out in any case.
+        about_mean : bool, default=False
+            Whether the mean of an input is no motion: where loads take what it does.
         """
         stacked = np.concatenate(lifted)
+        middle = np.zeros(stacked.shape[2])
+        if about_mean:
+            middle = np.mean(stacked, axis=(0, 1))
+            stacked = stacked - middle
         size = np.max(np.abs(stacked), axis=(0, 1), initial=0.0)
         size = np.where(size > 0.0, size, 1.0)
         size = size * np.sqrt(np.mean((stacked / size) ** 2, axis=(0, 1)))
@@ -464,7 +472,7 @@ class InputDirections:
         R = linalg.qr(flat, mode="r")[0][: flat.shape[1]]
         _, s, Vt = linalg.svd(R, full_matrices=False)
         beyond = np.cumsum(s[::-1] ** 2)[::-1]  # in this direction and weaker ones
-        return cls(size, Vt[(s > HALF * s[0]) & (beyond > left_out * beyond[0])].T)
+        return cls(middle, size, Vt[(s > HALF * s[0]) & (beyond > left_out * beyond[0])].T)
 
     def outside(self, lifted):
         """Share of the energy of some inputs that moves otherwise, and each input's part of it.
@@ -484,7 +492,7 @@ class InputDirections:
         >>> InputDirections.of([np.ones((1, 4, 1))]).outside([row])[0]
         0.5
         """
-        stacked = np.concatenate(lifted) / self.size
+        stacked = (np.concatenate(lifted) - self.middle) / self.size
         flat = stacked.reshape(len(stacked), -1)
         rest = flat - (flat @ self.moved) @ self.moved.T
         each = np.sum(rest.reshape(stacked.shape) ** 2, axis=(0, 1))
