@@ -85,9 +85,10 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
           of inputs or harmonics by signal are given;
         - ``"period"``, if ``small_signal`` is given;
         - ``"period"``, if the inputs rest: in at least half of the turns, and of 12 turns or more,
-          they do what they did a turn before, except for noise. ``basis_.alternative`` is then the
-          reading of the samples. :class:`MOESPRegressor` tries it if something speaks against the
-          model of periods, or that may be off by 5 %, and keeps the surer one;
+          they do what they did a turn before, except for noise, and no segment is shorter than a
+          period. ``basis_.alternative`` is then the reading of the samples. :class:`MOESPRegressor`
+          tries it if something speaks against the model of periods, or that may be off by 5 %, and
+          keeps the surer one;
         - ``"sample"``, if the inputs move in more turns than that, or there are fewer turns.
 
         ``basis_.reading`` holds the choice.
