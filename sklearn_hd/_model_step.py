@@ -23,7 +23,7 @@ from sklearn_hd._excitation import Excitation
 from sklearn_hd._exported import contents
 from sklearn_hd._frame import FrameTransformer, HarmonicFrame, read_as
 from sklearn_hd._guards import one_blas_thread, warn, within_range
-from sklearn_hd._readings import first_difference
+from sklearn_hd._readings import HarmonicBasis, first_difference
 from sklearn_hd._records.data import (
     as_frame,
     check_features,
@@ -217,8 +217,10 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         default = [f"x{i}" for i in range(self.n_features_in_)]
         names = input_features if input_features is not None else default
         names = list(getattr(self, "feature_names_in_", names))
-        read = [*self.basis_.measured, *self.basis_.coefficient_labels]
-        return np.asarray(read if set(read) < set(names) else names, dtype=object)
+        if isinstance(self.basis_, HarmonicBasis):
+            read = [*self.basis_.measured, *self.basis_.coefficient_labels]
+            names = read if set(read) < set(names) else names
+        return np.asarray(names, dtype=object)
 
     @one_blas_thread
     @within_range

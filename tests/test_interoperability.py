@@ -469,3 +469,12 @@ def test_structures_survive_clone_and_grid(short, groups):
     structure = MatrixStructure(np.full((3, 3), np.nan), np.full((3, 1), np.nan))
     matcher = StructuredMatcher(structure=structure)
     assert clone(matcher).structure == structure
+
+
+def test_columns_without_an_analyzer_keep_their_names(rng):
+    t = np.arange(200) / 8.0
+    u = pd.DataFrame({"throttle": rng.standard_normal(200)}, pd.Index(t, name="time"))
+    step = MOESPRegressor(order=1).set_output(transform="pandas")
+    step.fit(u, u.ewm(alpha=0.2).mean().rename(columns={"throttle": "speed"}))
+    assert step.get_feature_names_out().tolist() == step.transform(u).columns.tolist()
+    assert step.get_feature_names_out().tolist() == ["throttle"]
