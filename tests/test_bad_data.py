@@ -413,6 +413,9 @@ def test_noise_edges_and_steps_are_no_outliers(rng):
     found = {name for name, y in signals.items() if outliers(y[:, None]).any()}
     assert not found
     assert not outliers(signals["noise"][:16, None]).any()
+    lost = 5.0 + np.sin(0.05 * k)
+    lost[[200, 700, 701, 1400]] = np.nan
+    assert not outliers(lost[:, None]).any()
 
 
 def test_outliers_are_named_with_the_way_out(rng):

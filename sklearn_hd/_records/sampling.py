@@ -271,12 +271,12 @@ def outliers(values):
     """
     if len(values) <= 2 * NEARBY or np.isnan(values).all(axis=0).any():
         return np.zeros(values.shape)
-    values = _filled(values)
-    largest = np.max(np.abs(values), axis=0)
+    values = values - np.nanmean(values, axis=0)
+    largest = np.nanmax(np.abs(values), axis=0)
     values = values / np.where(largest > 0.0, largest, 1.0)
-    spread = np.std(values, axis=0)
-    apart = np.zeros(values.shape)
-    apart[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    spread = np.nanstd(values, axis=0)
+    apart = np.zeros(values.shape)  # beside a missing row, too
+    apart[1:-1] = np.nan_to_num(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     apart /= np.where(spread > 0.0, spread, np.inf)
     size, around = np.abs(apart), np.ones((2 * NEARBY + 1, 1), dtype=bool)
     around[NEARBY - 1 : NEARBY + 2] = False
