@@ -270,6 +270,32 @@ def test_steps_between_two_levels_have_no_square(seed):
     assert np.max(np.abs(model.predict(frame))) < 2.0 * np.max(np.abs(y.to_numpy()))
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_square_that_moves_about_periodic_means_alone_is_left_out_about_rest(seed):
+    """Random steps between two levels have such means; about zero their square is constant."""
+    rng, n, dt = np.random.default_rng(seed), 60 * 24, 2.0 * np.pi / 24
+    t, before = dt * np.arange(n), 24 * 20
+    u = 0.05 * rng.choice([-1.0, 1.0], (n, 3))[np.floor(t / (0.37 * 24 * dt)).astype(int)]
+
+    def oven(u):
+        x, u = np.zeros(before + n), np.vstack([np.zeros((before, 3)), u])
+        for k in range(len(x) - 1):
+            s, (a, b, c) = dt * (k - before), u[k]
+            heat = 0.35 * (1.0 + 0.8 * np.cos(s)) * (a - x[k]) + 0.3 * np.cos(s)
+            heat += 0.2 * (1.0 + 0.5 * np.sin(2.0 * s)) * b + 0.15 * (1.0 + 0.9 * np.sin(s)) * c
+            x[k + 1] = x[k] + dt * (heat - 0.08 * ((1.0 + 0.4 * x[k]) ** 4 - 1.0))
+        return x[before:]
+
+    x, still = oven(u), oven(0.0 * u)
+    time = pd.Index(t, name="time")
+    u = pd.DataFrame(u, time, ["a", "b", "c"])
+    y = pd.DataFrame({"y": x + 0.01 * (x - still).std() * rng.standard_normal(n)}, time)
+    frame = HarmonicAnalyzer(1.0, reading="sample").fit_transform(u, y)
+    model = MOESPRegressor().fit(frame, y)
+    left = model.predict(frame).to_numpy().ravel() - x
+    assert np.var(left) < 0.01 * np.var(x - still)
+
+
 @pytest.mark.filterwarnings("ignore:1 of 1 exponents:sklearn_hd.exceptions.IdentifiabilityWarning")
 def test_motions_that_hide_the_small_ones_get_one_linear_model():
     frame, y = bent_sensor(0.3, 4)

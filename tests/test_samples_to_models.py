@@ -393,6 +393,18 @@ def test_entries_of_states_that_nothing_measures_are_refused():
         pipeline(2.0, order=2, structure=SWINGING).fit(*record(deflection_only()))
 
 
+def test_a_likelihood_names_as_many_harmonics_as_it_found(tmp_path):
+    """One output does not determine two states: P(ψ) varies, with more harmonics than the start."""
+    u, y = record(deflection_only(), 16.0, turns=60)
+    with pytest.warns(CoordinatesWarning):
+        match = pipeline(2.0, structure=HarmonicStructure(), criterion="output_error").fit(u, y)[-1]
+    system = match.system_
+    L = len(system.output_labels) // 2
+    assert list(system.output_labels)[:3] == ["y_0", "y_1c", "y_1s"]
+    assert system.C.shape[0] == 2 * L + 1 > 3
+    match.export(tmp_path / "model.json")
+
+
 @pytest.mark.slow
 def test_a_feedthrough_that_data_show_is_kept():
     system = mathieu(P=np.eye(2), Q=[[0.0], [0.5]], output_names=["y", "a"])

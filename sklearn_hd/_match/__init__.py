@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_hd._checks import check_frequencies
 from sklearn_hd._frame import LTIModel
-from sklearn_hd._readings import highest_harmonic
+from sklearn_hd._readings import coefficient_names, highest_harmonic
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.uncertainty import propagate_std
 from sklearn_hd.algorithms.lti.simulation import step_response
@@ -326,6 +326,8 @@ class Match:
 def periodic_match(structure, theta, periodic, model, basis, found=None):
     """The match of a periodic structure; its time-invariant model is the decomposition."""
     matrices, state_names = periodic.time_invariant(basis)
-    matched = model.in_continuous_time(*matrices, state_names=state_names)
+    names = coefficient_names(basis.inputs), coefficient_names(basis.outputs)
+    signals = {"input_names": names[0], "output_names": names[1]}
+    matched = model.in_continuous_time(*matrices, state_names=state_names, **signals)
     match = Match(matched, structure.parameter_names, theta, structure, periodic)
     return match if found is None else match.by(found)

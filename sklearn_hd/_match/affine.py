@@ -23,7 +23,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, PeriodicModel, periodic_match
 from sklearn_hd._match.periodic import state_outputs, warn_coordinates
-from sklearn_hd._readings import coefficient_names, highest_harmonic
+from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.data import input_scale, output_scale, to_continuous
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.linalg.rounding import EXACT
@@ -408,12 +408,10 @@ def _weights(found, model, experiment):
 
 
 def _decomposed(model, basis):
-    """Signals of a harmonic decomposition of as many harmonics as the model has."""
+    """The model, and the signals of a decomposition of as many harmonics as it has."""
     orders = tuple(range(model.innovations.n_harmonics + 1))
-    basis = replace(basis, outputs=tuple((name, orders) for name, _ in basis.outputs))
-    names = coefficient_names(basis.inputs), coefficient_names(basis.outputs)
-    like = replace(model.to_lti(), input_names=names[0], output_names=names[1])
-    return like, basis
+    outputs = tuple((name, orders) for name, _ in basis.outputs)
+    return model.to_lti(), replace(basis, outputs=outputs)
 
 
 def _unlike(sampled, model, experiment, within_noise):

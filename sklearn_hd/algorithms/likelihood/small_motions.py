@@ -245,7 +245,8 @@ class _Products:
     ----------
     degrees : tuple of int
     left_out : tuple of tuple of int
-        Products that are not among them, for they tell the same as their factors.
+        Products that are not among them: they tell the same as their factors, or hardly move about
+        q̄, as the square of an input about the level half way between its two.
     which : list of tuple of int
         The factors of each product.
     centre : ndarray, shape (2 L + 1, n + m)
@@ -271,6 +272,10 @@ class _Products:
         products = [(_values(which, centre, z, psi), psi) for z, psi in motion]
         means = fitted_harmonics(products, n_loads)
         size = _sizes([q - evaluate_harmonics(means, psi) for q, psi in products])
+        moves = size**2 > LEAST_OF_ITS_OWN * _sizes([q for q, _ in products]) ** 2
+        left_out += tuple(w for w, each in zip(which, moves, strict=True) if not each)
+        which = [w for w in which if w not in left_out]
+        size, means = size[moves], means[:, moves]
         return cls(tuple(degrees), left_out, which, centre, size, means / size)
 
     def beside(self, segments, motion):
@@ -291,7 +296,7 @@ class _Products:
         """The same model with products about the orbit at rest, and these.
 
         Of all degrees up to the highest: a power about one centre is a sum of powers about another.
-        None where the motion does not reach that orbit.
+        None where the motion does not reach that orbit, or has no products about it.
         """
         m, L, far = rest.shape[1], len(rest) // 2, self._distance(motion)
         centre, moved = self.centre, self.with_means(model)
@@ -307,6 +312,8 @@ class _Products:
         others = tuple(degree for degree in degrees if degree not in self.degrees)
         left_out = self.left_out + (_told_as_factors(motion, others, L) if others else ())
         products = _Products.of(motion, degrees, L, centre, left_out)
+        if not products.which:
+            return None
         moved = products.with_means(self._moved(model, centre, products), -1.0)
         H = model.n_harmonics
         whole = resize_harmonics(moved.coefficients, max(H, L))
@@ -378,13 +385,15 @@ def _told_as_factors(motion, degrees, n_loads):
     whole = [_values(products.which, products.centre, z, psi) / products.size for z, psi in motion]
     least = LEAST_OF_ITS_OWN * np.mean(np.vstack(whole) ** 2, axis=0)
     told = np.mean(left**2, axis=0) <= least
-    return tuple(w for w, goes in zip(products.which, told, strict=True) if goes)
+    told = (w for w, goes in zip(products.which, told, strict=True) if goes)
+    return products.left_out + tuple(told)
 
 
 def _values(which, centre, z, psi):
     """Products of some factors of signals about their centre."""
     z = z - evaluate_harmonics(centre, psi)
-    return np.column_stack([np.prod(z[:, list(factors)], axis=1) for factors in which])
+    values = [np.prod(z[:, list(factors)], axis=1) for factors in which]
+    return np.array(values).reshape(-1, len(z)).T
 
 
 def _left(innovations, sensor_noise):
