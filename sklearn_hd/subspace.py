@@ -78,7 +78,8 @@ class MOESPRegressor(ModelStep):
         Block rows i of the past, and of the future. None takes twice the rows in the analysis
         window, plus two; 15 on plain data (fewer if the record is short); up to 60 with
         ``weighting="pbsid"``, chosen by Akaike's criterion. With ``reading="sample"`` it is the
-        number of past rows that the predictor uses, chosen in the same way.
+        number of past rows that the predictor uses, chosen in the same way; where inputs are so
+        smooth that earlier rows predict them, two and three times as many are tried, too.
     weighting : {"moesp", "n4sid", "cva", "pbsid"}, default="moesp"
         Projection of the future outputs that is decomposed. ``"moesp"`` and ``"cva"`` (canonical
         correlations: each output counts by its information, whatever its unit) project the future

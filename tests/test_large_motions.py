@@ -245,6 +245,34 @@ def test_an_input_with_a_trim_is_held_and_the_others_rest_at_zero():
     np.testing.assert_array_equal(samples.rest, [[0, 0, -0.2], [0, 0, 0], [0, 0, -0.4]])
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.parametrize("seed", [0, 1])
+def test_smooth_inputs_have_as_many_lags_as_tell_the_states(seed):
+    """A multisine is predicted by few earlier rows; with these the order came out as 5 to 8."""
+
+    def forced(t, x, u):  # van der Pol's oscillator, whose motion begins at its orbit
+        bend = 0.4 * (1.0 - x[0] ** 2) * x[1]
+        return np.array([x[1], bend - x[0] + (1.2 + u) * np.cos(1.1 * t)])
+
+    samples, turns, rng = 24, 70, np.random.default_rng(seed)
+    start, h = np.array([1.0, 0.0]), 2.0 * np.pi / 1.1 / 256
+    for k in range(40 * 256):
+        start = step(forced, k * h, start, 0.0, h)
+    waves = np.arange(1, 30) * 3.0 / turns
+    t = np.arange(turns * samples) / samples
+    waves = np.sin(2.0 * np.pi * np.outer(t, waves) + rng.uniform(0.0, 2.0 * np.pi, 29))
+    u, y = oscillations(0.006 * waves.sum(axis=1), forced, 1.1, samples, start, 0.0, rng)
+    still = oscillations(0.0 * t, forced, 1.1, samples, start, 0.0, rng)[1]
+    y += 0.01 * (y - still).std().to_numpy() * rng.standard_normal(y.shape)
+    frame = HarmonicAnalyzer(1.1, reading="sample").fit_transform(u, y[["y"]])
+    model = MOESPRegressor().fit(frame, y[["y"]])
+    assert model.order_ == 2
+    true = np.linalg.eigvals(transition(forced, 1.1, start)).astype(complex)
+    found = np.sort(model.ltp_.floquet_exponents().real)
+    np.testing.assert_allclose(found, np.sort(np.log(np.abs(true))) * 1.1 / (2.0 * np.pi), rtol=0.1)
+
+
 def bent_sensor(noise, seed):
     """A lag under steps to −1 and 1, whose sensor adds 0.3 of the square; its exponent is −0.3."""
     rng, n, dt = np.random.default_rng(seed), 100 * SAMPLES, 2.0 * np.pi / OMEGA / SAMPLES

@@ -14,6 +14,7 @@ from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
+TIMES_AS_MANY = (1, 2, 3)  # of the lags of Akaike's criterion: tried where inputs are smooth
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 
 
@@ -25,7 +26,8 @@ def compared_rows(segments):
 def predictor_layouts(data, settings, basis):
     """Lags, harmonics and feedthrough of the predictor, and why D is free or zero.
 
-    Two, with D = 0 and with D free, where inputs are so smooth that a predictor cannot tell.
+    Several where inputs are so smooth that a predictor cannot tell: with D = 0 and with D free, and
+    each with more lags, too. Few lags predict the next row then, but do not tell what comes later.
     """
     most, lags = _most(data, settings, basis)
     shortest = _shortest(data, settings)
@@ -79,7 +81,9 @@ def predictor_layouts(data, settings, basis):
         warn_of_feedback(f"{reason}D free")
         return zero, f"{reason}D free, but feedback within a row looks the same: {{}}"
     if not tells:
-        return [whole(feedthrough, max(lags)) for feedthrough in (False, True)], reason + "{}"
+        several = (k * max(lags) for k in TIMES_AS_MANY if k * max(lags) <= sums.layout.n_lags)
+        both = [whole(feedthrough, each) for each in several for feedthrough in (False, True)]
+        return both, reason + "{}"
     return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"
 
 

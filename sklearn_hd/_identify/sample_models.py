@@ -200,10 +200,11 @@ class _Models:
 class Choice:
     """The order and the harmonics of the matrices, by what simulations of the record leave.
 
-    ``steps`` says whether steps of the likelihood follow.
+    ``steps`` says whether steps of the likelihood follow, ``skipped`` how many rows of a segment
+    are left out of simulations; at least the lags.
     """
 
-    def __init__(self, data, sums, settings, basis, steps):
+    def __init__(self, data, sums, settings, basis, steps, skipped=0):
         layout = sums.layout
         self.data, self.settings, self.basis, self.steps = data, settings, basis, steps
         self.layout, self.n_rows, self.predictor = layout, sums.n_rows, sums.predictor()
@@ -212,7 +213,7 @@ class Choice:
         self.most = most if layout.n_harmonics else 0
         self.states = _States.of(data, self.predictor, settings, noise)
         self.models = {}  # by order: _Models
-        self.simulated = list(_simulated(data.segments, layout.n_lags))
+        self.simulated = list(_simulated(data.segments, max(skipped, layout.n_lags)))
         total = sum(np.sum(y**2, axis=0) for _, y, _ in self.simulated)
         self.total = np.where(total > 0.0, total, 1.0)  # of an output at rest nothing is left
 
@@ -221,8 +222,9 @@ class Choice:
         """With lags and harmonics of the predictor that suit the data; the best model; why D is
         free or not; and all models tried, those with its D first."""
         layouts, reason = predictor_layouts(data, settings, basis)
+        skipped = max(layout.n_lags for layout in layouts)  # what all leave is compared
         choices = [
-            cls(data, LagSums.of(data.segments, layout), settings, basis, steps)
+            cls(data, LagSums.of(data.segments, layout), settings, basis, steps, skipped)
             for layout in layouts
         ]
         bests = [each.best() for each in choices]
