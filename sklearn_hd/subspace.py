@@ -99,8 +99,8 @@ class MOESPRegressor(ModelStep):
         always free, because inputs act within their period. For samples at their azimuths D is
         free if that lowers the predictor's Bayesian information criterion. Where inputs are so
         smooth that earlier rows predict them, this criterion cannot tell D. Models with D = 0 and
-        with D free are then simulated, and the best is kept: that of fewer states where both leave
-        but noise.
+        with D free are then simulated, and the best is kept: that of the fewest states where all
+        leave but noise.
     disturbance_model : bool, default=False
         Whether the Kalman gain K of the innovation form is identified, for ``predict_ahead`` (on
         plain data or ``reading="period"``). With ``weighting="pbsid"`` and ``reading="sample"`` it

@@ -222,7 +222,7 @@ class Choice:
         """With lags and harmonics of the predictor that suit the data; the best model; why D is
         free or not; and all models tried, those with its D first."""
         layouts, reason = predictor_layouts(data, settings, basis)
-        skipped = max(layout.n_lags for layout in layouts)  # what all leave is compared
+        skipped = max(layout.n_lags for layout in layouts)  # so that all simulate the same rows
         choices = [
             cls(data, LagSums.of(data.segments, layout), settings, basis, steps, skipped)
             for layout in layouts
