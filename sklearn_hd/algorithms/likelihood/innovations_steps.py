@@ -149,10 +149,10 @@ class _Form:
     ----------
     n_harmonics, n_loads : int
     feedthrough : bool
+    n_inputs : list of int
+        For 1, cos ψ, sin ψ, …: of how many inputs the effect is free.
     places : ndarray of int, shape (k,)
         Of the free ones, in [A B a; C D c] and then K, flattened.
-    kept : ndarray of bool
-        Which sensitivities are theirs.
     of_states : ndarray of int, shape (2 H + 1, n, n)
         Places of A.
     """
@@ -160,8 +160,8 @@ class _Form:
     n_harmonics: int
     n_loads: int
     feedthrough: bool
+    n_inputs: list
     places: np.ndarray
-    kept: np.ndarray
     of_states: np.ndarray
 
     @classmethod
@@ -171,22 +171,17 @@ class _Form:
         place, gain = np.arange(size).reshape(own.coefficients.shape), np.zeros(0, dtype=int)
         if own.gain.any():
             gain = size + np.arange(own.gain.size).reshape(own.gain.shape)
-        places, kept = [], []
-        for h in range(2 * H + 1):
-            driven = place[h, :n, :-1]
+        turning = 2 * min(H, layout.n_input_harmonics)
+        n_inputs = [own.n_inputs, *turning * [layout.n_inputs], *(2 * H - turning) * [0]]
+        places = []
+        for h, count in enumerate(n_inputs):
+            driven = place[h, :n, : n + count]
             moved = np.hstack([driven, gain[h]]) if own.gain.any() else driven
-            seen = place[h, n:, : -1 if layout.feedthrough else n]
+            seen = place[h, n:, : n + count if layout.feedthrough else n]
             places += [moved.ravel(), seen.ravel()]
-            for block in (moved, seen):
-                free = np.ones(block.shape, dtype=bool)
-                free[:, n : n + layout.n_inputs] = h <= 2 * layout.n_input_harmonics
-                free[:, n + layout.n_inputs : n + own.n_inputs] = h == 0
-                kept.append(free.ravel())
         loads = place[: 2 * L + 1, :, -1].T
-        places += [loads[:n].ravel(), loads[n:].ravel()]
-        kept.append(np.ones(loads.size, dtype=bool))
-        places, kept = np.concatenate(places), np.concatenate(kept)
-        return cls(H, L, layout.feedthrough, places[kept], kept, place[: 2 * H + 1, :n, :n])
+        places = np.concatenate([*places, loads.ravel()])
+        return cls(H, L, layout.feedthrough, n_inputs, places, place[: 2 * H + 1, :n, :n])
 
     def ahead(self, at, system, damping):
         """Logarithms of multipliers, where another step leads them, and their deviations."""
@@ -219,12 +214,13 @@ class _Form:
         system : _System
         """
         gram, slope, size, whole = 0.0, 0.0, 0.0, 0.0
+        free = {"feedthrough": self.feedthrough, "n_inputs": self.n_inputs}
+        orders = range(self.n_harmonics + 1), range(self.n_loads + 1)
         for (rows, u, x, e, psi), some, own in zip(at.parts, at.counted, told, strict=True):
             counts = np.zeros(len(e), dtype=bool)
             counts[some] = True
-            orders = range(self.n_harmonics + 1), range(self.n_loads + 1)
             functions = (harmonic_functions(psi, each) for each in orders)
-            pairs = regressors_of(rows, u, x, e, *functions, feedthrough=self.feedthrough)
+            pairs = regressors_of(rows, u, x, e, *functions, **free)
             slope = slope + self._slope(at.weights, rows, pairs, counts, e)
             whole = whole + self._squares(rows, pairs, counts)
             if own.stop > own.start:
@@ -243,22 +239,21 @@ class _Form:
             for pair in pairs
             for regressors, copies in zip(pair, (n, n_outputs), strict=True)
         ]
-        return np.concatenate(each)[self.kept]
+        return np.concatenate(each)
 
     def _slope(self, W, rows, pairs, counts, e):
         """Of the likelihood, by the free coefficients."""
         start = _started(W, rows, counts)
         left = np.where(counts[:, None], e @ W.T, 0.0).ravel()
         left = (left - start @ (start.T @ left)).reshape(e.shape)
-        return sensitivity_sums(rows, pairs, left @ W)[self.kept]
+        return sensitivity_sums(rows, pairs, left @ W)
 
     def _information(self, W, rows, pairs, counts):
         """Products of the sensitivities to the free coefficients."""
         start, gram, inside = _started(W, rows, counts), 0.0, 0.0
         start = start.reshape(len(counts), len(W), start.shape[1])
-        most = max(int(AT_ONCE / self.kept.size / len(W)), 1)
+        most = max(int(AT_ONCE / len(self.places) / len(W)), 1)
         for piece, J in sensitivity_pieces(rows, pairs, most, W):
-            J = J[..., self.kept]
             J[~counts[piece]] = 0.0
             J, free = (z.reshape(-1, z.shape[-1]) for z in (J, start[piece]))
             gram, inside = gram + J.T @ J, inside + free.T @ J

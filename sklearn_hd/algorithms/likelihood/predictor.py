@@ -307,22 +307,28 @@ def sensitivities(rows, inputs, states, residuals, functions, loads, *, feedthro
     return next(sensitivity_pieces(rows, pairs, len(states)))[1]
 
 
-def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthrough):
+def regressors_of(rows, inputs, states, residuals, functions, loads, *, feedthrough, n_inputs=None):
     """What the coefficients of [A B K] and of [C D] are multiplied by, then those of a and c.
 
     Parameters
     ----------
     rows, inputs, states, residuals, functions, loads, feedthrough
         As for :func:`sensitivities`.
+    n_inputs : list of int, optional
+        For each function, how many of the inputs; all by default.
 
     Returns
     -------
     pairs : list of (ndarray, ndarray), shapes (n_samples, q)
         One for each function, and the loads.
     """
-    moved = [states, inputs, residuals] if rows.gain.any() else [states, inputs]
-    moved, seen = np.hstack(moved), np.hstack([states, inputs]) if feedthrough else states
-    return [(f[:, None] * moved, f[:, None] * seen) for f in functions.T] + [(loads, loads)]
+    n_inputs = [inputs.shape[1]] * functions.shape[1] if n_inputs is None else n_inputs
+    pairs = []
+    for f, count in zip(functions.T, n_inputs, strict=True):
+        driven = np.hstack([states, inputs[:, :count]])
+        moved = np.hstack([driven, residuals]) if rows.gain.any() else driven
+        pairs.append((f[:, None] * moved, f[:, None] * (driven if feedthrough else states)))
+    return [*pairs, (loads, loads)]
 
 
 def sensitivity_pieces(rows, pairs, most, weights=None):
