@@ -13,6 +13,7 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd._identify.sample import _Found, _or_fuller
 from sklearn_hd._identify.sample_models import Choice, Refined
+from sklearn_hd._opinion import Opinion
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import FrequencyMismatchWarning, IdentifiabilityWarning
@@ -327,3 +328,29 @@ def test_a_simpler_model_has_modes_of_the_other_or_leaves_as_little(
 
     whole = found(4e-4, -500.0, "halves differ", -0.23, -0.365)
     assert found(left, bic, against, exponent).serves_for(whole) == serves
+
+
+@pytest.mark.parametrize(
+    ("exponents", "deviation", "against", "stands"),
+    [
+        ((-0.2,), 0.002, "", False),  # a mode that it lacks has moved its own
+        ((-0.231,), 0.002, "", True),
+        ((-0.2,), 0.02, "", True),  # within chance
+        ((-0.2,), 0.002, "halves differ", True),  # the other is in doubt itself
+    ],
+)
+def test_fewer_states_do_not_stand_beside_a_sure_model_of_others(
+    exponents, deviation, against, stands
+):
+    def found(against, *exponents):
+        exponents = np.array(exponents, complex)
+        spread = np.full(len(exponents), deviation)
+        opinion = Opinion(exponents, spread, 0.8, "the two halves of the record have", own=True)
+        it = _Found(None, None, None)
+        model = SimpleNamespace(exponents=lambda: exponents, omega=0.8, opinion=opinion)
+        it.__dict__.update(model=model, against=against)
+        return it
+
+    whole = found(against, -0.23, -2.0)  # of the second a turn leaves nothing
+    assert found("", *exponents).stands_beside(whole) == stands
+    assert whole.stands_beside(whole)

@@ -17,6 +17,7 @@ from itertools import islice
 
 import numpy as np
 
+from sklearn_hd._checks import STANDARD_ERRORS
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.checks import (
@@ -57,6 +58,7 @@ TOO_LARGE = (
     "small ones, or states are missing; the model is one linear model of the whole record; use "
     "smaller motions, or raise order="
 )
+POWERS = {2: "squares", 3: "cubes"}
 MOST_LEFT = 0.5  # of the outputs' variance, that a model of small motions in doubt may leave
 TWICE = 2.0  # times what a linear one leaves, that it may leave in any case
 LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
@@ -303,6 +305,13 @@ class _Found:
         """Whether its simulation leaves as little as one-step predictions of the predictor."""
         return self.choice.leaves_noise(self.left)
 
+    def stands_beside(self, other):
+        """Whether it is the other, or the other's exponents are in doubt, or confirm its own."""
+        if self is other or other.against or other.model.opinion is None:
+            return True
+        known = other.model.opinion.of_whole(other.model.exponents())
+        return not why_unconfirmed(self.model.exponents(), known)
+
     def serves_for(self, other):
         """Whether nothing speaks against it, and it leaves as little or has modes of the other.
 
@@ -418,8 +427,9 @@ def _or_simpler(found, choice):
 
     After steps of the likelihood: before them, a model of as many states as the machine may leave
     more than one of too many. Without products, states stand for the second order of the response:
-    where these pay, the criterion of predictions beside them comes first. An unstable model was
-    simulated in pieces, and is not compared.
+    where these pay, the criterion of predictions beside them comes first, unless nothing speaks
+    against more states and they have other exponents. An unstable model was simulated in pieces,
+    and is not compared.
     """
     most_left = max(AS_LITTLE * found.left.variance, LITTLE)
     simpler = (
@@ -430,7 +440,8 @@ def _or_simpler(found, choice):
         simpler, way = list(simpler), found.refined.simulates
         with_products = (one for one in simpler if one.refined.degrees)
         alike = [found, *(one for one in with_products if one.refined.simulates == way)]
-        found = min(alike, key=lambda one: one.bic_of_predictions)
+        alike.sort(key=lambda one: one.bic_of_predictions)
+        found = next(one for one in alike if one.stands_beside(found))
     if not found.against and found.lasts:
         return found
     rivals = [found]
@@ -483,17 +494,32 @@ def _of_its_likelihood(refined, data, omega):
 
     Where steps have not come to an end, and where products have not taken up all by which a
     machine is not linear, that is elsewhere. Beside products its deviations are the model's own.
+    Products of degrees that did not pay, or are too many, have a word where chance does not
+    explain them.
     """
-    scale, about = omega / (2.0 * np.pi), {"duration": data.duration(omega)}
+
+    def of(ahead, way, **more):
+        own = (omega / (2.0 * np.pi) * each for each in ahead)
+        return Opinion(*own, omega, way, duration=data.duration(omega), **more)
+
     small = refined.small
-    if small is None:
-        if refined.ahead is not None:
-            way = "a further step of its likelihood has"
-            yield Opinion(*(scale * each for each in refined.ahead), omega, way, **about)
-        return
-    about["of_small_motions"] = True
-    own = (scale * each for each in refined.ahead)
-    yield Opinion(*own, omega, "small motions have", own=True, **about)
-    if small.of_smaller is not None:
-        smaller = (scale * each for each in small.of_smaller)
-        yield Opinion(*smaller, omega, "the smaller motions of the record have", **about)
+    if small is not None:
+        yield of(refined.ahead, "small motions have", own=True, of_small_motions=True)
+        if small.of_smaller is not None:
+            way = "the smaller motions of the record have"
+            yield of(small.of_smaller, way, of_small_motions=True)
+    elif refined.ahead is not None:
+        yield of(refined.ahead, "a further step of its likelihood has")
+    base = refined.large or refined.without
+    if base is not None:
+        degrees, before, beside = base.of_other_degrees()
+        if before is not None and beside is not None and _is_no_chance(before, beside):
+            which = " and ".join(POWERS[degree] for degree in degrees)
+            way = f"its likelihood beside {which} of the motion has"
+            yield of(beside.ahead, way, own=True, of_small_motions=True)
+
+
+def _is_no_chance(before, beside):
+    """Whether further coefficients let −log L fall by more than noise explains: 2 Δ log L is χ²."""
+    more = beside.n_told - before.n_told
+    return 2.0 * (beside.fall - before.fall) > more + STANDARD_ERRORS * np.sqrt(2.0 * more)

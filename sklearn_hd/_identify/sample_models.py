@@ -131,6 +131,8 @@ class Refined:
         Why what a linear model leaves is no noise, "" if it is.
     large : LargeMotions or None
         Where products of states and inputs pay; their linear part is the model then.
+    without : LargeMotions or None
+        The linear model, no products beside it yet; None without steps.
     """
 
     linear: PeriodicInnovations
@@ -138,6 +140,7 @@ class Refined:
     rest: np.ndarray
     no_noise: str = ""
     large: LargeMotions | None = None
+    without: LargeMotions | None = None
 
     @cached_property
     def small(self):
@@ -403,13 +406,13 @@ class Choice:
         likelihood = self.data.segments, layout, SENSOR_NOISE, most_growth
         found = most_likely(start, *likelihood) if self.steps else None
         model, ahead = (start, None) if found is None else found
-        large = None
+        large, without = None, found and LargeMotions.without(model, *likelihood)
         if found is not None and (like is None or like.degrees):
             large = self._large_motions(model, start, likelihood, stable, like)
         compared, no_noise = (self.simulated, model, self.predictor), ""
         if like is None and (large is None or why_no_noise(*compared, large.covariance)):
             large, no_noise = None, why_no_noise(*compared)
-        return Refined(model, ahead, self.data.rest, no_noise, large)
+        return Refined(model, ahead, self.data.rest, no_noise, large, without)
 
     def _large_motions(self, model, start, likelihood, stable, like):
         """The model with products as further inputs, those of another one or where they pay.

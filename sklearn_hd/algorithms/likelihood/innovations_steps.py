@@ -111,6 +111,43 @@ def most_likely(
     return replace(at.innovations, covariance=at.covariance), tuple(ahead)
 
 
+@dataclass(frozen=True, eq=False)
+class NextStep:
+    """What another whole step of a likelihood would do.
+
+    Attributes
+    ----------
+    fall : float
+        Of −log L, if residuals were linear.
+    n_told : int
+        Directions that the record tells.
+    ahead : (ndarray, ndarray)
+        As :func:`most_likely` has it.
+    """
+
+    fall: float
+    n_told: int
+    ahead: tuple
+
+
+def next_step(innovations, segments, layout, sensor_noise):
+    """Another whole step, not taken; arguments as for :func:`most_likely`.
+
+    Returns
+    -------
+    step : NextStep or None
+        None where the predictor forgets nothing.
+    """
+    innovations = _with_loads(innovations, layout)
+    form = _Form.of(innovations, layout)
+    at = fitted(innovations, segments, sensor_noise)
+    if at is None:
+        return None
+    told = _telling(segments, int(MOST_NUMBERS / len(form.places) / layout.n_outputs))
+    system = form.system(at, list(told))
+    return NextStep(system.promised, int(system.known.sum()), form.ahead(at, system, RANK)[1:])
+
+
 def is_told(innovations, segments, layout, counted=None):
     """Whether the rows are enough for all coefficients; arguments as for :func:`most_likely`."""
     rows = zip(segments, _counted(segments, counted), strict=True)

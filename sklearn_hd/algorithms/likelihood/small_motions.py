@@ -24,7 +24,6 @@ Reference: J. Paduart et al., "Identification of nonlinear systems using polynom
 space models", Automatica 46 (2010), for time-invariant machines.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, combinations, combinations_with_replacement
@@ -33,11 +32,21 @@ from math import comb
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd.algorithms.likelihood.innovations_steps import fitted, is_told, most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import (
+    fitted,
+    is_told,
+    most_likely,
+    next_step,
+)
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.algorithms.signals.fourier import fitted_harmonics, sampled_harmonics
+from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
+from sklearn_hd.algorithms.signals.fourier import (
+    fitted_harmonics,
+    harmonic_functions,
+    sampled_harmonics,
+)
 
 LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
 DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
@@ -89,9 +98,12 @@ class LargeMotions:
     products : _Products
     segments, driven : list of (inputs, outputs, psi)
         Without and with them.
-    stepped : callable
-        ``most_likely`` of a model and segments.
-    sensor_noise : float
+    layout : Layout
+        Of the model without them, whose inputs' effect turns with ψ.
+    turning : bool
+        Whether the effect of products does, too; else it is a constant one.
+    sensor_noise, most_growth : float
+        As for :func:`~.innovations_steps.most_likely`.
     gain : ndarray or None
         Of a predictor, for a model that simulates.
     asked : bool
@@ -100,21 +112,36 @@ class LargeMotions:
 
     linear: PeriodicInnovations
     model: PeriodicInnovations
-    ahead: tuple
-    products: "_Products"
+    ahead: tuple | None
+    products: "_Products | None"
     segments: list
     driven: list
-    stepped: Callable
+    layout: Layout
+    turning: bool
     sensor_noise: float
+    most_growth: float
     gain: np.ndarray | None
     asked: bool
 
     @classmethod
+    def without(
+        cls, innovations, segments, layout, sensor_noise, most_growth, gain=None, asked=False
+    ):
+        """No products yet; arguments as for :meth:`of`.
+
+        Their effect will turn with ψ as B does; of a record too short for squares of that kind, it
+        is a constant one.
+        """
+        n, m = innovations.n_states, innovations.n_inputs
+        layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
+        squares = _with_inputs(innovations, m, comb(n + m + 1, 2))
+        turning = is_told(squares, segments, replace(layout, n_inputs=squares.n_inputs))
+        how = layout, turning, sensor_noise, most_growth, gain, asked
+        return cls(innovations, innovations, None, None, segments, segments, *how)
+
+    @classmethod
     def of(cls, innovations, segments, layout, sensor_noise, most_growth, degrees=None, gain=None):
         """The model with products; None where none pay, or steps are not to be had.
-
-        Their effect turns with ψ as B does; of a record too short for squares of that kind, it is a
-        constant one.
 
         Parameters
         ----------
@@ -127,45 +154,95 @@ class LargeMotions:
         gain : ndarray, optional
             Of a predictor, for a model that simulates.
         """
-        n, m, L = innovations.n_states, innovations.n_inputs, layout.n_loads
-        layout = replace(layout, n_input_harmonics=innovations.n_harmonics)
-        squares = _with_inputs(innovations, m, comb(n + m + 1, 2))
-        turning = is_told(squares, segments, replace(layout, n_inputs=squares.n_inputs))
-        per_input = n + (layout.n_outputs if layout.feedthrough else 0)
-        per_input *= layout.n_functions if turning else 1
-        n_values = sum(y.size for _, y, _ in segments)
-
-        def stepped(model, driven, **options):
-            if not model.growth() < most_growth:
-                return None
-            wide = replace(layout, n_inputs=model.n_inputs if turning else m)
-            return most_likely(model, driven, wide, sensor_noise, most_growth, **options)
-
         asked = degrees is not None
-        known = stepped, sensor_noise, gain, asked
-        found = cls(innovations, innovations, None, None, segments, segments, *known)
+        likelihood = segments, layout, sensor_noise, most_growth
+        found = cls.without(innovations, *likelihood, gain, asked)
         for tried in [degrees] if asked else [(degree,) for degree in DEGREES]:
-            motion = found.motion()
-            more = sum(comb(n + m + degree - 1, degree) for degree in tried)
-            if motion is None or more * per_input * n_values > MOST_NUMBERS:
+            motion = found._motion_beside(tried, found.turning)
+            if motion is None:
                 break
-            before, left_out = (), ()
             if found.products is not None:  # of the same states as those to come
-                before, left_out = found.products.degrees, found.products.left_out
-                products = _Products.of(motion, before, L, left_out=left_out)
+                products = found._products(motion)
                 found = found._with(found.model, products, motion)
-            left_out += _told_as_factors(motion, tried, L)
-            if set(_factors(motion, tried)) <= set(left_out):
-                continue
-            products = _Products.of(motion, before + tried, L, left_out=left_out)
-            more = m + len(products.which) - found.model.n_inputs
-            start = _with_inputs(found.model, found.model.n_inputs, more)
-            found = found._with(start, products, motion, 0.0 if asked else more * per_input)
+            products = found._products(motion, tried)
+            if products is not None:
+                start = found._beside(products)
+                more = start.n_inputs - found.model.n_inputs
+                least = 0.0 if asked else more * found._per_product(found.turning)
+                found = found._with(start, products, motion, least)
         if found.products is None:
             return None
         least = 1.0 - LEAST_TAKEN_UP if gain is not None and not asked else np.inf
         left, before = (_left(each, sensor_noise) for each in (found.model, innovations))
         return found if left <= least * before else None
+
+    def of_other_degrees(self):
+        """Where products of the degrees that it has not would lead, with a constant effect.
+
+        Returns
+        -------
+        degrees : tuple of int
+            Empty where none are to be had.
+        before, beside : NextStep or None
+            Without and with them.
+        """
+        before = () if self.products is None else self.products.degrees
+        tried = tuple(degree for degree in DEGREES if degree not in before)
+        motion = self._motion_beside(tried, turning=False) if tried else None
+        if motion is None:
+            return (), None, None
+        products = self._products(motion, tried)
+        if products is None:
+            return (), None, None
+        driven = products.beside(self.segments, motion)
+        some = [(u[:, : self.model.n_inputs], y, psi) for u, y, psi in driven]
+        layout = replace(self.layout, n_inputs=self._n_turning(self.model))
+        both = (self.model, some), (self._beside(products), driven)
+        return tried, *(next_step(*each, layout, self.sensor_noise) for each in both)
+
+    def _motion_beside(self, degrees, turning):
+        """The motion, if products of further degrees are not too many numbers; else None."""
+        n, m = self.linear.n_states, self.linear.n_inputs
+        more = sum(comb(n + m + degree - 1, degree) for degree in degrees)
+        n_values = sum(y.size for _, y, _ in self.segments)
+        if more * self._per_product(turning) * n_values > MOST_NUMBERS:
+            return None
+        return self.motion()
+
+    def _per_product(self, turning):
+        """Coefficients of a product's effect."""
+        layout = self.layout
+        each = self.linear.n_states + (layout.n_outputs if layout.feedthrough else 0)
+        return each * (layout.n_functions if turning else 1)
+
+    def _n_turning(self, model):
+        """Inputs of a model whose effect turns with ψ, the first ones."""
+        return model.n_inputs if self.turning else self.linear.n_inputs
+
+    def _products(self, motion, further=()):
+        """Products of some motion of the same degrees and of further ones; None if of these all
+        are left out."""
+        before, left_out = (), ()
+        if self.products is not None:
+            before, left_out = self.products.degrees, self.products.left_out
+        if further:
+            left_out += _told_as_factors(motion, further, self.layout.n_loads)
+            if set(_factors(motion, further)) <= set(left_out):
+                return None
+        return _Products.of(motion, before + further, self.layout.n_loads, left_out=left_out)
+
+    def _beside(self, products):
+        """The model with products on which it has no effect yet."""
+        before = self.model.n_inputs
+        more = self.linear.n_inputs + len(products.which) - before
+        return _with_inputs(self.model, before, more)
+
+    def _stepped(self, model, driven, **options):
+        """Steps of its likelihood; None where they are not to be had."""
+        if not model.growth() < self.most_growth:
+            return None
+        layout = replace(self.layout, n_inputs=self._n_turning(model))
+        return most_likely(model, driven, layout, self.sensor_noise, self.most_growth, **options)
 
     @cached_property
     def _predictor(self):
@@ -209,7 +286,7 @@ class LargeMotions:
             found = found if left <= AS_LITTLE * before else self
             if not self.asked:
                 counted = _smaller_half(motion, found.products.centre)
-                smaller = self.stepped(found.model, found.driven, counted=counted)
+                smaller = self._stepped(found.model, found.driven, counted=counted)
         model, m = found._predictor, self.linear.n_inputs
         gain = self.linear.gain if self.gain is None else self.gain
         linear = self._predicting(_with_inputs(model, m, 0), self.segments, gain)
@@ -222,7 +299,7 @@ class LargeMotions:
     def _with(self, start, products, motion, least_fall=0.0):
         """After steps from a start beside other products; the same if there are none."""
         driven = products.beside(self.segments, motion)
-        found = self.stepped(start, driven, least_fall=least_fall)
+        found = self._stepped(start, driven, least_fall=least_fall)
         if found is None:
             return self
         return replace(self, model=found[0], ahead=found[1], products=products, driven=driven)
@@ -272,11 +349,24 @@ class _Products:
         products = [(_values(which, centre, z, psi), psi) for z, psi in motion]
         means = fitted_harmonics(products, n_loads)
         size = _sizes([q - evaluate_harmonics(means, psi) for q, psi in products])
-        moves = size**2 > LEAST_OF_ITS_OWN * _sizes([q for q, _ in products]) ** 2
-        left_out += tuple(w for w, each in zip(which, moves, strict=True) if not each)
-        which = [w for w in which if w not in left_out]
-        size, means = size[moves], means[:, moves]
         return cls(tuple(degrees), left_out, which, centre, size, means / size)
+
+    def some(self, moving):
+        """Those of some of the products; the others are left out."""
+        both = list(zip(self.which, moving, strict=True))
+        others = tuple(w for w, moves in both if not moves)
+        return replace(
+            self,
+            left_out=self.left_out + others,
+            which=[w for w, moves in both if moves],
+            size=self.size[moving],
+            means=self.means[:, moving],
+        )
+
+    def moving(self, motion):
+        """Which products move about their means."""
+        whole = [_values(self.which, self.centre, z, psi) for z, psi in motion]
+        return self.size**2 > LEAST_OF_ITS_OWN * _sizes(whole) ** 2
 
     def beside(self, segments, motion):
         """Segments whose inputs have the products of a motion beside them."""
@@ -312,6 +402,7 @@ class _Products:
         others = tuple(degree for degree in degrees if degree not in self.degrees)
         left_out = self.left_out + (_told_as_factors(motion, others, L) if others else ())
         products = _Products.of(motion, degrees, L, centre, left_out)
+        products = products.some(products.moving(motion))
         if not products.which:
             return None
         moved = products.with_means(self._moved(model, centre, products), -1.0)
@@ -372,15 +463,22 @@ def _factors(motion, degrees):
 
 
 def _told_as_factors(motion, degrees, n_loads):
-    """Products that go with states and inputs themselves, or are constant.
+    """Products that go with states and inputs, by factors that turn with ψ, or are constant.
 
-    u³ of steps to −a, 0 and a is a² u, and u² of steps to −a and a is a². Noise would decide what
-    is whose, and with it the linear part.
+    u³ of steps to −a, 0 and a is a² u, and u² of steps to −a and a is a²; about its mean ū(ψ) that
+    is a² + ū² − 2 ū u. Noise would decide what is whose, and with it the linear part.
     """
     products = _Products.of(motion, degrees, n_loads)
-    moved = np.vstack([z - evaluate_harmonics(products.centre, psi) for z, psi in motion])
+    products = products.some(products.moving(motion))
+    if not products.which:
+        return products.left_out
+    moved = []
+    for z, psi in motion:
+        about = z - evaluate_harmonics(products.centre, psi)
+        turned = harmonic_functions(psi, range(n_loads + 1))[:, :, None] * about[:, None]
+        moved.append(turned.reshape(len(z), -1))
     beside = products.beside([(z[:, :0], None, psi) for z, psi in motion], motion)
-    q = np.vstack([own for own, *_ in beside])
+    q, moved = np.vstack([own for own, *_ in beside]), np.vstack(moved)
     left = q - moved @ linalg.lstsq(moved, q)[0]
     whole = [_values(products.which, products.centre, z, psi) / products.size for z, psi in motion]
     least = LEAST_OF_ITS_OWN * np.mean(np.vstack(whole) ** 2, axis=0)

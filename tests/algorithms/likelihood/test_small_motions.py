@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from innovation_cases import STEP
 
+from sklearn_hd.algorithms.likelihood import small_motions
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
 from sklearn_hd.algorithms.likelihood.small_motions import (
     LargeMotions,
@@ -154,6 +155,45 @@ def test_motions_between_two_values_have_no_products_of_their_own():
     some = [(u, -u, STEP * np.arange(400))]
     for degrees in (None, (2,)):
         assert LargeMotions.of(delay, some, layout, 1e-3, np.inf, degrees) is None
+    base = LargeMotions.without(delay, some, layout, 1e-3, np.inf)
+    assert base.of_other_degrees()[1:] == (None, None)
+
+
+def by_chance(base):
+    """How many deviations 2 Δ log L of products that it has not is beyond that of noise."""
+    degrees, before, beside = base.of_other_degrees()
+    more = beside.n_told - before.n_told
+    return degrees, (2.0 * (beside.fall - before.fall) - more) / np.sqrt(2.0 * more)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_products_that_were_not_taken_up_show_a_machine_that_is_not_linear(seed):
+    """One step beside them leads to the exponents of small motions, before any is taken."""
+    true = seen()
+    for bend, degree in ((0.0, 3), (-0.1, 3), (0.2, 2)):
+        some = [bent(true, degree, bend, 1500, seed)]
+        linear, _ = most_likely(true, some, SEEN, 1e-3)
+        base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
+        degrees, beyond = by_chance(base)
+        assert degrees == (2, 3)
+        assert (beyond > 4.0) == (bend != 0.0)
+        known, deviations = base.of_other_degrees()[2].ahead
+        assert np.all(np.abs(np.sort_complex(known) - multipliers(true)) < 5.0 * deviations)
+    large = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf)
+    degrees, beyond = by_chance(large)
+    assert (large.products.degrees, degrees) == ((2,), (3,))
+    assert beyond < 4.0  # squares have taken up all
+
+
+def test_nothing_is_said_of_products_that_are_not_to_be_had(monkeypatch):
+    true = seen()
+    some = [bent(true, 3, -0.1, 1500, 1)]
+    linear, _ = most_likely(true, some, SEEN, 1e-3)
+    base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
+    asked = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf, degrees=(2, 3))
+    assert asked.of_other_degrees() == ((), None, None)  # it has all
+    monkeypatch.setattr(small_motions, "MOST_NUMBERS", 1e3)
+    assert base.of_other_degrees() == ((), None, None)  # too many numbers
 
 
 def test_products_do_not_pay_for_a_linear_machine():
