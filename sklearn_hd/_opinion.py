@@ -171,7 +171,7 @@ def doubtful(exponents, opinion):
       within the record do if it does not know.
     - Of another way, it contradicts from LEAST_APART on if chance does not explain that. If it is
       complete, those that are more than it has are in doubt.
-    - What does not change within the record is in doubt whatever is known of it.
+    - What does not change within the record is in doubt whatever else is known of it.
 
     What a period forgets is not judged, unless its own error says that it may last.
     """
@@ -194,8 +194,12 @@ def doubtful(exponents, opinion):
 
 
 def unchanging(exponents, opinion):
-    """Which modes neither decay nor grow within the record: a drift, or a tone, looks the same."""
-    return np.abs(exponents.real) < DOUBT / opinion.duration
+    """Which modes neither decay nor grow within the record: a drift, or a tone, looks the same.
+
+    Nor do those slower than the record whose rate is zero but for chance.
+    """
+    chance = STANDARD_ERRORS * opinion.beside(exponents)[1] * opinion.duration
+    return np.abs(exponents.real) * opinion.duration < np.clip(chance, DOUBT, 1.0)
 
 
 def more_doubtful(exponents, *opinions):

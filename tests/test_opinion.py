@@ -27,6 +27,7 @@ from sklearn_hd._opinion import (
     more_doubtful,
     of_halves,
     of_second_order,
+    unchanging,
 )
 from sklearn_hd._records.data import read_experiment
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
@@ -121,6 +122,14 @@ def test_a_mode_that_does_not_change_is_in_doubt_whatever_is_known_of_it(own):
     assert words.startswith("2 of 3 modes neither decay nor grow: the model has ")
     assert "500 s are only 0.095 of its time constants" in words
     assert "in doubt" not in words
+
+
+def test_a_slow_mode_whose_rate_chance_may_have_made_does_not_change():
+    """A drift of a sensor gives a mode of 8 records, 0.13 of a time constant known to a third."""
+    rates = np.array([-2.6e-4, -1.9e-3, -2.1e-3])  # in 500 s 0.13, 0.95, 1.05
+    assert doubtful(rates, opinion(rates, 9e-5, own=True)).tolist() == [True, False, False]
+    assert doubtful(rates, opinion(rates, 6e-5, own=True)).tolist() == [False, False, False]
+    assert unchanging(rates, opinion(rates, 9e-4)).tolist() == [True, True, False]
 
 
 def test_modes_that_are_more_than_a_complete_opinion_has_are_too_many():
