@@ -435,8 +435,13 @@ def _chains(steps):
 def _entry_derivatives(entries, functions, left, stages):
     """∂Ψ/∂θ, shape (k, p, n, n + m): Σ_q φ_h(ψ_q) L_q[:, row] Z_q[column, :] by the rates."""
     harmonic, row, column, rates = entries
-    pushes = left[:, :, :, row] * functions[:, :, None, harmonic]  # (p, q, n, e)
-    moved = pushes.transpose(3, 0, 2, 1) @ stages[:, :, column].transpose(2, 0, 1, 3)
+    (p, _, n, _), width = left.shape, stages.shape[3]
+    moved, waves = np.empty((len(row), p, n, width)), functions.transpose(0, 2, 1)
+    for i, j in set(zip(row.tolist(), column.tolist(), strict=True)):
+        pushed = left[:, :, :, i, None] * stages[:, :, None, j]  # (p, q, n, n + m)
+        each = (waves @ pushed.reshape(p, -1, n * width)).reshape(p, -1, n, width)
+        own = (row == i) & (column == j)
+        moved[own] = each[:, harmonic[own]].swapaxes(0, 1)
     return by_parameter(rates, moved)
 
 
