@@ -457,6 +457,11 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
         difference = first_difference(basis, self.basis_)
         if difference is not None:
             name, here, there = difference
+            if self.basis_.harmonic and not basis.harmonic:
+                raise ValueError(
+                    "X is raw signals, but the data at fit were analysed; give what the fitted "
+                    "HarmonicAnalyzer makes of X: pipe[:-1].transform(X)"
+                )
             raise ValueError(
                 f"X was analysed with {name}={here!r}, but the data at fit with {there!r}; use the "
                 f"same HarmonicAnalyzer"

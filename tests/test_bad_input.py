@@ -415,6 +415,15 @@ def test_another_analyzer_than_at_fit(u, y):
         pipe["identify"].predict(plain)
 
 
+@pytest.mark.filterwarnings("ignore:2 of 2 exponents are in doubt")
+def test_raw_signals_are_not_what_was_analysed_at_fit(u, y):
+    frame = HarmonicAnalyzer(OMEGA, reading="sample").fit_transform(u, y)
+    model = MOESPRegressor(order=2).fit(frame, y)
+    for call in (model.predict_ahead, model.initial_state):
+        with pytest.raises(ValueError, match=r"give what .* makes of X: pipe\[:-1\].transform"):
+            call(u, y)
+
+
 def test_sample_time_of_plain_data_must_not_change(u, y):
     model = MOESPRegressor(order=1).fit(u, y[["w"]])
     with pytest.raises(

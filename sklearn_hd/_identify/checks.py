@@ -8,6 +8,7 @@ from sklearn_hd._checks import check_choice, check_count, check_flag, check_posi
 from sklearn_hd._guards import warn
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
+from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.periodic.periodic_predictor import SENSOR_NOISE
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 from sklearn_hd.algorithms.subspace.hankel import n_excited, n_hankel_columns
@@ -292,11 +293,11 @@ def why_no_noise(segments, innovations, predictor, covariance=None):
 
 def warn_of_growth(model, best, data, settings):
     """Of a model that grows e-fold over the longest segment."""
-    if best.stable:
-        return
     radius = np.max(np.abs(model.innovations.multipliers()))
     turns = data.longest * data.step / (2.0 * np.pi)
     folds = turns * np.log(max(radius, 1e-300))
+    if folds < GROWN:
+        return
     way_out = "stable=True where the machine is stable, or another order"
     if best.feedthrough and settings.feedthrough == "auto":  # feedback looks the same
         way_out = f"weighting='pbsid' if feedback held it (D may be that feedback), {way_out}"
