@@ -145,6 +145,20 @@ def test_products_of_a_short_record_have_a_constant_effect(seed):
     assert error(model) < 0.04
 
 
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.CoordinatesWarning")
+def test_products_that_are_not_taken_up_still_have_a_word():
+    """Squares pay in 30 turns, cubes do not: exponents are 27 % off, and both halves agree."""
+    u, y = record(cubic=0.6, seed=1)
+    few = slice(30 * SAMPLES)
+    words = r"2 of 2 exponents are in doubt: .* its likelihood beside cubes of the motion has"
+    with pytest.warns(IdentifiabilityWarning, match=words):
+        model = fitted(u.iloc[few], y.iloc[few])
+    assert model.nonlinear_degrees_ == (2,)
+    assert error(model) > 0.1
+    opinion = model.model_.opinion
+    assert np.min(np.abs(opinion.exponents - exponent())) < 0.15 * abs(exponent().real)
+
+
 def test_products_do_not_stand_for_gusts_that_exact_outputs_show():
     """What gusts leave of a simulation is no independent noise."""
     model = fitted(*record(noise=0.0, gust=0.02))

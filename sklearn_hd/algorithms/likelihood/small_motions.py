@@ -18,6 +18,9 @@ Exact outputs tell a predictor where the states are, whatever drives them: one-s
 then leave nothing for products to take up. Products of such a record are those of a simulation
 (K = 0), if all together take up half of what it leaves.
 
+Products of degrees that did not pay, or are too many for steps, may have bent the exponents all
+the same: where one step beside them would lead is another opinion.
+
 The reading of samples (:mod:`sklearn_hd._identify.sample`) needs it.
 
 Reference: J. Paduart et al., "Identification of nonlinear systems using polynomial nonlinear state

@@ -16,7 +16,8 @@ kinds of Gauss-Newton steps for δ follow each other:
 
 Either half of the record has to show the orbit of the other: without one (a trim subtracted) speeds
 stay as given. And the new one has to be worth it: the predictor leaves less by Rao's and by the
-likelihood ratio test. The analyzer needs it; ``estimate_omega`` needs the speed itself.
+likelihood ratio test, and it does so in either half. The analyzer needs it; ``estimate_omega``
+needs the speed itself.
 """
 
 from typing import NamedTuple
@@ -44,6 +45,7 @@ MOST_ROWS = 20_000  # looked at of longer records
 LAGS = 8  # of the predictor
 ORBITS = 2  # harmonics of what inputs do: one alone takes the orbit of another input for a speed
 ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds
+HALVES = 1 / 16  # of what a half gains by another speed if it tells as much of it as the other
 WORTH = 0.01  # of what a predictor leaves, that another speed has to explain
 
 
@@ -92,6 +94,8 @@ def measured_speed(segments, omega, n_harmonics):
     enough = max(BEYOND**2, WORTH * n_rows)
     if not ((off / std) ** 2 > enough and n_rows * (given.left - found.left) > enough):
         return None
+    if not _is_of_halves(segments, given, found, n_harmonics):
+        return None
     slopes, rest, _ = _waveform_slopes(segments, found.omega, n_harmonics)
     moved = float(np.max(off**2 * np.sum(slopes**2, axis=0) / _energy(rest)))
     turns = _span(segments) * omega / (2.0 * np.pi)
@@ -106,12 +110,15 @@ def orbit_speed(segments, omega, n_harmonics):
     Returns
     -------
     omega, std : (float, float) or None
-        rad/s. None where the record shows no orbit.
+        rad/s. None where the record shows no orbit, or half of it another.
     """
     sought = _sought(segments, omega, n_harmonics)
     if sought is None or not np.isfinite(sought[2].std):
         return None
-    found = sought[2]
+    segments, given, found = sought
+    far = abs(found.omega / omega - 1.0) > BEYOND * found.std
+    if far and not _is_of_halves(segments, given, found, n_harmonics):
+        return None
     return found.omega * (1.0 + found.drift), found.std * found.omega
 
 
@@ -127,16 +134,8 @@ def orbit_drift(segments, omega, n_harmonics):
         rad/s, the deviation as if what is beside the waveforms were white. None where a half shows
         no orbit.
     """
-    segments, speeds, variance = _alike(_some_rows(segments)), [], 0.0
-    times = np.concatenate([time for *_, time in segments])
-    middle = 0.5 * (times.min() + times.max())
-    for later in (False, True):
-        rows = [(time >= middle) == later for *_, time in segments]
-        half = [
-            tuple(z[own] for z in segment)
-            for segment, own in zip(segments, rows, strict=True)
-            if own.any()
-        ]
+    speeds, variance = [], 0.0
+    for half in _halves(_alike(_some_rows(segments))):
         speed = _along_waveform(half, omega, n_harmonics)
         if _orbit(half, speed, n_harmonics) < ORBIT:
             return None
@@ -191,6 +190,35 @@ def _alike(segments):
     return [
         ((u - middles[0]) / sizes[0], (y - middles[1]) / sizes[1], time) for u, y, time in segments
     ]
+
+
+def _halves(segments):
+    """Segments before the middle of their time, and after it."""
+    times = np.concatenate([time for *_, time in segments])
+    middle = 0.5 * (times.min() + times.max())
+    for later in (False, True):
+        rows = [(time >= middle) == later for *_, time in segments]
+        both = zip(segments, rows, strict=True)
+        yield [tuple(z[own] for z in segment) for segment, own in both if own.any()]
+
+
+def _is_of_halves(segments, given, found, n_harmonics):
+    """Whether predictions of either half of a record leave less at the speed found, too.
+
+    What is not linear in a few turns of large motion looks like another speed, in these alone. A
+    half turns half as far astray, so it gains a quarter of what the whole does, at least a part of
+    that.
+    """
+    gain = HALVES * np.expm1(given.left - found.left) / 4.0
+    for half in _halves(segments):
+        n_rows = sum(len(y) for _, y, _ in half)
+        layout = _layout(half, n_rows, n_harmonics) if n_rows else None
+        if layout is None or _span(half) * given.omega / (2.0 * np.pi) < LEAST_TURNS:
+            continue
+        here, there = (_Predicted.of(half, each.omega, layout) for each in (given, found))
+        if not np.expm1(here.left - there.left) > gain:
+            return False
+    return True
 
 
 def _span(segments):

@@ -156,3 +156,19 @@ def test_the_orbit_of_another_input_is_not_another_speed():
         assert measured_speed([(u, y + noise, time)], 100.0, 9) is None
     found = measured_speed([(u, y + noise, time)], 100.1, 9)
     assert abs(found.omega / 100.0 - 1.0) < 2e-5
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("bend", [0.0, 0.3, 1.0])
+def test_one_motion_of_a_few_turns_is_no_other_speed(bend, seed):
+    """Its frequency bends with its size: a predictor was sure of others by 400 deviations."""
+    psi = 2.0 * np.pi / 36 * np.arange(36 * 50)
+    since = psi - 11.0 * 2.0 * np.pi
+    size = np.where(since >= 0.0, 0.5 * np.exp(-0.15 * np.maximum(since, 0.0)), 0.0)
+    y = np.cos(psi) + 0.3 * np.cos(2.0 * psi + 1.0) + size * np.cos(0.37 * since + bend * size**2)
+    y = y[:, None] + 0.01 * np.random.default_rng(seed).standard_normal((len(psi), 1))
+    u = np.zeros_like(y)
+    u[360:396] = 1.0
+    assert measured_speed([(u, y, psi)], 1.0, 3) is None
+    found = orbit_speed([(u, y, psi)], 1.0, 3)
+    assert found is None or abs(found[0] - 1.0) < 6.0 * found[1]
