@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd._checks import check_choice, check_count, check_flag, check_positive
+from sklearn_hd._checks import (
+    STANDARD_ERRORS,
+    check_choice,
+    check_count,
+    check_flag,
+    check_positive,
+)
 from sklearn_hd._guards import warn
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
@@ -248,7 +254,8 @@ def why_no_noise(segments, innovations, predictor, covariance=None):
     """Why what predictions leave is no noise: so much more than the predictor they come from.
 
     The predictor knows more coefficients. By Schwarz's criterion it is the better model all the
-    same where states, order or harmonics have lost what it knew.
+    same where states, order or harmonics have lost what it knew. Of a predictor that knows fewer,
+    the difference has to be beyond chance.
 
     Parameters
     ----------
@@ -281,7 +288,7 @@ def why_no_noise(segments, innovations, predictor, covariance=None):
     more = own - its
     spent = (n * (2 * n_outputs + m) + layout.feedthrough * n_outputs * m) * layout.n_functions
     saved = n_outputs * (layout.n_columns - 2 * layout.n_loads - 1) - spent
-    if not (more > 0.0 and n_rows * more > saved * np.log(n_rows)):
+    if not n_rows * more > max(saved * np.log(n_rows), STANDARD_ERRORS**2):
         return ""
     return (
         f"the model's residuals are not noise: its one-step predictions leave "

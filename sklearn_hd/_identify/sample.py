@@ -521,5 +521,5 @@ def _of_its_likelihood(refined, data, omega):
 
 def _is_no_chance(before, beside):
     """Whether further coefficients let −log L fall by more than noise explains: 2 Δ log L is χ²."""
-    more = beside.n_told - before.n_told
+    more = max(beside.n_told - before.n_told, 1)
     return 2.0 * (beside.fall - before.fall) > more + STANDARD_ERRORS * np.sqrt(2.0 * more)
