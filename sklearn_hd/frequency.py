@@ -154,7 +154,7 @@ def _as_parts_have_it(found, segments, step):
             part = fundamental.estimate_omega([u], [y], step, found.omega, VARIES)
         except ValueError:  # it is too short, or at rest
             return found
-        estimates.append(_by_orbit(part, [(u, y, time)], step))
+        estimates.append(_by_orbit(part, [(u, y, time)], step, steady=False))
         if estimates[-1].omega == part.omega:
             return found
     omegas, stds = (np.array([getattr(e, name) for e in estimates]) for name in ("omega", "std"))
@@ -174,10 +174,11 @@ def _as_parts_have_it(found, segments, step):
     return found
 
 
-def _by_orbit(found, segments, sample_time):
+def _by_orbit(found, segments, sample_time, *, steady=True):
     """The estimate as precise as the orbit of the records tells it, if they show one.
 
-    A drift that the orbit's two halves would tell from none, and do not, is none.
+    In ``steady`` records halves have one speed. A drift that the orbit's two halves would tell from
+    none, and do not, is none.
     """
     samples = 2.0 * np.pi / (found.omega * sample_time)
     step = kept_every(samples)
@@ -188,7 +189,7 @@ def _by_orbit(found, segments, sample_time):
         if abs(drift) > abs(drift - found.drift) or TELLS * std > abs(found.drift):
             return found
         found = found._replace(drift=0.0, drift_std=max(found.drift_std, abs(found.drift)))
-    orbit = orbit_speed(some, found.omega, told)
+    orbit = orbit_speed(some, found.omega, told, steady=steady)
     if orbit is None or orbit[1] > found.std:
         return found
     return found._replace(omega=orbit[0], std=orbit[1])

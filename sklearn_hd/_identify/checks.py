@@ -300,6 +300,8 @@ def why_no_noise(segments, innovations, predictor, covariance=None):
 
 def warn_of_growth(model, best, data, settings):
     """Of a model that grows e-fold over the longest segment."""
+    if best.stable:
+        return
     radius = np.max(np.abs(model.innovations.multipliers()))
     turns = data.longest * data.step / (2.0 * np.pi)
     folds = turns * np.log(max(radius, 1e-300))

@@ -102,10 +102,11 @@ def measured_speed(segments, omega, n_harmonics):
     return Speed(found.omega, std * omega, abs(off) * turns, moved)
 
 
-def orbit_speed(segments, omega, n_harmonics):
+def orbit_speed(segments, omega, n_harmonics, *, steady=True):
     """The speed near some at which the orbit of a record repeats itself.
 
-    Parameters are those of :func:`measured_speed`.
+    Parameters are those of :func:`measured_speed`; ``steady`` asks that halves of the record have
+    the same.
 
     Returns
     -------
@@ -116,7 +117,7 @@ def orbit_speed(segments, omega, n_harmonics):
     if sought is None or not np.isfinite(sought[2].std):
         return None
     segments, given, found = sought
-    far = abs(found.omega / omega - 1.0) > BEYOND * found.std
+    far = steady and abs(found.omega / omega - 1.0) > BEYOND * found.std
     if far and not _is_of_halves(segments, given, found, n_harmonics):
         return None
     return found.omega * (1.0 + found.drift), found.std * found.omega
