@@ -198,8 +198,9 @@ def unchanging(exponents, opinion):
 
     Nor do those slower than the record whose rate is zero but for chance.
     """
-    chance = STANDARD_ERRORS * opinion.beside(exponents)[1] * opinion.duration
-    return np.abs(exponents.real) * opinion.duration < np.clip(chance, DOUBT, 1.0)
+    slowest = 1.0 / opinion.duration
+    chance = STANDARD_ERRORS * opinion.beside(exponents)[1]
+    return np.abs(exponents.real) < np.clip(chance, DOUBT * slowest, slowest)
 
 
 def more_doubtful(exponents, *opinions):

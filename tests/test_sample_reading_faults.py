@@ -11,6 +11,7 @@ import pytest
 from sklearn.pipeline import Pipeline, make_pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
+from sklearn_hd._identify.checks import warn_of_growth
 from sklearn_hd._identify.sample import _Found, _or_fuller
 from sklearn_hd._identify.sample_models import Choice, Refined
 from sklearn_hd._opinion import Opinion
@@ -174,6 +175,18 @@ def test_modes_are_not_sorted_while_models_are_compared(monkeypatch):
     u, y = record(samples=3000.0, rows=6000)
     pipe = fitted(u, y, samples=3000.0, hop=1)
     assert pipe.score(u, y) > 0.99
+
+
+@pytest.mark.parametrize(("multiplier", "stable", "grows"), [
+    (0.996, False, False), (1.004, False, False), (1.02, False, True), (1.02, True, False)
+])  # fmt: skip
+def test_growth_is_told_of_the_model_after_its_steps(multiplier, stable, grows, recwarn):
+    """Of 120 turns: steps of the likelihood may end at a stable model."""
+    model = SimpleNamespace(innovations=SimpleNamespace(multipliers=lambda: [multiplier, 0.5]))
+    data, best = SimpleNamespace(longest=120, step=2.0 * np.pi), SimpleNamespace(stable=stable)
+    best.feedthrough = False
+    warn_of_growth(model, best, data, None)
+    assert ["so it grows by a factor of 10.8" in str(w.message) for w in recwarn] == [True] * grows
 
 
 @pytest.mark.slow
