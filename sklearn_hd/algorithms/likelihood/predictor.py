@@ -352,21 +352,23 @@ def sensitivity_pieces(rows, pairs, most, weights=None):
     """
     n, K, C = rows.n_states, rows.gain, rows.outputs[..., : rows.n_states]
     W = np.eye(C.shape[1]) if weights is None else weights
-    stable, starts = rows.predicting, [np.zeros(1)] * len(pairs)
+    widths = [(n * drives.shape[1], len(W) * direct.shape[1]) for drives, direct in pairs]
+    ends = np.cumsum([0, *np.ravel(widths)])
+    places = list(zip(ends[:-1:2], ends[1::2], ends[2::2], strict=True))
+    stable, start = rows.predicting, np.zeros((n, ends[-1]))
     for first in range(0, len(C), most):
-        piece, found = slice(first, first + most), []
-        for k, (drives, direct) in enumerate(pairs):
-            drives = of_each_output(drives[piece], np.eye(n))
-            forcing = [drives, -of_each_output(direct[piece], K[piece])]
-            forcing = np.concatenate(forcing, axis=-1)
-            start = np.broadcast_to(starts[k], forcing.shape[1:])
-            x = propagate_varying(stable[piece], forcing, start)
-            with np.errstate(over="ignore", invalid="ignore"):  # of a model that grows
-                starts[k] = stable[piece][-1] @ x[-1] + forcing[-1]
-            change = (W @ C[piece]) @ x
-            change[..., drives.shape[-1] :] += of_each_output(direct[piece], W)
-            found.append(change)
-        yield piece, np.concatenate(found, axis=-1)
+        piece = slice(first, first + most)
+        forcing = np.empty((len(C[piece]), n, ends[-1]))
+        for (drives, direct), (a, b, c) in zip(pairs, places, strict=True):
+            of_each_output(drives[piece], np.eye(n), forcing[..., a:b])
+            of_each_output(direct[piece], -K[piece], forcing[..., b:c])
+        x = propagate_varying(stable[piece], forcing, start)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a model that grows
+            start = stable[piece][-1] @ x[-1] + forcing[-1]
+        change = (W @ C[piece]) @ x
+        for (_, direct), (_, b, c) in zip(pairs, places, strict=True):
+            change[..., b:c] += of_each_output(direct[piece], W)
+        yield piece, change
 
 
 def sensitivity_sums(rows, pairs, directions):
@@ -395,18 +397,21 @@ def sensitivity_sums(rows, pairs, directions):
     return np.concatenate([part.ravel() for pair in sums for part in pair])
 
 
-def of_each_output(regressors, weights):
+def of_each_output(regressors, weights, out=None):
     """Regressors for each output by itself; weights then combine the outputs.
 
     Parameters
     ----------
     regressors : ndarray, shape (n_samples, q)
     weights : ndarray, shape (a, l) or (n_samples, a, l)
+    out : ndarray, optional
+        To write them to.
 
     Returns
     -------
     regressors : ndarray, shape (n_samples, a, l q)
     """
-    a, n_outputs = weights.shape[-2:]
-    stacked = weights[..., None] * regressors[:, None, None, :]
-    return stacked.reshape(len(regressors), a, n_outputs * regressors.shape[1])
+    shape = len(regressors), *weights.shape[-2:], regressors.shape[1]
+    out = np.empty((*shape[:2], shape[2] * shape[3])) if out is None else out
+    np.multiply(weights[..., None], regressors[:, None, None, :], out=out.reshape(shape))
+    return out
