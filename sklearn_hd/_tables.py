@@ -221,7 +221,7 @@ class TimeBase:
             yield rows, self.records[first]
 
 
-def read_time(data, sample_time=None, time_origin=None):
+def read_time(data, sample_time=None, time_origin=None, row_time=None):
     """Time base of a frame, Series or array.
 
     Steps between 0.6 and 1.4 sample times are consecutive: rows whose instants
@@ -234,10 +234,12 @@ def read_time(data, sample_time=None, time_origin=None):
         The index holds seconds (float), Timedelta or dates, alone or as the
         last level of a (record, time) MultiIndex; integers count samples.
     sample_time : float, optional
-        Seconds; None reads it from the index, or is 1.0 where samples are counted.
+        Seconds; None reads it from the index, or is ``row_time`` where samples are counted.
     time_origin : str, optional
         The instant from which dates are counted, as ISO text, or FIRST for the
         first of them; None refuses dates.
+    row_time : float, optional
+        Seconds from one counted sample to the next; 1.0 by default.
 
     Returns
     -------
@@ -256,7 +258,7 @@ def read_time(data, sample_time=None, time_origin=None):
     if isinstance(index, pd.MultiIndex):
         times = index.get_level_values(-1)
         _check_last_level(index)
-    seconds, counted = _seconds(times, sample_time, time_origin)
+    seconds, counted = _seconds(times, sample_time or row_time or 1.0, time_origin)
     first = _first_steps(seconds, bounds)
     if _alike(seconds, bounds) and (not counted or sample_time in (None, first[0])):
         found = float(np.median(first))
@@ -387,8 +389,8 @@ def _label(index, row):
     return label[0] if len(label) == 1 else tuple(label)
 
 
-def _seconds(times, sample_time, time_origin):
-    """Times in seconds, and whether samples were counted."""
+def _seconds(times, step, time_origin):
+    """Times in seconds, and whether samples were counted, which are some step apart."""
     if isinstance(times, pd.DatetimeIndex):
         return _since(times, time_origin), False
     if time_origin not in (None, FIRST):
@@ -399,7 +401,7 @@ def _seconds(times, sample_time, time_origin):
     if isinstance(times, pd.TimedeltaIndex):
         return times.total_seconds().to_numpy(), False
     if pd.api.types.is_integer_dtype(times.dtype):
-        return times.to_numpy() * (1.0 if sample_time is None else sample_time), True
+        return times.to_numpy() * step, True
     if not pd.api.types.is_float_dtype(times.dtype):
         raise ValueError(
             f"the index has dtype {times.dtype}, which is not a time{_conversion(times)}; use "

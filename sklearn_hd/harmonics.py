@@ -277,6 +277,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
         _warn_if_counted(inputs.base)
+        if not inputs.base.counted:
+            timing = replace(timing, row_time=inputs.base.sample_time)
         omega = settled_omega(self, inputs, outputs, timing)
         if outputs is not None:
             samples = 2.0 * np.pi / omega / inputs.base.sample_time
@@ -338,6 +340,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         basis = self.basis_
         X = check_features(self, X, reset=False)
         signals = read_signals(X, basis.timing)
+        if basis.timing.row_time is not None:
+            _warn_if_counted(signals.base, "X had times at fit, but has none now", " as at fit")
         sampling, inputs, _ = sample(signals, basis)
         lengths = [len(piece.grid) for piece in sampling.pieces]
         few = sum(length < len(basis.weights) for length in lengths)
@@ -350,7 +354,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             )
         if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)
-        columns = dict(zip(signals.names, signals.data.T, strict=True))
+        columns = dict(zip(basis.input_signals, signals.data.T, strict=True))
         if basis.timing.azimuth is not None:
             columns[basis.timing.azimuth] = signals.azimuth
         if few:  # for a model that reads samples
@@ -481,10 +485,10 @@ def _check_raw(X):
     check_upright(X, "X")
 
 
-def _warn_if_counted(base):
+def _warn_if_counted(base, why="no times given", step=""):
     if base.counted:
         warn(
-            f"no times given: rows count as samples, {base.sample_time:g} s apart, of one "
+            f"{why}: rows count as samples, {base.sample_time:.4g} s apart{step}, of one "
             f"contiguous record that starts at psi = 0; use a DataFrame indexed by seconds",
             TimeBaseWarning,
         )

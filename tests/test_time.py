@@ -9,7 +9,7 @@ from sklearn.pipeline import Pipeline
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
 from sklearn_hd._tables import read_time, why_short
 from sklearn_hd.datasets import make_flapping_wing
-from sklearn_hd.exceptions import JitterWarning, ResamplingWarning
+from sklearn_hd.exceptions import JitterWarning, ResamplingWarning, TimeBaseWarning
 from sklearn_hd.model_selection import PeriodBlockSplit
 
 DT = 2 * np.pi / (2 * np.pi * 26.3) / 64  # 64 samples a wingbeat of the hawkmoth
@@ -300,3 +300,22 @@ def test_dates_far_from_their_origin(flown):
     ]
     assert scores[0] > 0.9
     assert scores[1] > 0.9
+
+
+@pytest.mark.parametrize("reading", ["sample", "period", "sliding"])
+def test_rows_without_times_are_as_far_apart_as_at_fit(reading):
+    """Models of samples are predicted at any clock: 1 s a row was one of them."""
+    data = make_flapping_wing("ltp", n_periods=60, start=8)
+    X, y = data.inputs, data.outputs
+    analyzer = HarmonicAnalyzer(data.omega, reading=reading, trim_span=data.trim_span)
+    pipe = Pipeline([("harmonics", analyzer), ("identify", MOESPRegressor(order=2))]).fit(X, y)
+    expected, score = pipe.predict(X).to_numpy(), pipe.score(X, y)
+    others = X.reset_index(drop=True), y.reset_index(drop=True)
+    with pytest.warns(TimeBaseWarning, match=r"had times at fit.* s apart as at fit"):
+        np.testing.assert_allclose(pipe.predict(others[0]), expected, rtol=1e-6, atol=1e-9)
+    with pytest.warns(TimeBaseWarning, match="had times at fit"):
+        assert pipe.score(*others) == pytest.approx(score)
+    names = pytest.warns(UserWarning, match="does not have valid feature names")
+    with names, pytest.warns(TimeBaseWarning, match="had times at fit"):
+        found = pipe.predict(X.to_numpy())
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)

@@ -45,6 +45,9 @@ class Timing:
     resampled : bool
         Whether rows are resampled even if evenly spaced, as no whole number of
         them makes a period.
+    row_time : float or None
+        Seconds from row to row at fit, of rows that come without times later; None where those at
+        fit had none.
     """
 
     sample_time: float | None = None
@@ -52,6 +55,7 @@ class Timing:
     azimuth: str | None = None
     missing: float | str = RAISE
     resampled: bool = False
+    row_time: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
