@@ -354,6 +354,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
             )
         if self.azimuth is None:
             warn_of_jitter(signals.base, basis.sample_time)
+            _warn_of_few(signals.base, basis.omega)
         columns = dict(zip(basis.input_signals, signals.data.T, strict=True))
         if basis.timing.azimuth is not None:
             columns[basis.timing.azimuth] = signals.azimuth
@@ -483,6 +484,18 @@ def _check_raw(X):
             "order HarmonicAnalyzer, MOESPRegressor, SpuriousModeReducer, StructuredMatcher"
         )
     check_upright(X, "X")
+
+
+def _warn_of_few(base, omega):
+    """Where a model is predicted at another clock than that of the fit."""
+    samples = 2.0 * np.pi / omega / base.sample_time
+    if samples < 2.0:
+        warn(
+            f"the rows of X are {base.sample_time:.4g} s apart, {1.0 / samples:.3g} turns of "
+            f"omega={omega:.4g} rad/s, so they do not show what happens in a turn; give the times "
+            f"of X in seconds, as at fit",
+            TimeBaseWarning,
+        )
 
 
 def _warn_if_counted(base, why="no times given", step=""):

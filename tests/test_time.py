@@ -319,3 +319,12 @@ def test_rows_without_times_are_as_far_apart_as_at_fit(reading):
     with names, pytest.warns(TimeBaseWarning, match="had times at fit"):
         found = pipe.predict(X.to_numpy())
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_times_in_another_unit_than_at_fit_are_told():
+    """Models of samples are predicted at any clock, also at one of 64 turns a row."""
+    data = make_flapping_wing("ltp", n_periods=60, start=8)
+    X = data.inputs
+    analyzer = HarmonicAnalyzer(data.omega, reading="sample", trim_span=data.trim_span).fit(X)
+    with pytest.warns(TimeBaseWarning, match=r"15\.6 turns of omega=.* in seconds, as at fit"):
+        analyzer.transform(X.set_axis(X.index * 1000))
