@@ -173,7 +173,10 @@ class _Course:
 
 
 class _Slopes:
-    """Derivatives of a model along a record."""
+    """Derivatives of a model along a record.
+
+    They are tables of a turn, or their harmonics where no sample is at an azimuth of the tables.
+    """
 
     def __init__(self, response, record):
         self.record, self.response = record, response
@@ -181,7 +184,8 @@ class _Slopes:
         dPsi, dOut = (none if M is None else M for M in (response.dPsi, response.dOut))
         self.n_parameters = len(dPsi)
         self.acting, self.seen = _nonzero(dPsi), _nonzero(dOut)
-        self._dPsi, self._dOut = dPsi[self.acting], dOut[self.seen]
+        both = dPsi[self.acting], dOut[self.seen]
+        self._dPsi, self._dOut = both if record.psi is None else map(_harmonics, both)
 
     def of_steps(self, z, rows):
         """∂[Φ Γ] z of the parameters that have it, shape (…, n_rows, n)."""
@@ -205,9 +209,9 @@ class _Slopes:
     def _at(self, tables, z, rows):
         if self.record.psi is None or tables.shape[1] == 1:
             return _times_phases(_rolled(tables, self.record.first_phase), z)
-        k, _, a, b = tables.shape
-        table = tables.transpose(1, 0, 2, 3).reshape(tables.shape[1], -1)
-        values = _interpolated(table, self.record.psi[rows]).reshape(-1, k * a, b)
+        k, size, a, b = tables.shape
+        harmonics = tables.transpose(1, 0, 2, 3).reshape(size, -1)
+        values = evaluate_harmonics(harmonics, self.record.psi[rows]).reshape(-1, k * a, b)
         return (values @ z[..., None])[..., 0].reshape(-1, k, a).transpose(1, 0, 2)
 
 
@@ -215,12 +219,14 @@ def _along(table, record):
     """Matrices of one period (p, …) from a record's first phase, or of each of its samples."""
     if record.psi is None or len(table) == 1:
         return _rolled(table, record.first_phase)
-    return _interpolated(table.reshape(len(table), -1), record.psi).reshape(-1, *table.shape[1:])
+    harmonics = _harmonics(table.reshape(1, len(table), -1))[0]
+    return evaluate_harmonics(harmonics, record.psi).reshape(-1, *table.shape[1:])
 
 
-def _interpolated(table, psi):
-    """Functions given at an odd number of equally spaced azimuths of a turn, at any azimuths."""
-    return evaluate_harmonics(sampled_harmonics(table, len(table) // 2), psi)
+def _harmonics(tables):
+    """Of functions (k, p, …) given at an odd number p of equally spaced azimuths of a turn."""
+    values = np.moveaxis(tables, 1, 0)
+    return np.moveaxis(sampled_harmonics(values, len(values) // 2), 0, 1)
 
 
 def _azimuths(response, record):
