@@ -11,7 +11,7 @@ from sklearn_hd._readings.basis import Timing
 from sklearn_hd._readings.sample import MOST_LOADS
 from sklearn_hd._records.bases import kept_every
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd.algorithms.periodic.speed import orbit_drift, orbit_speed
+from sklearn_hd.algorithms.periodic.speed import ORBIT, orbit_drift, orbit_share, orbit_speed
 from sklearn_hd.algorithms.signals import fundamental
 from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
 from sklearn_hd.exceptions import (
@@ -44,7 +44,7 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
         Outputs, as measured or with the trim subtracted.
     guess : float, optional
         Centre of the search, rad/s. By default it is the strongest comb of lines in the spectrum
-        of the outputs.
+        of the outputs, or twice or three times that where all periods of an orbit are alike then.
     span : float, default=0.035
         Width of the search to either side of the guess, as a share of it.
     sample_time : float, optional
@@ -99,6 +99,10 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     inputs, outputs = experiment.inputs, experiment.outputs
     found = fundamental.estimate_omega(inputs, outputs, step, guess, span, starts)
     found = _by_orbit(found, segments, step)
+    while guess is None and (times := _times_as_fast(found, segments, step)):
+        about = times * found.omega
+        found = fundamental.estimate_omega(inputs, outputs, step, about, span, starts)
+        found = _by_orbit(found, segments, step)
     if experiment.base.counted and sample_time is None:
         warn(
             "no times given: rows count as seconds, so omega is in rad per row; give sample_time=, "
@@ -141,6 +145,28 @@ def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None,
     return found
 
 
+def _times_as_fast(found, segments, step):
+    """2 or 3 if an orbit turns so many times as fast: all its periods are alike; None if none does.
+
+    Lines of inputs that always move make a comb of the half, or third, look the strongest.
+    """
+    rivals = {round(rival / found.omega) for rival in found.rivals}
+    for times in sorted(rivals & {2, 3}):
+        speeds = found.omega, times * found.omega
+        slow, fast = (orbit_share(*_thinned(segments, omega, step)) for omega in speeds)
+        if fast >= ORBIT and slow - fast < ORBIT:
+            return times
+    return None
+
+
+def _thinned(segments, omega, step):
+    """Segments with the rows that a speed needs, that speed, and the harmonics told apart."""
+    samples = 2.0 * np.pi / (omega * step)
+    kept = kept_every(samples)
+    told = min(MOST_LOADS, math.ceil(0.5 * samples / kept) - 1)  # harmonics apart from others
+    return [tuple(z[::kept] for z in segment) for segment in segments], omega, told
+
+
 def _as_parts_have_it(found, segments, step):
     """The estimate as precise as parts of the longest segment agree to, with a warning.
 
@@ -180,16 +206,13 @@ def _by_orbit(found, segments, sample_time, *, steady=True):
     In ``steady`` records halves have one speed. A drift that the orbit's two halves would tell from
     none, and do not, is none.
     """
-    samples = 2.0 * np.pi / (found.omega * sample_time)
-    step = kept_every(samples)
-    told = min(MOST_LOADS, math.ceil(0.5 * samples / step) - 1)  # harmonics apart from others
-    some = [tuple(z[::step] for z in segment) for segment in segments]
+    some, omega, told = _thinned(segments, found.omega, sample_time)
     if found.drift:
-        drift, std = orbit_drift(some, found.omega, told) or (found.drift, 0.0)
+        drift, std = orbit_drift(some, omega, told) or (found.drift, 0.0)
         if abs(drift) > abs(drift - found.drift) or TELLS * std > abs(found.drift):
             return found
         found = found._replace(drift=0.0, drift_std=max(found.drift_std, abs(found.drift)))
-    orbit = orbit_speed(some, found.omega, told, steady=steady)
+    orbit = orbit_speed(some, omega, told, steady=steady)
     if orbit is None or orbit[1] > found.std:
         return found
     return found._replace(omega=orbit[0], std=orbit[1])

@@ -267,6 +267,30 @@ def test_a_drift_is_told_from_an_offset(change):
     assert found.omega == pytest.approx(2 * np.pi, rel=1e-4)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3, 7])
+def test_inputs_with_many_lines_are_no_half_or_third_of_a_frequency(seed):
+    """Their lines make the comb of 2π/2, or 2π/3, the strongest; the orbit has that of 2π."""
+    rng, psi = np.random.default_rng(seed), 2 * np.pi * 0.08 * np.arange(2500)
+    lines, phases = rng.uniform(0.03, 2.3, 24), rng.uniform(0, 2 * np.pi, 24)
+    u = np.cos(np.outer(psi, lines) + phases).sum(axis=1) / 50
+    y = np.zeros(2500)
+    for k in range(2499):
+        force = (1 + 0.4 * np.sin(psi[k])) * u[k] + np.cos(psi[k]) + 0.3 * np.cos(2 * psi[k])
+        y[k + 1] = np.exp(-0.04 - 0.024 * np.cos(psi[k])) * y[k] + 0.08 * force
+    y += 0.01 * y.std() * rng.standard_normal(2500)
+    time = pd.Index(0.08 * np.arange(2500))
+    found = sklearn_hd.estimate_omega(pd.Series(u, time, name="u"), pd.Series(y, time, name="y"))
+    assert abs(found.omega - 2 * np.pi) < 4 * found.std < 1e-4
+    assert found.rivals == ()
+
+
+def test_a_drift_by_a_ten_thousandth_of_a_turn_is_none():
+    """Noise-free records tell it, and it matters to no one."""
+    middle, change = 0.5 * T[-1], 1e-6
+    psi = 2 * np.pi * (T + 0.5 * change * (T - middle) ** 2 / T[-1])
+    assert of_one(wave(psi), 6.3).drift == 0.0
+
+
 @pytest.mark.filterwarnings("ignore:.* explain the records")  # of a multiple
 @pytest.mark.slow
 def test_a_speed_that_goes_to_and_fro_is_told():

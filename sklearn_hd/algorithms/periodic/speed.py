@@ -138,12 +138,28 @@ def orbit_drift(segments, omega, n_harmonics):
     speeds, variance = [], 0.0
     for half in _halves(_alike(_some_rows(segments))):
         speed = _along_waveform(half, omega, n_harmonics)
-        if _orbit(half, speed, n_harmonics) < ORBIT:
+        if orbit_share(half, speed, n_harmonics) < ORBIT:
             return None
         slopes, rest, _ = _waveform_slopes(half, speed, n_harmonics)
         variance += 1.0 / (len(rest) * np.sum(slopes**2 / _energy(rest)))
         speeds.append(speed)
     return float(2.0 * (speeds[1] - speeds[0])), float(2.0 * omega * np.sqrt(variance))
+
+
+def orbit_share(segments, omega, n_harmonics):
+    """Share of an output's energy that the waveform of the other half of the record holds.
+
+    The largest of all outputs, the least of both halves. Parameters are those of
+    :func:`measured_speed`.
+    """
+    y, time = np.vstack([y for _, y, _ in segments]), np.concatenate([t for *_, t in segments])
+    X, first = harmonic_functions(omega * time, range(n_harmonics + 1)), time < np.median(time)
+    shares = []
+    for half in (first, ~first):
+        waveform = linalg.lstsq(X[~half], y[~half])[0]
+        rest, moved = y[half] - X[half] @ waveform, y[half] - y[half].mean(axis=0)
+        shares.append(1.0 - np.sum(rest**2, axis=0) / _energy(moved))
+    return float(np.max(np.min(shares, axis=0)))
 
 
 def _sought(segments, omega, n_harmonics):
@@ -156,7 +172,7 @@ def _sought(segments, omega, n_harmonics):
         return None
     given = _Predicted.of(segments, omega, layout)
     start = _along_waveform(segments, omega, n_harmonics)
-    start = max(omega, start, key=lambda each: _orbit(segments, each, n_harmonics))
+    start = max(omega, start, key=lambda each: orbit_share(segments, each, n_harmonics))
     found = given if start == omega else _Predicted.of(segments, start, layout)
     for _ in range(MOST_STEPS):
         if not abs(found.t) > 1.0:
@@ -165,7 +181,7 @@ def _sought(segments, omega, n_harmonics):
         if not ahead.left < found.left:
             break
         found = ahead
-    if _orbit(segments, found.omega, n_harmonics) < ORBIT:
+    if orbit_share(segments, found.omega, n_harmonics) < ORBIT:
         return None
     return segments, given, found
 
@@ -263,21 +279,6 @@ def _along_waveform(segments, omega, n_harmonics):
             break
         turns *= MORE_TURNS
     return found
-
-
-def _orbit(segments, omega, n_harmonics):
-    """Share of an output's energy that the waveform of the other half of the record holds.
-
-    The largest of all outputs, the least of both halves.
-    """
-    y, time = np.vstack([y for _, y, _ in segments]), np.concatenate([t for *_, t in segments])
-    X, first = harmonic_functions(omega * time, range(n_harmonics + 1)), time < np.median(time)
-    shares = []
-    for half in (first, ~first):
-        waveform = linalg.lstsq(X[~half], y[~half])[0]
-        rest, moved = y[half] - X[half] @ waveform, y[half] - y[half].mean(axis=0)
-        shares.append(1.0 - np.sum(rest**2, axis=0) / _energy(moved))
-    return float(np.max(np.min(shares, axis=0)))
 
 
 def _steps(segments, omega, n_harmonics):

@@ -538,10 +538,12 @@ class _Periods:
     def estimate(self, steady, drifting):
         """What the best fits of constant speed and of any say together."""
         drift, drift_std = np.array([drifting.slope, self.deviations(drifting, 2)[1]]) * self.length
+        bent = abs(drift) / (8.0 * steady.omega)  # of the phase, in parts of all turns
         drifts = abs(drift) > BEYOND * drift_std and drifting.score < steady.score
+        drifts = drifts and bent * self.longest > ASTRAY
         fit = drifting if drifts else steady
         given = self.fit(self.omega, 0.0, fit.rank)
-        off = max(abs(fit.omega / self.omega - 1.0), abs(drift) * drifts / (8.0 * fit.omega))
+        off = max(abs(fit.omega / self.omega - 1.0), bent * drifts)
         return OmegaEstimate(
             float(fit.omega),
             float(self.deviations(fit, 1 + drifts)[0]),
