@@ -524,3 +524,25 @@ def test_what_the_trim_is_off_by_is_no_state():
     found = pipe.fit(data.inputs, data.outputs)["i"]
     assert found.order_ == 2
     same_exponents(np.log(found.eigenvalues_) / period, data.ltp, rtol=1e-8)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.IdentifiabilityWarning")
+@pytest.mark.parametrize("samples", [19, 24])
+def test_an_output_that_follows_a_state_keeps_the_exponent_of_the_map(samples):
+    """A pump that goes in steps: the shape of the fast output has more harmonics than samples."""
+
+    def F(psi):
+        pump = np.where(np.mod(psi, 2 * np.pi) < 2.4, 5.0, 0.4)
+        F = np.zeros((len(psi), 2, 2))
+        F[:, 0, 0], F[:, 0, 1] = -2.0 - pump, pump
+        F[:, 1, 0], F[:, 1, 1] = pump / 8, -(pump + 0.4) / 8
+        return F
+
+    system = LTPSystem(F, [[0.0], [1.0]], omega=1.0, state_names=["collector", "tank"])
+    X, y = record(system, samples=samples, noise=0.01)
+    pipe = synchronous(1.0).fit(X, y)
+    exponent = pipe["identify"].model_.exponents()
+    true = system.floquet_exponents()[:1]
+    np.testing.assert_allclose(exponent, true, rtol=0.02)
+    np.testing.assert_allclose(pipe["match"].ltp_.floquet_exponents(), exponent, rtol=1e-3)
+    assert pipe.score(X, y) > 0.99

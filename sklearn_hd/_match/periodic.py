@@ -24,6 +24,7 @@ from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
+from sklearn_hd.algorithms.periodic.behind_samples import FINER
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
 from sklearn_hd.algorithms.periodic.multipliers import multiplier_deviations, without_noise
 from sklearn_hd.algorithms.periodic.periodic_realization import (
@@ -202,7 +203,7 @@ def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
     starts = predictor_states(model, experiment) if model.closed_loop else None
     shapes = output_shapes(model, experiment, scale, starts)
     names = [name for name, _ in basis.outputs]
-    psi = 2.0 * np.pi * np.arange(spp) / spp
+    psi = 2.0 * np.pi * np.arange(FINER * spp) / (FINER * spp)  # F has more harmonics than P
     P, _ = shapes(psi)
     n, choices = len(shapes.R), combinations(range(len(names)), len(shapes.R))
     rows = state_outputs(
@@ -219,7 +220,10 @@ def _in_closed_form(model, experiment, structure, scale, feedthrough=False):
         F, form = shapes.state_matrix(psi, basis.omega, rows), None
         P = P @ np.linalg.inv(P[:, rows])
         states = tuple(names[i] for i in rows)
-        n_harmonics = {"F": tail_begins(F, shapes.noise), "P": tail_begins(P, shapes.noise)}
+        n_harmonics = {
+            name: min(tail_begins(values, shapes.noise), highest)
+            for name, values in (("F", F), ("P", P))
+        }
         if set(names) == set(states):
             n_harmonics["P"] = None
         F, P = F * scale[rows][:, None] / scale[rows], P / scale[rows]
