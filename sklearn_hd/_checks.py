@@ -166,10 +166,11 @@ def check_finite(values, names, time, what, missing=RAISE):
     if bad.any():
         row = int(np.argmax(bad.any(axis=1)))
         column = int(np.argmax(bad[row]))
-        kind = "NaN" if np.isnan(values[row, column]) else "infinity"
+        nan = np.isnan(values[row, column])
+        kind, way = ("NaN", "") if nan else ("infinity", "set such values to NaN and ")
         raise ValueError(
             f"{what} contains {kind}: column {names[column]!r}, first at t = {at(time[row])} "
-            f"(row {row}); set such values to NaN and give HarmonicAnalyzer missing=seconds, the "
+            f"(row {row}); {way}give HarmonicAnalyzer missing=seconds, the "
             f"longest run of NaN to bridge, or missing='gap' if runs are long (each starts a new "
             f"segment); or fill them, or drop those rows"
         )

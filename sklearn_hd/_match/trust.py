@@ -195,7 +195,8 @@ def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
     more = result.system.promised / result.n_residuals * part
     if np.all(steps <= 1.0) and more <= MOST_SYSTEMATIC:
         return
-    words = f"explain another {more:.2g} of the motion's variance"
+    share = f"another {more:.2g}" if more < 1.0 else "more than all"  # if residuals were linear
+    words = f"explain {share} of the motion's variance"
     if not np.all(steps <= 1.0):
         r = int(np.argmax(steps))
         words = (
