@@ -32,12 +32,11 @@ NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves
 
 
 def checked(settings):
-    """The settings, flags as bool; ValueError for one that is not understood."""
+    """The settings, flags as bool, memory opened; ValueError for one that is not understood."""
     if not isinstance(settings.order, str):
         check_count("order", settings.order, 1, "'auto' chooses it")
     elif settings.order != "auto":
         raise ValueError(f"order={settings.order!r} is not known; give a whole number or 'auto'")
-    KeptSums(settings.memory)
     check_choice("weighting", settings.weighting, WEIGHTINGS)
     if settings.block_rows is not None:
         check_count("block_rows", settings.block_rows, 2, "None chooses them")
@@ -47,7 +46,9 @@ def checked(settings):
     free = settings.feedthrough
     if not (isinstance(free, bool | np.bool_) or (isinstance(free, str) and free == "auto")):
         raise ValueError(f"feedthrough must be True, False or 'auto', got {free!r}")
-    settings = replace(settings, feedthrough=free if isinstance(free, str) else bool(free))
+    kept = None if settings.memory is None else KeptSums(settings.memory)
+    free = free if isinstance(free, str) else bool(free)
+    settings = replace(settings, feedthrough=free, memory=kept)
     flags = ("disturbance_model", "scale", "stable")
     return replace(settings, **{name: check_flag(name, getattr(settings, name)) for name in flags})
 

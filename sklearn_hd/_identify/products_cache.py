@@ -16,9 +16,8 @@ from sklearn.utils.validation import check_memory
 
 from sklearn_hd._guards import warn
 from sklearn_hd.algorithms.subspace.hankel import hankel_factor
-from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.lag_products import lag_products
-from sklearn_hd.algorithms.subspace.sums import correlations, input_matrices_of_sums
+from sklearn_hd.algorithms.subspace.sums import correlations
 from sklearn_hd.exceptions import CacheWarning
 
 LAYOUT = 4  # of what is stored, raised with it: files of another one are not found
@@ -28,12 +27,11 @@ AT_HAND = 2**26  # bytes that a process has at hand
 
 
 class KeptSums:
-    """Products of records, and what is made of them, perhaps from a cache.
+    """Products of records, and what is made of them, from a cache.
 
     Parameters
     ----------
-    memory : str, joblib.Memory or None
-        None keeps nothing.
+    memory : str or joblib.Memory
 
     Raises
     ------
@@ -42,13 +40,11 @@ class KeptSums:
     """
 
     def __init__(self, memory):
-        self.memory = None if memory is None else check_memory(_writable(memory))
+        self.memory = check_memory(_writable(memory))
         self._digests = []
 
     def factor(self, inputs, outputs, block_rows, scale):
         """:func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`."""
-        if self.memory is None:
-            return hankel_factor(inputs, outputs, block_rows, scale)
         records = list(zip(inputs, outputs, strict=True))
 
         def make():
@@ -69,21 +65,13 @@ class KeptSums:
 
     def projection(self, inputs, outputs, scale, make, *choices):
         """What ``make`` makes of the factor, which depends on some choices and on nothing else."""
-        if self.memory is None:
-            return make()
         records = list(zip(inputs, outputs, strict=True))
         return self._kept(records, "projection", _bytes(scale), *choices, make=make, stored=False)
 
-    def input_matrices(self, A, C, inputs, outputs, feedthrough, scales):
-        """:func:`~sklearn_hd.algorithms.subspace.input_matrices.input_matrices`."""
-        found = None
-        if self.memory is not None and inputs[0].shape[1] > 0:
-            records = list(zip(inputs, outputs, strict=True))
-            sums = self._kept(records, "correlations", make=lambda: correlations(records))
-            found = input_matrices_of_sums(A, C, sums, feedthrough, scales)
-        if found is not None:
-            return found
-        return input_matrices(A, C, inputs, outputs, feedthrough, scales=scales)
+    def sums(self, inputs, outputs):
+        """:func:`~sklearn_hd.algorithms.subspace.sums.correlations`."""
+        records = list(zip(inputs, outputs, strict=True))
+        return self._kept(records, "correlations", make=lambda: correlations(records))
 
     def _kept(self, records, what, *choices, make, stored=True):
         """What ``make`` makes of records, unless this process, or the folder, has it already."""

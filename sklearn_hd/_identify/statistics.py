@@ -12,16 +12,17 @@ import numpy as np
 
 from sklearn_hd._checks import COMMON
 from sklearn_hd._guards import extremes, square_sums
-from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd._tables import why_short
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.signals.fourier import InputDirections
 from sklearn_hd.algorithms.subspace.hankel import (
     block_order,
     factor_of_products,
+    hankel_factor,
     n_hankel_columns,
 )
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.sums import (
     Forgetting,
     Sums,
@@ -205,17 +206,16 @@ class Records(_Data):
     inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
         Drive and outputs at the analysed rows.
     facts : Facts
-    memory : str, joblib.Memory or None
-        Where products are kept.
+    kept : KeptSums or None
+        Where products are kept (:mod:`~sklearn_hd._identify.products_cache`).
     excitation : list of ndarray, shapes (n_rows_s, n_inputs), optional
         What is projected in place of the inputs, brought to equal size.
     """
 
-    def __init__(self, inputs, outputs, facts, memory=None, excitation=None):
-        self.inputs, self.outputs, self.facts = inputs, outputs, facts
+    def __init__(self, inputs, outputs, facts, kept=None, excitation=None):
+        self.inputs, self.outputs, self.facts, self.kept = inputs, outputs, facts, kept
         self.raw = excitation is None or excitation is inputs
         self.excitation = inputs if self.raw else excitation
-        self.kept = memory if isinstance(memory, KeptSums) else KeptSums(memory)
         self.lengths = [len(u) for u in inputs]
         self.n_inputs, self.n_outputs = self.excitation[0].shape[1], outputs[0].shape[1]
 
@@ -234,15 +234,24 @@ class Records(_Data):
 
     def factor(self, block_rows, scale):
         """:func:`~sklearn_hd.algorithms.subspace.hankel.hankel_factor`."""
+        if self.kept is None:
+            return hankel_factor(self.excitation, self.outputs, block_rows, scale)
         return self.kept.factor(self.excitation, self.outputs, block_rows, scale)
 
     def projection(self, make, scale, *choices):
         """What ``make`` makes of the factor, perhaps from the cache."""
+        if self.kept is None:
+            return make()
         return self.kept.projection(self.excitation, self.outputs, scale, make, *choices)
 
     def input_matrices(self, A, C, feedthrough, scales):
         """:func:`~sklearn_hd.algorithms.subspace.input_matrices.input_matrices`."""
-        return self.kept.input_matrices(A, C, self.inputs, self.outputs, feedthrough, scales)
+        signals, found = (self.inputs, self.outputs), None
+        if self.kept is not None and signals[0][0].shape[1] > 0:
+            found = input_matrices_of_sums(A, C, self.kept.sums(*signals), feedthrough, scales)
+        if found is not None:
+            return found
+        return input_matrices(A, C, *signals, feedthrough, scales=scales)
 
     def initial_states(self, A, B, C, D, K, covariance, scales):
         """Those that leave the least innovations, of a model driven by what is projected."""
