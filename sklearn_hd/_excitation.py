@@ -14,12 +14,13 @@ from itertools import chain
 
 import numpy as np
 from scipy import linalg
+from scipy.signal import welch
+from scipy.stats import chi2
 
 from sklearn_hd._guards import searches, warn
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
 from sklearn_hd.algorithms.likelihood.predictor import PIECE
-from sklearn_hd.algorithms.likelihood.uncertainty import spectral_peak
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
@@ -30,6 +31,8 @@ MOST_OUTSIDE = 1e-3  # of the inputs' energy within the period
 NOISE = 1e-4  # of it, which may be noise
 NOTABLE = 1e-2  # of the motion predicted, below which its standard deviation is no matter
 LARGEST = 1e10  # operations: of longer records, and wider models, nothing is said
+N_STRETCHES = 8  # of a segment, half over each other, whose periodograms are averaged
+BY_CHANCE = 0.01  # of spectra of white noise have a larger peak than is taken for none
 TOO_LARGE = 1e8  # times the outputs: a simulation that grows so far tells nothing
 
 
@@ -201,6 +204,40 @@ class Information:
                 break
         energy = min(energy, self.answer * pushed)
         return (self.noise * np.sqrt(variance / energy) if energy > 0.0 else 0.0), own
+
+
+def spectral_peak(segments):
+    """The largest part of a spectrum over its mean, beyond what chance makes of white noise.
+
+    By the mean periodogram of eight stretches of the longest segment, half over each other
+    (Welch, 1967): of white noise it is χ² with 36 K² / (19 K − 1) degrees of freedom.
+
+    Parameters
+    ----------
+    segments : list of ndarray, shapes (n_samples_s, l)
+
+    Returns
+    -------
+    peak : float
+        The largest of all outputs, at least 1; 1 where a segment is too short to tell.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).standard_normal((4000, 1))
+    >>> wave = 3.0 * np.cos(np.arange(4000) * 0.3)[:, None]
+    >>> round(spectral_peak([noise]), 1), round(spectral_peak([noise + wave]))
+    (1.0, 62)
+    """
+    rows = max(segments, key=len)
+    length = 2 * len(rows) // (N_STRETCHES + 1)
+    if length < 10:
+        return 1.0
+    _, spectrum = welch(rows, nperseg=length, detrend="constant", axis=0)
+    spectrum, degrees = spectrum[1:], 36.0 * N_STRETCHES**2 / (19.0 * N_STRETCHES - 1.0)
+    mean = spectrum.mean(axis=0)
+    shares = spectrum.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
+    chance = chi2.isf(BY_CHANCE / len(spectrum), degrees) / degrees
+    return float(max(1.0, np.max(shares, initial=0.0) / chance))
 
 
 def _beside_start(columns):

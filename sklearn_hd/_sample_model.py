@@ -9,50 +9,15 @@ from scipy import linalg
 from sklearn_hd._frame import LTIModel
 from sklearn_hd.algorithms.periodic.behind_samples import behind_samples, samples_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics, resize_harmonics
-from sklearn_hd.algorithms.periodic.periodic_innovations import OVERFLOW, PeriodicInnovations, Rows
+from sklearn_hd.algorithms.periodic.periodic_innovations import (
+    OVERFLOW,
+    AtSamples,
+    PeriodicInnovations,
+)
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
 from sklearn_hd.algorithms.signals.trim import QUIET, TURN, changes, energy_by_turn
 from sklearn_hd.exceptions import UnstableModelError
 from sklearn_hd.systems import LTPSystem
-
-
-@dataclass(frozen=True, eq=False)
-class AtSamples:
-    """A model at the samples of one segment, and what of it was fitted.
-
-    Attributes
-    ----------
-    rows : Rows
-    inputs : ndarray, shape (n_samples, m)
-    feedthrough, predicts : bool
-        Whether it has D, and a Kalman gain.
-    n_harmonics : int
-        Of its matrices.
-    n_loads : int
-        Of its forced response; −1 where there is none, not even a mean.
-    """
-
-    rows: Rows
-    inputs: np.ndarray
-    feedthrough: bool
-    predicts: bool
-    n_harmonics: int
-    n_loads: int = -1
-
-    @classmethod
-    def of(cls, A, B, C, D, K, inputs, n_harmonics):
-        """Of matrices, one a sample or constant, without loads."""
-        shape, n = (len(inputs), A.shape[-1]), A.shape[-1]
-        n_outputs, width = C.shape[-2], n + B.shape[-1] + 1
-        states, outputs = np.zeros((*shape, width)), np.zeros((len(inputs), n_outputs, width))
-        states[..., :n], states[..., n:-1] = A, B
-        outputs[..., :n], outputs[..., n:-1] = C, D
-        gain = np.broadcast_to(0.0 if K is None else K, (*shape, n_outputs))
-        return cls(Rows(states, outputs, gain), inputs, np.any(D), K is not None, n_harmonics)
-
-    def first(self, n_samples):
-        """The first samples."""
-        return replace(self, rows=self.rows.first(n_samples), inputs=self.inputs[:n_samples])
 
 
 @dataclass(frozen=True, eq=False)

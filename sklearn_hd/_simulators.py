@@ -15,12 +15,13 @@ from sklearn_hd._guards import extremes, warn
 from sklearn_hd._readings import highest_harmonic
 from sklearn_hd._records.delays import both_values, leads
 from sklearn_hd._records.sampling import joined
-from sklearn_hd._sample_model import AtSamples, SampleSimulator
+from sklearn_hd._sample_model import SampleSimulator
 from sklearn_hd._tables import without_inputs
 from sklearn_hd.algorithms.linalg.rounding import EXACT, RANK
 from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
 from sklearn_hd.algorithms.lti.simulation import continuous_to_discrete, propagate, simulate
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
+from sklearn_hd.algorithms.periodic.periodic_innovations import AtSamples
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.resampling import advanced, late
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import welch
 from scipy.stats import chi2
 
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
@@ -39,8 +38,6 @@ STEP = 1e-6  # of parameters, where exponents are differenced
 N_BLOCKS = 40  # of a record, in time
 LEVELS = 3  # of the size of the motion, of which each holds as much of its square
 FEWEST = 10  # rows of a block
-N_STRETCHES = 8  # of a segment, half over each other, whose periodograms are averaged
-BY_CHANCE = 0.01  # of spectra of white noise have a larger peak than is taken for none
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,40 +298,6 @@ def part_scores(result, divisions):
                 some = rest[:, which == part].reshape(width, -1)
                 sums[name][part] += some @ some.T
     return {name: Parts(-G[:, :-1, -1], G[:, :-1, :-1]) for name, G in sums.items()}
-
-
-def spectral_peak(segments):
-    """The largest part of a spectrum over its mean, beyond what chance makes of white noise.
-
-    By the mean periodogram of eight stretches of the longest segment, half over each other
-    (Welch, 1967): of white noise it is χ² with 36 K² / (19 K − 1) degrees of freedom.
-
-    Parameters
-    ----------
-    segments : list of ndarray, shapes (n_samples_s, l)
-
-    Returns
-    -------
-    peak : float
-        The largest of all outputs, at least 1; 1 where a segment is too short to tell.
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(0).standard_normal((4000, 1))
-    >>> wave = 3.0 * np.cos(np.arange(4000) * 0.3)[:, None]
-    >>> round(spectral_peak([noise]), 1), round(spectral_peak([noise + wave]))
-    (1.0, 62)
-    """
-    rows = max(segments, key=len)
-    length = 2 * len(rows) // (N_STRETCHES + 1)
-    if length < FEWEST:
-        return 1.0
-    _, spectrum = welch(rows, nperseg=length, detrend="constant", axis=0)
-    spectrum, degrees = spectrum[1:], 36.0 * N_STRETCHES**2 / (19.0 * N_STRETCHES - 1.0)
-    mean = spectrum.mean(axis=0)
-    shares = spectrum.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
-    chance = chi2.isf(BY_CHANCE / len(spectrum), degrees) / degrees
-    return float(max(1.0, np.max(shares, initial=0.0) / chance))
 
 
 def blocks_in_time(motions):

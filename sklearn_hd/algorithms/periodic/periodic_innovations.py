@@ -466,6 +466,45 @@ def _with_one(inputs):
     return np.hstack([inputs, np.ones((len(inputs), 1))])
 
 
+@dataclass(frozen=True, eq=False)
+class AtSamples:
+    """A model at the samples of one segment, and what of it was fitted.
+
+    Attributes
+    ----------
+    rows : Rows
+    inputs : ndarray, shape (n_samples, m)
+    feedthrough, predicts : bool
+        Whether it has D, and a Kalman gain.
+    n_harmonics : int
+        Of its matrices.
+    n_loads : int
+        Of its forced response; −1 where there is none, not even a mean.
+    """
+
+    rows: Rows
+    inputs: np.ndarray
+    feedthrough: bool
+    predicts: bool
+    n_harmonics: int
+    n_loads: int = -1
+
+    @classmethod
+    def of(cls, A, B, C, D, K, inputs, n_harmonics):
+        """Of matrices, one a sample or constant, without loads."""
+        shape, n = (len(inputs), A.shape[-1]), A.shape[-1]
+        n_outputs, width = C.shape[-2], n + B.shape[-1] + 1
+        states, outputs = np.zeros((*shape, width)), np.zeros((len(inputs), n_outputs, width))
+        states[..., :n], states[..., n:-1] = A, B
+        outputs[..., :n], outputs[..., n:-1] = C, D
+        gain = np.broadcast_to(0.0 if K is None else K, (*shape, n_outputs))
+        return cls(Rows(states, outputs, gain), inputs, np.any(D), K is not None, n_harmonics)
+
+    def first(self, n_samples):
+        """The first samples."""
+        return replace(self, rows=self.rows.first(n_samples), inputs=self.inputs[:n_samples])
+
+
 def input_slopes(rows, inputs, functions, start):
     """Simulated outputs by the initial state and the Fourier coefficients of B(ψ) and D(ψ).
 
