@@ -415,16 +415,13 @@ def input_directions(lifted, most=None):
     2
     """
     stacked = np.concatenate(lifted)
-    largest = np.max(np.abs(stacked), axis=(0, 1), initial=0.0)
-    if not largest.any():
+    if not stacked.any():
         return [np.zeros((len(block), 0)) for block in lifted], 0, 0.0
-    stacked = stacked / np.where(largest > 0.0, largest, 1.0)
-    size = np.sqrt(np.mean(stacked**2, axis=(0, 1)))
-    stacked = (stacked / np.where(size > 0.0, size, 1.0)).reshape(len(stacked), -1)
-    U, s, _ = linalg.svd(stacked, full_matrices=False)
-    n_all = int(np.sum(s > max(1e-10 * s[0], _noise_level(s, stacked.shape))))
+    _, flat = _in_parts_of_size(stacked)
+    U, s, _ = linalg.svd(flat, full_matrices=False)
+    n_all = int(np.sum(s > max(1e-10 * s[0], _noise_level(s, flat.shape))))
     kept = n_all if most is None else min(n_all, most)
-    W = U[:, :kept] * np.sqrt(len(stacked))
+    W = U[:, :kept] * np.sqrt(len(flat))
     edges = np.cumsum([len(block) for block in lifted])[:-1]
     return np.split(W, edges), n_all, float(np.sum(s[kept:] ** 2) / np.sum(s**2))
 
@@ -464,11 +461,7 @@ class InputDirections:
         if about_mean:
             middle = np.mean(stacked, axis=(0, 1))
             stacked = stacked - middle
-        size = np.max(np.abs(stacked), axis=(0, 1), initial=0.0)
-        size = np.where(size > 0.0, size, 1.0)
-        size = size * np.sqrt(np.mean((stacked / size) ** 2, axis=(0, 1)))
-        size = np.where(size > 0.0, size, 1.0)
-        flat = (stacked / size).reshape(len(stacked), -1)
+        size, flat = _in_parts_of_size(stacked)
         R = linalg.qr(flat, mode="r")[0][: flat.shape[1]]
         _, s, Vt = linalg.svd(R, full_matrices=False)
         beyond = np.cumsum(s[::-1] ** 2)[::-1]  # in this direction and weaker ones
@@ -505,6 +498,15 @@ class InputDirections:
         idle = np.eye(len(self.moved)) - self.moved @ self.moved.T
         part = np.sqrt(np.maximum(np.diag(idle), 0.0)).reshape(-1, len(self.size))
         return np.flatnonzero(part.max(axis=0) > UNKNOWN)
+
+
+def _in_parts_of_size(stacked):
+    """Root mean square of each input, one where it is zero; and rows of inputs in parts of it."""
+    largest = np.max(np.abs(stacked), axis=(0, 1), initial=0.0)
+    largest = np.where(largest > 0.0, largest, 1.0)
+    size = largest * np.sqrt(np.mean((stacked / largest) ** 2, axis=(0, 1)))
+    size = np.where(size > 0.0, size, 1.0)
+    return size, (stacked / size).reshape(len(stacked), -1)
 
 
 def _noise_level(singular_values, shape):
