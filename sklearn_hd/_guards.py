@@ -147,26 +147,6 @@ def square_sums(signal):
     return sums
 
 
-def step_extremes(places):
-    """Smallest and largest step from one of some ascending numbers to the next.
-
-    Parameters
-    ----------
-    places : ndarray, shape (n,)
-        At least two.
-
-    Returns
-    -------
-    smallest, largest : float
-        NaN where a step is.
-    """
-    found = []
-    for start in range(0, len(places) - 1, CACHED):
-        steps = np.diff(places[start : start + CACHED + 1])
-        found.append((steps.min(), steps.max()))
-    return tuple(by(ends) for by, ends in zip((np.min, np.max), np.transpose(found), strict=True))
-
-
 def extremes(signal):
     """Smallest and largest value of each column; zeros where there is no row.
 

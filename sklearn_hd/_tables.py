@@ -9,7 +9,7 @@ from scipy.sparse import issparse
 
 from sklearn_hd._checks import FIRST, STANDARD_ERRORS, at, check_positive
 from sklearn_hd._containers import check_no_clock, check_no_records, from_elsewhere, is_pandas
-from sklearn_hd._guards import searches, step_extremes, warn
+from sklearn_hd._guards import searches, warn
 from sklearn_hd.exceptions import TimeBaseWarning
 
 
@@ -305,7 +305,8 @@ def _first_steps(seconds, bounds):
 
 def _alike(seconds, bounds):
     """Whether all steps are one and the same, except for rounding."""
-    ends = [step_extremes(seconds[a:b]) for a, b in itertools.pairwise(bounds) if b - a > 1]
+    steps = (np.diff(seconds[a:b]) for a, b in itertools.pairwise(bounds) if b - a > 1)
+    ends = [(each.min(), each.max()) for each in steps]
     if not ends:
         return False
     least, most = np.min(ends), np.max(ends)
@@ -512,8 +513,8 @@ def even(places, step, rounding):
     """Whether neighbours are one step apart, so that nothing need be resampled."""
     if len(places) < 2:
         return True
-    least, most = step_extremes(places)
-    return bool(max(step - least, most - step) <= STEP_TOLERANCE * step + rounding)
+    off = np.max(np.abs(np.diff(places) - step))
+    return bool(off <= STEP_TOLERANCE * step + rounding)
 
 
 def straightened(places, base, step):
