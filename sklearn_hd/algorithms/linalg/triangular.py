@@ -120,6 +120,30 @@ def all_above(R, share):
         return bool(share * np.linalg.norm(R) * np.linalg.norm(inverse) < 0.5)
 
 
+def svd_within_rank(matrix, rank=DEPENDENT, largest=None):
+    """Singular vectors and values U, s, Vᵀ of a matrix, but for those that are rounding.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n_rows, n_columns)
+    rank : float, default=1.5e-11
+        Share of the largest singular value, or of ``largest``, down to which they are left out.
+    largest : float, optional
+
+    Returns
+    -------
+    U, s, Vt : ndarray, shapes (n_rows, r), (r,), (r, n_columns)
+
+    Examples
+    --------
+    >>> svd_within_rank(np.array([[3.0, 3.0], [4.0, 4.0]]))[1].round(6).tolist()
+    [7.071068]
+    """
+    U, s, Vt = np.linalg.svd(matrix, full_matrices=False)
+    kept = s > rank * (np.max(s, initial=0.0) if largest is None else largest)
+    return U[:, kept], s[kept], Vt[kept]
+
+
 def solve_within_rank(X, Y, size=None, cond=DEPENDENT):
     """Least-squares solution of X Z = Y of least norm, columns of X brought to equal length.
 

@@ -29,7 +29,7 @@ from scipy import linalg
 from scipy.signal import lfilter
 
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
-from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, svd_within_rank, triangle
 
 FAINT = 1e-6  # what is left at a window's end of a mode that rounding still tells from its memory
 COPY_TOLERANCES = (1e-3, 3e-3, 1e-2, 3e-2)  # of its decay, by which a family's members differ
@@ -327,18 +327,12 @@ def _residuals_with(R, columns, kept, candidates):
     target, size = R[:, -1], np.linalg.norm(R[:, :-1], axis=0)
     scaled = R[:, :-1] / np.where(size > 0.0, size, 1.0)
     if kept:
-        Q = _range(scaled[:, np.concatenate([columns[i] for i in kept])])
+        Q = svd_within_rank(scaled[:, np.concatenate([columns[i] for i in kept])], EXACT)[0]
         for _ in range(2):
             scaled, target = scaled - Q @ (Q.T @ scaled), target - Q @ (Q.T @ target)
     values = np.empty(len(candidates))
     for k, i in enumerate(candidates):
-        Q = _range(scaled[:, columns[i]], 1.0)
+        Q = svd_within_rank(scaled[:, columns[i]], EXACT, largest=1.0)[0]
         rest = target - Q @ (Q.T @ target)
         values[k] = rest @ rest
     return values
-
-
-def _range(columns, least=None):
-    """Orthonormal columns that span what some columns do, except for rounding."""
-    Q, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return Q[:, values > EXACT * (values[0] if least is None else least)]

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT, TINY
+from sklearn_hd.algorithms.linalg.triangular import svd_within_rank
 from sklearn_hd.algorithms.lti.simulation import propagate
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import orthonormal_range
@@ -143,12 +144,9 @@ def combined_periods(Phi, u, y, n_phases, first_phase):
     filled = np.zeros((n_periods * n_phases, u.shape[1] + y.shape[1]))
     filled[: len(u)] = np.hstack([u / size, y])
     inputs, outputs = np.split(filled.reshape(n_periods, n_phases, -1), [u.shape[1]], axis=2)
-    W, values, Vt = linalg.svd(inputs.reshape(n_periods, -1), full_matrices=False)
-    kept = values > EPS * max(n_periods, Vt.shape[1]) * values[0]
-    W, directions = (
-        W[:, kept],
-        (values[kept, None] * Vt[kept]).reshape(-1, *inputs.shape[1:]) * size,
-    )
+    flat = inputs.reshape(n_periods, -1)
+    W, values, Vt = svd_within_rank(flat, EPS * max(flat.shape))
+    directions = (values[:, None] * Vt).reshape(-1, *inputs.shape[1:]) * size
     forcing = W.T[:, None, :, None] * np.eye(n)[:, None]
     forced = propagate(Phi, forcing, np.zeros((len(W.T), n, n))).transpose(2, 0, 1, 3)
     free = propagate(Phi, np.zeros((n, n_periods, n)), np.eye(n)).transpose(1, 2, 0)
@@ -236,7 +234,7 @@ class NestedLeastSquares:
     def undetermined(self):
         """Directions of b that y leaves open, in orthonormal rows, columns being of one length."""
         _, values, Vt = np.linalg.svd(self.factor)
-        return Vt[_rank(values) :]
+        return Vt[np.sum(values > DEPENDENT * np.max(values, initial=0.0)) :]
 
     def solve(self, stiffness=None, beyond=0.0, n_rows=None):
         """The smoothest solution that explains y: stiffness_j b_j is white noise of variance τ².
@@ -267,9 +265,9 @@ class NestedLeastSquares:
         stiff = stiffness > 0.0
         free, held = self.factor[:, ~stiff], self.factor[:, stiff]
         held = held * (self.size[stiff] / stiffness[stiff])
-        U, values, Vt = _svd(free)
+        U, values, Vt = svd_within_rank(free)
         off = [each - U @ (U.T @ each) for each in (held, self.seen)]
-        V, sizes, Wt = _svd(off[0])
+        V, sizes, Wt = svd_within_rank(off[0])
         shown = V.T @ off[1]
         open_ = self.target - self.base @ self.seen, off[1] - V @ shown
         rest = beyond + sum(np.sum(each**2) for each in open_)
@@ -285,14 +283,3 @@ class NestedLeastSquares:
         solution /= np.where(stiff, stiffness, self.size)
         misfit = misfit[best] + np.log(n_rows) * stiff.any()  # τ is a parameter
         return solution, self.target - self.columns @ solution, misfit
-
-
-def _svd(matrix):
-    """Singular vectors and values, but for those that are rounding."""
-    U, values, Vt = np.linalg.svd(matrix, full_matrices=False)
-    rank = _rank(values)
-    return U[:, :rank], values[:rank], Vt[:rank]
-
-
-def _rank(values):
-    return int(np.sum(values > DEPENDENT * np.max(values, initial=0.0)))

@@ -25,7 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS, EXACT
-from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
+from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, svd_within_rank
 from sklearn_hd.algorithms.lti.simulation import propagate, real_logarithm
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.multipliers import (
@@ -60,11 +60,9 @@ def forced_waveform(Phi, directions, lifted):
     Q = orthonormal_range(known)
     new = answers - Q @ (Q.T @ answers)
     size = column_sizes(new)
-    U, values, Vt = linalg.svd(new / size, full_matrices=False)
-    kept = values > DEPENDENT * values[0]
-    within = U[:, kept].T @ target
-    best = linalg.svd(within, full_matrices=False)[0][:, : len(Phi)]
-    states = answers / size @ (Vt[kept].T / values[kept]) @ best
+    U, values, Vt = svd_within_rank(new / size)
+    best = linalg.svd(U.T @ target, full_matrices=False)[0][:, : len(Phi)]
+    states = answers / size @ (Vt.T / values) @ best
     return linalg.lstsq(np.hstack([known, states]), target)[0][0]
 
 

@@ -38,6 +38,7 @@ from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, EPS
 from sklearn_hd.algorithms.linalg.triangular import (
     all_above,
     solve_within_rank,
+    svd_within_rank,
     triangle,
 )
 from sklearn_hd.algorithms.lti.simulation import is_stable, nearest_stable
@@ -197,12 +198,11 @@ def _n4sid(R, block_rows, n_inputs, n_columns):
 def _cva(R, block_rows, n_inputs, n_columns):
     future, past = _blocks(R, block_rows, n_inputs)
     off = R[past.start :, past.stop :].T  # Y_f Π
-    U, sizes, Vt = linalg.svd(off, full_matrices=False)
-    largest = np.max(sizes, initial=0.0)
-    rank = int(np.sum(sizes > DEPENDENT * largest))
-    rotation, correlations, _ = linalg.svd(Vt[:rank, : past.stop - past.start], full_matrices=False)
+    U, sizes, Vt = svd_within_rank(off)
+    rank, largest = len(sizes), np.max(sizes, initial=0.0)
+    rotation, correlations, _ = linalg.svd(Vt[:, : past.stop - past.start], full_matrices=False)
     directions, values = np.zeros((len(off), len(off))), np.zeros(len(off))
-    directions[:, : rotation.shape[1]] = (U[:, :rank] * sizes[:rank]) @ rotation
+    directions[:, : rotation.shape[1]] = (U * sizes) @ rotation
     values[: len(correlations)] = correlations
     noisy = int(np.sum(linalg.svdvals(R[past.stop :, past.stop :]) > DEPENDENT * largest))
     floor, left = 10.0 * EPS, n_columns - future.stop
