@@ -6,7 +6,7 @@ from sklearn_hd._checks import SMALLEST, STANDARD_ERRORS
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
-from sklearn_hd.algorithms.lti.simulation import GROWN
+from sklearn_hd.algorithms.lti.simulation import GROWN, growth
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
 from sklearn_hd.algorithms.signals.fundamental import FEWEST, omega_mismatch
 from sklearn_hd.exceptions import (
@@ -233,13 +233,12 @@ def warn_of_growth(model, experiment):
     rate, longest = growth_rate(model.A, model.dt), longest_span(experiment)
     period = 2.0 * np.pi / experiment.basis.omega
     folds, multiplier = rate * longest, np.exp(min(rate * period, 700.0))
-    if folds > 1.0:
+    if folds > GROWN:
         warn(
             f"the periodic orbit is unstable: a Floquet exponent of the model has the real part "
-            f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), so the model grows by a "
-            f"factor of {np.exp(min(folds, 700.0)):.3g} over the longest segment of the "
-            f"{experiment.span()}; simulate short spans from known states, or lower the order if "
-            f"the orbit is known to be stable",
+            f"{rate:.4g} 1/s (a multiplier of size {multiplier:.4g}), so the model "
+            f"{grows_by(folds)} over the longest segment of the {experiment.span()}; simulate "
+            f"short spans from known states, or lower the order if the orbit is known to be stable",
             InstabilityWarning,
         )
 
@@ -250,31 +249,30 @@ def warn_of_unstable(model, n_rows):
     Candidates of a search are not checked: their scores show it, and the final model is fitted
     outside.
     """
-    folds = growth_rate(model.A, model.dt) * model.dt
-    if folds * n_rows < GROWN:  # as it may by the error of an integrator
-        return
-    if searching():
+    folds = growth(model.A)
+    if folds * n_rows < GROWN or searching():
         return
     warn(
         f"the model is unstable: an eigenvalue of A has the size {np.exp(folds):.6g}, so the model "
-        f"grows by a factor of {np.exp(min(folds * n_rows, 700.0)):.3g} over the {n_rows} rows of "
-        f"the longest segment; if the system is known to be stable, use stable=True or another "
-        f"order",
+        f"{grows_by(folds * n_rows)} over the {n_rows} rows of the longest segment; if the system "
+        f"is known to be stable, use stable=True or another order",
         InstabilityWarning,
     )
 
 
 def growth_rate(A, dt):
-    """Largest real part of the exponents of a model, 1/s; −inf without states."""
-    values = np.linalg.eigvals(A)
-    if dt > 0.0:
-        values = np.log(np.maximum(np.abs(values), 1e-300)) / dt
-    return float(np.max(values.real, initial=-np.inf))
+    """Largest real part of the exponents of a model, 1/s; less than any without states."""
+    return growth(A) / dt if dt > 0.0 else np.max(np.linalg.eigvals(A).real, initial=-np.inf)
+
+
+def grows_by(folds):
+    """By what factor a model grows, for messages."""
+    return f"grows by a factor of {np.exp(min(folds, 700.0)):.3g}"
 
 
 def grows(A, dt, experiment):
     """Whether a mode of a model grows e-fold within the longest segment."""
-    return growth_rate(A, dt) * longest_span(experiment) > 1.0
+    return growth_rate(A, dt) * longest_span(experiment) > GROWN
 
 
 def longest_span(experiment):

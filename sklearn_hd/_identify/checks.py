@@ -11,6 +11,7 @@ from sklearn_hd._checks import (
     check_flag,
     check_positive,
 )
+from sklearn_hd._fit_checks import grows_by
 from sklearn_hd._guards import warn
 from sklearn_hd._identify.products_cache import KeptSums
 from sklearn_hd.algorithms.linalg.rounding import OVERFLOW
@@ -312,8 +313,8 @@ def warn_of_growth(model, best, data, settings):
     if best.feedthrough and settings.feedthrough == "auto":  # feedback looks the same
         way_out = f"weighting='pbsid' if feedback held it (D may be that feedback), {way_out}"
     warn(
-        f"the model has a Floquet multiplier of size {radius:.4g}, so it grows by a factor of "
-        f"{np.exp(min(folds, 700.0)):.3g} over the longest segment ({turns:.4g} turns): predict "
+        f"the model has a Floquet multiplier of size {radius:.4g}, so it "
+        f"{grows_by(folds)} over the longest segment ({turns:.4g} turns): predict "
         f"overflows, or leaves the record where feedback held the machine; use predict_ahead "
         f"there, {way_out}",
         InstabilityWarning,

@@ -17,16 +17,18 @@ from sklearn_hd._identify.checks import (
 )
 from sklearn_hd._identify.stages import SubspaceFit, by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
+from sklearn_hd.algorithms.lti.simulation import growth
 from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.algorithms.subspace.order import (
     Comparison,
     differ,
     order_by_wide_gap,
-    runs_away,
 )
 from sklearn_hd.algorithms.subspace.projections import share_at_once
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
+
+FARTHEST = 300.0  # e-folds over a segment, beyond which squares of outputs overflow
 
 
 def read(experiment, settings):
@@ -183,7 +185,7 @@ class Choice:
                 if self.settings.predictor:
                     return *found.model(order, stable)[:4], None
                 A, C = found.state_matrices(order, stable)
-                if runs_away(A, max(data.lengths)):
+                if max(data.lengths) * growth(A) > FARTHEST:
                     return None
                 B, D, x0 = input_matrices(A, C, inputs, outputs, feedthrough)
                 return A, B, C, D, x0

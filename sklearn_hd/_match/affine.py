@@ -20,6 +20,7 @@ import pandas as pd
 from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._fit_checks import grows_by
 from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, PeriodicModel, periodic_match
 from sklearn_hd._match.periodic import state_outputs, warn_coordinates
@@ -28,7 +29,7 @@ from sklearn_hd._records.data import input_scale, output_scale, to_continuous
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.lti.hinf import check_stable
-from sklearn_hd.algorithms.lti.simulation import frequency_response
+from sklearn_hd.algorithms.lti.simulation import GROWN, frequency_response
 from sklearn_hd.algorithms.matching.matching import match_structure
 from sklearn_hd.algorithms.matching.matching_problem import channel_scales, matching_grid
 from sklearn_hd.algorithms.periodic.behind_samples import nearest_steps, turn_of
@@ -419,15 +420,14 @@ def _unlike(sampled, model, experiment, within_noise):
     otherwise, where the model identified does not; None where it is like that model, to a
     hundredth of the response's variance or to within the noise."""
     longest = max(map(len, experiment.outputs))
-    if longest * model.innovations.growth() > 1.0:  # it has been warned of
+    if longest * model.innovations.growth() > GROWN:  # it has been warned of
         return None
-    rate = sampled.innovations.growth()
-    if longest * rate > 1.0:
+    folds = longest * sampled.innovations.growth()
+    if folds > GROWN:
         radius = np.max(np.abs(sampled.innovations.multipliers()))
         return (
-            f"the matched model has a multiplier of size {radius:.4g} per turn, so it grows by a "
-            f"factor of {np.exp(min(rate * longest, 700.0)):.3g} over the longest segment, "
-            f"although the identified model is stable",
+            f"the matched model has a multiplier of size {radius:.4g} per turn, so it "
+            f"{grows_by(folds)} over the longest segment, although the identified model is stable",
             InstabilityWarning,
         )
     left, there, n_rows = 0.0, 0.0, 0

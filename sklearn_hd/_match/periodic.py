@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_hd._checks import STANDARD_ERRORS
-from sklearn_hd._fit_checks import grows, longest_span
+from sklearn_hd._fit_checks import grows, grows_by, longest_span
 from sklearn_hd._guards import first_of, searching, warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
@@ -23,6 +23,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, 
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
+from sklearn_hd.algorithms.lti.simulation import GROWN
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.behind_samples import FINER
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
@@ -463,11 +464,11 @@ def warn_growing(periodic, model, experiment):
     fastest = np.max(periodic.to_system().floquet_exponents().real)
     radius = np.exp(fastest * 2.0 * np.pi / periodic.omega)
     folds = fastest * longest_span(experiment)
-    if folds > 1.0:
+    if folds > GROWN:
         warn(
             f"the matched periodic model has a Floquet multiplier of size {radius:.4g}, so it "
-            f"grows by a factor of {np.exp(min(folds, 700.0)):.3g} over the longest segment, "
-            f"although the identified model is stable: noise has moved it; refine it with "
-            f"criterion='output_error' and structure=HarmonicStructure(), or change the order",
+            f"{grows_by(folds)} over the longest segment, although the identified model is "
+            f"stable: noise has moved it; refine it with criterion='output_error' and "
+            f"structure=HarmonicStructure(), or change the order",
             InstabilityWarning,
         )

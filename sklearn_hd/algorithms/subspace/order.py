@@ -27,7 +27,6 @@ CLEAR_GAP = 2.0  # below which ratios scatter by noise
 WIDE_GAP = 1e3  # that decides by itself
 MATERIAL = 1.01  # ratio of variances left, from which on a smaller model is worse
 PATIENCE = 8  # orders that may pass without a better one: four pairs of modes
-FARTHEST = 300.0  # e-folds, beyond which squares of outputs overflow
 UNSTABLE_GAIN = 2.0  # by which an unstable model must lower variances, beyond what its order does
 
 
@@ -112,7 +111,7 @@ class Comparison:
     ----------
     model : callable
         ``model(order, feedthrough)`` gives A, B, C, D and the initial state of each segment, or
-        None for these; None where it runs away (:func:`runs_away`).
+        None for these; None where its outputs would overflow.
     inputs, outputs : list of ndarray, shapes (n_rows_s, m), (n_rows_s, l)
         Of each segment.
     fed_back : bool, default=False
@@ -215,11 +214,6 @@ def differ(simpler, other):
     or D, mend of their error: parts in a thousand of what noise leaves.
     """
     return simpler.variance > MATERIAL * other.variance
-
-
-def runs_away(A, n_rows):
-    """Whether a mode of A grows over some rows beyond what outputs in open loop could do."""
-    return n_rows * growth(A) > FARTHEST
 
 
 def _left(A, B, C, D, u, y, x0):
