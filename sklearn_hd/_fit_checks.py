@@ -4,10 +4,9 @@ import numpy as np
 
 from sklearn_hd._checks import SMALLEST, STANDARD_ERRORS
 from sklearn_hd._guards import searching, warn
-from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd.algorithms.linalg.rounding import EXACT, HALF
 from sklearn_hd.algorithms.lti.simulation import GROWN, growth
-from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, ROWS_PER_COLUMN, harmonic_functions
 from sklearn_hd.algorithms.signals.fundamental import FEWEST, omega_mismatch
 from sklearn_hd.exceptions import (
     ExcitationWarning,
@@ -16,9 +15,7 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 
-HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
-MOST_OF_IT = 0.5  # of an output's variance
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -74,10 +71,10 @@ def _warn_of_hertz(experiment):
     if (places[-1] - places[0]) * omega < 2.0 * np.pi * FEWEST:
         return False  # any few waves make a short record
     there = _share_in_lines(y, places, 2.0 * np.pi * omega)
-    if not np.any(there > MOST_OF_IT):
+    if not np.any(there > 0.5):
         return False
     here = _share_in_lines(y, places, omega)
-    told = (there > MOST_OF_IT) & (here < there / 2.0)
+    told = (there > 0.5) & (here < there / 2.0)
     if not told.any():
         return False
     k = int(np.argmax(np.where(told, there, 0.0)))
@@ -363,7 +360,7 @@ def motion_kept(measured, sampling, basis, taken):
 
 def lasting_hop(kept):
     """Largest distance in samples at which every output keeps half of its motion."""
-    less = kept < HALF_KEPT
+    less = kept < 0.5
     return int(np.min(np.where(less.any(axis=0), np.argmax(less, axis=0), len(kept))))
 
 
@@ -373,7 +370,7 @@ def warn_of_thinning(experiment, taken):
     if basis.hop == 1:
         return
     kept = motion_kept(experiment.measured, experiment.sampling, basis, taken)
-    lost = kept[-1] < HALF_KEPT
+    lost = kept[-1] < 0.5
     if lost.any():
         names = [name for name, each in zip(experiment.output_names, lost, strict=True) if each]
         warn(

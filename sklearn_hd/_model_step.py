@@ -33,7 +33,7 @@ from sklearn_hd._records.data import (
     read_signals,
 )
 from sklearn_hd._records.delays import in_machine_time, leads, with_delayed_inputs
-from sklearn_hd._residuals import LEVEL, left_of, scored
+from sklearn_hd._residuals import left_of, scored
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import (
     LiftedSimulator,
@@ -51,6 +51,7 @@ from sklearn_hd._simulators import (
 )
 from sklearn_hd._tables import STEP_TOLERANCE, as_container, without_inputs
 from sklearn_hd.algorithms.signals.resampling import advanced, late
+from sklearn_hd.algorithms.signals.trim import LEVEL
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.export import write
 

@@ -11,6 +11,7 @@ from sklearn_hd._readings.basis import Timing
 from sklearn_hd._readings.sample import MOST_LOADS
 from sklearn_hd._records.bases import kept_every
 from sklearn_hd._records.data import read_experiment
+from sklearn_hd.algorithms.modes.free_decay import SURE
 from sklearn_hd.algorithms.periodic.speed import ORBIT, orbit_drift, orbit_share, orbit_speed
 from sklearn_hd.algorithms.signals import fundamental
 from sklearn_hd.algorithms.signals.fundamental import OmegaEstimate
@@ -23,9 +24,7 @@ from sklearn_hd.exceptions import (
 __all__ = ["OmegaEstimate", "estimate_omega"]
 
 PARTS = 4  # of the longest segment, that are compared
-VARIES = 0.1  # of a speed, searched to either side in a part
 FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up to a third of that
-TELLS = 2.0  # standard deviations by which a drift has to differ from none for halves to deny it
 
 
 def estimate_omega(X, y, guess=None, *, span=fundamental.SPAN, sample_time=None, missing="raise"):
@@ -177,7 +176,7 @@ def _as_parts_have_it(found, segments, step):
     for k in range(PARTS):
         u, y, time = (z[k * length : (k + 1) * length] for z in longest)
         try:
-            part = fundamental.estimate_omega([u], [y], step, found.omega, VARIES)
+            part = fundamental.estimate_omega([u], [y], step, found.omega, 0.1)
         except ValueError:  # it is too short, or at rest
             return found
         estimates.append(_by_orbit(part, [(u, y, time)], step, steady=False))
@@ -209,7 +208,7 @@ def _by_orbit(found, segments, sample_time, *, steady=True):
     some, omega, told = _thinned(segments, found.omega, sample_time)
     if found.drift:
         drift, std = orbit_drift(some, omega, told) or (found.drift, 0.0)
-        if abs(drift) > abs(drift - found.drift) or TELLS * std > abs(found.drift):
+        if abs(drift) > abs(drift - found.drift) or SURE * std > abs(found.drift):
             return found
         found = found._replace(drift=0.0, drift_std=max(found.drift_std, abs(found.drift)))
     orbit = orbit_speed(some, omega, told, steady=steady)

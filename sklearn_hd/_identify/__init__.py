@@ -36,7 +36,6 @@ from sklearn_hd._records.delays import (
     most_samples,
     warn_of_doubt,
 )
-from sklearn_hd._records.sampling import MOST_ROWS
 from sklearn_hd.algorithms.likelihood.delay_search import Cells, first_answers, most_likely
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
@@ -44,10 +43,10 @@ from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
-HARMONICS = 1  # of the regression, where the machine turns
 DECISIVE = 4.0  # times the variance left, which tells more than doubts that both have
 
 MOST_STEPS, FEW_STEPS = 50, 10  # of a search for the largest likelihood, and for its samples
@@ -91,7 +90,7 @@ def _searched(experiment, delays):
     basis, dt, m = experiment.basis, experiment.base.sample_time, delays.n_inputs
     if not m:
         raise ValueError("a delay 'auto' is found from inputs, and there are none; give seconds")
-    most, count = most_samples(experiment), HARMONICS if basis.harmonic else 0
+    most, count = most_samples(experiment), int(basis.harmonic)
     segments = list(zip(experiment.inputs, experiment.outputs, experiment.phases, strict=True))
     lags = first_answers(segments, most, DEFAULT_BLOCK_ROWS, count)
     samples, told = delays.seconds / dt, np.isfinite(lags)

@@ -25,8 +25,6 @@ from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning, Ins
 DEFAULT_BLOCK_ROWS = 15
 PREDICTOR = "pbsid"
 MOST_PREDICTOR_ROWS = 60
-NOTABLE = 0.01  # share of the innovations that is worth a warning
-COLUMNS_PER_ROW = 10  # for each coefficient of the longest predictor tried
 ROWS_BEYOND = 2  # so that order="auto" has room above the order that noise-free data show
 WEIGHTINGS = (*PROJECTIONS, PREDICTOR)
 NOTHING = 1e-6  # share of an input beside its forced mean, below which it moves with the turn alone
@@ -156,7 +154,7 @@ def rows_of_predictor(data, first, size, settings):
     most = first
     longest = min(MOST_PREDICTOR_ROWS, data.most_block_rows)
     while most < longest and n_hankel_columns(lengths, most + 1) >= (
-        COLUMNS_PER_ROW * (most + 1) * (n_inputs + n_outputs)
+        10 * (most + 1) * (n_inputs + n_outputs)  # for each coefficient
     ):
         most += 1
     R = data.factor(most, size)

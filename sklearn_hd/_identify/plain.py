@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from sklearn_hd._checks import LITTLE
 from sklearn_hd._fit_checks import check_motion, warn_of_unstable
 from sklearn_hd._frame import LTIModel
 from sklearn_hd._guards import warn
 from sklearn_hd._identify.checks import (
     DEFAULT_BLOCK_ROWS,
-    NOTABLE,
     allowed_block_rows,
     fewer_block_rows,
     rows_of_predictor,
@@ -117,7 +117,7 @@ class Choice:
         elif self.settings.predictor or not self.simulates:
             share, words = self._at_once(i, size)
             self._settle(share > 0.0 and not self.settings.predictor, words)
-            if share > NOTABLE and self.settings.predictor:
+            if share > LITTLE and self.settings.predictor:
                 warn_of_feedback(words)
         return self.settings
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, NOTABLE, or_hop, warn_of_feedback
+from sklearn_hd._checks import LITTLE
+from sklearn_hd._identify.checks import MOST_PREDICTOR_ROWS, or_hop, warn_of_feedback
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, Layout, spread_rows
 from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN
 
 MOST_COLUMNS = 1000  # of the largest regression tried: its sums take seconds
 MOST_HARMONICS = 3  # of the predictor, where the data choose
-TIMES_AS_MANY = (1, 2, 3)  # of the lags of Akaike's criterion: tried where inputs are smooth
 ROWS_COMPARED = 10_000  # of a longer record, choices are made on
 
 
@@ -76,12 +76,12 @@ def predictor_layouts(data, settings, basis):
         )
     if fed_back:
         zero = [whole(False, lags[0])]
-        if not tells or gain <= NOTABLE * sums.n_rows:
+        if not tells or gain <= LITTLE * sums.n_rows:
             return zero, "weighting='pbsid' takes {}"
         warn_of_feedback(f"{reason}D free")
         return zero, f"{reason}D free, but feedback within a row looks the same: {{}}"
     if not tells:
-        several = (k * max(lags) for k in TIMES_AS_MANY if k * max(lags) <= sums.layout.n_lags)
+        several = (k * max(lags) for k in (1, 2, 3) if k * max(lags) <= sums.layout.n_lags)
         both = [whole(feedthrough, each) for each in several for feedthrough in (False, True)]
         return both, reason + "{}"
     return [whole(bool(gain > 0.0), lags[int(gain > 0.0)])], reason + "{}"

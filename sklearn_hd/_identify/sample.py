@@ -17,7 +17,7 @@ from itertools import islice
 
 import numpy as np
 
-from sklearn_hd._checks import STANDARD_ERRORS
+from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
 from sklearn_hd._guards import searching, warn
 from sklearn_hd._identify.checks import (
@@ -60,8 +60,6 @@ TOO_LARGE = (
 )
 POWERS = {2: "squares", 3: "cubes"}
 MOST_LEFT = 0.5  # of the outputs' variance, that a model of small motions in doubt may leave
-TWICE = 2.0  # times what a linear one leaves, that it may leave in any case
-LITTLE = 1e-2  # of the motion's variance, which the second order of a response may explain
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +375,7 @@ def _or_linear(found):
     if not (found.refined.degrees and found.against):
         return found
     linear = replace(found, refined=replace(found.refined, large=None, no_noise=TOO_LARGE))
-    most = max(MOST_LEFT, TWICE * linear.left.variance)
+    most = max(MOST_LEFT, 2.0 * linear.left.variance)
     return linear if found.left_at_rest.variance > most else found
 
 

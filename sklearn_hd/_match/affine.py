@@ -20,6 +20,7 @@ import pandas as pd
 from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_hd._checks import LITTLE
 from sklearn_hd._fit_checks import grows_by
 from sklearn_hd._guards import first_of, warn
 from sklearn_hd._match import Match, PeriodicModel, periodic_match
@@ -40,9 +41,7 @@ from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 RUNAWAY = 1e4  # speed of a pole, relative to the model's fastest, that is a feedthrough's
-FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
 MOST_ROWS = 10_000  # of a segment, on which responses are compared
-UNLIKE = 1e-2  # of the response's variance, that a structure may leave without a word
 
 
 def match_affine(model, experiment, structure, settings):
@@ -260,7 +259,7 @@ def warn_matched(result, criterion, poles, affine):
             f"system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
             IdentifiabilityWarning,
         )
-    if result.feedthrough_floor > FLOOR * result.hinf_error and not result.exact:
+    if result.feedthrough_floor > 0.5 * result.hinf_error and not result.exact:
         warn(
             f"the structure cannot have the feedthrough of the model: fixed entries of D leave "
             f"{result.feedthrough_floor / result.hinf_error:.0%} of the error at infinite "
@@ -440,7 +439,7 @@ def _unlike(sampled, model, experiment, within_noise):
         there = there + np.sum(wanted**2, axis=0)
         n_rows += len(wanted)
     noise = n_rows * np.diag(model.innovations_covariance)
-    most = np.minimum(noise, UNLIKE * there) if within_noise else UNLIKE * there
+    most = np.minimum(noise, LITTLE * there) if within_noise else LITTLE * there
     if not np.any((left > most) & (there > 0.0)):  # an output at rest has rounding alone
         return None
     share = np.max(left / np.where(there > 0.0, there, np.inf))

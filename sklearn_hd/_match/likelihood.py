@@ -20,7 +20,7 @@ from sklearn_hd._match.affine import decomposed_basis, match_samples
 from sklearn_hd._match.input_problem import PATIENCE
 from sklearn_hd._match.periodic import warn_in_place_of_states
 from sklearn_hd._match.record_data import Fit, RecordData
-from sklearn_hd._match.trust import ONE_TIME_CONSTANT, trusted, warn_of_slow
+from sklearn_hd._match.trust import trusted, warn_of_slow
 from sklearn_hd._records.delays import as_measured, warn_of_doubt
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd.algorithms.likelihood.free_form import free_form, highest
@@ -35,7 +35,6 @@ from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 AFFORDABLE = 4.0  # times the parameters of a fit that does not converge, for all of the start's
-FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
 
 
 def match_likelihood(match, structure, experiment, settings, opinion):
@@ -116,7 +115,7 @@ def _trim_error(fit, trust, experiment, delays):
     """
     waveform = fit.result.problem.waveform(fit.result.point)
     slowest, longest = np.max(trust.exponents.real, initial=-np.inf), longest_span(experiment)
-    if waveform is None or -slowest * longest < ONE_TIME_CONSTANT:
+    if waveform is None or -slowest * longest < 1.0:
         return None
     cells = fit.data.cells
     if cells is not None:  # of which the model holds the fractions
@@ -221,7 +220,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     """
     start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
-    first = {name: min(start.highest(name), FIRST_HARMONICS) for name in open_to}
+    first = {name: min(start.highest(name), 2) for name in open_to}
     if "F" in first:
         first["F"] = start.highest("F") // 2
 

@@ -12,12 +12,11 @@ from itertools import combinations
 import numpy as np
 from scipy import linalg
 
-from sklearn_hd._checks import STANDARD_ERRORS
+from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import grows, grows_by, longest_span
 from sklearn_hd._guards import first_of, searching, warn
 from sklearn_hd._match import periodic_match
 from sklearn_hd._match.input_problem import MAX_GROWTH, GrowthError, InputProblem
-from sklearn_hd._match.trust import MOST_SYSTEMATIC
 from sklearn_hd._opinion import DOUBT, lasting, of_multipliers
 from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, rows_read
 from sklearn_hd._residuals import why_incomplete
@@ -44,10 +43,6 @@ from sklearn_hd.algorithms.subspace.innovations import predicted_states
 from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, InstabilityWarning
 
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
-CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
-POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
-LARGER_LEFT = 2.0  # times what the map leaves: beyond what fitting its freedom to noise explains
-EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 
 
 def match_periodic(model, experiment, structure, simulated=True):
@@ -107,7 +102,7 @@ def realize(model, experiment, structure):
     found = _without_feedthrough(model, experiment, structure, scale)
     # a fraction of a sample, or harmonics that the structure forbids, look like a feedthrough
     alone = experiment.delays is None and structure.left_open
-    if found.systematic <= MOST_SYSTEMATIC or not alone:
+    if found.systematic <= LITTLE or not alone:
         return found
     other, _ = _in_closed_form(model, experiment, structure, scale, feedthrough=True)
     return other if other.systematic < found.systematic else found
@@ -121,19 +116,19 @@ def _without_feedthrough(model, experiment, structure, scale):
         found, noise = _in_closed_form(model, experiment, structure, scale)
     except (FloquetError, GrowthError) as error:
         other = _from_equation_error(model, experiment, structure, scale)
-        if other is None or other.systematic > MOST_SYSTEMATIC:
+        if other is None or other.systematic > LITTLE:
             raise  # not noise, but the order is at fault
         return _told(other, model, f"belongs to no periodic system ({error})")
     if len(structure.states or experiment.basis.outputs) != model.n_states:
-        if structure.n_states is None and found.systematic > MOST_SYSTEMATIC:
+        if structure.n_states is None and found.systematic > LITTLE:
             other = _from_equation_error(model, experiment, structure, scale)
-            if other is not None and other.systematic <= MOST_SYSTEMATIC:
+            if other is not None and other.systematic <= LITTLE:
                 return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
     elif grows(model.A, model.dt, experiment):
         return found  # no simulation compares two ways
     elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
-        enough = CLEARLY_LESS if found.physical else AS_LITTLE
+        enough = 0.98 if found.physical else AS_LITTLE  # of what the first way leaves
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
             # noise in its regressors biases the modes
             known = _modes_known(model, experiment, scale)
@@ -185,7 +180,7 @@ def _from_equation_error(model, experiment, structure, scale):
         measured, shown = (each.reshape(-1, len(names))[:, rows] for each in (y, clean))
         segments.append((measured, u.reshape(-1, u.shape[2]), 0))
         instruments.append(shown)
-    count = min(EQUATION_HARMONICS, (spp - 1) // 2)
+    count = min(2, (spp - 1) // 2)
     F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
     free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
@@ -383,21 +378,21 @@ def _seen(experiment):
 def warn_realized(found, model):
     """Of a periodic model in closed form, made of a map that was identified."""
     left, known = 1.0 - found.r2, np.inf if model.lifted is None else model.lifted.left
-    if found.r2 < POOR_FIT:
+    if found.r2 < 0.5:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
             f"check the order, omega and the length of the record, or refine the model with "
             f"criterion='output_error'",
             IdentifiabilityWarning,
         )
-    elif found.systematic > MOST_SYSTEMATIC:
+    elif found.systematic > LITTLE:
         warn(
             f"the periodic model leaves {found.systematic:.2g} of the record's variance in "
             f"residuals that are not noise (neighbouring samples are alike); check order, omega, "
             f"the harmonics that the structure allows, and whether the response is linear",
             IdentifiabilityWarning,
         )
-    elif left > LARGER_LEFT * known and left - known > NOTABLE:
+    elif left > 2.0 * known and left - known > NOTABLE:  # beyond fitting its freedom to noise
         warn_in_place_of_states(
             found.model,
             f"the periodic model leaves {left:.2g} of the record's energy, but the map of whole "
@@ -414,7 +409,7 @@ def warn_realized(found, model):
 
 def warn_incomplete(found, experiment):
     """Of states that a periodic model lacks, where what it leaves is little and tells so."""
-    if searching() or found.systematic > MOST_SYSTEMATIC:
+    if searching() or found.systematic > LITTLE:
         return
     sampled = found.model.sampled(experiment.base.sample_time)
     words = why_incomplete(sampled, experiment, sample_simulators)

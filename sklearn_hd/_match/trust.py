@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_hd._checks import STANDARD_ERRORS
+from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Uncertainty
 from sklearn_hd._opinion import SURE, doubtful, lasting
-from sklearn_hd._residuals import ALARM, LEVEL, remainder, scored
+from sklearn_hd._residuals import ALARM, remainder, scored
 from sklearn_hd._simulators import sample_simulators, without_gain
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
 from sklearn_hd.algorithms.likelihood.predictor import simulate
@@ -28,6 +28,7 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     part_scores,
     propagate_std,
 )
+from sklearn_hd.algorithms.signals.trim import LEVEL
 from sklearn_hd.exceptions import IdentifiabilityWarning, UnstableModelError
 
 WORDS = {
@@ -35,8 +36,6 @@ WORDS = {
     "direction": "from one side of the motion to the other",
     "record": "from the first record to the last",
 }
-MOST_SYSTEMATIC = 1e-2  # of the motion's variance, in what noise alone would leave
-ONE_TIME_CONSTANT = 1.0  # a mode has to last less than the record
 TIME_CONSTANTS = 50  # of the slowest mode in a record, below which intervals are short
 
 
@@ -164,7 +163,7 @@ def _systematic(alike, experiment, sampled):
 
 def _doubt(exponents, std, opinion, systematic):
     """What of a model does not stand, whatever its residuals are, in words; None if it stands."""
-    if systematic > MOST_SYSTEMATIC:
+    if systematic > LITTLE:
         return f"what is left and is no noise has {systematic:.3g} of the motion's variance"
     if opinion is None:
         return "no second opinion confirms the exponents"
@@ -193,7 +192,7 @@ def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
         steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
     steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)
     more = result.system.promised / result.n_residuals * part
-    if np.all(steps <= 1.0) and more <= MOST_SYSTEMATIC:
+    if np.all(steps <= 1.0) and more <= LITTLE:
         return
     share = f"another {more:.2g}" if more < 1.0 else "more than all"  # if residuals were linear
     words = f"explain {share} of the motion's variance"
@@ -296,7 +295,7 @@ def warn_of_slow(fit, trust, experiment):
     spans = [time[-1] - time[0] for time in experiment.times()]
     slowest = np.max(trust.exponents.real, initial=-np.inf)
     decays = -slowest * max(spans)
-    if abs(decays) < ONE_TIME_CONSTANT:
+    if abs(decays) < 1.0:  # it lasts longer than the record
         words = "give the trim about which they were measured (trim_span), or use "
         words = f"{words}HarmonicAnalyzer(reading='sample'), which identifies it"
         if experiment.basis.output_trim is not None or experiment.basis.reading == "sample":

@@ -19,7 +19,6 @@ from sklearn_hd.algorithms.signals.resampling import ON_GRID
 
 _SIGNALS = ("inputs", "outputs")
 MOST_LOADS = 12  # harmonics of the forced response, where the samples tell more
-WARMUP_SAMPLES = 50  # three times the default block rows
 
 
 class EveryRow:
@@ -113,7 +112,7 @@ class PlainReading(EveryRow):
     @property
     def warmup_samples(self):
         """Samples on which a score fits the initial state, by default."""
-        return WARMUP_SAMPLES
+        return 50  # three times the default block rows
 
 
 @dataclass(frozen=True, eq=False)

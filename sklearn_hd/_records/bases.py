@@ -30,7 +30,6 @@ from sklearn_hd.algorithms.signals.trim import TURN, inputs_rest
 from sklearn_hd.exceptions import FrequencyMismatchWarning
 
 AUTO = "auto"
-NEAR_WHOLE = 0.1  # of a sample; such a grid is not worth making finer
 ROWS_PER_PERIOD = 8
 ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is no matter
@@ -147,7 +146,7 @@ def _constant_speed(analyzer, base, highest, rows, omega):
         check_period(omega, base.sample_time, highest, counted=True)
     samples, whole = whole_period(omega, base, highest)
     if not whole:
-        near = abs(samples - round(samples)) <= NEAR_WHOLE
+        near = abs(samples - round(samples)) <= 0.1  # such a grid is not worth making finer
         spp = round(samples) if near else _samples_on_grid(analyzer, samples, rows)
         return spp, 2.0 * np.pi / omega / spp, True
     spp = round(samples)

@@ -29,7 +29,7 @@ from sklearn_hd._guards import searching, warn
 from sklearn_hd._tables import TimeBase, even, resolution
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, standing_lines
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, ROWS_PER_COLUMN, standing_lines
 from sklearn_hd.algorithms.signals.resampling import (
     held_means,
     interpolate,
@@ -41,7 +41,6 @@ from sklearn_hd.exceptions import IdentifiabilityWarning, ResamplingWarning
 MOST_HARMONICS = 50  # of a mean waveform
 NEARBY = 8  # rows before and after, beside which an outlier stands out
 STANDS_OUT = 6.0  # times their largest second difference
-MOST_ROWS = 20_000  # of a longer record, that are looked at
 
 
 @dataclass(frozen=True, eq=False)

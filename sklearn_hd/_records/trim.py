@@ -17,7 +17,6 @@ from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_MOTION = 0.01  # of its energy, that a trim may hold
 MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody subtracts
-LEAST_TURNS = 2
 PARTS = 8  # of a record, by which a waveform is told from its motion
 
 
@@ -95,7 +94,7 @@ def _found(sampling, blocks, basis):
         for values, unit in zip(blocks, units, strict=True)
     )
     u, y = (np.concatenate(signals) for signals in (inputs, outputs))
-    if len(y) < LEAST_TURNS:
+    if len(y) < 2:
         return None
     motion = motion_of(outputs)
     rest = np.concatenate(in_trim(inputs, outputs))

@@ -46,7 +46,6 @@ ANCHORS = {  # of the section that shows what a warning is about
     "IdentifiabilityWarning": "modes",
     "InstabilityWarning": "modes",
 }
-HALF = 0.5  # R² below which a simulation leaves more than it explains
 UNSURE = ("ambiguous", "second-order")
 
 
@@ -259,7 +258,7 @@ def doubts(fitted, validation):
             continue
         if run.reason is not None:
             found.append((f"{what.capitalize()} was not scored: {run.reason}", anchor))
-        elif not run.r2 >= HALF:
+        elif not run.r2 >= 0.5:  # it leaves more than it explains
             found.append(
                 (
                     f"The simulation of {what} leaves more than it explains: "

@@ -13,8 +13,6 @@ import numpy as np
 
 from sklearn_hd.exceptions import UnstableModelError
 
-DOTS = 144  # an inch of a figure
-PIXELS = 96  # an inch on the screen
 REFUSALS = (ValueError, TypeError, AttributeError, UnstableModelError, np.linalg.LinAlgError)
 PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
@@ -171,9 +169,10 @@ def figure(draw, caption):
     def drawn():
         display = draw()
         stored = BytesIO()
-        display.figure_.savefig(stored, format="png", dpi=DOTS, facecolor="white")
+        display.figure_.savefig(stored, format="png", dpi=144, facecolor="white")
         data = base64.b64encode(stored.getvalue()).decode()
-        text, width = escape(caption), round(PIXELS * display.figure_.get_size_inches()[0])
+        width = round(96 * display.figure_.get_size_inches()[0])  # pixels an inch
+        text = escape(caption)
         return (
             f'<figure><div class="wide"><img alt="{text}" width="{width}" '
             f'src="data:image/png;base64,{data}"></div>'

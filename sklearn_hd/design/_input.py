@@ -31,7 +31,6 @@ SAMPLES = 64  # a period, of a system that has none of its own
 MOST_HARMONICS = 8  # of F and G, taken for unknown, of an LTPSystem whose structure is not given
 TAIL = 1e-2  # of the coefficients' norm, which may be left out then
 N_PHASES = 8  # of a period, at which pulses ask what is known
-PULSE_PERIODS = 8  # over which their response is followed
 LACKS = 2.0  # times the doubt that the designed record leaves
 
 
@@ -346,7 +345,7 @@ class _Plant:
         m, width = len(self.input_names), max(1, n_phases // N_PHASES)
         pulses = []
         for j, phase in np.ndindex(m, N_PHASES):
-            u = np.zeros((PULSE_PERIODS * n_phases, self.structure.n_inputs))
+            u = np.zeros((8 * n_phases, self.structure.n_inputs))  # followed over 8 periods
             first = phase * n_phases // N_PHASES
             u[first : first + width, j] = 1.0
             pulses.append(u)

@@ -11,7 +11,6 @@ MOST_NAMED = 5  # of the candidates that failed
 SIZE = ("order", "block_rows")
 PERFECT = (0.0, 1.0, 100.0)  # scores of perfect models: negated errors, R², fit in percent
 ROUNDING = 1e-10  # what perfect models leave
-TWICE = 2.0  # what the best leaves is never about as good
 
 
 def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score", test_share=None):
@@ -104,7 +103,7 @@ def smallest_within_one_standard_error(cv_results, *, size=SIZE, metric="score",
     sizes = _sizes(cv_results, (size,) if isinstance(size, str) else tuple(size))
     candidates, folds = _comparable(scores, cv_results["params"])
     worse, error = _behind_best(*_left(scores[np.ix_(candidates, folds)]), share)
-    enough = np.maximum(np.log(MATERIAL), np.minimum(error, np.log(TWICE)))
+    enough = np.maximum(np.log(MATERIAL), np.minimum(error, np.log(2.0)))
     within = np.flatnonzero(worse <= enough)
     best = min(within.tolist(), key=lambda i: (*sizes[candidates[i]], worse[i], i))
     return int(candidates[best])

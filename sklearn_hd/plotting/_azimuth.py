@@ -24,8 +24,6 @@ from sklearn_hd.plotting._display import (
 
 DEGREES = 360  # azimuths that pulses are computed at
 SETTLED = 0.02  # of its largest value, which a response has to stay below
-MOST_TURNS = 4
-LABELLED = 1.0  # percent, from which on a share is written
 
 
 @dataclass(eq=False, repr=False)
@@ -127,7 +125,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
         innovations = step.model_.innovations
         if turns is not None:
             turns = check_positive("turns", turns, "revolutions", "2 is usual")
-        pulses = _pulses(innovations, MOST_TURNS if turns is None else turns)
+        pulses = _pulses(innovations, 4 if turns is None else turns)
         if turns is None:
             pulses = pulses[:, : _settled(pulses, innovations.samples_per_period)]
         display = cls(
@@ -178,7 +176,7 @@ class AzimuthDisplay(Display, axes="two Axes an output, then two for each pair o
             self._draw_pulses(pair, left, azimuths, units)
             share = 100.0 * self.shares_[pair]
             bars = self._draw_bars(pair, right, share)
-            told = [f"{v:.2g}" if v >= LABELLED else "" for v in share]
+            told = [f"{v:.2g}" if v >= 1.0 else "" for v in share]  # percent
             right.bar_label(bars, told, fontsize=8, padding=2)
             varying = np.sqrt(max(1e4 - share[0] ** 2, 0.0))
             words = f"{varying:.2g} % of the response varies over the turn"

@@ -8,7 +8,8 @@ from scipy import stats
 
 from sklearn_hd._checks import check_count, check_fraction
 from sklearn_hd._model_step import ModelStep
-from sklearn_hd._residuals import LEVEL, left_of, scored
+from sklearn_hd._residuals import left_of, scored
+from sklearn_hd.algorithms.signals.trim import LEVEL
 from sklearn_hd.model_selection._scorers import last_model_step
 from sklearn_hd.plotting._display import (
     BLUE,
@@ -25,7 +26,6 @@ from sklearn_hd.plotting._display import (
 )
 
 BAND = 0.99  # of the correlations of noise lie within
-MOST_BINS = 24  # of a turn
 
 
 @dataclass(eq=False, repr=False)
@@ -267,7 +267,7 @@ def _products(later, sooner, lag):
 
 def _by_phase(left):
     """Mean and standard deviation of residuals in equal parts of a turn."""
-    count = max(1, min(MOST_BINS, int(left.samples_per_period)))
+    count = max(1, min(24, int(left.samples_per_period)))
     psi = np.concatenate([s.psi for s in left.segments])
     bins = np.floor(np.mod(psi / (2.0 * np.pi) + 1e-9, 1.0) * count).astype(int) % count
     e = pd.DataFrame(np.vstack([s.residuals for s in left.segments]), columns=left.output_names)

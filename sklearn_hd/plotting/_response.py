@@ -31,8 +31,6 @@ from sklearn_hd.plotting._display import (
     with_unit,
 )
 
-LONGEST = 60  # characters of a title
-
 
 @dataclass(eq=False, repr=False)
 class ResponseDisplay(Display, axes="one Axes an input, then one an output, or two with loads"):
@@ -410,7 +408,7 @@ def _percent(fits):
     if len(values) == 1:
         return f"{values[0]} %"
     words = ", ".join(f"{label} {value} %" for label, value in zip(fits.index, values, strict=True))
-    return words if len(words) <= LONGEST else " / ".join(values) + " %, as in the legend"
+    return words if len(words) <= 60 else " / ".join(values) + " %, as in the legend"
 
 
 def _rows_of_all(rows, record):

@@ -25,9 +25,6 @@ from sklearn_hd.plotting._display import (
     with_unit,
 )
 
-COUNT = 401  # values of a continuous model: more than the panel is wide in points
-SETTLED = 5.0  # time constants, after which 0.7 % of a decay is left
-
 
 @dataclass(eq=False, repr=False)
 class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
@@ -156,7 +153,7 @@ class StepResponseDisplay(Display, axes="one Axes for each pair of signals"):
         times, responses, held = {}, {}, set()
         for label, system in systems.items():
             dt = sample_time(system)
-            step = dt or duration / (COUNT - 1)
+            step = dt or duration / 400  # more than the panel is wide in points
             count = max(2, int(np.floor(duration / step * (1.0 + 1e-9))) + 1)
             matrices = matrices_between(system, *names)
             times[label] = step * np.arange(count)
@@ -233,4 +230,4 @@ def _duration(system):
     rates, least = poles.real, 1e-3 * size  # slower ones, and integrators, would hide the rest
     if np.any(rates > least):
         return 3.0 / rates.max()
-    return SETTLED / max(np.abs(rates).min(), least)
+    return 5.0 / max(np.abs(rates).min(), least)  # 0.7 % of a decay is left

@@ -52,7 +52,6 @@ from sklearn_hd.algorithms.signals.fourier import sampled_harmonics
 
 MOST_TURNS = 50  # of S and inputs in turn
 SETTLED = 1e-11  # fall of the cost, a row, that another turn is worth
-LEAST_DAMPING = 1e-12
 POOR = 0.25  # of the fall expected: what earlier steps told of the curvature no longer holds
 WARM = 5  # steps that a start is given before it is judged
 MOST_ROWS = 2500  # on which starts are judged
@@ -322,7 +321,7 @@ class FreeForm:
             if trial.point.cost < model.point.cost:
                 gain = (model.point.cost - trial.point.cost) / max(expected, EPS)
                 fall = max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
-                return trial, max(damping * fall, LEAST_DAMPING), step, gain < POOR
+                return trial, max(damping * fall, 1e-12), step, gain < POOR
             damping, growth = damping * growth, 2.0 * growth
         return None, damping, None, True
 

@@ -31,7 +31,6 @@ from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_func
 
 FEW_STEPS = 8  # of exact data, whose likelihood has no end, if exponents rest
 MOST_STEPS = 40  # if they do not
-STILL = 0.01  # of a rate, that a step moves no exponent by
 MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
 AT_ONCE = 2.5e5  # of them at once: what a processor keeps at hand
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
@@ -230,7 +229,7 @@ class _Form:
         """Whether another step moves no mode that lasts by more than it may be off."""
         logarithms, ahead, deviations = self.ahead(at, system, damping)
         lasting = logarithms.real > np.log(LASTING)
-        size = STILL * np.maximum(np.abs(logarithms.real), LEAST_RATE)
+        size = 0.01 * np.maximum(np.abs(logarithms.real), LEAST_RATE)
         size = np.maximum(size, deviations)
         return bool(np.all(np.abs(ahead - logarithms)[lasting] <= size[lasting]))
 

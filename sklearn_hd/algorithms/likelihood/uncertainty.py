@@ -34,7 +34,6 @@ from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents, on_branc
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
 
-STEP = 1e-6  # of parameters, where exponents are differenced
 N_BLOCKS = 40  # of a record, in time
 LEVELS = 3  # of the size of the motion, of which each holds as much of its square
 FEWEST = 10  # rows of a block
@@ -179,7 +178,7 @@ def _slopes_of_longer_steps(form, parameters):
 
     exponents = exponents_at(theta)
     for k in range(len(theta)):
-        step = STEP * max(1.0, abs(theta[k])) * (np.arange(len(theta)) == k)
+        step = 1e-6 * max(1.0, abs(theta[k])) * (np.arange(len(theta)) == k)
         gaps = []
         for moved in (exponents_at(theta + step), exponents_at(theta - step)):
             gap = moved - exponents[:, None]

@@ -37,10 +37,8 @@ _STALLED = 1e-12  # relative fall of the sum of squares in one step
 _NOTHING_LEFT = 1e-31  # sum of squares, relative to that of G_c
 _PATIENCE = 25  # steps that must earn a tenth; a creep goes to parameters at infinity
 _RUNAWAY = 1e6  # times the fastest pole: one that has become a feedthrough
-_LINES = 40  # largest number of lines Re s = α on the way to the axis
 _SAME = 1e-6  # relative distance of residuals of one and the same match
 _HELD_UP = 5, 0.9  # over so many lines, α must fall below this share: a pole runs along before it
-_LEAST_DAMPING = 1e-14  # of a step that counts as free of damping
 _WIDTH = 1e-300  # between a bound and a parameter on it: the routine wants an interval
 _NOTHING = np.empty(0)  # the parameters of G_c
 
@@ -122,7 +120,7 @@ class BoundedSteps:
         self._target = -(orthogonal.T @ residual)
         lower, upper = np.minimum(lower, 0.0) * self._size, np.maximum(upper, 0.0) * self._size
         self._bounds = lower - _WIDTH * (lower == 0), upper + _WIDTH * (upper == 0)
-        self.promised = self.damped(_LEAST_DAMPING)[1]
+        self.promised = self.damped(1e-14)[1]  # as good as free of damping
 
     def damped(self, damping):
         """Step and the decrease of |r + J s|² that it promises."""
@@ -227,7 +225,7 @@ def fit_from_the_right(problem, theta, max_iter):
     history, fastest = (), problem.fastest
     shift = max(fastest, 2.0 * problem.abscissa(theta))
     shifts, (n_lines, share) = [], _HELD_UP
-    while len(shifts) < _LINES:
+    while len(shifts) < 40:  # lines Re s = α on the way to the axis
         shifts.append(shift)
         fit = levenberg_marquardt(problem, theta, shift=shift, max_iter=15)
         theta, history = fit.theta, history + fit.history

@@ -166,7 +166,6 @@ def match_structure(
 
 _RUNAWAY = 1e8  # times the fastest pole: an error within 1e-7 or so of that with a feedthrough
 _CERTIFIED = 0.5  # decrease that a certificate may promise; at minima it is 1e-4 to 0.15
-_DESCENTS = 3  # matches and starts that go down
 _FIRST_GAP = 1e-2  # of a bound over the norm, at which they are compared
 _NEAR = 1e-6  # relative residual of a match that may be exact, and needs no other start
 
@@ -232,7 +231,7 @@ def least_norm(problem, fits, starts, max_iter):
     others += [(problem.peak(theta)[0], GridFit(theta, np.inf, np.inf, ())) for theta, _ in starts]
     others = [each for each in others if np.isfinite(each[0])]
     others.sort(key=lambda each: each[0])
-    ways = [fits[0], *(fit for _, fit in others[: _DESCENTS - 1])]
+    ways = [fits[0], *(fit for _, fit in others[:2])]  # two more go down
     descents = [
         smooth_descent(problem, fit.theta, gap=_FIRST_GAP, max_iter=max_iter) for fit in ways
     ]

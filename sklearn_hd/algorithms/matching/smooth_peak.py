@@ -45,15 +45,12 @@ _FALL = 0.2  # of μ from one round to the next
 _SETTLED = 1e-2  # decrease of f, in units of μ, that a Newton step must promise; certificates
 # are 1e-4 to 1e-3 with it, 1e-2 with a tenth
 _LEAST_GAIN = 1e-3  # actual over promised decrease below which a step is refused
-_GOOD = 0.9  # from which it needs no correction
-_LEAST_RADIUS = 1e-10
 _SLIGHT = 1e-5  # share of a singular value in the curvature, of the largest, that is left out
 _MISSED = 0.2  # of the distance of a peak from t, by which the points may miss its top
 _FARTHEST = 3.0  # change of z in one step: a factor of 20
 _TO_WALL = 0.9  # of the way to a bound that one step may go
 _OFF_WALL = 1e-2  # distance from bounds to begin with, in scales of θ
 _TOUCHED = 1e-3  # from which a parameter ends on its bound, if the norm allows
-_POLISH = 8  # Newton steps at the end, which converge quadratically
 _LEAST_WEIGHT = 1e-3  # of a peak that counts: the bound weighs all points, most of them little
 
 
@@ -336,10 +333,10 @@ def _round(point, mu, radius, max_steps):
         n_steps += 1
         slopes = point.slopes(mu)
         step, promised, solve = _region_step(slopes.gradient, slopes.hessian, radius)
-        if promised <= _SETTLED * mu or radius < _LEAST_RADIUS:
+        if promised <= _SETTLED * mu or radius < 1e-10:
             break
         before = point.value(mu)
-        trial, value = _corrected(point, slopes, mu, step, solve, before - _GOOD * promised)
+        trial, value = _corrected(point, slopes, mu, step, solve, before - 0.9 * promised)
         gain, length = (before - value) / promised, np.linalg.norm(step)
         if gain < 0.25:
             radius = 0.3 * length
@@ -393,7 +390,7 @@ def _polished(point, mu):
     f_μ itself is too coarse there to tell one step from the next.
     """
     slopes = point.slopes(mu)
-    for _ in range(_POLISH):
+    for _ in range(8):  # Newton steps, which converge quadratically
         values, vectors = np.linalg.eigh(slopes.hessian)
         if values[0] <= 0:
             return point

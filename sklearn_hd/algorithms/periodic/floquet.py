@@ -39,7 +39,6 @@ MAX_ROUGH = 4096  # intervals open at one time; a few jumps and kinks never come
 BLOCK = 256  # intervals integrated together; bounds the memory
 ROTATION = 2.0  # ∫‖F‖ dt of one factor: its condition stays below e⁴
 MIN_FACTORS, MAX_FACTORS = 32, 8192
-NEVER = -1e300  # stands for the logarithm of zero
 MAX_SWEEPS = 60  # multipliers whose ratio is below 0.5 part in 50
 WIDE = 1e-3  # ratio of multipliers in one block below which sweeps go on
 
@@ -449,7 +448,7 @@ def _nested(factors):
         closing = start.T @ bases[-1]
         blocks = _blocks(closing, tolerance)
         logarithms = [_block_logarithms(closing, triangles, block) for block in blocks]
-        if all(np.ptp(np.maximum(b.real, NEVER)) <= -np.log(WIDE) for b in logarithms):
+        if all(np.ptp(np.maximum(b.real, -1e300)) <= -np.log(WIDE) for b in logarithms):
             break
         start = bases[-1]
     return bases[:-1], blocks, logarithms

@@ -38,7 +38,6 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_ha
 
 SHAPE_CONDITION = 1e4  # of P(ψ), beyond which outputs do not determine the state
 TAIL = 1e-2  # harmonics of F this small, in parts of the noise, are left out
-SWEEPS = 20
 
 
 # ---- the Poincaré map ------------------------------------------------------------------------
@@ -84,7 +83,7 @@ def driven_states(Phi, C, directions, lifted, seen):
     few, target = compact(_off(directions, lifted)), _off(directions, seen)
     free = _off(directions, [units.reshape(len(few), -1)]).reshape(units.shape)
     sees, before = C, np.inf
-    for _ in range(SWEEPS):
+    for _ in range(20):
         regressors = np.einsum("kun,cn->kcu", free, sees).reshape(target.size, -1)
         unknown = solve_within_rank(regressors, target.ravel(), cond=EXACT)
         states = np.einsum("kun,u->kn", free, unknown)

@@ -34,14 +34,13 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import (
     forced_mean,
     spread_rows,
 )
-from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, ROWS_PER_COLUMN, harmonic_functions
 from sklearn_hd.algorithms.signals.fundamental import BEYOND
 
 LEAST_TURNS = 3.0  # of a record: fewer repeat nothing
 FIRST_TURNS = 16  # about the middle, of the first steps: speeds off by a hundredth are found
 MORE_TURNS = 4  # times as many in the next
 MOST_STEPS = 8
-MOST_ROWS = 20_000  # looked at of longer records
 LAGS = 8  # of the predictor
 ORBITS = 2  # harmonics of what inputs do: one alone takes the orbit of another input for a speed
 ORBIT = 0.02  # of the energy of an output about its mean, that the orbit of the other half holds

@@ -32,6 +32,7 @@ from sklearn_hd.algorithms.linalg.rounding import HALF, PRECISION, UNKNOWN
 TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
 CHUNK = 2**21  # numbers held at once of a regression
+MOST_ROWS = 20_000  # of a longer record, that are looked at
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 LINE = 20.0  # times the power beside it, which a line has by chance once in a thousand
 

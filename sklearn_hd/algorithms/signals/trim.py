@@ -31,7 +31,7 @@ from scipy.stats import f
 from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.signals.resampling import interpolate
 
-LEVEL = 1e-3  # share of noise taken for a drift, or a waveform
+LEVEL = 1e-3  # of tests: share of noise taken for a drift, or of linear machines for others
 NOTABLE = 1e-3  # of the energy of the motion: a drift of 3 % of it
 DUST = 1e-4  # of a signal, that splines through 7 samples a turn may miss
 LEAST_TURNS = 12  # of which some rest: fewer tell no Poincaré map

@@ -57,7 +57,6 @@ from sklearn_hd.algorithms.linalg.double_double import (
 
 CHUNK = 6144  # pairs of rows, which fit into a cache; sums of their slices' products: 51 bits
 LEAST_SQUARE = 1e-200  # whose rounding is no smaller than numbers can be
-MOST_EXPONENT = 300  # of two
 TOGETHER = 24  # channels times rows on the left side of one product
 REMEMBERED_ROWS = 256  # of a Gram matrix, whose table of places is kept for the next (0.5 MB)
 PLACED_ROWS = 32  # of a larger one at a time, which is put in order where it stands
@@ -406,7 +405,7 @@ def lag_products(records, n_lags, exact):
     lags = _lag_sums(long, n_lags, exponents, exact)
     if not exact and not _within_range(lags.high[0]):
         exponents = _power_exponents(units)
-        if np.max(np.abs(exponents)) > MOST_EXPONENT:  # else a channel is at rest
+        if np.max(np.abs(exponents)) > 300:  # else a channel is at rest
             lags = _lag_sums(long, n_lags, exponents, exact)
         else:
             exponents = np.zeros_like(exponents)

@@ -44,8 +44,6 @@ from sklearn_hd.algorithms.linalg.triangular import (
 from sklearn_hd.algorithms.lti.simulation import is_stable, nearest_stable
 from sklearn_hd.algorithms.subspace.innovations import gain_of_covariances, kalman_gain
 
-DRAWS = 20  # of coefficients that are noise
-
 
 def observability_subspace(R, block_rows, n_inputs):
     """Left singular vectors and singular values of the projected future outputs.
@@ -402,5 +400,5 @@ def _noise_floor(left, degrees, n_rows, width):
     _, sizes, Vt = linalg.svd(left, full_matrices=False)
     root = (sizes[:, None] * Vt).T / np.sqrt(max(1, degrees))
     rng = np.random.default_rng(0)  # the same floor for the same data
-    white = rng.standard_normal((DRAWS, len(sizes), n_rows * width))
+    white = rng.standard_normal((20, len(sizes), n_rows * width))
     return max(np.linalg.norm(_shifted(root @ noise, n_rows), 2) for noise in white)
