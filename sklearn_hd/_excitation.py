@@ -20,11 +20,10 @@ from scipy.stats import chi2
 from sklearn_hd._guards import searches, warn
 from sklearn_hd._records.data import lifted_periods
 from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, updated_factor
-from sklearn_hd.algorithms.likelihood.predictor import PIECE
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
 from sklearn_hd.algorithms.periodic.periodic_innovations import input_slopes
-from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import AT_ONCE, InputDirections, harmonic_functions
 from sklearn_hd.exceptions import ExcitationWarning
 
 MOST_OUTSIDE = 1e-3  # of the inputs' energy within the period
@@ -267,7 +266,7 @@ def _slopes(simulator, psi, n_harmonics):
     """
     end, at = None, simulator.at_samples(slice(1))
     width = (2 * n_harmonics + 1) * at.inputs.shape[1] + 1
-    length = max(1, PIECE // (sum(at.rows.outputs.shape[1:]) ** 2 * width))
+    length = max(1, AT_ONCE // (sum(at.rows.outputs.shape[1:]) ** 2 * width))
     for first in range(0, len(psi), length):
         some = slice(first, first + length)
         at, functions = (

@@ -20,9 +20,8 @@ import numpy as np
 from sklearn_hd.algorithms.periodic.floquet import by_phase, in_time, propagate_periodic
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_innovations import propagate_varying
-from sklearn_hd.algorithms.signals.fourier import harmonic_functions, sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import AT_ONCE, harmonic_functions, sampled_harmonics
 
-PIECE = 1_000_000  # numbers in the arrays of one piece, 8 MB: a cache
 TILE = 64  # samples of a time-invariant system that make a period
 
 
@@ -245,7 +244,7 @@ def _nonzero(derivatives):
 def _pieces(n_samples, n_phases, columns, n_states, n_outputs):
     """First and last sample of pieces of whole periods that fit into memory."""
     each = columns * (4 * n_states + 2 * n_outputs)
-    length = n_phases * max(1, PIECE // (each * n_phases))
+    length = n_phases * max(1, AT_ONCE // (each * n_phases))
     return [(k, min(k + length, n_samples)) for k in range(0, n_samples, length)]
 
 

@@ -28,8 +28,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EPS
 from sklearn_hd.algorithms.linalg.triangular import solve_within_rank
-
-_PIECE = 100_000  # entries of second derivatives that are summed together
+from sklearn_hd.algorithms.signals.fourier import AT_ONCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +175,7 @@ class AffineStructure:
         after = v @ self._driven(matrices, s)[columns[second]].transpose(1, 2, 0)
         places = (slice(None), *np.ix_(columns[first], rows[second]))
         half = np.zeros((before.shape[2], after.shape[2]))
-        size = max(1, _PIECE // max(half.size, 1))
+        size = max(1, AT_ONCE // max(half.size, 1))
         for here in (slice(k, k + size) for k in range(0, len(s), size)):
             K = np.linalg.inv(s[here, None, None] * np.eye(n) - matrices[0])
             half += np.sum((before[here].swapaxes(1, 2) @ after[here]) * K[places], axis=0).real

@@ -36,7 +36,7 @@ from scipy import linalg
 
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
-from sklearn_hd.algorithms.signals.fourier import CHUNK, fitted_harmonics, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import AT_ONCE, fitted_harmonics, harmonic_functions
 
 SENSOR_NOISE = 3e-3  # of an output's motion, which lagged outputs are taken to hold at least
 MOVED = 1e-4  # rad, by which azimuths are moved to see what that changes
@@ -367,8 +367,8 @@ def futures_known(segment, predictor, n_future):
         return p, np.zeros((0, f * n_outputs))
     known = np.zeros((n_rows, f, n_outputs))
     orders = range((layout.n_functions - 1) // 2 + 1)
-    for start in range(0, n_rows, CHUNK // (p * z.shape[1] * f + 1) + 1):
-        rows = np.arange(start, min(n_rows, start + CHUNK // (p * z.shape[1] * f + 1) + 1)) + p
+    for start in range(0, n_rows, AT_ONCE // (p * z.shape[1] * f + 1) + 1):
+        rows = np.arange(start, min(n_rows, start + AT_ONCE // (p * z.shape[1] * f + 1) + 1)) + p
         past = np.stack([z[rows - r] for r in range(1, p + 1)], axis=1)  # (k, p, w)
         past = past.reshape(len(rows), -1)
         for j in range(f):
@@ -482,7 +482,7 @@ def _regressor_kinds(counts, n_harmonics, n_loads):
 
 def _chunks(start, stop, width):
     """Rows from start to before stop, so many at a time that regressors stay in memory."""
-    length = max(256, CHUNK // max(1, width))
+    length = max(256, AT_ONCE // max(1, width))
     for first in range(start, stop, length):
         yield np.arange(first, min(stop, first + length))
 

@@ -31,7 +31,7 @@ from sklearn_hd.algorithms.linalg.rounding import HALF, PRECISION, UNKNOWN
 
 TWO_PI = Fraction("6.283185307179586476925286766559005768394")  # to 40 digits
 WINDOW_PERIODS = {"boxcar": 1, "triangle": 2, "hann": 2}
-CHUNK = 2**21  # numbers held at once of a regression
+AT_ONCE = 1_000_000  # numbers worked on together, 8 MB: a cache
 MOST_ROWS = 20_000  # of a longer record, that are looked at
 ROWS_PER_COLUMN = 5  # of a regression, below which it is largely noise
 LINE = 20.0  # times the power beside it, which a line has by chance once in a thousand
@@ -210,7 +210,7 @@ def fitted_harmonics(parts, n_harmonics):
     """
     gram, products = 0.0, 0.0
     for values, psi in parts:
-        length = max(256, CHUNK // (2 * n_harmonics + 1))
+        length = max(256, AT_ONCE // (2 * n_harmonics + 1))
         for start in range(0, len(psi), length):
             rows = slice(start, start + length)
             functions = harmonic_functions(psi[rows], range(n_harmonics + 1))

@@ -85,7 +85,7 @@ def jacobian(response, record, x0):
 @pytest.mark.parametrize("piece", [1, 3000, 8_000_000])
 def test_jacobian_is_that_of_central_differences(oscillator, rng, piece, monkeypatch):
     """All at once or piece by piece."""
-    monkeypatch.setattr(predictor, "PIECE", piece)
+    monkeypatch.setattr(predictor, "AT_ONCE", piece)
     structure, theta = oscillator
     segments, x0 = recorded(structure, theta, rng, lengths=(150,), phases=(5,), noise=0.1)
     response = sampled_response(structure, theta, OMEGA, N_PHASES)

@@ -71,7 +71,7 @@ def differences(form, parameters, record, x0, step=1e-6):
 @pytest.mark.parametrize("name", FORMS)
 def test_derivatives_are_central_differences(name, n_gain_harmonics, piece, rng, monkeypatch):
     """By x0, θ and the coefficients of K; all at once or piece by piece."""
-    monkeypatch.setattr(predictor, "PIECE", piece)
+    monkeypatch.setattr(predictor, "AT_ONCE", piece)
     form, parameters = case(name, n_gain_harmonics, rng)
     record, _ = record_of(form, rng, 45)
     x0 = rng.standard_normal(2)

@@ -68,7 +68,7 @@ def test_sums_do_not_depend_on_chunks_or_segments(monkeypatch):
     whole = segment(900)
     own = layout()
     sums = LagSums.of([whole], own)
-    monkeypatch.setattr(periodic_predictor, "CHUNK", 1)
+    monkeypatch.setattr(periodic_predictor, "AT_ONCE", 1)
     np.testing.assert_allclose(LagSums.of([whole], own).gram, sums.gram, rtol=1e-12, atol=1e-9)
     apart = [segment(400, seed=1), segment(300, seed=2, start=1.0)]
     together = LagSums.of(apart, own)
