@@ -269,9 +269,7 @@ def _slopes(simulator, psi, n_harmonics):
     length = max(1, AT_ONCE // (sum(at.rows.outputs.shape[1:]) ** 2 * width))
     for first in range(0, len(psi), length):
         some = slice(first, first + length)
-        at, functions = (
-            simulator.at_samples(some),
-            harmonic_functions(psi[some], range(n_harmonics + 1)),
-        )
+        at = simulator.at_samples(some)
+        functions = harmonic_functions(psi[some], range(n_harmonics + 1))
         slopes, end = input_slopes(at.rows, at.inputs, functions, end)
         yield some, at.inputs, slopes

@@ -200,15 +200,11 @@ def _made(key, make):
     return key, make()
 
 
-def _by_columns(z):
-    return z.flags.f_contiguous and not z.flags.c_contiguous
-
-
 def _digest(records):
     digest = hashlib.blake2b(repr(LAYOUT).encode(), digest_size=20)
     for signals in records:
         for z in signals:
-            columns = _by_columns(z)
+            columns = z.flags.f_contiguous and not z.flags.c_contiguous
             digest.update(repr((z.shape, z.dtype.str, columns)).encode())
             digest.update(np.ascontiguousarray(z.T if columns else z))
     return digest.hexdigest()

@@ -468,8 +468,5 @@ class PeriodBasis(HarmonicBasis):
 
     def between_rows(self, Y, rows, n_samples):
         """Coefficients at every sample: those of its period."""
-        return Y[..., np.clip(_row_before(rows, n_samples), 0, len(rows) - 1), :]
-
-
-def _row_before(rows, n_samples):
-    return np.searchsorted(rows, np.arange(n_samples), side="right") - 1
+        before = np.searchsorted(rows, np.arange(n_samples), side="right") - 1
+        return Y[..., np.clip(before, 0, len(rows) - 1), :]

@@ -142,7 +142,8 @@ def _beside(group, amplitudes, r):
 
 def _combined(experiment, records, combinations):
     """The experiment of some linear combinations of records."""
-    times, clocks = experiment.times(), _clocks(experiment)
+    times = experiment.times()
+    clocks = [experiment.sampling.clock[segment] for segment in experiment.base.segments]
     blocks = [f.name for f in fields(experiment) if isinstance(getattr(experiment, f.name), list)]
     values, labels, grids, clock = {name: [] for name in blocks}, [], [], []
     for weights, group, lead, lengths in combinations:
@@ -157,10 +158,6 @@ def _combined(experiment, records, combinations):
             grids.append(times[records[lead][place]][:n])
             clock.append(clocks[records[lead][place]][:n])
     return regrouped(experiment, values, grids, clock, labels)  # outputs without their trim
-
-
-def _clocks(experiment):
-    return [experiment.sampling.clock[segment] for segment in experiment.base.segments]
 
 
 # ---- the linear part of responses ----------------------------------------------------------------

@@ -151,20 +151,16 @@ def steps_between(F, G, left, right, omega, *, tolerance=1e-14):
     def rule(left, right):
         return _collocation_step(F, G, left, right, omega, units)
 
+    blocks = (slice(k, k + BLOCK) for k in range(0, max(len(left), 1), BLOCK))
     steps = np.concatenate(
         [
-            by_bisection(rule, _compose, _transition_weights, *ends, tolerance)
-            for ends in zip(*(_blocked(each) for each in (left, right)), strict=True)
+            by_bisection(rule, _compose, _transition_weights, left[some], right[some], tolerance)
+            for some in blocks
         ]
     )
     n = len(units)
     steps *= units[:, None]
     return steps[:, :, :n] / units, steps[:, :, n:]
-
-
-def _blocked(values):
-    """Some hundred values at a time."""
-    return np.split(values, range(BLOCK, len(values), BLOCK))
 
 
 def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):

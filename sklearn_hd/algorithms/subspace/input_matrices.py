@@ -152,7 +152,8 @@ def input_matrices(
         start, left = _without_start(R, n)
         starts.append(start)
         shared = triangle(shared, left)
-    theta = _solve(shared)
+    # by columns of equal length, so that units do not decide the rank; the shortest one
+    theta = solve_within_rank(shared[:, :-1], shared[:, -1])
     x0 = np.array([starts[k].solve(theta) for k in firsts])
     found = *split(theta, n, m, n_outputs), x0
     if not return_residual:
@@ -188,15 +189,6 @@ def pieces_of(A, lengths):
         starts = range(0, length, longest) if length else [0]
         pieces += [(s, slice(start, min(start + longest, length))) for start in starts]
     return pieces, firsts
-
-
-def _solve(shared):
-    """Entries of B and D, row by row, from the equations left for them.
-
-    With columns of equal length, so that units do not decide the rank; of inputs that move
-    together the shortest.
-    """
-    return solve_within_rank(shared[:, :-1], shared[:, -1])
 
 
 def _product_factor(normal, u, y, feedthrough, scales):

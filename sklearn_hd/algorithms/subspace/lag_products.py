@@ -399,7 +399,8 @@ def lag_products(records, n_lags, exact):
     short = tuple(np.hstack(signals) for signals in records if len(signals[0]) < n_lags)
     long = [signals for signals in records if len(signals[0]) >= n_lags]
     units = long or records  # short ones are kept, not multiplied
-    exponents = _power_exponents(units) if exact else np.zeros(_n_channels(records[0]), int)
+    n_channels = sum(z.shape[1] for z in records[0])
+    exponents = _power_exponents(units) if exact else np.zeros(n_channels, int)
     if not long:
         return _nothing(n_lags, exponents, exact, short)
     lags = _lag_sums(long, n_lags, exponents, exact)
@@ -427,10 +428,6 @@ def _within_range(products):
     """Whether squares have neither over- nor underflown."""
     squares = np.diagonal(products)
     return np.all((squares > LEAST_SQUARE) & (squares < 1.0 / LEAST_SQUARE))
-
-
-def _n_channels(signals):
-    return sum(z.shape[1] for z in signals)
 
 
 def _power_exponents(records):
