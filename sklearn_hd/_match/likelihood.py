@@ -220,7 +220,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     """
     start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
-    first = {name: min(start.highest(name), 2) for name in open_to}
+    first = {name: min(start.highest(name), 2) for name in open_to}  # more are tried afterwards
     if "F" in first:
         first["F"] = start.highest("F") // 2
 

@@ -180,7 +180,7 @@ def _from_equation_error(model, experiment, structure, scale):
         measured, shown = (each.reshape(-1, len(names))[:, rows] for each in (y, clean))
         segments.append((measured, u.reshape(-1, u.shape[2]), 0))
         instruments.append(shown)
-    count = min(2, (spp - 1) // 2)
+    count = min(2, (spp - 1) // 2)  # harmonics of F and G to start from
     F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
     free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}

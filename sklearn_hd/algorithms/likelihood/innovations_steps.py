@@ -228,7 +228,7 @@ class _Form:
         """Whether another step moves no mode that lasts by more than it may be off."""
         logarithms, ahead, deviations = self.ahead(at, system, damping)
         lasting = logarithms.real > np.log(LASTING)
-        size = 0.01 * np.maximum(np.abs(logarithms.real), LEAST_RATE)
+        size = 0.01 * np.maximum(np.abs(logarithms.real), LEAST_RATE)  # parts of a rate
         size = np.maximum(size, deviations)
         return bool(np.all(np.abs(ahead - logarithms)[lasting] <= size[lasting]))
 

@@ -296,7 +296,7 @@ class Problem:
             if not trial.cost < point.cost:
                 break
             fall, point = point.cost - trial.cost, trial
-            if not self.correlated or fall < 1e-3 * self.n_residuals:
+            if not self.correlated or fall < 1e-3 * self.n_residuals:  # not worth another turn
                 break
         return point
 

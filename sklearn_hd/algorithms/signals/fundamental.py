@@ -38,6 +38,7 @@ FLOOR = 1e-4  # noise in parts of an output's motion, below which no record is t
 BEYOND = 5.0  # standard deviations at which a value is another
 CLEAR = 2.0  # times the mean square that is left; noise alone may leave 1.8 times
 SLIGHT = 1.2  # times: what a first-order gain is held against, which CLEAR asks to be real
+ASTRAY = 1e-3  # turns
 BESIDE = 4.0  # turns of the last harmonic over the record, by which another frequency is off
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
 NOISE = (
@@ -170,7 +171,7 @@ def omega_mismatch(inputs, outputs, sample_time, omega, starts=None):
         return None
     found = periods.estimate(*ends)
     off = abs(found.omega - omega) > BEYOND * found.std or found.drift != 0.0
-    clear = found.residual_given > CLEAR * found.residual and found.turns > 1e-3
+    clear = found.residual_given > CLEAR * found.residual and found.turns > ASTRAY
     return found if periods.tells(found, SPAN) and off and clear else None
 
 
