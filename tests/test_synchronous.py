@@ -546,3 +546,13 @@ def test_an_output_that_follows_a_state_keeps_the_exponent_of_the_map(samples):
     np.testing.assert_allclose(exponent, true, rtol=0.02)
     np.testing.assert_allclose(pipe["match"].ltp_.floquet_exponents(), exponent, rtol=1e-3)
     assert pipe.score(X, y) > 0.99
+
+
+def test_rounding_of_inputs_does_not_move_what_is_identified():
+    """Changes in mid-period give many directions, each in few periods: most are idle in most."""
+    X, y = record(mathieu(), noise=0.01, seed=3, n_changes=12)
+    values = [
+        synchronous(2.0)[:2].fit(X * (1 + k * 1.1e-15), y)["identify"].singular_values_
+        for k in range(4)
+    ]
+    np.testing.assert_allclose(values, np.tile(values[0], (4, 1)), rtol=1e-6)

@@ -136,7 +136,6 @@ def decompose(data, block_rows, size, settings, choose=None):
     decomposition : Decomposition
     """
     columns, m = n_hankel_columns(data.lengths, block_rows), data.n_inputs
-    # a step in mid-period moves in a direction that occurs but once: projected out as a whole
     lifted = data.facts.basis.reading == "period"
     counted = data.raw and not lifted
     feedthrough = settings.direct or lifted
@@ -146,7 +145,7 @@ def decompose(data, block_rows, size, settings, choose=None):
         excited = n_excited(R, block_rows, m) if counted else None
         if settings.predictor:
             return PredictorSubspace.of(R, block_rows, m, columns, feedthrough), excited
-        if not lifted and m > 0:
+        if m > 0:
             R = release_idle_directions(R, block_rows * m)
         return Projection.of(R, block_rows, m, columns, settings.weighting), excited
 
