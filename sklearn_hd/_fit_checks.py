@@ -15,7 +15,9 @@ from sklearn_hd.exceptions import (
     InstabilityWarning,
 )
 
+HALF_KEPT = 0.5  # of what neighbouring samples share, that rows read have to
 LINES = 20  # harmonics of an orbit that are looked for
+MOST_OF_IT = 0.5  # of an output's variance
 LOST = 1e8  # times growth beside which rounding leaves half of the digits of what decays
 MIN_PERIODS = 6  # to see a rate in
 CALM = 1e6  # times growth that leaves most of them
@@ -71,10 +73,10 @@ def _warn_of_hertz(experiment):
     if (places[-1] - places[0]) * omega < 2.0 * np.pi * FEWEST:
         return False  # any few waves make a short record
     there = _share_in_lines(y, places, 2.0 * np.pi * omega)
-    if not np.any(there > 0.5):
+    if not np.any(there > MOST_OF_IT):
         return False
     here = _share_in_lines(y, places, omega)
-    told = (there > 0.5) & (here < there / 2.0)
+    told = (there > MOST_OF_IT) & (here < there / 2.0)
     if not told.any():
         return False
     k = int(np.argmax(np.where(told, there, 0.0)))
@@ -360,7 +362,7 @@ def motion_kept(measured, sampling, basis, taken):
 
 def lasting_hop(kept):
     """Largest distance in samples at which every output keeps half of its motion."""
-    less = kept < 0.5
+    less = kept < HALF_KEPT
     return int(np.min(np.where(less.any(axis=0), np.argmax(less, axis=0), len(kept))))
 
 
@@ -370,7 +372,7 @@ def warn_of_thinning(experiment, taken):
     if basis.hop == 1:
         return
     kept = motion_kept(experiment.measured, experiment.sampling, basis, taken)
-    lost = kept[-1] < 0.5
+    lost = kept[-1] < HALF_KEPT
     if lost.any():
         names = [name for name, each in zip(experiment.output_names, lost, strict=True) if each]
         warn(

@@ -26,9 +26,12 @@ from sklearn_hd.algorithms.signals.fourier import MOST_ROWS, harmonic_functions
 from sklearn_hd.exceptions import UnstableModelError
 
 ROWS_PER_PARAMETER = 4  # below which residuals are what parameters leave by chance
+MOST_LAGS = 20
 TURNS_BACK = 3  # of inputs, which a state that is missing answers to for long
+INTERVALS_AN_OCTAVE = 2
 MOST_DEGREES = 60  # of freedom of one test: with more, it sees less
 ROWS_PER_DEGREE = 10
+LAGS_BY_PHASE = 5
 HARMONICS_BY_PHASE = (1, 2)
 MORE_LOADS = 12  # harmonics beyond those fitted
 ALARM = 1e-4  # of tests at fit, which nobody asked for
@@ -239,7 +242,7 @@ class _Counts:
     def of(cls, left, lags):
         n_outputs, m = max(1, len(left.output_names)), max(1, len(left.input_names))
         most = min(MOST_DEGREES, left.n_rows // ROWS_PER_DEGREE)
-        asked = 20 if lags is None else lags
+        asked = MOST_LAGS if lags is None else lags
         own, inputs = (max(1, min(asked, most // (n_outputs * k))) for k in (n_outputs, m))
         pairs = 2 * len(HARMONICS_BY_PHASE) * n_outputs * max(n_outputs, m)
         turn = left.samples_per_period or 1.0
@@ -253,7 +256,7 @@ class _Counts:
                     f"rows for each degree of freedom, at most {most_lags}; give fewer, or None"
                 )
             own, inputs = lags, lags
-        return cls(own, inputs, max(1, min(5, most // pairs)), loads)
+        return cls(own, inputs, max(1, min(LAGS_BY_PHASE, most // pairs)), loads)
 
 
 def _questions(left, lags):
@@ -286,7 +289,7 @@ def _earlier(inputs, count, samples_per_period):
     if samples_per_period is None:
         return [lagged(u, range(count)) for u in inputs]
     back = max(TURNS_BACK * samples_per_period, 2.0)
-    edges = np.geomspace(1.0, back, min(count, int(2 * np.log2(back)) + 1))
+    edges = np.geomspace(1.0, back, min(count, int(INTERVALS_AN_OCTAVE * np.log2(back)) + 1))
     edges = np.append(0, np.unique(np.rint(edges).astype(int)))
     return [past(u, edges) for u in inputs]
 

@@ -27,6 +27,7 @@ from sklearn_hd.algorithms.signals.resampling import advanced, late
 from sklearn_hd.algorithms.subspace.innovations import InnovationForm
 from sklearn_hd.exceptions import InstabilityWarning, UnstableModelError
 
+WARMUP_SHARE = 0.25  # of a segment, at most
 MOST_SCORED = 1e60  # times the measured outputs: a score is their square, its spread its square
 
 
@@ -449,7 +450,7 @@ def score_rows(step, simulator, experiment):
     warm = experiment.basis.warmup_samples
     if seconds is not None:
         warm = round(seconds / experiment.base.sample_time)
-    warm = max(1, min(warm, int(0.25 * (last - first - 2 * unread))))
+    warm = max(1, min(warm, int(WARMUP_SHARE * (last - first - 2 * unread))))
     return slice(first, first + warm), slice(first + warm + unread, last - unread)
 
 

@@ -24,6 +24,7 @@ from sklearn_hd.exceptions import (
 __all__ = ["OmegaEstimate", "estimate_omega"]
 
 PARTS = 4  # of the longest segment, that are compared
+VARIES = 0.1  # of a speed, searched to either side in a part
 FAR_ASTRAY = 0.05  # turns over a part: turbulence alone shifts the phase by up to a third of that
 
 
@@ -176,7 +177,7 @@ def _as_parts_have_it(found, segments, step):
     for k in range(PARTS):
         u, y, time = (z[k * length : (k + 1) * length] for z in longest)
         try:
-            part = fundamental.estimate_omega([u], [y], step, found.omega, 0.1)
+            part = fundamental.estimate_omega([u], [y], step, found.omega, VARIES)
         except ValueError:  # it is too short, or at rest
             return found
         estimates.append(_by_orbit(part, [(u, y, time)], step, steady=False))

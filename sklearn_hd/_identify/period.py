@@ -68,6 +68,7 @@ from sklearn_hd.algorithms.subspace.hankel import n_hankel_columns
 from sklearn_hd.algorithms.subspace.order import order_by_wide_gap
 from sklearn_hd.exceptions import ExcitationWarning, IdentifiabilityWarning
 
+A_TENTH_LESS = 0.9  # left by the multipliers identified, in parts of that by the refined ones
 WORDS = "period", "direction(s) of inputs", "use a longer record, or fewer block rows"
 
 
@@ -303,7 +304,7 @@ def unless_it_leaves_less(refined, identified, C, directions, lifted, seen):
     left, others = (
         np.sum(state_response(Phi, C, directions, lifted, seen)[2]) for Phi in (refined, identified)
     )
-    return identified if others < 0.9 * left else refined
+    return identified if others < A_TENTH_LESS * left else refined
 
 
 def _linear(Phi, still, decays, experiment, data):

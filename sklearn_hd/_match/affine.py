@@ -41,6 +41,7 @@ from sklearn_hd.structures import HarmonicStructure, MatrixStructure
 
 POOR_MATCH = 1e-2  # relative error of a match between different orders worth a warning
 RUNAWAY = 1e4  # speed of a pole, relative to the model's fastest, that is a feedthrough's
+FLOOR = 0.5  # share of the error that fixed entries of D leave, above which they decide it
 MOST_ROWS = 10_000  # of a segment, on which responses are compared
 
 
@@ -259,7 +260,7 @@ def warn_matched(result, criterion, poles, affine):
             f"system, or SpuriousModeReducer(n_states={n_wanted}) is needed",
             IdentifiabilityWarning,
         )
-    if result.feedthrough_floor > 0.5 * result.hinf_error and not result.exact:
+    if result.feedthrough_floor > FLOOR * result.hinf_error and not result.exact:
         warn(
             f"the structure cannot have the feedthrough of the model: fixed entries of D leave "
             f"{result.feedthrough_floor / result.hinf_error:.0%} of the error at infinite "

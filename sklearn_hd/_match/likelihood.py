@@ -35,6 +35,7 @@ from sklearn_hd.structures import HarmonicStructure
 
 N_HARMONICS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48)
 AFFORDABLE = 4.0  # times the parameters of a fit that does not converge, for all of the start's
+FIRST_HARMONICS = 2  # of G, and P in Floquet coordinates: more are tried afterwards
 
 
 def match_likelihood(match, structure, experiment, settings, opinion):
@@ -220,7 +221,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     """
     start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
-    first = {name: min(start.highest(name), 2) for name in open_to}  # more are tried afterwards
+    first = {name: min(start.highest(name), FIRST_HARMONICS) for name in open_to}
     if "F" in first:
         first["F"] = start.highest("F") // 2
 

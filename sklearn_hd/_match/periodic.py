@@ -43,6 +43,10 @@ from sklearn_hd.algorithms.subspace.innovations import predicted_states
 from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, InstabilityWarning
 
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
+CLEARLY_LESS = 0.98  # left of the record by the second way, in parts of that of the first
+POOR_FIT = 0.5  # share of the raw record's variance below which a closed form is not trusted
+LARGER_LEFT = 2.0  # times what the map leaves: beyond what fitting its freedom to noise explains
+EQUATION_HARMONICS = 2  # of F and G in the equation-error start
 
 
 def match_periodic(model, experiment, structure, simulated=True):
@@ -119,16 +123,15 @@ def _without_feedthrough(model, experiment, structure, scale):
         if other is None or other.systematic > LITTLE:
             raise  # not noise, but the order is at fault
         return _told(other, model, f"belongs to no periodic system ({error})")
-    if len(structure.states or experiment.basis.outputs) != model.n_states:
-        if structure.n_states is None and found.systematic > LITTLE:
+    n_measured = len(structure.states or experiment.basis.outputs)
+    if n_measured != model.n_states or grows(model.A, model.dt, experiment):  # maybe by noise
+        if structure.n_states in (None, n_measured) and found.systematic > LITTLE:
             other = _from_equation_error(model, experiment, structure, scale)
             if other is not None and other.systematic <= LITTLE:
                 return _told(other, model, f"leaves {found.systematic:.2g} of the variance")
-    elif grows(model.A, model.dt, experiment):
-        return found  # no simulation compares two ways
     elif noise > NOISY and 1.0 - found.r2 > NOISY**2:
         other = _from_equation_error(model, experiment, structure, scale)
-        enough = 0.98 if found.physical else AS_LITTLE  # of what the first way leaves
+        enough = CLEARLY_LESS if found.physical else AS_LITTLE
         if other is not None and 1.0 - other.r2 < enough * (1.0 - found.r2):
             # noise in its regressors biases the modes
             known = _modes_known(model, experiment, scale)
@@ -180,7 +183,7 @@ def _from_equation_error(model, experiment, structure, scale):
         measured, shown = (each.reshape(-1, len(names))[:, rows] for each in (y, clean))
         segments.append((measured, u.reshape(-1, u.shape[2]), 0))
         instruments.append(shown)
-    count = min(2, (spp - 1) // 2)  # harmonics of F and G to start from
+    count = min(EQUATION_HARMONICS, (spp - 1) // 2)
     F, _ = equation_error(segments, 2.0 * np.pi / basis.omega, spp, count, instruments)
     P = np.eye(len(names))[:, rows]
     free = {"F": F * scale[rows][:, None] / scale[rows], "P": P[None]}
@@ -378,7 +381,7 @@ def _seen(experiment):
 def warn_realized(found, model):
     """Of a periodic model in closed form, made of a map that was identified."""
     left, known = 1.0 - found.r2, np.inf if model.lifted is None else model.lifted.left
-    if found.r2 < 0.5:
+    if found.r2 < POOR_FIT:
         warn(
             f"the periodic model explains only {max(0.0, found.r2):.0%} of the record's variance; "
             f"check the order, omega and the length of the record, or refine the model with "
@@ -392,7 +395,7 @@ def warn_realized(found, model):
             f"the harmonics that the structure allows, and whether the response is linear",
             IdentifiabilityWarning,
         )
-    elif left > 2.0 * known and left - known > NOTABLE:  # beyond fitting its freedom to noise
+    elif left > LARGER_LEFT * known and left - known > NOTABLE:
         warn_in_place_of_states(
             found.model,
             f"the periodic model leaves {left:.2g} of the record's energy, but the map of whole "

@@ -32,6 +32,8 @@ from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
 from sklearn_hd.algorithms.signals.fourier import harmonic_labels, sampled_harmonics
 from sklearn_hd.algorithms.signals.resampling import ON_GRID, turned
 
+FEW_STEPS = 30  # of a search with more harmonics: one that takes longer is not determined
+FEW_STEPS_IN_CELLS = 10  # of a search for the samples in which delays lie
 COARSE = 0.1  # of the likelihood, in all, by which a candidate may miss its best
 
 
@@ -166,7 +168,7 @@ class RecordData:
 
         if like is not None:
             return through_cells(data.cells, within)[0]
-        few, size = min(10, settings.max_iter), output_scale(data.experiment)
+        few, size = min(FEW_STEPS_IN_CELLS, settings.max_iter), output_scale(data.experiment)
         quick = {"criterion": "output_error", "max_iter": few, "input_noise": None}
         alike = partial(within, settings=replace(settings, **quick), sigma=size)
         cost = partial(data._least, structure, theta, size)
@@ -212,8 +214,7 @@ class RecordData:
         options = {"bounds": bounds, "max_iter": settings.max_iter}
         if coarse:
             size = sum(y.size for _, y, _ in self.segments)
-            # a search that takes longer is not determined
-            options |= {"max_iter": min(30, settings.max_iter), "tol": COARSE / size}
+            options |= {"max_iter": min(FEW_STEPS, settings.max_iter), "tol": COARSE / size}
         if settings.predicts and like is not None:
             form = form.with_gain(like.form.n_gain_harmonics)
             found = fit_gain(form, self.segments, start, like.result.gain, **options)

@@ -24,6 +24,8 @@ from sklearn_hd._records.sampling import regrouped
 from sklearn_hd.algorithms.signals.resampling import ON_GRID, advanced, arriving, lagged
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
+MOST_SAMPLES = 50  # of a delay that is looked for in plain data
+MOST_OF_A_TURN = 0.5  # elsewhere
 STEADY = 4  # samples: rows are left out by multiples, so that fits near each other share theirs
 
 
@@ -159,7 +161,7 @@ def in_whole_samples(experiment, input_lags, output_lags, least=0):
 def most_samples(experiment):
     """The largest delay that is looked for."""
     basis = experiment.basis
-    most = 0.5 * basis.samples_per_period if basis.harmonic else 50
+    most = MOST_OF_A_TURN * basis.samples_per_period if basis.harmonic else MOST_SAMPLES
     return min(int(most), max(map(len, experiment.inputs)) // 4)
 
 

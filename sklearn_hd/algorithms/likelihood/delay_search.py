@@ -25,7 +25,11 @@ from sklearn_hd.algorithms.signals.fourier import harmonic_functions
 from sklearn_hd.algorithms.signals.resampling import first_lag
 
 MOST_CELLS = 60  # that a search goes through
+FIRST_PLACES = 16  # of a delay, at which a scan begins
+MOST_SWEEPS = 2  # through all delays
+MOST_STARTS = 5  # of searches
 SHALLOW = 0.03  # of the range of costs, by which what is tried may be above the least
+LAGS_BEHIND = 4  # of an input, after the largest delay tried
 ROWS_PER_COLUMN = 4  # at least, of the regression
 
 
@@ -133,9 +137,9 @@ def scanned(samples, free, most, cost):
     def least_of(pairs):
         return min(pairs, key=lambda pair: pair[0])
 
-    least, step = at(0, best[0])[0], max(1, most // 16)  # at 16 places first
+    least, step = at(0, best[0])[0], max(1, most // FIRST_PLACES)
     places = np.arange(0, most + 1, step)
-    for _ in range(2):  # sweeps through all delays
+    for _ in range(MOST_SWEEPS):
         before = least
         for place in free:
             least, best = least_of([(least, best), *(at(place, value) for value in places)])
@@ -156,7 +160,7 @@ def scanned(samples, free, most, cost):
         ends = np.isin(places, places[shallow][[0, -1]]) if shallow.any() else shallow
         some = np.flatnonzero(shallow & (lower | ends))
         minima += [profile[k] for k in some if abs(places[k] - best[place]) > step]
-    return [pair[1] for pair in sorted(minima, key=lambda pair: pair[0])[:5]]
+    return [pair[1] for pair in sorted(minima, key=lambda pair: pair[0])[:MOST_STARTS]]
 
 
 def through_cells(cells, fit):
@@ -254,7 +258,7 @@ def first_answers(segments, most, n_own, n_harmonics=0):
     """
     m, n_outputs = segments[0][0].shape[1], segments[0][1].shape[1]
     q, n_rows = 2 * n_harmonics + 1, sum(len(u) for u, _, _ in segments)
-    last = most + 4  # lags behind the largest delay
+    last = most + LAGS_BEHIND
     n_own = max(2, min(n_own, n_rows // (ROWS_PER_COLUMN * q) - m * (last + 1) - 1))
     found = np.full((n_outputs, m), np.nan)
     for j in range(n_outputs):

@@ -27,11 +27,13 @@ from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
-from sklearn_hd.algorithms.signals.fourier import AT_ONCE, ROWS_PER_COLUMN, harmonic_functions
+from sklearn_hd.algorithms.signals.fourier import ROWS_PER_COLUMN, harmonic_functions
 
 FEW_STEPS = 8  # of exact data, whose likelihood has no end, if exponents rest
 MOST_STEPS = 40  # if they do not
+STILL = 0.01  # of a rate, that a step moves no exponent by
 MOST_NUMBERS = 2e7  # sensitivities that second derivatives are made of: they take a second
+PIECE = 2.5e5  # of them at once: what a processor keeps at hand
 ENOUGH = 0.1  # fall of −log L, in all, below which parameters move within their deviations
 FIRST_DAMPING = 1e-3  # of the largest eigenvalue of the information
 DAMPING_LIMIT = 1e2
@@ -228,7 +230,7 @@ class _Form:
         """Whether another step moves no mode that lasts by more than it may be off."""
         logarithms, ahead, deviations = self.ahead(at, system, damping)
         lasting = logarithms.real > np.log(LASTING)
-        size = 0.01 * np.maximum(np.abs(logarithms.real), LEAST_RATE)  # parts of a rate
+        size = STILL * np.maximum(np.abs(logarithms.real), LEAST_RATE)
         size = np.maximum(size, deviations)
         return bool(np.all(np.abs(ahead - logarithms)[lasting] <= size[lasting]))
 
@@ -287,7 +289,7 @@ class _Form:
         """Products of the sensitivities to the free coefficients."""
         start, gram, inside = _started(W, rows, counts), 0.0, 0.0
         start = start.reshape(len(counts), len(W), start.shape[1])
-        most = max(AT_ONCE // (len(self.places) * len(W)), 1)
+        most = max(int(PIECE / len(self.places) / len(W)), 1)
         for piece, J in sensitivity_pieces(rows, pairs, most, W):
             J[~counts[piece]] = 0.0
             J, free = (z.reshape(-1, z.shape[-1]) for z in (J, start[piece]))

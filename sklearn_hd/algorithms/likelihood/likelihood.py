@@ -33,7 +33,9 @@ from sklearn_hd.algorithms.matching.least_squares import BoundedSteps, FreeSteps
 
 ROUNDING = 64.0 * EPS  # of an output, what simulation leaves of exactness
 NOISELESS = 1e-10  # of the outputs: less noise may be what rounding leaves in simulation
+MOST_TURNS = 5  # of S and inputs in turn
 QR_BLOCK = 32  # columns of a block of reflections
+WORTH_A_TURN = 1e-3  # of the likelihood, a row
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +289,7 @@ class Problem:
         Outputs are linear in these (Golub and Pereyra, 1973); S in turn with them.
         """
         linear = self.form.linear
-        for _ in range(5):  # S and inputs in turn
+        for _ in range(MOST_TURNS):
             system = self.linearise(point, only=linear)
             step, theta = system.step(0.0), point.theta.copy()
             theta[linear] += step
@@ -296,7 +298,7 @@ class Problem:
             if not trial.cost < point.cost:
                 break
             fall, point = point.cost - trial.cost, trial
-            if not self.correlated or fall < 1e-3 * self.n_residuals:  # not worth another turn
+            if not self.correlated or fall < WORTH_A_TURN * self.n_residuals:
                 break
         return point
 

@@ -26,6 +26,7 @@ from sklearn_hd.algorithms.likelihood.search import Search, result_of, search
 from sklearn_hd.algorithms.periodic.floquet import propagate_periodic
 
 SETTLED = 1e-3  # relative change of noise levels; far below their own error
+SMALLEST_SHARE = 1e-3  # of the residual that is left to the output's own noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +241,7 @@ def with_noisy_inputs(problem, found, input_sigma, options):
     """Total least squares from where least squares ended, the outputs' noise in turn with it."""
     sigma = np.sqrt(np.diag(problem.spread(found.point.moments)))
     n_iter, settled = found.n_iter, False
-    smallest = 1e-3 * sigma  # left to the output's own noise
+    smallest = SMALLEST_SHARE * sigma
     for _ in range(options["max_iter"]):
         noisy = noisy_input_problem(problem, sigma, input_sigma)
         begin = noisy.point(found.point.theta, found.point.x0)

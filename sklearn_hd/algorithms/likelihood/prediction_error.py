@@ -41,6 +41,8 @@ from sklearn_hd.algorithms.linalg.rounding import HALF
 from sklearn_hd.algorithms.periodic.periodic_structure import functions_of_turn
 
 RATIOS = 10.0 ** np.arange(-8, 3, 2)  # of noise in states and outputs, in parts of their size
+MOST_HARMONICS = 4  # of K
+MOST_TURNS = 400  # of the Riccati equation
 
 
 def output_error_of(
@@ -140,7 +142,7 @@ def most_harmonics(form):
     """Highest harmonic of K to be tried."""
     if not any(form.structure.varies) and form.observe is None:
         return 0
-    return min(4, int(np.ceil(form.n_phases / 2.0)) - 1)
+    return min(MOST_HARMONICS, int(np.ceil(form.n_phases / 2.0)) - 1)
 
 
 def first_gain(form, segments, theta0, gain0=None, counts=None):
@@ -176,7 +178,7 @@ def _filter_gains(form, response, size, ratio):
     Phi, C = (np.broadcast_to(M, (count, *M.shape[1:])) for M in (Phi, C))
     Q = ratio * _answering_alike(Phi, C)
     R, P, before, gains = np.eye(len(size)), Q, None, np.zeros((count, n, len(size)))
-    for _ in range(max(2, 400 // form.turns[1])):  # of the Riccati equation
+    for _ in range(max(2, MOST_TURNS // form.turns[1])):
         for k in range(count):
             spread = C[k] @ P @ C[k].T + R
             gains[k] = Phi[k] @ np.linalg.solve(spread, C[k] @ P).T

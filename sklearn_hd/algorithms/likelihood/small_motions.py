@@ -53,7 +53,9 @@ from sklearn_hd.algorithms.signals.fourier import (
 
 LEAST_TAKEN_UP = 0.5  # of the variance that a simulation leaves: its rows are not independent
 DEGREES = (2, 3)  # of products of states and inputs, by which a machine is not linear
+NEWTON_STEPS = 20  # to the orbit at rest: most take 3, those cut to few harmonics up to 10
 SETTLED = 1e-3  # of the motion: by no more may the last of them move
+REACHED = 0.99  # of the rows, the motion in which counts as its reach
 MOST_NUMBERS = 5e6  # sensitivities to products' coefficients: with more, steps take long
 LEAST_OF_ITS_OWN = 0.05  # of a product's mean square, which states, inputs, means do not explain
 AS_LITTLE = 1.1  # times what another model leaves: no more
@@ -391,7 +393,7 @@ class _Products:
         """
         m, L, far = rest.shape[1], len(rest) // 2, self._distance(motion)
         centre, moved = self.centre, self.with_means(model)
-        for _ in range(20):  # most take 3, those cut to few harmonics up to 10
+        for _ in range(NEWTON_STEPS):
             before, orbit = centre, _with_inputs(moved, m, 0).forced_orbit(rest, L)
             centre = np.hstack([orbit, rest])
             moved = self._moved(model, centre, self)
@@ -447,7 +449,7 @@ class _Products:
         """How far periodic signals go, in parts of how far the motion about the centre goes."""
         about = np.vstack([z - evaluate_harmonics(self.centre, psi) for z, psi in motion])
         inverse = np.linalg.pinv(about.T @ about)
-        most = np.quantile(np.einsum("ti,ij,tj->t", about, inverse, about), 0.99)
+        most = np.quantile(np.einsum("ti,ij,tj->t", about, inverse, about), REACHED)
         psi = np.linspace(0.0, 2.0 * np.pi, 4 * len(self.centre), endpoint=False)
 
         def far(coefficients):

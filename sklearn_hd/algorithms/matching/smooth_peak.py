@@ -45,6 +45,7 @@ _FALL = 0.2  # of μ from one round to the next
 _SETTLED = 1e-2  # decrease of f, in units of μ, that a Newton step must promise; certificates
 # are 1e-4 to 1e-3 with it, 1e-2 with a tenth
 _LEAST_GAIN = 1e-3  # actual over promised decrease below which a step is refused
+_GOOD = 0.9  # from which it needs no correction
 _SLIGHT = 1e-5  # share of a singular value in the curvature, of the largest, that is left out
 _MISSED = 0.2  # of the distance of a peak from t, by which the points may miss its top
 _FARTHEST = 3.0  # change of z in one step: a factor of 20
@@ -336,7 +337,7 @@ def _round(point, mu, radius, max_steps):
         if promised <= _SETTLED * mu or radius < 1e-10:
             break
         before = point.value(mu)
-        trial, value = _corrected(point, slopes, mu, step, solve, before - 0.9 * promised)
+        trial, value = _corrected(point, slopes, mu, step, solve, before - _GOOD * promised)
         gain, length = (before - value) / promised, np.linalg.norm(step)
         if gain < 0.25:
             radius = 0.3 * length

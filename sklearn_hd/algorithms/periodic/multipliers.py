@@ -22,6 +22,7 @@ SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from wher
 PATIENCE = 2  # orders that may pass without a better one
 WHITE_MARGIN = 1.3  # above it something stands out of the noise
 TRACY_WIDOM = 3.27  # what one in a thousand exceeds; M. Prähofer's tables, β = 1
+MAX_STEPS = 25  # what is found takes ten; modes of noise would go on for hundreds
 
 
 def refine_multipliers(Phi, directions, lifted, largest=None):
@@ -77,7 +78,7 @@ def refine_multipliers(Phi, directions, lifted, largest=None):
             xtol=1e-15,
             ftol=1e-12,
             gtol=1e-15,
-            max_nfev=25,  # what is found takes ten; modes of noise would go on for hundreds
+            max_nfev=MAX_STEPS,
         )
         best = found if best is None or found.cost < best.cost else best
     moved = map(with_characteristic, blocks, np.split(best.x, edges))

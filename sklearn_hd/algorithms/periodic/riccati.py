@@ -46,6 +46,7 @@ from sklearn_hd.algorithms.periodic.floquet import (
 )
 
 MAX_DOUBLINGS = 60  # 2⁶⁰ periods: beyond what a multiplier 1 − EPS needs
+REFINEMENTS = 2  # Newton's method; one takes residuals of 1e-10 to 2e-12, the second for slow loops
 MOST_PARTS = 4096  # of an interval, when a Hamiltonian is stiff
 
 
@@ -206,7 +207,7 @@ def solve_periodic_riccati(A, G, H):
     A, G, H, units = _balanced(A, G, H)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         X = _swept(A, G, H, _doubled(*composed(A, G, H)))
-        for _ in range(2):  # Newton's method; the second for slow loops
+        for _ in range(REFINEMENTS):
             defect, loop = _defect(A, G, H, X)
             correction = solve_periodic_lyapunov(loop, defect)
             if not np.all(np.isfinite(correction)):

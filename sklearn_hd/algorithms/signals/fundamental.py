@@ -38,6 +38,7 @@ FLOOR = 1e-4  # noise in parts of an output's motion, below which no record is t
 BEYOND = 5.0  # standard deviations at which a value is another
 CLEAR = 2.0  # times the mean square that is left; noise alone may leave 1.8 times
 SLIGHT = 1.2  # times: what a first-order gain is held against, which CLEAR asks to be real
+RANKS = 7  # at most, that a first-order gain is sought at
 ASTRAY = 1e-3  # turns
 BESIDE = 4.0  # turns of the last harmonic over the record, by which another frequency is off
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
@@ -470,7 +471,7 @@ class _Periods:
     def may_gain(self):
         """Whether less may be left beside the frequency given, to first order, at some rank."""
         _, X, n = self.rows(self.omega)
-        ranks = np.unique(np.geomspace(1, self.here.rank, 7).round().astype(int))
+        ranks = np.unique(np.geomspace(1, self.here.rank, RANKS).round().astype(int))
         for rank, there in zip(ranks, self.scores(X, n)[1][ranks], strict=True):
             if there <= (SLIGHT - 1.0) * self.floor:
                 return False  # nor do more patterns leave more
