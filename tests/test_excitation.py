@@ -24,7 +24,7 @@ from sklearn_hd.algorithms.periodic.periodic_innovations import (
 )
 from sklearn_hd.algorithms.signals.fourier import InputDirections, harmonic_functions
 from sklearn_hd.exceptions import CoordinatesWarning, ExcitationWarning, IdentifiabilityWarning
-from sklearn_hd.systems import LTPSystem, duffing
+from sklearn_hd.systems import LTPSystem, PeriodicSystem, duffing
 
 SPP, TRIM = 32, 8  # samples a period of 2π; periods at rest before the inputs
 PSI = 2.0 * np.pi * (np.arange(SPP) + 0.5) / SPP
@@ -311,6 +311,63 @@ def test_of_inputs_at_one_phase_the_smoothest_input_matrix_is_good_at_another(no
         u, y, motion = flown(40, 3, -0.035, offset=5 * SPP // 16)
         off = pipe.predict(u).to_numpy() - y.to_numpy()
     assert np.sum(off**2) < 0.1 * np.sum(motion**2)
+
+
+def roll(x, u, t):
+    """A ship in waves, heeled by wind; damping goes with the square of the rate."""
+    phi, rate = x
+    waves = 0.12 * np.cos(0.8 * t + 0.4) - 0.3 * np.cos(0.8 * t) * phi
+    return np.array(
+        [rate, waves - phi + 0.5 * phi**3 - 0.1 * rate - 0.25 * rate * abs(rate) + 0.08 + u[0]]
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("criterion", ["output_error", "prediction_error"])
+def test_likelihoods_do_not_follow_noise_where_no_phase_tells_the_input_matrix(criterion):
+    """Two 3-2-1-1 change at fifteen phases: without a prior, 1e6 times the motion is predicted."""
+    ship = PeriodicSystem(
+        roll,
+        lambda x, u, t: x[:1],
+        period=2.0 * np.pi / 0.8,
+        state_names=["roll", "rate"],
+        input_names=["heel"],
+        output_names=["roll"],
+    )
+    trim, samples = ship.trim(), 17.3
+
+    def sailed(n_turns, *moves):
+        t = np.arange(int(n_turns * samples)) * ship.period / samples
+        u = np.zeros((len(t), 1))
+        for begin, end, size in moves:
+            u[int(begin * samples) : int(end * samples)] = size
+        y, rest = (
+            ship.simulate(each, t, trim.initial_state, rtol=1e-8, atol=1e-10)
+            for each in (u, 0.0 * u)
+        )
+        index = pd.Index(t, name="time")
+        return pd.DataFrame(u, index, ["heel"]), pd.DataFrame(y, index, ["roll"]), y - rest
+
+    def multistep(begin, size):
+        for width in (4.5, 3.0, 1.5, 1.5):
+            yield begin, begin + width, size
+            begin, size = begin + width, -size
+
+    u, y, motion = sailed(120, *multistep(6.3, 0.01), *multistep(28.8, -0.01))
+    y += 0.01 * motion.std() * np.random.default_rng(0).standard_normal(y.shape)
+    pipe = Pipeline(
+        [
+            ("harmonics", HarmonicAnalyzer(0.8, reading="sample", trim_span=(0, 6 * ship.period))),
+            ("identify", MOESPRegressor()),
+            ("match", StructuredMatcher(structure=HarmonicStructure(), criterion=criterion)),
+        ]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Floquet coordinates, and of these inputs
+        pipe.fit(u, y)
+        u, y, motion = sailed(30, (3.37, 5.9, 0.01), (5.9, 9.2, -0.01), (9.2, 9.9, 0.01))
+        off = pipe.predict(u).to_numpy() - y.to_numpy()
+    assert np.sum(off**2) < 0.02 * np.sum(motion**2)
 
 
 @pytest.mark.slow

@@ -92,6 +92,12 @@ class PeriodicModel:
         M, n = self.coefficients, self.n_states
         return M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]
 
+    @property
+    def input_size(self):
+        """Root mean square over a turn of each entry of G, (n, m)."""
+        power = np.square(self.matrices()[1])
+        return np.sqrt(power[0] + 0.5 * power[1:].sum(axis=0))
+
     def highest(self, name):
         """Highest harmonic of F, G, P or Q that is not zero."""
         return len(trimmed_harmonics(self.matrices()["FGPQ".index(name)])) // 2

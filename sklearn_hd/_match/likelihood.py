@@ -62,7 +62,8 @@ def match_likelihood(match, structure, experiment, settings, opinion):
             f"determines; give a MatrixStructure or a HarmonicStructure"
         )
     periodic, delays = match.periodic, match.model.delays
-    data = RecordData.of(experiment, periodic is not None, match.sampled)
+    size = None if periodic is None else periodic.input_size
+    data = RecordData.of(experiment, periodic is not None, match.sampled, input_size=size)
     if data.cells is not None and settings.input_noise is not None:
         raise ValueError(
             "input_noise needs inputs that switch at samples, but delays that are 'auto' or not "

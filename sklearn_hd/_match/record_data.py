@@ -101,6 +101,8 @@ class RecordData:
         What the segments are of.
     cells : Cells or None
         Delays, where not all of them are whole samples, or some are parameters.
+    input_size : ndarray, shape (n, m), or None
+        About the size of each entry of G(ψ), where there is one.
     """
 
     segments: list
@@ -113,23 +115,24 @@ class RecordData:
     n_loads: int = -1
     cells: Cells | None = None
     raw: bool = True
+    input_size: np.ndarray | None = None
 
     @classmethod
-    def of(cls, experiment, raw, start, *, discrete=False):
+    def of(cls, experiment, raw, start, *, discrete=False, input_size=None):
         """Of a record without its delays; of how it was measured, if these are to be refined."""
         cells = None if discrete else _cells(experiment, raw)
-        if cells is not None:
-            return cls._in_cells(experiment.origin, raw, start, cells)
-        return cls._of(experiment, raw, start, discrete)
+        data = cls._of(experiment, raw, start, discrete, input_size)
+        return data if cells is None else data._in_cells(cells)
 
-    @classmethod
-    def _in_cells(cls, origin, raw, start, cells, least=0):
+    def _in_cells(self, cells, least=0):
+        """The same as it was measured, late by whole samples."""
+        origin = self.experiment.origin
         moved = in_whole_samples(origin, cells.input_lags, cells.output_lags, least)
         moved = replace(moved, origin=origin)
-        return replace(cls._of(moved, raw, start, False), cells=cells)
+        return replace(self._of(moved, self.raw, self.start, False, self.input_size), cells=cells)
 
     @classmethod
-    def _of(cls, experiment, raw, start, discrete):
+    def _of(cls, experiment, raw, start, discrete, input_size):
         basis = experiment.basis
         inputs = experiment.inputs if raw else experiment.drive
         omega, n_phases = sampling(experiment)
@@ -142,9 +145,8 @@ class RecordData:
             inputs = [_with_constant(u, start.innovations.n_inputs) for u in inputs]
             observe, n_loads = None, basis.most_loads
         segments = list(zip(inputs, experiment.outputs, where, strict=True))
-        return cls(
-            segments, omega, n_phases, observe, start, discrete, experiment, n_loads, raw=raw
-        )
+        own = {"n_loads": n_loads, "raw": raw, "input_size": input_size}
+        return cls(segments, omega, n_phases, observe, start, discrete, experiment, **own)
 
     def fit(self, structure, theta, settings, *, bounds=None, like=None, coarse=False):
         """A structure of the inputs and outputs, fitted from some start.
@@ -158,7 +160,7 @@ class RecordData:
             return data._fit(structure, theta, settings, like=like, **options)
 
         def within(cells, before, settings=settings, sigma=None):
-            own = data._in_cells(data.experiment.origin, data.raw, data.start, cells)
+            own = data._in_cells(cells)
             start, near = (theta, like) if before is None else (before.theta, before)
             known = {"like": near, "sigma": sigma, **options}
             found = own._fit(structure, start, settings, **known)
@@ -177,7 +179,7 @@ class RecordData:
     def _least(self, structure, theta, size, cells):
         """Cost of a model with the best effect of its inputs, late by some delays."""
         origin = self.experiment.origin
-        own = self._in_cells(origin, self.raw, self.start, cells, most_samples(origin) + 1)
+        own = self._in_cells(cells, most_samples(origin) + 1)
         form, start = own._started(*own._with_loads(structure, theta, None))
         return cost_of_best_inputs(form, own.segments, start, size)
 
@@ -205,6 +207,8 @@ class RecordData:
         form, start = self._started(*self._with_loads(structure, theta, like))
         if settings.input_noise is not None:  # total least squares take the trim for known
             form = replace(form, waveform=False)
+        else:
+            form = replace(form, input_size=self.input_size)
         n_late = form.n_model - form.structure.n_parameters
         if bounds is not None or n_late:
             own = (np.full(len(theta), -np.inf), np.full(len(theta), np.inf))

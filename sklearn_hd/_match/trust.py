@@ -66,7 +66,7 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     plain = propagate_std(slopes, fit.covariance)
     into = np.eye(len(result.point.theta))[places] if fit.into is None else fit.into
     gradients = np.vstack([np.eye(k), slopes.real, slopes.imag]) @ into
-    moves = gradients[k:] @ result.system.step(0.0)
+    moves = gradients[k:] @ result.ahead.step(0.0)
     of_fit = result.sigma, result.aic, result.bic, exponents
     stopped = partial(_warn_of_steps, result, settings, exponents, moves, omega=fit.form.omega)
     if isinstance(result.problem, NoisyInputProblem):  # its parts answer for each other's inputs
@@ -191,7 +191,7 @@ def _warn_of_steps(result, settings, exponents, moves, std, part, omega):
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.where(moves == 0.0, 0.0, np.abs(moves) / deviations)
     steps = np.where(np.tile(lasting(exponents, omega), 2), steps, 0.0)
-    more = result.system.promised / result.n_residuals * part
+    more = result.ahead.promised / result.n_residuals * part
     if np.all(steps <= 1.0) and more <= LITTLE:
         return
     share = f"another {more:.2g}" if more < 1.0 else "more than all"  # if residuals were linear

@@ -300,6 +300,9 @@ class Form:
     waveform : bool
         Whether each record has a waveform of the turn of its own, which is unknown: what a trim
         that was subtracted is off by. Turns then hold whole samples.
+    input_size : ndarray, shape (n, m), or None
+        About the size of each entry of G, which changes smoothly with ψ, for inputs but the last
+        few; None if it may change in any way.
     """
 
     structure: PeriodicStructure
@@ -312,6 +315,7 @@ class Form:
     delays: Fractions | None = None
     gauge: bool = False
     waveform: bool = False
+    input_size: np.ndarray | None = None
 
     @property
     def n_states(self):
@@ -341,6 +345,42 @@ class Form:
             np.append(columns < self.n_states, False), self.structure.basis.indptr[:-1]
         )
         return np.flatnonzero(drives == 0)
+
+    def stiffness(self, squares):
+        """How stiff G(ψ) is in each parameter, where it is a cubic smoothing spline of its size.
+
+            s_ij G_ij,k ~ N(0, (g_j / k²)²),   g_j = rms_i (s_ij G_ij)
+
+        G_ij,k are coefficients of harmonic k, and s_ij is the size of what a constant push makes
+        of the records. Inputs that switch at few azimuths tell some sums of harmonics alone, and a
+        likelihood by itself follows noise in the others without end.
+
+        Parameters
+        ----------
+        squares : ndarray, shape (k,)
+            Of what each parameter makes of the records, summed.
+
+        Returns
+        -------
+        stiffness : ndarray, shape (k,)
+            Zero for constants, for all but G, and where an input does nothing.
+
+        References
+        ----------
+        G. Wahba, *Spline Models for Observational Data*, 1990, chapter 2.
+        """
+        n, m = self.input_size.shape
+        entries = self.structure.basis.tocoo()
+        place, share = entries.coords[0], entries.data**2
+        harmonic, row, column = np.unravel_index(entries.coords[1], self.structure.constant.shape)
+        own = (row < n) & (column >= n) & (column < n + m)
+        place, share, i, j = place[own], share[own], row[own], column[own] - n
+        pushes = np.zeros((n, m))  # s²: constants make the most of the records
+        np.maximum.at(pushes, (i, j), squares[place] / share)
+        effect = np.mean(pushes * self.input_size**2, axis=0)[j]  # g²
+        stiff = np.divide(pushes[i, j], effect, out=np.zeros(len(j)), where=effect > 0.0)
+        stiff *= share * ((harmonic[own] + 1) // 2) ** 4
+        return np.sqrt(np.bincount(place, stiff, len(squares)))
 
     def with_gain(self, n_harmonics):
         """The same with a gain of some harmonics, or None."""

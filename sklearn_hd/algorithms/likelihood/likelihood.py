@@ -14,9 +14,15 @@ A trim that was subtracted is off by a waveform c(ψ) that nobody knows. Of a si
 to e, of a predictor its periodic answer is, beside initial states that are free: in both cases the
 most likely c takes the mean over the turns out of e at each phase. Steps get there turn by turn
 (Helmert, 1876), as pieces come: row k of a phase becomes (e_k − mean of those before) √((k−1)/k).
+
+What the records do not tell of some parameters may be known beforehand, ½ |known θ|² more: with
+[J r] at the start, J/stiffness = U diag(s) Vᵀ over them when all others are free, stiffness θ along
+v_j counts as white noise of variance 1 + s_j². So it counts where the records tell less (s_j < 1),
+and hardly moves what they tell.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -60,21 +66,29 @@ class LinearSystem:
 
     Attributes
     ----------
-    factors : list of ndarray, shape (c, c)
-        Of each segment.
     R : ndarray, shape (k + 1, k + 1)
         Triangular factor of the weighted [J r], its projection on x0 taken out.
+    squares : ndarray, shape (k,)
+        Those of J's columns before that, summed.
     states : list of ndarray, shape (n, k + 1)
         The best change of x0 is −states [step; 1].
-    steps : FreeSteps or BoundedSteps
-        Free ones count J's columns by their length before that, and leave out rounding.
+    bounds : tuple of ndarray, shape (k,), or None
+        Least and largest steps.
     """
 
-    factors: list
     R: np.ndarray
+    squares: np.ndarray
     states: list
     promised_by_states: float
-    steps: FreeSteps | BoundedSteps
+    bounds: tuple | None = None
+
+    @cached_property
+    def steps(self):
+        """Those within bounds; free ones count J's columns by their length, without rounding."""
+        if self.bounds is not None:
+            return BoundedSteps(self.R[:, -1], self.R[:, :-1], *self.bounds)
+        size = np.sqrt(np.where(self.squares > 0.0, self.squares, 1.0))
+        return FreeSteps(self.R[:, :-1] / size, self.R[:, -1], size, DEPENDENT)
 
     @property
     def promised(self):
@@ -85,18 +99,33 @@ class LinearSystem:
         """Change of θ, of least norm in scaled coordinates."""
         return self.steps.damped(damping)[0]
 
-    def left_at(self, step, x0_step):
-        """Weighted sum of squares at a step if the outputs were linear in it."""
-        return sum(
-            float(np.sum((factor @ np.concatenate([states, step, [1.0]])) ** 2))
-            for factor, states in zip(self.factors, x0_step, strict=True)
-        )
+    def fall(self, step):
+        """Fall of the weighted sum of squares by a step if the outputs were linear in it."""
+        left = float(np.sum((self.R @ np.append(step, 1.0)) ** 2))
+        return float(np.sum(self.R[:, -1] ** 2)) - left + self.promised_by_states
+
+    def beside(self, rows):
+        """The same with further rows of [J r], (q, k + 1), in which no initial state is."""
+        R = linalg.qr(np.vstack([self.R, rows]), mode="r", check_finite=False)[0]
+        squares = self.squares + np.sum(rows[:, :-1] ** 2, axis=0)
+        return replace(self, R=R[: len(squares) + 1], squares=squares)
+
+    def untold(self, stiffness):
+        """Rows of what is known of θ beforehand, (q, k), from the stiffness of each θ_j."""
+        J, stiff = self.R[:, :-1], stiffness > 0.0
+        n_free = np.sum(~stiff)
+        ordered = np.hstack([J[:, ~stiff], J[:, stiff] / stiffness[stiff]])
+        R = linalg.qr(ordered, mode="r", check_finite=False)[0][n_free : len(stiff), n_free:]
+        _, told, Vt = linalg.svd(R)
+        rows = np.zeros((len(Vt), len(stiff)))
+        rows[:, stiff] = Vt / np.hypot(1.0, told)[:, None] * stiffness[stiff]
+        return rows
 
     def within(self, lower, upper):
         """The same for steps between bounds."""
         if not (np.any(np.isfinite(lower)) or np.any(np.isfinite(upper))):
             return self
-        return replace(self, steps=BoundedSteps(self.R[:, -1], self.R[:, :-1], lower, upper))
+        return replace(self, bounds=(lower, upper))
 
     def covariance(self, *, gauge=False):
         """(JᵀJ)⁻¹, and which parameters are not identified.
@@ -153,12 +182,15 @@ class Problem:
         Standard deviations of the noise, where they are known.
     correlated : bool
         Whether what is left of outputs may go together.
+    known : ndarray, shape (q, k), or None
+        Rows of which the products with θ are white noise of variance one, known beforehand.
     """
 
     form: Form
     records: list
     sigma: np.ndarray | None = None
     correlated: bool = False
+    known: np.ndarray | None = None
     size: np.ndarray = field(init=False)  # (l,) rms of each output
 
     def __post_init__(self):
@@ -246,6 +278,8 @@ class Problem:
             ]
             moments = sum(each.T @ each for each in left)
         cost = self.cost(moments) if np.all(np.isfinite(moments)) else np.inf
+        if self.known is not None:
+            cost += 0.5 * float(np.sum((self.known @ theta) ** 2))
         return Point(theta, x0, moments, cost, self.form.radius(response))
 
     def whitened(self, point, spread, only=None):
@@ -281,7 +315,13 @@ class Problem:
     def linearise(self, point, spread=None, only=None):
         """Least-squares system for a step from a point, of some parameters where told."""
         spread = self.spread(point.moments) if spread is None else spread
-        return eliminate_states(self.factors(point, spread, only), self.form.n_states)
+        system = eliminate_states(self.factors(point, spread, only), self.form.n_states)
+        return system if self.known is None else system.beside(self.known_rows(point, only))
+
+    def known_rows(self, point, only=None):
+        """Rows of [J r] of what is known beforehand."""
+        rows = self.known if only is None else self.known[:, only]
+        return np.column_stack([rows, self.known @ point.theta])
 
     def with_best_inputs(self, point):
         """The same F and P with the G, Q and initial states of largest likelihood.
@@ -354,10 +394,10 @@ def eliminate_states(factors, n0):
     system : LinearSystem
     """
     width = factors[0].shape[1] - n0
-    R, squares, states, promised = np.zeros((0, width)), np.zeros(width), [], 0.0
+    R, squares, states, promised = np.zeros((0, width)), np.zeros(width - 1), [], 0.0
     for each in factors:
         rest = each[:, n0:]
-        squares += np.sum(rest**2, axis=0)
+        squares += np.sum(rest[:, :-1] ** 2, axis=0)
         basis, inverse = _range(each[:, :n0])
         shares = np.zeros((basis.shape[1], width))
         for _ in range(2):  # the second time for the digits that the first one left
@@ -366,10 +406,7 @@ def eliminate_states(factors, n0):
         states.append(inverse @ shares)
         promised += shares[:, -1] @ shares[:, -1]
         R = linalg.qr(np.vstack([R, rest]), mode="r", check_finite=False)[0][:width]
-    size = np.sqrt(squares[:-1])
-    size = np.where(size > 0, size, 1.0)
-    steps = FreeSteps(R[:, :-1] / size, R[:, -1], size, DEPENDENT)
-    return LinearSystem(factors, R, states, float(promised), steps)
+    return LinearSystem(R, squares, states, float(promised))
 
 
 def _range(matrix):

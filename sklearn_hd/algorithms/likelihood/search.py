@@ -59,7 +59,9 @@ class LikelihoodResult:
     point : Point
         Where the search ended.
     system : LinearSystem
-        For another step from there.
+        Of the records there.
+    ahead : LinearSystem
+        For another step from there, what is known beforehand included.
     correction : float
         For the degrees of freedom that the fit has used, in the covariances.
     """
@@ -78,6 +80,7 @@ class LikelihoodResult:
     problem: Problem
     point: Point
     system: LinearSystem
+    ahead: LinearSystem
     correction: float
 
     @property
@@ -114,6 +117,7 @@ class Search:
     point: Point
     n_iter: int
     converged: bool
+    problem: Problem | None = None  # with what is known beforehand
 
 
 def search(problem, point, *, max_iter, tol, keep_stable, bounds):
@@ -123,6 +127,11 @@ def search(problem, point, *, max_iter, tol, keep_stable, bounds):
         n_iter += 1
         spread = problem.spread(point.moments)
         system = problem.linearise(point, spread)
+        if n_iter == 1 and problem.form.input_size is not None:
+            known = system.untold(problem.form.stiffness(system.squares))
+            problem = replace(problem, known=known)
+            system = system.beside(problem.known_rows(point))
+            point = problem.point(point.theta, point.x0)
         if bounds is not None:
             system = system.within(bounds[0] - point.theta, bounds[1] - point.theta)
         converged = system.promised <= tol * problem.n_residuals
@@ -133,7 +142,7 @@ def search(problem, point, *, max_iter, tol, keep_stable, bounds):
         fall, point = point.cost - trial.cost, trial
         stalled = fall <= STALLED * problem.n_residuals
         converged = converged or (stalled and problem.at_rounding(point))
-    return Search(point, n_iter, converged)
+    return Search(point, n_iter, converged, problem)
 
 
 def start(problem, theta0):
@@ -186,8 +195,7 @@ def _damped_step(problem, point, system, damping, keep_stable):
             trial = problem.point(theta, point.x0 + x0_step)
         unstable = trial is not None and trial.radius > 1.0 >= point.radius
         if trial is not None and np.isfinite(trial.cost) and not (keep_stable and unstable):
-            at_rest = [0.0 * each for each in x0_step]
-            expected = 0.5 * (system.left_at(0.0 * step, at_rest) - system.left_at(step, x0_step))
+            expected = 0.5 * system.fall(step)
             if point.cost - trial.cost < POOR * expected:
                 trial = problem.with_best_inputs(trial)
         if trial is not None and trial.cost < point.cost and not (keep_stable and unstable):
@@ -202,7 +210,9 @@ def result_of(problem, search):
     """Estimates with their covariance where a search ended."""
     form, point, n_residuals = problem.form, search.point, problem.n_residuals
     k, gauge = form.structure.n_parameters, form.discrete or form.gauge
-    system = problem.linearise(point)
+    system = ahead = problem.linearise(point)
+    if search.problem is not None and search.problem.known is not None:
+        ahead = system.beside(search.problem.known_rows(point))
     n_theta = int(np.sum(system.steps.kept)) if gauge else len(point.theta)  # no similarities
     n_fitted = n_theta + problem.n_waveforms + point.x0.size
     covariance, unknown = system.covariance(gauge=gauge)
@@ -218,7 +228,7 @@ def result_of(problem, search):
         gain=form.gain(point.theta),
         spread=spread,
         covariance=covariance[: form.n_model, : form.n_model],
-        cost=point.cost,
+        cost=problem.cost(point.moments),
         n_residuals=n_residuals,
         n_parameters=n_fitted + n_noises,
         n_iter=search.n_iter,
@@ -227,5 +237,6 @@ def result_of(problem, search):
         problem=problem,
         point=point,
         system=system,
+        ahead=ahead,
         correction=correction,
     )

@@ -1,5 +1,7 @@
 """Laws of the output-error fit: exact answers, and the bound that noise sets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from predictor_cases import deviations
@@ -7,7 +9,7 @@ from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.forms import Form
-from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
+from sklearn_hd.algorithms.likelihood.likelihood import eliminate_states, likelihood_problem
 from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import (
     as_records,
@@ -225,6 +227,68 @@ def test_eliminating_the_initial_state_is_the_schur_complement(oscillator, rng):
     np.testing.assert_allclose(bound.information @ bound.covariance, np.eye(6), atol=1e-9)
     assert np.all(1.0 / np.diag(linalg.inv(full[4:, 4:])) > 1.0 / np.diag(bound.covariance))
     assert bound.unidentified == ()
+
+
+# ---- what is known beforehand -------------------------------------------------------------------
+
+
+def test_stiffness_counts_only_where_records_tell_less(rng):
+    """Precision S (I + S⁻¹ M S⁻¹)⁻¹ S, M being what the records tell when all else is free."""
+    J = rng.standard_normal((40, 5)) * [3.0, 1.0, 1e3, 1.0, 1.0]
+    J[:, 3] = 0.0
+    system = eliminate_states([np.linalg.qr(np.column_stack([J, rng.standard_normal(40)]))[1]], 0)
+    S = np.array([0.0, 2.0, 1.0, 0.5, 10.0])
+    rows = system.untold(S)
+    own, J = J[:, 1:], J[:, :1]
+    rest = own - J @ (J.T @ own) / np.sum(J**2)
+    told = rest.T @ rest / np.outer(S[1:], S[1:])
+    expected = np.linalg.inv(np.eye(4) + told) * np.outer(S[1:], S[1:])
+    np.testing.assert_allclose(rows[:, 1:].T @ rows[:, 1:], expected, atol=1e-12)
+    assert not rows[:, 0].any()
+    assert expected[2, 2] == pytest.approx(0.25)  # of nothing that the records tell: all of it
+    assert expected[1, 1] < 1e-4  # of what they tell: next to nothing
+
+
+def test_units_do_not_move_the_stiffness_of_inputs(rng):
+    M = rng.standard_normal((3, 4, 5))  # two states, two outputs, two inputs and one that is 1
+    structure, theta = structure_of(M, np.ones(M.shape, dtype=bool), 2)
+    states, inputs, outputs = np.array([1e3, 0.2]), np.array([50.0, 1e-3]), np.array([7.0, 1e4])
+    units = np.append(states, outputs)[:, None] / np.concatenate([states, inputs, [3.0]])
+    size = np.abs(M[0, :2, 2:4])
+    squares = rng.random(len(theta)) + 0.5
+    stiffness = Form(structure, OMEGA, N_PHASES, input_size=size).stiffness(squares)
+    other = Form(structure, OMEGA, N_PHASES, input_size=size * units[:2, 2:4])
+    scaled = other.stiffness(squares / np.tile(units.ravel() ** 2, 3)).reshape(M.shape)
+    stiffness = stiffness.reshape(M.shape)
+    np.testing.assert_allclose(scaled * units, stiffness, rtol=1e-12)
+    assert np.all(stiffness[1:, :2, 2:4] > 0.0)
+    assert np.count_nonzero(stiffness) == 8  # no constants, and G alone
+
+
+def test_the_search_ends_where_likelihood_and_stiffness_balance(oscillator, rng):
+    """An input that switches at ψ = 0 alone, in much noise: G is told to half of its size."""
+    structure, theta = oscillator
+    M = structure.coefficients(theta)
+    free = np.zeros(M.shape, dtype=bool)
+    free[:, 1, 2] = free[0, 1, :2] = True
+    open_, first = structure_of(M, free, 2)
+    u = np.repeat(rng.choice([-1.0, 1.0], (24, 1)), N_PHASES, axis=0)
+    response = sampled_response(structure, theta, OMEGA, N_PHASES)
+    y = simulate(response, as_records([(u, None, 0)], 1)[0], np.zeros(2))[1]
+    y = y + 3.0 * y.std() * rng.standard_normal(y.shape)
+    form = Form(open_, OMEGA, N_PHASES)
+    stiff = replace(form, input_size=np.abs(M[0, :2, 2:]))
+    free, held = (output_error_of(each, [(u, y, 0)], first, tol=1e-12) for each in (form, stiff))
+    assert free.converged
+    assert held.converged
+    assert held.cost > free.cost  # of the records alone
+    sigma = deviations(free)
+    assert np.all(np.abs(held.ahead.step(0.0)) < 1e-3 * sigma)
+    assert np.any(np.abs(held.system.step(0.0)) > 0.1 * sigma)
+    np.testing.assert_allclose(deviations(held), sigma, rtol=0.1)  # of the records alone, too
+    away = np.array([np.abs(each.theta - first) for each in (free, held)])
+    gain = [name.endswith("1,2") and name[0] != "0" for name in open_.parameter_names]
+    assert np.linalg.norm(away[1, gain]) < np.linalg.norm(away[0, gain])
 
 
 @pytest.mark.slow
