@@ -222,9 +222,11 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     """
     start, of_counts = match.periodic, _structures(match, structure, open_to)
     highest = int(np.ceil(data.n_phases / 2.0)) - 1
-    first = {name: min(start.highest(name), FIRST_HARMONICS) for name in open_to}
-    if "F" in first:
-        first["F"] = start.highest("F") // 2
+    every = {name: min(start.highest(name), highest) for name in open_to}
+    first = {
+        name: count // 2 if name == "F" else min(count, FIRST_HARMONICS)
+        for name, count in every.items()
+    }
 
     def fit(counts, near, settings, like=None):
         chosen = of_counts(counts)
@@ -234,7 +236,6 @@ def _refine_harmonics(match, structure, open_to, data, settings):
     exact = replace(settings, input_noise=None)
     best = begun = fit(first, start.coefficients, exact)
     if not begun.fit.result.converged:  # others would not be judged beside it
-        every = {name: start.highest(name) for name in open_to}
         if of_counts(every).n_parameters <= AFFORDABLE * begun.fit.structure.n_parameters:
             best = fit(every, start.coefficients, exact)
         if not best.fit.result.converged:
@@ -246,7 +247,7 @@ def _refine_harmonics(match, structure, open_to, data, settings):
             best = fit(best.counts, best.coefficients, exact)
         for step in (1, -1):
             now = best.counts[name]
-            most = highest if start.physical else start.highest(name)
+            most = highest if start.physical else every[name]
             ahead = [k for k in N_HARMONICS if k <= most and (k - now) * step > 0][::step]
             best = _climb(best, name, ahead, partial(fit, settings=exact))
     if settings.predicts and best is not begun:  # K answers for what a structure cannot

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
+from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.periodic.floquet import (
     N_STAGES,
     collocation,
@@ -477,9 +478,15 @@ def _outputs(structure, theta, n_phases, observe, sensitivities):
 
 
 def functions_of_turn(n_points, n_phases, n_harmonics):
-    """1, cos ψ, sin ψ, … at the first of some equally spaced azimuths."""
-    psi = 2.0 * np.pi * np.arange(n_points) / n_phases
-    return harmonic_functions(psi, range(n_harmonics + 1))
+    """1, cos ψ, sin ψ, … at the first of some equally spaced azimuths; what is zero is 0.0.
+
+    Of harmonic n_phases/2, no sample shows the sine: rounding would make a column of it.
+    """
+    orders = np.arange(1, n_harmonics + 1)
+    angles = np.mod(np.outer(np.arange(n_points), orders), n_phases) * (2.0 * np.pi / n_phases)
+    functions = np.ones((n_points, 2 * n_harmonics + 1))
+    functions[:, 1::2], functions[:, 2::2] = np.cos(angles), np.sin(angles)
+    return np.where(np.abs(functions) <= EXACT, 0.0, functions)
 
 
 def _moved(entries, functions, shape):
