@@ -49,6 +49,8 @@ class Opinion:
         model has not are missing.
     of_small_motions : bool
         Whether a linear model of this record, whose motions are large, is off by what is apart.
+    slowest : ndarray, shape (k,), or None
+        Real parts of the slowest that the record or its parts have for each; None of one whole.
     """
 
     exponents: np.ndarray
@@ -60,17 +62,16 @@ class Opinion:
     needed: bool = False
     complete: bool = False
     of_small_motions: bool = False
+    slowest: np.ndarray | None = None
 
     def of(self, exponents, way):
         """The opinion that some exponents are, known as well as this one knows them."""
-        return replace(self, exponents=exponents, way=way, own=False)
+        return replace(self, exponents=exponents, way=way, own=False, slowest=None)
 
     def of_identified(self, exponents):
         """That exponents are as identified: what moves them has to say so."""
         known = np.zeros(len(exponents))
-        return replace(
-            self, exponents=exponents, deviations=known, way="the map identified has", own=True
-        )
+        return replace(self.of(exponents, "the map identified has"), deviations=known, own=True)
 
     def of_whole(self, exponents):
         """That exponents identified are all there are, each known as well as the nearest here."""
@@ -105,10 +106,28 @@ class Opinion:
         if not len(self.exponents):
             nowhere = np.full(len(exponents), np.inf)
             return nowhere + 0j, nowhere
-        gap = self.exponents - np.asarray(exponents)[:, None]
-        gap = gap - 1j * self.omega * np.round(gap.imag / self.omega)
+        gap = self._gaps(exponents)
         k, rows = np.abs(gap).argmin(axis=1), np.arange(len(exponents))
         return gap[rows, k], self.deviations[k]
+
+    def _gaps(self, exponents):
+        """From each of some exponents to each of its own, nearest of the multiples of jω."""
+        gap = self.exponents - np.asarray(exponents)[:, None]
+        return gap - 1j * self.omega * np.round(gap.imag / self.omega)
+
+    def judges(self, exponents):
+        """Which exponents it judges: those that last, or may by what it knows of the model's own.
+
+        By the slowest that parts of the record have, of which all may forget a mode within a
+        period and none may know how fast; else by its deviations.
+        """
+        slowest = np.real(exponents)
+        if self.slowest is not None:
+            nearest = np.abs(self._gaps(exponents)).argmin(axis=1)
+            slowest = np.maximum(slowest, self.slowest[nearest])
+        elif self.own:
+            slowest = slowest + SURE * self.beside(exponents)[1]
+        return lasting(slowest, self.omega)
 
 
 def _rates(exponents, omega):
@@ -118,7 +137,7 @@ def _rates(exponents, omega):
 
 def lasting(exponents, omega):
     """Which exponents are judged: a period leaves something of their motion."""
-    return exponents.real * 2.0 * np.pi / omega >= np.log(LASTING)
+    return np.real(exponents) * 2.0 * np.pi / omega >= np.log(LASTING)
 
 
 def decays_at_rest(experiment):
@@ -159,8 +178,9 @@ def of_halves(exponents, halves, omega, duration):
         rows, columns = linear_sum_assignment(np.abs(exponents[:, None] - shifted))
         own.append(shifted[rows, columns])
     spread = np.sqrt(np.mean(np.abs(np.array(own) - exponents) ** 2, axis=0))
+    slowest = np.max(np.real([exponents, *own]), axis=0)
     way = "the two halves of the record have"
-    return Opinion(exponents, spread, omega, way, True, duration)
+    return Opinion(exponents, spread, omega, way, True, duration, slowest=slowest)
 
 
 def doubtful(exponents, opinion):
@@ -173,7 +193,7 @@ def doubtful(exponents, opinion):
       complete, those that are more than it has are in doubt.
     - What does not change within the record is in doubt whatever else is known of it.
 
-    What a period forgets is not judged, unless its own error says that it may last.
+    What a period forgets is not judged, unless it may last by what is known of it.
     """
     _, apart, spread = opinion.about(exponents)
     error = SURE * spread
@@ -189,8 +209,7 @@ def doubtful(exponents, opinion):
         vague |= apart > np.maximum(LEAST_APART, STANDARD_ERRORS * spread)
         if opinion.complete:
             vague |= _too_many(exponents, apart, opinion)
-    slowest = exponents + error * _rates(exponents, opinion.omega) if opinion.own else exponents
-    return vague & lasting(slowest, opinion.omega)
+    return vague & opinion.judges(exponents)
 
 
 def unchanging(exponents, opinion):

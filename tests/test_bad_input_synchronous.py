@@ -105,6 +105,7 @@ def test_twelve_periods_are_enough_for_two_states(oscillation):
     np.testing.assert_allclose(found.F.coefficients[:2], mathieu().F.coefficients[:2], atol=1e-8)
 
 
+@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
 def test_an_order_that_no_real_system_has():
     """One negative multiplier of two: the product of all is positive."""
     system = deflection_only(stiffness=1.0, excitation=0.3, damping=0.2)
@@ -135,7 +136,7 @@ def test_outputs_of_noise_for_the_most_part():
         synchronous(2.0, order=2).fit(*record(mathieu(), noise=2.0))
 
 
-@pytest.mark.filterwarnings("ignore:.*exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:.*(exponents are in doubt|the model lacks)")
 def test_harmonics_of_F_too_few_for_the_system(oscillation):
     """A constant F for a Mathieu oscillator is said to explain little, or refused."""
     pipe = synchronous(2.0, HarmonicStructure(F=0))

@@ -212,6 +212,14 @@ def test_halves_that_agree_with_each_other_alone_do_not_confirm():
     assert doubtful(PAIR, found).all()
 
 
+@pytest.mark.parametrize(("slower", "doubted"), [(-8.0, False), (-1.5, False), (-0.5, True)])
+def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doubted):
+    """How fast it is, halves do not know; whether it lasts, they do (1e-3 are -1.1 at ω = 1)."""
+    whole = np.append(PAIR, -3.0)
+    halves = [np.append(PAIR, -9.0), np.append(PAIR, slower)]
+    assert doubtful(whole, of_halves(whole, halves, 1.0, 500.0)).tolist() == [False, False, doubted]
+
+
 def record(noise, n_periods=60, samples=32):
     """One doublet of a system with a slow mode and one that a turn leaves 2 % of."""
     F = np.zeros((3, 2, 2))

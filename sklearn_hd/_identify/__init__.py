@@ -26,7 +26,6 @@ from sklearn_hd._identify import period, plain, sample, sliding
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, MOST_PREDICTOR_ROWS, PREDICTOR, checked
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._opinion import DOUBT, decays_at_rest, of_free_decays
-from sklearn_hd._readings import SampleBasis
 from sklearn_hd._records.data import as_frame, is_decomposed, output_scale, read_for_fit
 from sklearn_hd._records.delays import (
     as_measured,
@@ -43,7 +42,6 @@ from sklearn_hd.algorithms.likelihood.search import cost_of_best_inputs
 from sklearn_hd.algorithms.lti.simulation import discrete_to_continuous
 from sklearn_hd.algorithms.modes.free_decay import free_decay, smooth_parts, without_products
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure
-from sklearn_hd.algorithms.signals.fourier import MOST_ROWS
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
 MODULES = {"plain": plain, "sliding": sliding, "period": period, "sample": sample}
@@ -269,23 +267,14 @@ def _of_record(experiment, settings):
 def _opinion(experiment):
     """Exponents of a record by another reading than its own; None where that finds none.
 
-    The free decays where inputs rest, else the samples, whose warnings are of another model.
+    The free decays where inputs rest, else the samples.
     """
     decays, _ = decays_at_rest(experiment)
     if decays:
         parts = smooth_parts(decays)
         found = free_decay(parts)
         return of_free_decays(found and without_products(found, parts), experiment)
-    if sum(map(len, experiment.outputs)) > MOST_ROWS:  # beyond some tenths of a second
-        return None
-    at_samples = replace(
-        experiment, basis=SampleBasis.of_others(experiment.basis), drive=experiment.inputs
-    )
-    with held_back():
-        try:
-            return sample.opinion(at_samples)
-        except ValueError:
-            return None
+    return sample.opinion(experiment)
 
 
 def identify(data, settings):

@@ -19,6 +19,7 @@ from sklearn_hd._fit_checks import (
 )
 from sklearn_hd._frame import Lifted
 from sklearn_hd._guards import searching, warn
+from sklearn_hd._identify import sample
 from sklearn_hd._identify.checks import DEFAULT_BLOCK_ROWS, allowed_block_rows, rows_of_predictor
 from sklearn_hd._identify.stages import by_gap, decompose, fit_matrices, subspace_fit
 from sklearn_hd._identify.statistics import Facts, Records
@@ -121,6 +122,8 @@ def identify(data, settings, experiment):
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
     opinion, exponents = of_free_decays(still, experiment, at_rest), fit.model.exponents()
+    if not (opinion or settings.predictor or searching()):  # inputs always move
+        opinion = sample.opinion(experiment)
     warn_of_growth(fit.model, experiment)
     held = opinion
     if not (settings.predictor or at_rest or searching()):

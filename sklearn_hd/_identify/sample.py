@@ -19,7 +19,7 @@ import numpy as np
 
 from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
 from sklearn_hd._fit_checks import check_motion, warn_of_thinning
-from sklearn_hd._guards import searching, warn
+from sklearn_hd._guards import held_back, searching, warn
 from sklearn_hd._identify.checks import (
     MOST_PREDICTOR_ROWS,
     check_outputs_move,
@@ -34,6 +34,7 @@ from sklearn_hd._identify.sample_models import Choice
 from sklearn_hd._identify.stages import Settings, SubspaceFit
 from sklearn_hd._identify.statistics import Facts
 from sklearn_hd._opinion import DOUBT, Opinion, lasting, more_doubtful, of_halves, why_unconfirmed
+from sklearn_hd._readings import SampleBasis
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._sample_model import SampleModel
 from sklearn_hd._simulators import without_gain
@@ -41,6 +42,7 @@ from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
 from sklearn_hd.algorithms.linalg.rounding import EPS, HALF
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_predictor import LagSums, forced_mean
+from sklearn_hd.algorithms.signals.fourier import MOST_ROWS
 from sklearn_hd.algorithms.subspace.order import Simulated
 from sklearn_hd.exceptions import IdentifiabilityWarning, InstabilityWarning
 
@@ -199,17 +201,27 @@ def identify(data, settings, experiment):
 
 
 def opinion(experiment):
-    """The closed form's exponents, known as well as the halves of the record have them.
+    """What the samples of a record have that is read otherwise.
+
+    The closed form's exponents, known as well as the halves of the record have them. Its warnings
+    are of another model than the one asked for.
 
     Returns
     -------
     opinion : Opinion or None
-        None where they tell none, or the closed form is unstable.
+        None where they tell none, the closed form is unstable, or the record would take more than
+        some tenths of a second.
     """
-    settings = Settings()
-    data, basis = read(experiment, settings), experiment.basis
-    choice, best, *_ = Choice.of(data, settings, basis, steps=False)
-    model = _Found.of(choice, best).model
+    if sum(map(len, experiment.outputs)) > MOST_ROWS:
+        return None
+    settings, basis = Settings(), SampleBasis.of_others(experiment.basis)
+    with held_back():
+        try:
+            data = read(replace(experiment, basis=basis, drive=experiment.inputs), settings)
+            choice, best, *_ = Choice.of(data, settings, basis, steps=False)
+            model = _Found.of(choice, best).model
+        except ValueError:
+            return None
     if model.opinion is None or not best.stable:
         return None
     return model.opinion.of(model.exponents(), "the samples have")
