@@ -244,6 +244,7 @@ def test_a_model_of_the_structure_asked_for_is_matched_without_error(
 @examples(10)
 @given(identifiable_systems(), samplings(), SEEDS)
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.* the samples have")  # nothing: they stand within the period
 def test_signals_held_over_the_period_leave_plain_identification(system, sampling, seed):
     """Harmonic 0 alone, period by period, of signals that change between periods only."""
     rng, spp, n_periods = np.random.default_rng(seed), sampling.samples_per_period, 220
@@ -275,6 +276,7 @@ def few_rows(divisors):
 )
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the data repeat themselves")  # as a ringing mode may seem to
+@pytest.mark.filterwarnings("ignore:.* the samples have")  # nothing: they stand within the period
 def test_whole_periods_later_nothing_changes(system, sampling, seed, shift):
     """Of a system that answers from one row read to the next."""
     rng, spp = np.random.default_rng(seed), sampling.samples_per_period

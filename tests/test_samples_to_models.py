@@ -454,7 +454,7 @@ def test_a_structure_that_asks_for_nothing_gets_the_harmonics_that_it_needs():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:[34] of 6 exponents are in doubt")
+@pytest.mark.filterwarnings("ignore:[234] of 6 exponents are in doubt")
 @pytest.mark.filterwarnings("ignore:the outputs .* do not determine the 6 states")
 def test_predictions_stay_those_of_the_samples_where_no_continuous_model_has_them():
     """Four of six states are noise, which changes faster than 9.1 samples a turn show."""
