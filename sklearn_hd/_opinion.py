@@ -122,10 +122,12 @@ class Opinion:
         period and none may know how fast; else by its deviations.
         """
         slowest = np.real(exponents)
+        if not self.own or not len(self.exponents):
+            return lasting(slowest, self.omega)
         if self.slowest is not None:
             nearest = np.abs(self._gaps(exponents)).argmin(axis=1)
             slowest = np.maximum(slowest, self.slowest[nearest])
-        elif self.own:
+        else:
             slowest = slowest + SURE * self.beside(exponents)[1]
         return lasting(slowest, self.omega)
 

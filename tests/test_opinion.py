@@ -217,7 +217,10 @@ def test_a_mode_that_every_half_forgets_within_a_turn_is_not_judged(slower, doub
     """How fast it is, halves do not know; whether it lasts, they do (1e-3 are -1.1 at ω = 1)."""
     whole = np.append(PAIR, -3.0)
     halves = [np.append(PAIR, -9.0), np.append(PAIR, slower)]
-    assert doubtful(whole, of_halves(whole, halves, 1.0, 500.0)).tolist() == [False, False, doubted]
+    found = of_halves(whole, halves, 1.0, 500.0)
+    assert doubtful(whole, found).tolist() == [False, False, doubted]
+    assert found.of(whole[::-1], "they have").slowest is None  # of these, in this order
+    assert not len(replace(found, exponents=whole[:0]).judges(whole[:0]))
 
 
 def record(noise, n_periods=60, samples=32):

@@ -122,7 +122,7 @@ def identify(data, settings, experiment):
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
     opinion, exponents = of_free_decays(still, experiment, at_rest), fit.model.exponents()
-    if not (opinion or settings.predictor or searching()):  # inputs always move
+    if not (opinion or settings.predictor or searching()):  # inputs move, or their rest tells none
         opinion = sample.opinion(experiment)
     warn_of_growth(fit.model, experiment)
     held = opinion

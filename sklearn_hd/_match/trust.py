@@ -167,7 +167,7 @@ def _doubt(exponents, std, opinion, systematic):
         return f"what is left and is no noise has {systematic:.3g} of the motion's variance"
     if opinion is None:
         return "no second opinion confirms the exponents"
-    own = replace(opinion, exponents=exponents, deviations=np.abs(std), own=True)
+    own = replace(opinion.of(exponents, opinion.way), deviations=np.abs(std), own=True)
     other = replace(opinion, own=False)
     spread, vague = own.about(exponents)[2], doubtful(exponents, own)
     if vague.any():

@@ -29,6 +29,7 @@ from functools import cached_property
 
 import numpy as np
 
+from sklearn_hd.algorithms.linalg.rounding import EXACT
 from sklearn_hd.algorithms.periodic.floquet import product_of
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_realization import tail_begins
@@ -363,22 +364,25 @@ class Form:
         Returns
         -------
         stiffness : ndarray, shape (k,)
-            Zero for constants, for all but G, and where an input does nothing.
+            Zero but for harmonics of single entries of G, of inputs that do something.
 
         References
         ----------
         G. Wahba, *Spline Models for Observational Data*, 1990, chapter 2.
         """
         n, m = self.input_size.shape
-        entries = self.structure.basis.tocoo()
+        entries, constant = self.structure.basis.tocoo(), self.structure.constant
         place, share = entries.coords[0], entries.data**2
-        harmonic, row, column = np.unravel_index(entries.coords[1], self.structure.constant.shape)
-        own = (row < n) & (column >= n) & (column < n + m)
+        harmonic, row, column = np.unravel_index(entries.coords[1], constant.shape)
+        own = (row < n) & (column >= n) & (column < n + m) & (share > 0.0)
+        own &= (np.bincount(place)[place] == 1) & (constant[harmonic, row, column] == 0.0)
         place, share, i, j = place[own], share[own], row[own], column[own] - n
         pushes = np.zeros((n, m))  # s²: constants make the most of the records
         np.maximum.at(pushes, (i, j), squares[place] / share)
-        effect = np.mean(pushes * self.input_size**2, axis=0)[j]  # g²
-        stiff = np.divide(pushes[i, j], effect, out=np.zeros(len(j)), where=effect > 0.0)
+        effects = pushes * self.input_size**2
+        effect = effects.sum(axis=0) / np.maximum(np.count_nonzero(effects, axis=0), 1)  # g²
+        seen, effect = effect > EXACT**2 * np.max(effect, initial=0.0), effect[j]
+        stiff = np.divide(pushes[i, j], effect, out=np.zeros(len(j)), where=seen[j])
         stiff *= share * ((harmonic[own] + 1) // 2) ** 4
         return np.sqrt(np.bincount(place, stiff, len(squares)))
 

@@ -113,10 +113,10 @@ class LinearSystem:
     def untold(self, stiffness):
         """Rows of what is known of θ beforehand, (q, k), from the stiffness of each θ_j."""
         J, stiff = self.R[:, :-1], stiffness > 0.0
-        n_free = np.sum(~stiff)
-        ordered = np.hstack([J[:, ~stiff], J[:, stiff] / stiffness[stiff]])
-        R = linalg.qr(ordered, mode="r", check_finite=False)[0][n_free : len(stiff), n_free:]
-        _, told, Vt = linalg.svd(R)
+        free, own = _range(J[:, ~stiff])[0], J[:, stiff] / stiffness[stiff]
+        for _ in range(2):
+            own = own - free @ (free.T @ own)
+        _, told, Vt = linalg.svd(own, full_matrices=False)
         rows = np.zeros((len(Vt), len(stiff)))
         rows[:, stiff] = Vt / np.hypot(1.0, told)[:, None] * stiffness[stiff]
         return rows

@@ -229,7 +229,7 @@ class NoisyInputProblem(Problem):
 def noisy_input_problem(problem, output_sigma, input_sigma):
     """The same problem with noise of known size in inputs and outputs."""
     return NoisyInputProblem(
-        problem.form,
+        replace(problem.form, input_size=None),
         problem.records,
         np.ones(1),
         output_sigma=np.asarray(output_sigma, dtype=float),

@@ -121,7 +121,10 @@ class Search:
 
 
 def search(problem, point, *, max_iter, tol, keep_stable, bounds):
-    """Damped Gauss-Newton steps until the next one is not worth taking."""
+    """Damped Gauss-Newton steps until the next one is not worth taking.
+
+    What is known beforehand of inputs is by what the records tell at the start of each search.
+    """
     damping, converged, n_iter = FIRST_DAMPING, False, 0
     while n_iter < max_iter and not converged:
         n_iter += 1

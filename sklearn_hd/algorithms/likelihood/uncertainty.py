@@ -237,10 +237,11 @@ class Parts:
         v = gradients @ covariance
         size = np.einsum("rk,rk->r", v, gradients)
         told = np.einsum("rk,ckj,rj->rc", v, self.information, v)
-        pull = v @ self.scores.T
+        pull, total = v @ self.scores.T, told.sum(axis=1)
+        pull -= told * (pull.sum(axis=1) / np.where(total > 0.0, total, np.inf))[:, None]
         weight = np.where(told > 0.0, told, np.inf)
         statistic = np.sum(pull**2 / weight, axis=1) / excess
-        degrees, total = max(1, len(self.scores) - 1), told.sum(axis=1)
+        degrees = max(1, len(self.scores) - 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = excess * (statistic - degrees) * size**2
             spread = spread / (total - np.sum(told**2, axis=1) / total)

@@ -9,6 +9,7 @@ from sklearn_hd.algorithms.periodic.floquet import transition_matrices
 from sklearn_hd.algorithms.periodic.harmonic_balance import evaluate_harmonics
 from sklearn_hd.algorithms.periodic.periodic_structure import (
     PeriodicStructure,
+    functions_of_turn,
     held_pushes,
     sampled_response,
 )
@@ -208,3 +209,18 @@ def test_errors_say_what_is_needed(rng):
         sampled_response(structure, theta, OMEGA, 8, np.ones((3, 1, 1)))
     with pytest.raises(ValueError, match=r"time constants in one sample; start closer"):
         sampled_response(structure, theta - 1e5, OMEGA, 8)
+
+
+# ---- functions of the turn ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_phases", [4, 16, 17, 17.3, 64])
+def test_functions_of_the_turn_are_zero_where_they_are(n_phases):
+    """Of half the sampling frequency no sample shows the sine."""
+    n, highest = 2 * int(n_phases), int(n_phases // 2)
+    functions = functions_of_turn(n, n_phases, highest)
+    psi = 2.0 * np.pi * np.arange(n) / n_phases
+    np.testing.assert_allclose(functions, harmonic_functions(psi, range(highest + 1)), atol=1e-12)
+    if n_phases == 2 * highest:
+        assert not functions[:, -1].any()
+    assert not np.any((functions != 0.0) & (np.abs(functions) < 1e-3))
