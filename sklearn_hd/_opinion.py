@@ -287,8 +287,12 @@ def contradictions(exponents, opinion):
             f"{int(np.sum(doubt & ~still))} of {len(exponents)} exponents are in doubt: the model "
             f"has {exponents[k]:.4g} 1/s, {what_it_has(exponents, opinion, k)}"
         )
-    words.append(lacks(exponents, opinion, nearest[doubt]))
-    return "; ".join(filter(None, words))
+    lacking, lasts = lacks(exponents, opinion, nearest[doubt]), lasting(exponents, opinion.omega)
+    if doubt.any() and lasts.any() and not (lacking or np.any(doubt & lasts)):
+        words.append(
+            f"a turn leaves less than {LASTING:g} of what is in doubt, and what lasts is confirmed"
+        )
+    return "; ".join(filter(None, [*words, lacking]))
 
 
 def what_it_has(exponents, opinion, k):

@@ -286,11 +286,11 @@ MOESP = {
     "order text": ({"order": "many"}, r"order='many' is not known; give a whole number or 'auto'"),
     "order above the bound": (
         {"order": 24, "block_rows": 8},
-        r"order=24 exceeds the rank bound 21 of block_rows=8 with 3 outputs; lower order or raise",
+        r"order=24 exceeds the rank bound 21 of block_rows=8 with 3 output columns; lower",
     ),
     "order far above": (
         {"order": 10**6, "block_rows": 8},
-        r"order=1000000 exceeds the rank bound 21 of block_rows=8 with 3 outputs",
+        r"order=1000000 exceeds the rank bound 21 of block_rows=8 with 3 output columns",
     ),
     "several orders": (
         {"order": np.array([1, 2])},

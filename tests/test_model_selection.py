@@ -359,7 +359,7 @@ def test_one_failing_corner_of_a_grid_does_not_end_a_search(lti):
     assert str(told[-1].message).startswith(passed_over)
 
 
-TOO_LARGE = "ValueError: order=40 exceeds the rank bound 21 of block_rows=8 with 3 outputs; lower"
+TOO_LARGE = "ValueError: order=40 exceeds the rank bound 21 of block_rows=8 with 3 output columns"
 SPLIT = "fits failed with the following error:\n"
 
 

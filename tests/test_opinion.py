@@ -182,6 +182,18 @@ def test_a_wrong_exponent_is_not_named_twice():
     assert "lacks" not in words
 
 
+@pytest.mark.parametrize(
+    ("deviations", "confirmed"), [((1e-3, 0.9), True), ((0.05, 0.9), False), ((1e-3, 0.1), None)]
+)
+def test_what_lasts_is_confirmed_where_only_a_fast_mode_is_in_doubt(deviations, confirmed):
+    """A turn leaves 3e-6 of -2 1/s, which with a deviation of 0.9 1/s may last."""
+    exponents = np.array([-0.2 + 0j, -2.0])
+    own = replace(opinion(exponents, 0.0, own=True), deviations=np.array(deviations))
+    words = contradictions(exponents, own)
+    assert ("what lasts is confirmed" in words) == bool(confirmed)
+    assert bool(words) == (confirmed is not None)
+
+
 def test_the_square_of_a_motion_is_known_by_its_exponent():
     found = np.array([-0.4 + 0.8j, -0.4, -0.2 + 0.8j])
     assert of_second_order(found, PAIR, opinion(PAIR, 1e-3)).tolist() == [True, True, False]

@@ -58,7 +58,7 @@ def check_rank_bound(order, block_rows, n_outputs):
     if order != "auto" and order > bound:
         raise ValueError(
             f"order={order} exceeds the rank bound {bound} of block_rows="
-            f"{block_rows} with {n_outputs} outputs; lower order or raise block_rows"
+            f"{block_rows} with {n_outputs} output columns; lower order or raise block_rows"
         )
 
 

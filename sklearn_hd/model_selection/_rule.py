@@ -200,9 +200,17 @@ def _comparable(scores, candidates):
             f"why with error_score='raise', or give folds with more rows to train on"
         )
     if len(several):
+        way = "see why with error_score='raise', or remove failing candidates from the search"
+        nowhere = np.flatnonzero(failed.all(axis=0))
+        if len(nowhere):
+            way = (
+                f"the best score there is {np.max(scores[np.ix_(kept, folds)]):.3g}, and no "
+                f"candidate can be fitted without fold(s) {nowhere.tolist()}, as where they alone "
+                f"hold the motion: give records that move in every block, or use order='auto'"
+            )
         warn(
             f"{told}; the {len(kept)} that failed least are compared on folds {folds.tolist()}; "
-            f"see why with error_score='raise', or remove failing candidates from the search",
+            f"{way}",
             FitFailedWarning,
         )
     return kept, folds
