@@ -286,14 +286,15 @@ class _Form:
         return sensitivity_sums(rows, pairs, left @ W)
 
     def _information(self, W, rows, pairs, counts):
-        """Products of the sensitivities to the free coefficients."""
-        start, gram, inside = _started(W, rows, counts), 0.0, 0.0
+        """Products of the sensitivities to the free coefficients: the lower triangle."""
+        start, k, inside = _started(W, rows, counts), len(self.places), 0.0
         start = start.reshape(len(counts), len(W), start.shape[1])
-        most = max(int(PIECE / len(self.places) / len(W)), 1)
-        for piece, J in sensitivity_pieces(rows, pairs, most, W):
+        gram = np.zeros((k, k), order="F")
+        for piece, J in sensitivity_pieces(rows, pairs, max(int(PIECE / k / len(W)), 1), W):
             J[~counts[piece]] = 0.0
             J, free = (z.reshape(-1, z.shape[-1]) for z in (J, start[piece]))
-            gram, inside = gram + J.T @ J, inside + free.T @ J
+            gram = linalg.blas.dsyrk(1.0, J.T, 1.0, gram, lower=1, overwrite_c=1)
+            inside = inside + free.T @ J
         return gram - inside.T @ inside
 
     def moved(self, innovations, step):
@@ -327,6 +328,8 @@ def _started(W, rows, counts):
 class _System:
     """Normal equations in parameters of like size, by the eigenvectors of their matrix.
 
+    Of that the lower triangle is read.
+
     Attributes
     ----------
     values, vectors : ndarray
@@ -345,7 +348,7 @@ class _System:
     def of(cls, gram, slope):
         size = np.sqrt(np.maximum(np.diag(gram), 0.0))
         size = np.where(size > 0.0, size, np.inf)
-        values, vectors = linalg.eigh(gram / size / size[:, None])
+        values, vectors = linalg.eigh(gram / size / size[:, None], driver="evd")
         return cls(np.maximum(values, 0.0), vectors, vectors.T @ (slope / size), size)
 
     @property
