@@ -422,9 +422,14 @@ def test_a_right_frequency_is_not_taken_for_one_in_hertz(samples, kind):
 
 @pytest.mark.slow
 def test_what_decays_has_no_speed_that_varies():
-    data = make_flapping_wing("ltp", snr=40, random_state=0)
-    found = sklearn_hd.estimate_omega(data.inputs, data.outputs, data.omega)
-    assert abs(found.omega - data.omega) < 5.0 * found.std < 0.01
+    """Few turns tell the speed, and patterns hardly beside noise follow it: deviations say so."""
+    off = []
+    for seed in range(8):
+        data = make_flapping_wing("ltp", snr=30, random_state=seed)
+        found = sklearn_hd.estimate_omega(data.inputs, data.outputs, data.omega)
+        off.append(abs(found.omega - data.omega) / found.std)
+        assert found.std < 2e-4 * data.omega
+    assert 0.1 < np.median(off) < 1.0
 
 
 @pytest.mark.slow

@@ -40,6 +40,8 @@ CLEAR = 2.0  # times the mean square that is left; noise alone may leave 1.8 tim
 SLIGHT = 1.2  # times: what a first-order gain is held against, which CLEAR asks to be real
 RANKS = 7  # at most, that a first-order gain is sought at
 ASTRAY = 1e-3  # turns
+STEP = 1e-3  # of a unit, by which slopes are found
+JACKKNIFE = 32  # parts of the rows
 BESIDE = 4.0  # turns of the last harmonic over the record, by which another frequency is off
 SHARED = 4 / 3  # variance of sums over windows, each of which has a sixth in common with the next
 NOISE = (
@@ -312,14 +314,17 @@ class _Periods:
             [a[:, :1].real, 2**0.5 * a[:, 1:].real, 2**0.5 * a[:, 1:].imag], axis=1
         )
 
-    def rows(self, omega, slope=0.0, turns=None, signals=None):
-        """Rows of the outputs, also without what inputs explain, and how many that leaves.
+    def rows(self, omega, slope=0.0, turns=None):
+        """Rows of the outputs, also without what inputs explain, and how many that leaves."""
+        turns = self.turns(omega, slope) if turns is None else turns
+        return self.beside_inputs(self.coefficients(self.signals, omega, slope, turns))
+
+    def beside_inputs(self, a):
+        """What :meth:`rows` gives, of coefficients.
 
         Inputs explain by ridge regression, at the noise's size: smooth in omega where an
         input begins to move at the edge of a window.
         """
-        turns = self.turns(omega, slope) if turns is None else turns
-        a = self.coefficients(signals or self.signals, omega, slope, turns)
         Y = (a[:, :, : self.n_outputs] * self.weights).reshape(len(a), -1)
         U = a[:, :, self.n_outputs :]
         kept = int(max(0, len(a) / (3 * max(1, U.shape[2])) - 1) / 2)  # a third of the rows
@@ -363,14 +368,14 @@ class _Periods:
             rank = 0
         return _Fit(omega, slope, scores[rank], rank, left[rank])
 
-    def residual(self, place, rank, turns, signals=None):
-        """What some patterns leave of the rows at (omega, slope), and how many rows count."""
-        _, X, n = self.rows(*place, turns, signals)
+    def residual(self, a, rank):
+        """What some patterns leave of rows of coefficients, and how many rows count."""
+        _, X, n = self.beside_inputs(a)
         return _beyond(X, rank), n
 
-    def explained(self, fit, turns):
-        """The records as the fit explains them, put together from the windows, and the residual."""
-        Y, X, n_rows = self.rows(fit.omega, fit.slope, turns)
+    def explained(self, fit, turns, a):
+        """The records as the fit explains them, put together from coefficients of the windows."""
+        Y, X, _ = self.beside_inputs(a)
         left = _beyond(X, fit.rank)
         n = self.n_harmonics
         a = (Y - left).reshape(len(Y), 2 * n + 1, -1) / self.weights
@@ -388,42 +393,55 @@ class _Periods:
             np.add.at(sums, rows, values)
             np.add.at(total, rows, weight)
             told.append(np.hstack([sums / total[:, None], z[:, self.n_outputs :]]))
-        return told, left, n_rows
+        return told
 
     def units(self, n):
         """Changes of omega, and of the slope, by which the phase of the last harmonic turns."""
         unit = np.array([1.0, 2.0 / self.length]) * self.omega / (self.n_turns * self.n_harmonics)
         return unit[:n]
 
-    def slopes(self, fit, n):
-        """Derivatives of the residual with respect to omega (and slope), and the residual.
+    def around(self, fit, n):
+        """Coefficients at a fit, and on either side of it for omega (and slope).
 
-        Those of the record as the fit explains it: noise that moves along with the windows
-        would look like a signal that does.
+        Those beside are of the record as the fit explains it: noise that moves along with the
+        windows would look like a signal that does.
+
+        Returns
+        -------
+        here : ndarray
+        beside : list of (ndarray, ndarray)
+        turns : list of ndarray
         """
         turns = self.turns(fit.omega, fit.slope)
-        told, left, n_rows = self.explained(fit, turns)
+        here = self.coefficients(self.signals, fit.omega, fit.slope, turns)
+        told = self.explained(fit, turns, here)
         place = np.array([fit.omega, fit.slope])
-        steps = np.diag(1e-3 * self.units(2))[:n]
-        slopes = [
-            self.residual(place + h, fit.rank, turns, told)[0]
-            - self.residual(place - h, fit.rank, turns, told)[0]
-            for h in steps
+        beside = [
+            tuple(self.coefficients(told, *(place + side * h), turns) for side in (1.0, -1.0))
+            for h in np.diag(STEP * self.units(2))[:n]
         ]
-        return np.array(slopes) / (2e-3 * self.units(n)[:, None, None]), left, n_rows, turns
+        return here, beside, turns
+
+    def slopes(self, here, beside, rank):
+        """Derivatives of the residual with respect to omega (and slope), in their units, the
+        residual, and how many rows count; of coefficients around a fit."""
+        left, n_rows = self.residual(here, rank)
+        ends = [[self.residual(a, rank)[0] for a in pair] for pair in beside]
+        J = np.stack([(after - before).ravel() for after, before in ends], axis=1)
+        return J / (2.0 * STEP), left, n_rows
 
     def descend(self, fit, n, most=10):
         """Gauss-Newton steps for omega (and slope) at the rank of a fit."""
         for _ in range(most):
-            J, left, _, turns = self.slopes(fit, n)
-            place, unit = np.array([fit.omega, fit.slope]), self.units(n)
-            J = J.reshape(n, -1).T * unit
-            step = np.zeros(2)
+            here, beside, turns = self.around(fit, n)
+            J, left, _ = self.slopes(here, beside, fit.rank)
+            place, unit, step = np.array([fit.omega, fit.slope]), self.units(n), np.zeros(2)
             step[:n] = -linalg.lstsq(J, left.ravel(), cond=1e-10)[0]
             step[:n] *= unit / max(1.0, 4.0 * np.max(np.abs(step)))
             cost = np.sum(left**2)
             for share in 0.3 ** np.arange(5):
-                if np.sum(self.residual(place + share * step, fit.rank, turns)[0] ** 2) < cost:
+                a = self.coefficients(self.signals, *(place + share * step), turns)
+                if np.sum(self.residual(a, fit.rank)[0] ** 2) < cost:
                     break
             else:
                 break
@@ -475,9 +493,9 @@ class _Periods:
         for rank, there in zip(ranks, self.scores(X, n)[1][ranks], strict=True):
             if there <= (SLIGHT - 1.0) * self.floor:
                 return False  # nor do more patterns leave more
-            J, left, _, _ = self.slopes(self.here._replace(rank=rank), 2)
-            J, left = J.reshape(2, -1).T * self.units(2), left.ravel()
-            gained = left - J @ linalg.lstsq(J, left, cond=1e-10)[0]
+            here, beside, _ = self.around(self.here._replace(rank=rank), 2)
+            J, left, _ = self.slopes(here, beside, rank)
+            gained = left.ravel() - J @ linalg.lstsq(J, left.ravel(), cond=1e-10)[0]
             share = np.sum(gained**2) / max(np.sum(left**2), 1e-300)
             if there + self.floor > SLIGHT * (there * share + self.floor):
                 return True
@@ -518,22 +536,22 @@ class _Periods:
     def deviations(self, fit, n):
         """Standard deviations of omega (and the change over the records).
 
-        From the scores of rows, which may be correlated with their neighbours.
+        By the jackknife: one step from the fit, without one part of the rows after the other. A
+        pattern that hardly stands out of noise follows it, which slopes do not tell. Not less than
+        white noise alone would give.
         """
-        J, left, n_rows, _ = self.slopes(fit, n)
-        unit = self.units(n)
-        J = J * unit[:, None, None]
+        here, beside, _ = self.around(fit, n)
+        J, left, n_rows = self.slopes(here, beside, fit.rank)
         d = left.shape[1]
         free = n_rows * d - fit.rank * (n_rows + d - fit.rank)
-        inverse = linalg.pinv(np.einsum("arc,brc->ab", J, J), rtol=1e-20)
-        scores = np.einsum("arc,rc->ra", J, left)
-        meat = scores.T @ scores
-        for lag, share in ((1, 2 / 3), (2, 1 / 3)):
-            shared = scores[lag:].T @ scores[:-lag]
-            meat += share * (shared + shared.T)
-        robust = np.diag(inverse @ meat @ inverse) * n_rows * d / free
-        white = SHARED * np.diag(inverse) * np.sum(left**2) / free
-        return np.sqrt(np.maximum(robust, white)) * unit
+        white = SHARED * np.diag(linalg.pinv(J.T @ J, rtol=1e-20)) * np.sum(left**2) / free
+        ends = []
+        for part in np.array_split(np.arange(len(here)), min(JACKKNIFE, len(here))):
+            pairs = [[np.delete(a, part, axis=0) for a in pair] for pair in beside]
+            J, left, _ = self.slopes(np.delete(here, part, axis=0), pairs, fit.rank)
+            ends.append(linalg.lstsq(J, left.ravel(), cond=1e-10)[0])
+        spread = (len(ends) - 1) * np.var(ends, axis=0) * n_rows * d / free
+        return np.sqrt(np.maximum(spread, white)) * self.units(n)
 
     def estimate(self, steady, drifting):
         """What the best fits of constant speed and of any say together."""
