@@ -220,6 +220,23 @@ def test_the_report_says_that_the_model_is_of_small_motions(tmp_path):
 
 
 @pytest.mark.slow
+def test_what_a_square_leaves_of_exact_data_does_not_smooth_the_effect_of_inputs():
+    """It is 1e-7 of the record, and as smooth as if few rows were independent."""
+    u = np.zeros(40 * 32)
+    u[8 * 32 : 10 * 32 + 10], u[10 * 32 + 10 : 12 * 32 + 19] = 0.02, -0.02
+    still = oscillator(square=0.1)
+
+    def driven(t, x, u):
+        return still(t, x, u * (1.0 + 0.5 * np.cos(OMEGA * t)))
+
+    u, y = oscillations(u, driven, OMEGA, 32, np.zeros(2), 0.0, np.random.default_rng(0))
+    y = y[["y"]]
+    structure = HarmonicStructure()
+    pipe = make_pipeline(HarmonicAnalyzer(OMEGA), MOESPRegressor(), StructuredMatcher(structure))
+    assert pipe.fit(u, y)[0].basis_.reading == "period"
+    assert pipe.score(u, y) > 0.9999
+
+
 def test_a_state_does_not_stand_for_the_second_order():
     """Without products a third state does, and both halves of the record agree on it."""
     omega, samples, rng = 2.2, 32, np.random.default_rng(26)

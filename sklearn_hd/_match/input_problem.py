@@ -9,7 +9,8 @@ smoothing splines,
 s_ij being the size of what a constant push makes of the record. Coefficients of harmonic k so have
 the prior N(0, τ²/(k s_ij)²); constants, Q and x0 are free. σ²/τ² and the number of harmonics
 maximise the marginal likelihood (Wahba 1985), in which as many rows count as what no G explains
-has independent ones. Where the record determines G, exact data give it exactly: σ² is rounding.
+has independent ones, and one for what each direction of the inputs makes of each state. Where the
+record determines G, exact data give it exactly: σ² is rounding.
 
 G. Wahba, "A comparison of GCV and GML for choosing the smoothing parameter in the generalized
 spline smoothing problem", Annals of Statistics 13 (1985), 1378-1402.
@@ -110,6 +111,8 @@ class InputProblem:
         self.experiment, self.scale, self.starts = experiment, scale, starts
         moved = InputDirections.of([u[:, None] for u in experiment.inputs]).moved
         self.n_idle = len(states) * (moved.shape[0] - moved.shape[1])
+        turns = lifted_periods(experiment, experiment.inputs)
+        self.n_told = len(states) * InputDirections.of(turns).moved.shape[1]
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
 
     def solve(self, n_harmonics, physical, feedthrough=False):
@@ -121,7 +124,7 @@ class InputProblem:
         if not feedthrough:
             return found
         without, worse = found.systematic, 0
-        price = np.log(self.beyond.size) * len(self.names[1]) * len(self.names[2])
+        price = np.log(self._n_independent()) * len(self.names[1]) * len(self.names[2])
         for count in self._counts():
             other, cost = self._solved({**n_harmonics, "Q": count}, physical)
             cost += (2 * count + 1) * price
@@ -173,7 +176,7 @@ class InputProblem:
             tried.append(found)
             if worse == PATIENCE:
                 break
-        price = np.log(self.beyond.size)  # of a parameter: more harmonics have to be worth one
+        price = np.log(self._n_independent())  # of a parameter: more have to be worth one
         enough = min(each.misfit for each in tried) + price
         fewest = next(each for each in tried if each.misfit <= enough)
         return self._realization(fewest, n_harmonics, counts[0], physical), fewest.misfit
@@ -292,15 +295,22 @@ class InputProblem:
     def _judged(self, fit, count, stiffness):
         """The smoothest fit with some number of harmonics of G, and its marginal likelihood."""
         n_starts, beyond = self.parts[0].starts.shape[2], float(np.sum(self.beyond**2))
-        n_rows = self.beyond.size
-        if beyond > EXACT**2 * self.total:  # not rounding
-            n_rows = n_independent(self.beyond) * len(self.scale)
-        solution, left, misfit = fit.solve(stiffness, beyond, n_rows)
+        solution, left, misfit = fit.solve(stiffness, beyond, self._n_independent())
         open_ = fit.undetermined
         unknown = np.linalg.norm(open_, axis=0)[n_starts:] > UNKNOWN
         n_unknown = len(open_) - self.n_idle * (2 * count + 1)  # but for inputs that never part
         rss = float(np.sum(left**2)) + beyond
         return _Fit(count, misfit, solution[n_starts:], unknown, n_unknown, rss, left)
+
+    def _n_independent(self):
+        """Independent rows: those of what no G explains, and what inputs make of the states.
+
+        All rows where what no G explains is rounding.
+        """
+        if float(np.sum(self.beyond**2)) <= EXACT**2 * self.total:
+            return self.beyond.size
+        n_rows = n_independent(self.beyond) * len(self.scale) + self.n_told
+        return min(n_rows, self.beyond.size)
 
     def _systematic(self, left):
         """Covariance of what is left of neighbouring samples, or of neighbouring periods, summed.
