@@ -227,9 +227,16 @@ def unchanging(exponents, opinion):
 
 
 def more_doubtful(exponents, *opinions):
-    """Of several opinions that which doubts most of some exponents, the first of equals."""
-    held = [opinion for opinion in opinions if opinion is not None]
-    return max(held, key=lambda opinion: np.sum(doubtful(exponents, opinion)), default=None)
+    """Of several opinions that which doubts most of some exponents, the first of equals.
+
+    Those that last come first.
+    """
+
+    def doubts(opinion):
+        doubt = doubtful(exponents, opinion)
+        return np.sum(doubt & lasting(exponents, opinion.omega)), np.sum(doubt)
+
+    return max((each for each in opinions if each is not None), key=doubts, default=None)
 
 
 def _too_many(exponents, apart, opinion):
@@ -289,12 +296,14 @@ def contradictions(exponents, opinion):
             f"{int(np.sum(doubt & ~still))} of {len(exponents)} exponents are in doubt: the model "
             f"has {exponents[k]:.4g} 1/s, {what_it_has(exponents, opinion, k)}"
         )
-    lacking, lasts = lacks(exponents, opinion, nearest[doubt]), lasting(exponents, opinion.omega)
-    if doubt.any() and lasts.any() and not (lacking or np.any(doubt & lasts)):
+    lasts = lasting(exponents, opinion.omega)
+    if doubt.any() and lasts.any() and not np.any(doubt & lasts):  # by its own deviations alone
         words.append(
-            f"a turn leaves less than {LASTING:g} of what is in doubt, and what lasts is confirmed"
+            f"as the model has them, a turn leaves less than {LASTING:g} of those; the slower ones "
+            f"are known to {DOUBT:.0%}"
         )
-    return "; ".join(filter(None, [*words, lacking]))
+    words.append(lacks(exponents, opinion, nearest[doubt]))
+    return "; ".join(filter(None, words))
 
 
 def what_it_has(exponents, opinion, k):

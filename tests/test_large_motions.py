@@ -219,7 +219,6 @@ def test_the_report_says_that_the_model_is_of_small_motions(tmp_path):
     assert "the model is that of small motions" in (tmp_path / "report.html").read_text("utf-8")
 
 
-@pytest.mark.slow
 def test_what_a_square_leaves_of_exact_data_does_not_smooth_the_effect_of_inputs():
     """It is 1e-7 of the record, and as smooth as if few rows were independent."""
     u = np.zeros(40 * 32)
@@ -237,6 +236,7 @@ def test_what_a_square_leaves_of_exact_data_does_not_smooth_the_effect_of_inputs
     assert pipe.score(u, y) > 0.9999
 
 
+@pytest.mark.slow
 def test_a_state_does_not_stand_for_the_second_order():
     """Without products a third state does, and both halves of the record agree on it."""
     omega, samples, rng = 2.2, 32, np.random.default_rng(26)

@@ -189,15 +189,25 @@ def test_a_wrong_exponent_is_not_named_twice():
 
 
 @pytest.mark.parametrize(
-    ("deviations", "confirmed"), [((1e-3, 0.9), True), ((0.05, 0.9), False), ((1e-3, 0.1), None)]
+    ("deviations", "known"), [((1e-3, 0.9), True), ((0.05, 0.9), False), ((1e-3, 0.1), None)]
 )
-def test_what_lasts_is_confirmed_where_only_a_fast_mode_is_in_doubt(deviations, confirmed):
+def test_where_only_a_fast_mode_is_in_doubt_the_slower_ones_are_known(deviations, known):
     """A turn leaves 3e-6 of -2 1/s, which with a deviation of 0.9 1/s may last."""
     exponents = np.array([-0.2 + 0j, -2.0])
     own = replace(opinion(exponents, 0.0, own=True), deviations=np.array(deviations))
     words = contradictions(exponents, own)
-    assert ("what lasts is confirmed" in words) == bool(confirmed)
-    assert bool(words) == (confirmed is not None)
+    assert ("the slower ones are known to 10%" in words) == bool(known)
+    assert bool(words) == (known is not None)
+
+
+def test_of_two_opinions_that_of_a_mode_that_lasts_is_heard():
+    exponents = np.array([-0.2 + 0j, -2.0, -2.3])
+    several, slow = (
+        replace(opinion(exponents, 0.0, own=True), deviations=np.array(each))
+        for each in ((1e-3, 0.9, 1.0), (0.05, 0.1, 0.1))
+    )
+    assert more_doubtful(exponents, several, slow) is slow
+    assert more_doubtful(exponents, several, replace(slow, deviations=np.zeros(3))) is several
 
 
 def test_the_square_of_a_motion_is_known_by_its_exponent():

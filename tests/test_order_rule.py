@@ -118,7 +118,7 @@ def test_a_fold_or_a_corner_that_fails_does_not_refuse_the_search():
     nothing = scores.copy()
     nothing[:, 1] = np.nan
     nothing[2, 2] = -np.inf
-    only = r"2 that failed least .* on folds \[0, 2, 3\]; .* is 0\.9, .* without fold\(s\) \[1\]"
+    only = r"2 that failed least .* on folds \[0, 2, 3\]; .* failed on folds \[1\]: .* is 0\.9\)"
     with pytest.warns(FitFailedWarning, match=only):
         assert smallest_within_one_standard_error(results(nothing, order=[1, 2, 3])) == 1
     holes = scores.copy()

@@ -9,7 +9,8 @@ smoothing splines,
 s_ij being the size of what a constant push makes of the record. Coefficients of harmonic k so have
 the prior N(0, τ²/(k s_ij)²); constants, Q and x0 are free. σ²/τ² and the number of harmonics
 maximise the marginal likelihood (Wahba 1985), in which as many rows count as what no G explains
-has independent ones, and one for what each direction of the inputs makes of each state. Where the
+has independent ones, and one for what each direction of the inputs makes of each state. Further
+harmonics, of Q too, have to be worth the logarithm of that number for each parameter. Where the
 record determines G, exact data give it exactly: σ² is rounding.
 
 G. Wahba, "A comparison of GCV and GML for choosing the smoothing parameter in the generalized
@@ -111,8 +112,8 @@ class InputProblem:
         self.experiment, self.scale, self.starts = experiment, scale, starts
         moved = InputDirections.of([u[:, None] for u in experiment.inputs]).moved
         self.n_idle = len(states) * (moved.shape[0] - moved.shape[1])
-        turns = lifted_periods(experiment, experiment.inputs)
-        self.n_told = len(states) * InputDirections.of(turns).moved.shape[1]
+        turns = [u for u in lifted_periods(experiment, experiment.inputs) if len(u)]
+        self.n_told = len(states) * InputDirections.of(turns).moved.shape[1] if turns else 0
         self.total = sum(float(np.sum((y / scale) ** 2)) for y in experiment.outputs)
 
     def solve(self, n_harmonics, physical, feedthrough=False):

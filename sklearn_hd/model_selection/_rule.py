@@ -203,10 +203,11 @@ def _comparable(scores, candidates):
         way = "see why with error_score='raise', or remove failing candidates from the search"
         nowhere = np.flatnonzero(failed.all(axis=0))
         if len(nowhere):
+            best = np.max(scores[np.ix_(kept, folds)])
             way = (
-                f"the best score there is {np.max(scores[np.ix_(kept, folds)]):.3g}, and no "
-                f"candidate can be fitted without fold(s) {nowhere.tolist()}, as where they alone "
-                f"hold the motion: give records that move in every block, or use order='auto'"
+                f"{way}; all failed on folds {nowhere.tolist()}: if each holds motion that the "
+                f"others lack, as a single doublet does, scores on the others tell little (the "
+                f"best is {best:.3g}): give records that move in every block, or use order='auto'"
             )
         warn(
             f"{told}; the {len(kept)} that failed least are compared on folds {folds.tolist()}; "

@@ -328,8 +328,6 @@ def _started(W, rows, counts):
 class _System:
     """Normal equations in parameters of like size, by the eigenvectors of their matrix.
 
-    Of that the lower triangle is read.
-
     Attributes
     ----------
     values, vectors : ndarray
@@ -346,6 +344,7 @@ class _System:
 
     @classmethod
     def of(cls, gram, slope):
+        """Of a matrix of which the lower triangle is read."""
         size = np.sqrt(np.maximum(np.diag(gram), 0.0))
         size = np.where(size > 0.0, size, np.inf)
         values, vectors = linalg.eigh(gram / size / size[:, None], driver="evd")

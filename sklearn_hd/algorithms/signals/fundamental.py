@@ -538,7 +538,8 @@ class _Periods:
 
         By the jackknife: one step from the fit, without one part of the rows after the other. A
         pattern that hardly stands out of noise follows it, which slopes do not tell. Not less than
-        white noise alone would give.
+        white noise alone would give. Reference: R. G. Miller, "The jackknife: a review", Biometrika
+        61 (1974), 1-15.
         """
         here, beside, _ = self.around(fit, n)
         J, left, n_rows = self.slopes(here, beside, fit.rank)
