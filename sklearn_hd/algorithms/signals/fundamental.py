@@ -57,7 +57,7 @@ class OmegaEstimate(NamedTuple):
     omega : float
         Frequency, rad/s; halfway through the records where it drifts.
     std : float
-        Standard deviation of ``omega``, rad/s.
+        Standard deviation of ``omega``, rad/s; too small if the outputs rest in most of a record.
     drift : float
         Change from the first sample to the last, rad/s; zero where the records show none.
     drift_std : float
@@ -538,8 +538,9 @@ class _Periods:
 
         By the jackknife: one step from the fit, without one part of the rows after the other. A
         pattern that hardly stands out of noise follows it, which slopes do not tell. Not less than
-        white noise alone would give. Reference: R. G. Miller, "The jackknife: a review", Biometrika
-        61 (1974), 1-15.
+        white noise alone would give. They are too small for a record that is mostly at rest: noise
+        there finds a frequency that suits it. Reference: R. G. Miller, "The jackknife: a review",
+        Biometrika 61 (1974), 1-15.
         """
         here, beside, _ = self.around(fit, n)
         J, left, n_rows = self.slopes(here, beside, fit.rank)
