@@ -190,8 +190,7 @@ def doubtful(exponents, opinion):
 
     - It has to know them, and to agree: to DOUBT, distance and error apart where it is their own,
       together else. Of another way that is not needed, modes within its error pass, too; those
-      within the record do if it does not know, but for one that may be off by all of a rate:
-      that confirms nothing.
+      within the record do if it does not know.
     - Of another way, it contradicts from LEAST_APART on if chance does not explain that. If it is
       complete, those that are more than it has are in doubt.
     - What does not change within the record is in doubt whatever else is known of it.
@@ -206,7 +205,6 @@ def doubtful(exponents, opinion):
         sure = (apart <= DOUBT) & (error <= DOUBT)
     else:
         within = (np.abs(exponents.real) >= 1.0 / opinion.duration) & np.isfinite(apart)
-        within &= error <= 1.0
         sure = np.where(error <= DOUBT, apart <= np.maximum(DOUBT - error, error), within)
     vague = ~sure | unchanging(exponents, opinion)
     if not opinion.own:

@@ -86,12 +86,6 @@ def test_another_way_contradicts_beyond_its_errors():
     assert not doubtful(PAIR, opinion(1.3 * PAIR.real + 1j * PAIR.imag, 0.03)).any()
 
 
-def test_a_way_that_may_be_off_by_all_of_a_rate_confirms_nothing():
-    """Four turns of rest knew one mode to 700 %, and three of four models were 25 to 40 % off."""
-    assert not doubtful(PAIR, opinion(PAIR, 0.09)).any()
-    assert doubtful(PAIR, opinion(PAIR, 0.11)).all()
-
-
 def needed(exponents, deviation=1e-3):
     return replace(opinion(exponents, deviation), needed=True, complete=True)
 
