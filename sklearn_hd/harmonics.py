@@ -104,8 +104,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         decomposition, and ``predict`` adds them again. ``"auto"`` takes the turns in which inputs
         rest and outputs repeat themselves, except for noise: those that begin the record, else
         the most at one level of the inputs. It subtracts nothing if the outputs are zero there,
-        except for noise, or if nothing rests. None subtracts nothing. With ``reading="sample"``,
-        ``"auto"`` means None: the forced response is identified together with the dynamics.
+        except for noise. If nothing rests, the forced response is identified together with the
+        dynamics, as ``reading="sample"`` always does; ``reading="sliding"`` subtracts the mean
+        waveform, with a warning. None says that outputs are about their trim, and subtracts
+        nothing. With ``reading="period"`` a waveform that is more than half of the energy of an
+        output all the same is treated as ``"auto"`` does.
     sample_time : float or None, default=None
         Seconds. None reads it from the index; without times it is 1.0.
     azimuth : str or None, default=None

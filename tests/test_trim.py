@@ -157,13 +157,28 @@ def test_every_fold_finds_its_own():
     assert np.isfinite(scores).all()
 
 
-def test_a_trim_that_nobody_subtracts_is_named():
+def test_a_trim_that_nobody_names_is_no_multiplier_at_one():
+    """Outputs about their trim are left alone; a waveform that is most of them is no mode.
+
+    Sliding windows cannot identify it, and say so.
+    """
     u, y, _ = machine(60, [8], noise=0.01)
-    (said,) = warned(lambda: analyzer(trim_span=None).fit(u, y))
+    (said,) = warned(lambda: analyzer(reading="sliding", trim_span=None).fit(u, y))
     assert "a periodic waveform is 0.9" in said
     assert "trim_span=None subtracts none" in said
+    none, auto = (analyzer(trim_span=span).fit(u, y).basis_ for span in (None, "auto"))
+    assert none.trim_known
+    assert np.array_equal(none.output_trim, auto.output_trim)
     u, y, _ = machine(60, [8], noise=0.01, trim=0.0)
-    assert not warned(lambda: analyzer(trim_span=None).fit(u, y))
+    for reading in ("period", "sliding"):
+        silent = analyzer(reading=reading, trim_span=None)
+        assert not warned(lambda silent=silent: silent.fit(u, y))
+        assert silent.basis_.output_trim is None
+    u, y, _ = machine(120, range(2, 110, 3), noise=0.01)
+    found = pipeline(trim_span=None).fit(u, y)["identify"].model_
+    true = np.linalg.eigvals(np.linalg.matrix_power(expm(STEP), SPP))
+    ours = np.exp(found.exponents() * 2 * np.pi / OMEGA)
+    assert np.allclose(np.sort_complex(ours), np.sort_complex(true), atol=0.02)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])

@@ -16,7 +16,7 @@ from sklearn_hd.algorithms.signals.trim import drift, in_trim, motion_of, stands
 from sklearn_hd.exceptions import IdentifiabilityWarning
 
 MOST_MOTION = 0.01  # of its energy, that a trim may hold
-MOST_WAVEFORM = 0.5  # of the energy of an output, that is one waveform nobody subtracts
+MOST_WAVEFORM = 0.5  # of the energy of an output: a waveform that holds more is a trim
 PARTS = 8  # of a record, by which a waveform is told from its motion
 
 
@@ -45,9 +45,9 @@ def with_trim(basis, signals, outputs, trim_span):
             return basis if asked else _with_fast_waveform(basis, signals, outputs)
         sampling, *blocks = sample(signals, basis, outputs)
         found = _found(sampling, blocks, basis)
-        if found is not None and span is None:
-            _warn_of_no_trim(found["output_trim"], blocks[1], basis, sampling)
-        if found is None or span is None:
+        if found is None or (
+            span is None and not _is_identified(found, blocks[1], basis, sampling)
+        ):
             return basis
         if basis.reading == "sliding" and not found["trim_known"]:
             _warn_of_no_rest()
@@ -200,10 +200,13 @@ def _warn_of_drift(sampling, given, basis, start, stop):
         )
 
 
-def _warn_of_no_trim(waveform, outputs, basis, sampling):
-    """Of outputs that are mostly a periodic waveform which nobody subtracts."""
-    share = _share(waveform, np.concatenate(_lifted(sampling, outputs, basis)))
-    if share > MOST_WAVEFORM:
+def _is_identified(found, outputs, basis, sampling):
+    """Whether a waveform that ``trim_span=None`` leaves in the outputs is identified as their trim.
+
+    One that is most of an output is, period by period; of sliding windows there is a warning.
+    """
+    share = _share(found["output_trim"], np.concatenate(_lifted(sampling, outputs, basis)))
+    if share > MOST_WAVEFORM and basis.reading == "sliding":
         warn(
             f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
             f"of the energy of an output, but trim_span=None subtracts none; the waveform is "
@@ -211,6 +214,8 @@ def _warn_of_no_trim(waveform, outputs, basis, sampling):
             f"times of the trim",
             IdentifiabilityWarning,
         )
+        return False
+    return share > MOST_WAVEFORM
 
 
 def _warn_of_no_rest():
