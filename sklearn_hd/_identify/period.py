@@ -27,6 +27,7 @@ from sklearn_hd._opinion import (
     DOUBT,
     LASTING,
     SURE,
+    Opinion,
     decays_at_rest,
     more_doubtful,
     of_free_decays,
@@ -122,12 +123,12 @@ def identify(data, settings, experiment):
         decomposition, fitted, scales, data.facts, settings, True, feedthrough_reason=reason
     )
     opinion, exponents = of_free_decays(still, experiment, at_rest), fit.model.exponents()
-    if not (opinion or settings.predictor or searching()):  # inputs move, or their rest tells none
-        opinion = sample.opinion(experiment)
     warn_of_growth(fit.model, experiment)
     held = opinion
     if not (settings.predictor or at_rest or searching()):
-        held = more_doubtful(exponents, opinion, _of_its_likelihood(fit.model, experiment, data))
+        own = _of_its_likelihood(fit.model, experiment, data)
+        opinion = _of_another_way(exponents, opinion, own, experiment)
+        held = more_doubtful(exponents, opinion, own)
     warn_unconfirmed(exponents, held)
     doubt = 0.0 if held is None else held.doubt(exponents)
     model = _lifted(fit.model, data, experiment, known, forced)
@@ -143,6 +144,22 @@ def _left_of_motion(model, experiment):
         return np.inf
     y = np.vstack(_raw_periods(experiment))
     return model.lifted.left * float(np.sum(y**2) / max(np.sum((y - y.mean(axis=0)) ** 2), TINY))
+
+
+def _of_another_way(exponents, of_decays, own, experiment):
+    """The opinion of free decays, or of samples where inputs move, or their rest tells none.
+
+    Where the likelihood does not know the model's own multipliers, either, it is needed.
+    """
+    opinion = of_decays
+    if opinion is None or (own is None and not opinion.tells(exponents)):
+        opinion = sample.opinion(experiment) or opinion
+    if own is not None:
+        return opinion
+    if opinion is None:
+        none = np.zeros(0)
+        opinion = Opinion(none + 0j, none, experiment.basis.omega, "the record has")
+    return replace(opinion, needed=True)
 
 
 def _of_its_likelihood(model, experiment, data):
