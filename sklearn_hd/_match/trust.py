@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.stats import norm, t
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
@@ -95,6 +96,8 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     covariance = covariance * wider[:, None] * wider
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
+    if robust and _coloured(tests.index[~tests["passed"]]):
+        std = std * _of_few_parts(exponents, experiment)
     std = _beside(std, exponents, opinion)
     stopped(std, part)
     systematic = _systematic(alike, experiment, sampled) if robust else 0.0
@@ -109,6 +112,21 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     covariance = np.where(known, covariance, fit.covariance)
     stored = None if tests is None else tests.reset_index().to_dict("list")
     return Uncertainty(covariance, *of_fit, std, kind=kind, tests=stored, doubt=doubt)
+
+
+def _of_few_parts(exponents, experiment):
+    """By how much exponents are known worse than blocks of a long record say, if noise moves them.
+
+    Blocks shorter than a time constant are not independent. In a time T a mode has T |Re λ| / 2
+    parts that are. With so many degrees of freedom Student's t replaces the normal deviate.
+    """
+    parts = 0.5 * np.abs(exponents.real) * sum(_spans(experiment))
+    return t.ppf(norm.cdf(SURE), np.maximum(parts, 1.0)) / SURE
+
+
+def _spans(experiment):
+    """Seconds of each segment."""
+    return [time[-1] - time[0] for time in experiment.times()]
 
 
 def _beside(std, exponents, opinion):
@@ -292,7 +310,7 @@ def _warn_of_parts(exponents, apart, own, more, doubt):
 
 def warn_of_slow(fit, trust, experiment):
     """Warn of modes that last longer than the record, and of intervals of a short record."""
-    spans = [time[-1] - time[0] for time in experiment.times()]
+    spans = _spans(experiment)
     slowest = np.max(trust.exponents.real, initial=-np.inf)
     decays = -slowest * max(spans)
     if abs(decays) < 1.0:  # it lasts longer than the record
