@@ -163,11 +163,12 @@ class StructuredMatcher(ModelStep):
     Raises
     ------
     ValueError
-        At ``fit``, if there is no model, or the structure or criterion does not fit it.
+        At ``fit``, if there is no model, or the structure or criterion does not fit it. Also if the
+        periodic model of a HarmonicStructure, matched in a norm, leaves more of its own record than
+        there was.
     UnstableModelError
         If the model is unstable: it has no H∞ norm, and ``"output_error"`` cannot simulate it over
-        a record. Also if the periodic model of a HarmonicStructure, matched in a norm, leaves more
-        of its own record than there was.
+        a record. Also if the periodic model that leaves so much is.
 
     Warns
     -----

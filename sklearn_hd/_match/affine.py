@@ -156,7 +156,8 @@ def _check_record(periodic, experiment, error):
     share = np.max(left[there > 0.0] / there[there > 0.0], initial=0.0)
     if share > 1.0:
         radius = np.max(np.abs(sampled.eigenvalues()))
-        raise UnstableModelError(
+        kind = ValueError if radius < 1.0 else UnstableModelError
+        raise kind(
             f"the matched periodic model leaves {share:.3g} times the variance of an output in its "
             f"own training record, even from the best initial state (largest Floquet multiplier "
             f"{radius:.3g}), although its harmonic decomposition is within {error:.2g} of the "
