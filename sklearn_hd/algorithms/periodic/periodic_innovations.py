@@ -306,7 +306,9 @@ class PeriodicInnovations:
         moved = np.einsum("tij,tk->tikj", A, now)
         kept = np.einsum("tk,ij->tikj", later, np.eye(n))
         design = (kept - moved).reshape(len(psi) * n, -1)
-        return linalg.lstsq(design, a.ravel(), cond=HALF)[0].reshape(2 * K + 1, n) * size
+        # by a QR decomposition: an SVD may fail to converge
+        found = linalg.lstsq(design, a.ravel(), cond=HALF, lapack_driver="gelsy")[0]
+        return found.reshape(2 * K + 1, n) * size
 
 
 def _power(steps, exponent):
