@@ -23,7 +23,7 @@ from sklearn_hd.algorithms.likelihood.predictor import (
     sensitivity_pieces,
     sensitivity_sums,
 )
-from sklearn_hd.algorithms.linalg.rounding import RANK
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -416,11 +416,14 @@ def fitted(innovations, segments, sensor_noise, counted=None, below=np.inf):
         x, e = rows.innovations(u, y, rows.initial_state(u, y, size))
         parts.append((rows, u, x, e, psi))
     left = np.vstack([e[some] for (_, _, _, e, _), some in zip(parts, counted, strict=True)])
-    if not np.isfinite(left).all():
+    if not np.max(np.abs(left), initial=0.0) < OVERFLOW:
         return None
     covariance = left.T @ left / len(left)
     floor = covariance + sensor_noise**2 * np.eye(len(covariance))
-    root = linalg.cholesky(floor, lower=True)
+    try:
+        root = linalg.cholesky(floor, lower=True)
+    except linalg.LinAlgError:  # of a step so far that rounding hides the least noise
+        return None
     cost = len(left) * float(np.sum(np.log(np.diag(root))))
     if not cost < below:
         return None

@@ -7,7 +7,7 @@ import pytest
 from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, record
 
 from sklearn_hd.algorithms.likelihood import innovations_steps
-from sklearn_hd.algorithms.likelihood.innovations_steps import _Form, _telling, most_likely
+from sklearn_hd.algorithms.likelihood.innovations_steps import _Form, _telling, fitted, most_likely
 from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
 
 LAYOUT = Layout(N_INPUTS, N_OUTPUTS, 2, 1, 1, 2, feedthrough=True)
@@ -157,3 +157,14 @@ def test_steps_are_not_taken_where_they_lead_nowhere(why):
     else:
         wild = replace(true, gain=1e3 * true.gain)  # its predictor forgets nothing
         assert most_likely(wild, some, LAYOUT, 1e-3) is None
+
+
+@pytest.mark.parametrize("size", [1e20, 1e200])
+def test_a_step_so_far_that_rounding_hides_the_least_noise_is_none(size):
+    """All outputs are the same multiple of one input: their covariance has rank one."""
+    true = drawn()
+    whole = true.coefficients.copy()
+    whole[0, N_STATES:, N_STATES] = size
+    some = segments(true, 300)
+    assert fitted(true, some, 1e-3) is not None
+    assert fitted(replace(true, coefficients=whole), some, 1e-3) is None
