@@ -315,7 +315,7 @@ class ModelStep(FrameTransformer, RegressorMixin, BaseEstimator):
 
         w is the subtracted trim, or the identified forced periodic response
         (``reading="sample"``), so a waveform that repeats itself with every turn does not count.
-        If no trim is known (``trim_span=None``), w is zero. The initial state of each segment is
+        If no trim was found or given, w is zero. The initial state of each segment is
         fitted on its first ``warmup`` seconds after the first whole window. Those rows, and rows
         of incomplete periods, are not scored. A model identified through a sliding window is
         compared with y as that window shows it, because it describes no more; any other with y

@@ -101,9 +101,11 @@ class Opinion:
         size = (apart + SURE * spread)[lasting(exponents, self.omega)]
         return float(np.max(np.nan_to_num(size, nan=np.inf), initial=0.0))
 
-    def tells(self, exponents):
-        """Whether it knows any of some exponents to within its rate."""
-        return bool(np.any(SURE * self.about(exponents)[2] < 1.0))
+    @property
+    def tells(self):
+        """Whether it knows any mode that lasts to within its rate."""
+        known = SURE * self.deviations < _rates(self.exponents, self.omega)
+        return bool(np.any(known & lasting(self.exponents, self.omega)))
 
     def beside(self, exponents):
         """Where the nearest exponent to each of some is beside it, and its deviation, 1/s."""

@@ -102,13 +102,15 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         Span in which the machine is in periodic trim: index times, in seconds within each record
         (for dates: since ``time_origin``). The mean waveforms there are subtracted before
         decomposition, and ``predict`` adds them again. ``"auto"`` takes the turns in which inputs
-        rest and outputs repeat themselves, except for noise: those that begin the record, else
-        the most at one level of the inputs. It subtracts nothing if the outputs are zero there,
-        except for noise. If nothing rests, the forced response is identified together with the
-        dynamics, as ``reading="sample"`` always does; ``reading="sliding"`` subtracts the mean
-        waveform, with a warning. None says that outputs are about their trim, and subtracts
-        nothing. With ``reading="period"`` a waveform that is more than half of the energy of an
-        output all the same is treated as ``"auto"`` does.
+        rest and outputs repeat themselves, except for noise: those that begin the record, else the
+        most at one level of the inputs. It subtracts nothing if the outputs are zero there, except
+        for noise. If nothing rests, and a waveform is more than half of the energy of an output,
+        this forced response is identified together with the dynamics, as ``reading="sample"``
+        always does; ``reading="sliding"`` subtracts the mean waveform, with a warning. None says
+        that outputs are about their trim, and subtracts nothing. If a waveform is more than half of
+        the energy of an output all the same, ``reading="period"`` identifies it together with the
+        dynamics; where inputs have a mean that may make it, and with ``reading="sliding"``, there
+        is a warning.
     sample_time : float or None, default=None
         Seconds. None reads it from the index; without times it is 1.0.
     azimuth : str or None, default=None

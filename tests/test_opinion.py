@@ -19,7 +19,6 @@ from sklearn_hd import (
     StructuredMatcher,
 )
 from sklearn_hd._identify import period
-from sklearn_hd._identify.sample import _beyond_chance
 from sklearn_hd._match.periodic import realize, warn_realized
 from sklearn_hd._match.trust import _beside, _of_few_parts
 from sklearn_hd._opinion import (
@@ -34,7 +33,6 @@ from sklearn_hd._opinion import (
     unchanging,
 )
 from sklearn_hd._records.data import read_experiment
-from sklearn_hd.algorithms.likelihood.innovations_steps import NextStep
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.matching import _warn_of_moves
@@ -398,43 +396,32 @@ def test_a_reducer_says_which_mode_its_model_lacks():
 def test_vague_decays_leave_the_word_to_the_samples(monkeypatch):
     """Four turns of rest knew one mode to 700 %, and the map explained all of its record."""
     vague, sure = opinion(PAIR, 0.2), opinion(PAIR, 1e-3)
-    experiment = SimpleNamespace(basis=SimpleNamespace(omega=1.0))
 
-    def heard(decays, own, samples):
+    def heard(decays, known, samples):
         monkeypatch.setattr(period.sample, "opinion", lambda _: samples)
-        return period._of_another_way(PAIR, decays, own, experiment)
+        return period._of_another_way(decays, known, None)
 
-    assert not vague.tells(PAIR)
-    assert sure.tells(PAIR)
-    assert heard(vague, sure, None) is vague  # its own likelihood knows it
-    assert heard(None, sure, sure) is sure
-    assert heard(None, sure, None) is None
-    found = heard(sure, None, vague)
+    assert sure.tells
+    assert not vague.tells
+    assert not opinion([-20.0], 1e-3).tells  # a period forgets it
+    assert not opinion([-0.02], 0.05).tells
+    assert heard(vague, True, None) is vague  # the likelihood knows it
+    assert heard(None, True, sure) is sure
+    assert heard(None, False, None) is None
+    found = heard(sure, False, vague)
     assert (found.needed, found.way) == (True, sure.way)
     assert found.deviations is sure.deviations
-    found = heard(vague, None, sure)
+    found = heard(vague, False, sure)
     assert not doubtful(PAIR, found).any()
     assert found.needed
     for samples in (None, vague):
-        assert doubtful(PAIR, heard(vague, None, samples)).all()
-    words = contradictions(PAIR, heard(None, None, None))
-    assert "the record has nothing that confirms it" in words
+        assert doubtful(PAIR, heard(vague, False, samples)).all()
 
 
-@pytest.mark.parametrize("fall", [130.0, 200.0, 1e4])
-def test_of_a_promise_that_noise_explains_the_rest_counts(fall):
-    """In 50 directions noise promises 50; of a whole step 1 − 50 / 2 Δ is to be expected."""
-
-    def step(fall, n_told, shift, deviation):
-        logarithms = 2.0 * np.pi * (PAIR + shift)
-        return NextStep(0.5 * fall, n_told, (logarithms, np.full(2, deviation)))
-
-    before = step(10.0, 30, 0.0, 3e-3)
-    (found, deviations) = _beyond_chance(before, step(10.0 + fall, 80, -0.1, 5e-3))
-    share = 1.0 - 50.0 / fall
-    assert np.allclose(found, 2.0 * np.pi * (PAIR - 0.1 * share))
-    assert np.allclose(deviations**2, (1.0 - share) * 9e-6 + share * 25e-6)
-    assert _beyond_chance(before, step(10.0 + 85.0, 80, -0.1, 5e-3)) is None  # 3.5 deviations
+def test_a_likelihood_that_knows_nothing_confirms_nothing():
+    nothing = opinion(PAIR, np.inf, own=True)
+    assert doubtful(PAIR, nothing).all()
+    assert "they have nothing that confirms it" in contradictions(PAIR, nothing)
 
 
 def test_few_time_constants_tell_few_things():

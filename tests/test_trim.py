@@ -157,28 +157,56 @@ def test_every_fold_finds_its_own():
     assert np.isfinite(scores).all()
 
 
+def multipliers(pipe):
+    return np.sort_complex(np.exp(pipe["identify"].model_.exponents() * 2 * np.pi / OMEGA))
+
+
+TRUE = np.sort_complex(np.linalg.eigvals(np.linalg.matrix_power(expm(STEP), SPP)))
+
+
 def test_a_trim_that_nobody_names_is_no_multiplier_at_one():
     """Outputs about their trim are left alone; a waveform that is most of them is no mode.
 
     Sliding windows cannot identify it, and say so.
     """
     u, y, _ = machine(60, [8], noise=0.01)
+    u -= LEVEL * (1.0 + 0.1 * np.sin(OMEGA * u.index.to_numpy()[:, None]))
     (said,) = warned(lambda: analyzer(reading="sliding", trim_span=None).fit(u, y))
     assert "a periodic waveform is 0.9" in said
     assert "trim_span=None subtracts none" in said
-    none, auto = (analyzer(trim_span=span).fit(u, y).basis_ for span in (None, "auto"))
-    assert none.trim_known
-    assert np.array_equal(none.output_trim, auto.output_trim)
+    found = pipeline(trim_span=None).fit(u, y)
+    assert not found["harmonics"].basis_.trim_known
+    assert np.allclose(multipliers(found), TRUE, atol=0.02)
+    u, y, _ = machine(120, range(2, 110, 3), noise=0.01)
+    u -= LEVEL * (1.0 + 0.1 * np.sin(OMEGA * u.index.to_numpy()[:, None]))
+    assert np.allclose(multipliers(pipeline(trim_span=None).fit(u, y)), TRUE, atol=0.02)
     u, y, _ = machine(60, [8], noise=0.01, trim=0.0)
     for reading in ("period", "sliding"):
         silent = analyzer(reading=reading, trim_span=None)
         assert not warned(lambda silent=silent: silent.fit(u, y))
         assert silent.basis_.output_trim is None
-    u, y, _ = machine(120, range(2, 110, 3), noise=0.01)
-    found = pipeline(trim_span=None).fit(u, y)["identify"].model_
-    true = np.linalg.eigvals(np.linalg.matrix_power(expm(STEP), SPP))
-    ours = np.exp(found.exponents() * 2 * np.pi / OMEGA)
-    assert np.allclose(np.sort_complex(ours), np.sort_complex(true), atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["held", "mean", "levels"])
+def test_outputs_about_their_trim_stay_so_if_inputs_make_the_waveform(kind):
+    """A step that is held, inputs with a mean, steps between zero and one."""
+    rng, n = np.random.default_rng(3), 60 * SPP
+    inputs = {
+        "held": np.where(np.arange(n) < SPP, 0.0, 1.0),
+        "mean": 1.0 + 0.1 * rng.standard_normal(n),
+        "levels": np.repeat(rng.integers(0, 2, n // 40 + 1), 40)[:n].astype(float),
+    }
+    t, x, y = pd.Index(np.arange(n) / SPP, name="time"), np.zeros(2), np.zeros((n, 2))
+    for k, each in enumerate(inputs[kind]):
+        y[k] = [x[0], x[1] + 0.5 * np.cos(OMEGA * t[k]) * x[0]]
+        x = expm(STEP) @ x + np.array([0.0, 1.0]) * each / SPP
+    y += 1e-3 * y.std(axis=0) * rng.standard_normal(y.shape)
+    u, y = pd.DataFrame({"u": inputs[kind]}, t), pd.DataFrame(y, t, ["a", "b"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = pipeline(trim_span=None).fit(u, y)
+        at_rest = found.predict(0.0 * u)
+    assert np.max(np.abs(at_rest)) < 0.02 * np.max(np.abs(y.to_numpy()))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])

@@ -27,7 +27,6 @@ from sklearn_hd._opinion import (
     DOUBT,
     LASTING,
     SURE,
-    Opinion,
     decays_at_rest,
     more_doubtful,
     of_free_decays,
@@ -127,8 +126,9 @@ def identify(data, settings, experiment):
     held = opinion
     if not (settings.predictor or at_rest or searching()):
         own = _of_its_likelihood(fit.model, experiment, data)
-        opinion = _of_another_way(exponents, opinion, own, experiment)
-        held = more_doubtful(exponents, opinion, own)
+        told = bool(np.isfinite(own.deviations).any())
+        opinion = _of_another_way(opinion, told, experiment)
+        held = more_doubtful(exponents, opinion, own if told or opinion is None else None)
     warn_unconfirmed(exponents, held)
     doubt = 0.0 if held is None else held.doubt(exponents)
     model = _lifted(fit.model, data, experiment, known, forced)
@@ -146,30 +146,23 @@ def _left_of_motion(model, experiment):
     return model.lifted.left * float(np.sum(y**2) / max(np.sum((y - y.mean(axis=0)) ** 2), TINY))
 
 
-def _of_another_way(exponents, of_decays, own, experiment):
+def _of_another_way(opinion, told, experiment):
     """The opinion of free decays, or of samples where inputs move, or their rest tells none.
 
-    Where the likelihood does not know the model's own multipliers, either, it is needed.
+    Its word is needed where the likelihood has told nothing of the model's own multipliers.
     """
-    opinion = of_decays
-    if opinion is None or (own is None and not opinion.tells(exponents)):
+    if opinion is None or not (told or opinion.tells):
         opinion = sample.opinion(experiment) or opinion
-    if own is not None:
-        return opinion
-    if opinion is None:
-        none = np.zeros(0)
-        opinion = Opinion(none + 0j, none, experiment.basis.omega, "the record has")
-    return replace(opinion, needed=True)
+    return opinion if told or opinion is None else replace(opinion, needed=True)
 
 
 def _of_its_likelihood(model, experiment, data):
-    """What the whole record tells of the model's own multipliers; None where it is too short.
+    """What the whole record tells of the model's own multipliers.
 
-    Inputs that move in many directions can explain all of it, whatever the multipliers are.
+    Deviations are infinite where it tells nothing: inputs that move in many directions can explain
+    all of a short record, whatever the multipliers are.
     """
     found = multiplier_deviations(model.A, data.excitation, _raw_periods(experiment))
-    if not np.isfinite(found[1]).any():
-        return None
     return of_multipliers(*found, experiment, "its own likelihood has", True)
 
 

@@ -523,33 +523,13 @@ def _of_its_likelihood(refined, data, omega):
     base = refined.large or refined.without
     if base is not None:
         degrees, before, beside = base.of_other_degrees()
-        ahead = None if beside is None or before is None else _beyond_chance(before, beside)
-        if ahead is not None:
+        if before is not None and beside is not None and _is_no_chance(before, beside):
             which = " and ".join(POWERS[degree] for degree in degrees)
             way = f"its likelihood beside {which} of the motion has"
-            yield of(ahead, way, own=True, of_small_motions=True)
+            yield of(beside.ahead, way, own=True, of_small_motions=True)
 
 
-def _beyond_chance(before, beside):
-    """Where a step with further coefficients leads, less what noise alone would promise of it.
-
-    −2 log L falls by 2 Δ, of which noise explains k, one for each coefficient that is told. So of
-    the whole step 1 − k / 2 Δ is to be expected (W. James, C. Stein, 1961).
-
-    Parameters
-    ----------
-    before, beside : NextStep
-        Without and with them.
-
-    Returns
-    -------
-    ahead : (ndarray, ndarray) or None
-        As ``NextStep.ahead``; None where chance explains the fall, which is χ².
-    """
-    more, fall = max(beside.n_told - before.n_told, 1), 2.0 * (beside.fall - before.fall)
-    if fall <= more + STANDARD_ERRORS * np.sqrt(2.0 * more):
-        return None
-    (own, deviations), (others, wider) = before.ahead, beside.ahead
-    share = 1.0 - more / fall
-    squares = (1.0 - share) * deviations**2 + share * wider**2
-    return own + share * (others - own), np.sqrt(squares)
+def _is_no_chance(before, beside):
+    """Whether further coefficients let −log L fall by more than noise explains: 2 Δ log L is χ²."""
+    more = max(beside.n_told - before.n_told, 1)
+    return 2.0 * (beside.fall - before.fall) > more + STANDARD_ERRORS * np.sqrt(2.0 * more)

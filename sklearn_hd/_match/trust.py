@@ -16,7 +16,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_hd._checks import LITTLE, STANDARD_ERRORS
 from sklearn_hd._guards import warn
 from sklearn_hd._match import Uncertainty
-from sklearn_hd._opinion import SURE, doubtful, lasting
+from sklearn_hd._opinion import SURE, doubtful, lasting, what_it_has
 from sklearn_hd._residuals import ALARM, remainder, scored
 from sklearn_hd._simulators import sample_simulators, without_gain
 from sklearn_hd.algorithms.likelihood.noisy_inputs import NoisyInputProblem
@@ -89,6 +89,8 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
         differ = comparison.p_value < LEVEL / (len(WORDS) * len(own))
         more = np.maximum(more, np.where(differ, comparison.variance, 0.0))
         apart[name] = comparison.offsets[k:], differ[k:]
+    if robust and _coloured(tests.index[~tests["passed"]]):
+        own[k:] *= np.tile(_of_few_parts(exponents, experiment) ** 2, 2)
     kind = "robust" if robust else "information"
     covariance = into @ found @ into.T
     variance = np.diag(covariance)
@@ -96,8 +98,6 @@ def trusted(fit, experiment, sampled, parameters, settings, opinion):
     covariance = covariance * wider[:, None] * wider
     std = np.sqrt(own + more)[k:]
     std = np.where(np.isfinite(plain), std[:n] + 1j * std[n:], plain)
-    if robust and _coloured(tests.index[~tests["passed"]]):
-        std = std * _of_few_parts(exponents, experiment)
     std = _beside(std, exponents, opinion)
     stopped(std, part)
     systematic = _systematic(alike, experiment, sampled) if robust else 0.0
@@ -192,11 +192,11 @@ def _doubt(exponents, std, opinion, systematic):
         k = np.argmax(np.where(vague, spread, 0.0))
         known = f"the exponent {exponents[k]:.4g} 1/s is known to"
         return f"{known} {SURE * spread[k]:.3g} of its rate, {SURE:.0f} standard deviations"
-    nearest, gap, _ = other.about(exponents)
+    _, gap, error = other.about(exponents)
     apart = doubtful(exponents, other)
     if apart.any():
-        k = np.argmax(np.where(apart, gap, -1.0))
-        return f"{opinion.way} {nearest[k]:.4g} 1/s, not {exponents[k]:.4g} 1/s"
+        k = np.argmax(np.where(apart, gap + SURE * error, -1.0))
+        return f"the model has {exponents[k]:.4g} 1/s, {what_it_has(exponents, other, k)}"
     return None
 
 

@@ -44,10 +44,8 @@ def with_trim(basis, signals, outputs, trim_span):
             asked = basis.n_load_harmonics is not None
             return basis if asked else _with_fast_waveform(basis, signals, outputs)
         sampling, *blocks = sample(signals, basis, outputs)
-        found = _found(sampling, blocks, basis)
-        if found is None or (
-            span is None and not _is_identified(found, blocks[1], basis, sampling)
-        ):
+        found = _found(sampling, blocks, basis, named=span is not None)
+        if found is None:
             return basis
         if basis.reading == "sliding" and not found["trim_known"]:
             _warn_of_no_rest()
@@ -81,12 +79,15 @@ def _with_fast_waveform(basis, signals, outputs):
     return replace(basis, output_trim=fast, trim_known=False)
 
 
-def _found(sampling, blocks, basis):
+def _found(sampling, blocks, basis, named):
     """Waveforms of turns in trim; None where those of the outputs are no more than noise.
 
     Where nothing rests those of all turns, if outputs hold little else, or of those in which the
     inputs alone rest: what that of the outputs is off by is identified with the dynamics. Period
     by period the trim of inputs is then zero, unless their mean is larger than their motion.
+
+    So it is of outputs that should be about their trim (not ``named``), period by period, unless
+    the mean of the inputs may make the waveform.
     """
     units = [_exponent(values) for values in blocks]
     inputs, outputs = (
@@ -98,7 +99,7 @@ def _found(sampling, blocks, basis):
         return None
     motion = motion_of(outputs)
     rest = np.concatenate(in_trim(inputs, outputs))
-    known = bool(rest.any())
+    known = named and bool(rest.any())
     if known:
         stands = stands_out(y[rest], motion)
     else:
@@ -114,6 +115,9 @@ def _found(sampling, blocks, basis):
     level = u[rest].mean(axis=0)
     if not known and basis.reading == "period":  # which identifies what that brings about
         level = np.where(_in_square(level) > _in_square(u - level), level, 0.0)
+    if not named and (basis.reading == "sliding" or level.any()):
+        _warn_of_no_trim(_share(waveform, y))
+        return None
     trim = (np.ldexp(z, unit) for z, unit in zip((level, waveform), units, strict=True))
     return dict(zip(("input_trim", "output_trim"), trim, strict=True), trim_known=known)
 
@@ -200,22 +204,15 @@ def _warn_of_drift(sampling, given, basis, start, stop):
         )
 
 
-def _is_identified(found, outputs, basis, sampling):
-    """Whether a waveform that ``trim_span=None`` leaves in the outputs is identified as their trim.
-
-    One that is most of an output is, period by period; of sliding windows there is a warning.
-    """
-    share = _share(found["output_trim"], np.concatenate(_lifted(sampling, outputs, basis)))
-    if share > MOST_WAVEFORM and basis.reading == "sliding":
-        warn(
-            f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
-            f"of the energy of an output, but trim_span=None subtracts none; the waveform is "
-            f"identified as a multiplier at 1 and dominates R²; give trim_span='auto', or the "
-            f"times of the trim",
-            IdentifiabilityWarning,
-        )
-        return False
-    return share > MOST_WAVEFORM
+def _warn_of_no_trim(share):
+    """Of outputs that are mostly a periodic waveform which nobody subtracts."""
+    warn(
+        f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
+        f"of the energy of an output, but trim_span=None subtracts none; unless the inputs make "
+        f"it, the waveform is identified as a multiplier at 1 and dominates R²; give "
+        f"trim_span='auto', or the times of the trim",
+        IdentifiabilityWarning,
+    )
 
 
 def _warn_of_no_rest():
