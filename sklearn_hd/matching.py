@@ -115,7 +115,8 @@ class StructuredMatcher(ModelStep):
     covariance_ : DataFrame, shape (n_parameters, n_parameters)
     covariance_type_ : {"information", "robust"}
         Origin of the standard deviations: the information of white noise, or, if the residuals are
-        not white, the scores of some forty blocks of the record (the sandwich).
+        not white, the scores of some forty blocks of the record (the sandwich). Those of exponents
+        then allow for a record of few time constants, those of parameters do not.
     residual_tests_ : DataFrame or None
         Tests of the fitted record, as :meth:`residual_tests` gives them; None with
         ``input_noise``, with too few rows, or if the simulation overflows.
@@ -168,7 +169,7 @@ class StructuredMatcher(ModelStep):
         there was.
     UnstableModelError
         If the model is unstable: it has no H∞ norm, and ``"output_error"`` cannot simulate it over
-        a record. Also if the periodic model that leaves so much is.
+        a record. Also if the periodic model that leaves more than there was is unstable.
 
     Warns
     -----

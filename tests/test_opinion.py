@@ -418,10 +418,31 @@ def test_vague_decays_leave_the_word_to_the_samples(monkeypatch):
         assert doubtful(PAIR, heard(vague, False, samples)).all()
 
 
-def test_a_likelihood_that_knows_nothing_confirms_nothing():
-    nothing = opinion(PAIR, np.inf, own=True)
-    assert doubtful(PAIR, nothing).all()
-    assert "they have nothing that confirms it" in contradictions(PAIR, nothing)
+@pytest.mark.filterwarnings("ignore::sklearn_hd.exceptions.ExcitationWarning")
+@pytest.mark.parametrize("heard", ["samples", "nothing"])
+def test_inputs_that_explain_the_whole_record_leave_a_map_unconfirmed(heard, monkeypatch):
+    """Sixteen directions and what two states make of them are as many as there are turns."""
+    if heard == "nothing":
+        monkeypatch.setattr(period.sample, "opinion", lambda _: None)
+    rng, A, n = np.random.default_rng(0), np.array([[0.95, 0.2], [-0.2, 0.95]]), 48 * 16
+    u, x, y = rng.standard_normal(n), np.zeros(2), np.zeros(n)
+    for k in range(n):
+        y[k] = x[0]
+        x = A @ x + np.array([0.0, 1.0]) * u[k]
+    y += 0.02 * y.std() * rng.standard_normal(n)
+    t = pd.Index(np.arange(n) / 16, name="time")
+    analyzer = HarmonicAnalyzer(2.0 * np.pi, reading="period", trim_span=None)
+    pipe = make_pipeline(analyzer, MOESPRegressor(2))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        model = pipe.fit(pd.DataFrame({"u": u}, t), pd.DataFrame({"y": y}, t))[-1].model_
+    words = " ".join(str(w.message) for w in said)
+    if heard == "samples":
+        assert model.opinion.needed
+        assert model.opinion.way == "the samples have"
+    else:
+        assert model.opinion is None
+        assert "its own likelihood has nothing that confirms it" in words
 
 
 def test_few_time_constants_tell_few_things():

@@ -174,6 +174,8 @@ def test_a_trim_that_nobody_names_is_no_multiplier_at_one():
     (said,) = warned(lambda: analyzer(reading="sliding", trim_span=None).fit(u, y))
     assert "a periodic waveform is 0.9" in said
     assert "trim_span=None subtracts none" in said
+    short = analyzer(reading="sliding", trim_span=None)
+    assert len(warned(lambda: short.fit(u.iloc[: 7 * SPP], y.iloc[: 7 * SPP]))) == 1
     found = pipeline(trim_span=None).fit(u, y)
     assert not found["harmonics"].basis_.trim_known
     assert np.allclose(multipliers(found), TRUE, atol=0.02)

@@ -86,8 +86,9 @@ def _found(sampling, blocks, basis, named):
     inputs alone rest: what that of the outputs is off by is identified with the dynamics. Period
     by period the trim of inputs is then zero, unless their mean is larger than their motion.
 
-    So it is of outputs that should be about their trim (not ``named``), period by period, unless
-    the mean of the inputs may make the waveform.
+    ``named`` is False for ``trim_span=None``, by which the outputs are about their trim. Period by
+    period a waveform is then identified with the dynamics all the same, unless the mean of the
+    inputs may make it; that, and what sliding windows show, is told and left as it is.
     """
     units = [_exponent(values) for values in blocks]
     inputs, outputs = (
@@ -99,7 +100,8 @@ def _found(sampling, blocks, basis, named):
         return None
     motion = motion_of(outputs)
     rest = np.concatenate(in_trim(inputs, outputs))
-    known = named and bool(rest.any())
+    sliding = basis.reading == "sliding"
+    known = bool(rest.any()) and (named or sliding)
     if known:
         stands = stands_out(y[rest], motion)
     else:
@@ -115,7 +117,7 @@ def _found(sampling, blocks, basis, named):
     level = u[rest].mean(axis=0)
     if not known and basis.reading == "period":  # which identifies what that brings about
         level = np.where(_in_square(level) > _in_square(u - level), level, 0.0)
-    if not named and (basis.reading == "sliding" or level.any()):
+    if not named and (sliding or level.any()):
         _warn_of_no_trim(_share(waveform, y))
         return None
     trim = (np.ldexp(z, unit) for z, unit in zip((level, waveform), units, strict=True))
@@ -206,13 +208,14 @@ def _warn_of_drift(sampling, given, basis, start, stop):
 
 def _warn_of_no_trim(share):
     """Of outputs that are mostly a periodic waveform which nobody subtracts."""
-    warn(
-        f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
-        f"of the energy of an output, but trim_span=None subtracts none; unless the inputs make "
-        f"it, the waveform is identified as a multiplier at 1 and dominates R²; give "
-        f"trim_span='auto', or the times of the trim",
-        IdentifiabilityWarning,
-    )
+    if share > MOST_WAVEFORM:
+        warn(
+            f"the outputs repeat themselves from turn to turn: a periodic waveform is {share:.4g} "
+            f"of the energy of an output, but trim_span=None subtracts none; unless the inputs "
+            f"make it, the waveform is identified as a multiplier at 1 and dominates R²; give "
+            f"trim_span='auto', or the times of the trim",
+            IdentifiabilityWarning,
+        )
 
 
 def _warn_of_no_rest():
