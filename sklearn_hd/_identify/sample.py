@@ -522,14 +522,8 @@ def _of_its_likelihood(refined, data, omega):
         yield of(refined.ahead, "a further step of its likelihood has")
     base = refined.large or refined.without
     if base is not None:
-        degrees, before, beside = base.of_other_degrees()
-        if before is not None and beside is not None and _is_no_chance(before, beside):
+        degrees, beside = base.of_other_degrees()
+        if beside is not None and beside.beyond > STANDARD_ERRORS:
             which = " and ".join(POWERS[degree] for degree in degrees)
             way = f"its likelihood beside {which} of the motion has"
             yield of(beside.ahead, way, own=True, of_small_motions=True)
-
-
-def _is_no_chance(before, beside):
-    """Whether further coefficients let −log L fall by more than noise explains: 2 Δ log L is χ²."""
-    more = max(beside.n_told - before.n_told, 1)
-    return 2.0 * (beside.fall - before.fall) > more + STANDARD_ERRORS * np.sqrt(2.0 * more)

@@ -17,13 +17,14 @@ from functools import cached_property
 
 import numpy as np
 from scipy import linalg
+from scipy.stats import chi2, norm
 
 from sklearn_hd.algorithms.likelihood.predictor import (
     regressors_of,
     sensitivity_pieces,
     sensitivity_sums,
 )
-from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK
+from sklearn_hd.algorithms.linalg.rounding import OVERFLOW, RANK, TINY
 from sklearn_hd.algorithms.periodic.harmonic_balance import resize_harmonics
 from sklearn_hd.algorithms.periodic.multipliers import LASTING, LEAST_RATE
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
@@ -113,25 +114,25 @@ def most_likely(
 
 @dataclass(frozen=True, eq=False)
 class NextStep:
-    """What another whole step of a likelihood would do.
+    """What another whole step of a likelihood would do beside further inputs.
 
     Attributes
     ----------
-    fall : float
-        Of −log L, if residuals were linear.
-    n_told : int
-        Directions that the record tells.
+    beyond : float
+        Standard deviations of a normal variable by which 2 Δ log L of their effect alone, in which
+        residuals are linear, is beyond what noise explains.
     ahead : (ndarray, ndarray)
-        As :func:`most_likely` has it.
+        As :func:`most_likely` has it, of a step in all coefficients.
     """
 
-    fall: float
-    n_told: int
+    beyond: float
     ahead: tuple
 
 
-def next_step(innovations, segments, layout, sensor_noise):
-    """Another whole step, not taken; arguments as for :func:`most_likely`.
+def next_step(innovations, segments, layout, sensor_noise, n_inputs):
+    """Another whole step beside inputs further than so many, not taken.
+
+    Other arguments as for :func:`most_likely`.
 
     Returns
     -------
@@ -145,7 +146,8 @@ def next_step(innovations, segments, layout, sensor_noise):
         return None
     told = _telling(segments, int(MOST_NUMBERS / len(form.places) / layout.n_outputs))
     system = form.system(at, list(told))
-    return NextStep(system.promised, int(system.known.sum()), form.ahead(at, system, RANK)[1:])
+    beyond = system.beyond_noise(form.driven_beyond(innovations, n_inputs))
+    return NextStep(beyond, form.ahead(at, system, RANK)[1:])
 
 
 def is_told(innovations, segments, layout, counted=None):
@@ -219,6 +221,12 @@ class _Form:
         loads = place[: 2 * L + 1, :, -1].T
         places = np.concatenate([*places, loads.ravel()])
         return cls(H, L, layout.feedthrough, n_inputs, places, place[: 2 * H + 1, :n, :n])
+
+    def driven_beyond(self, innovations, n_inputs):
+        """Which of the free coefficients are effects of inputs further than so many."""
+        further = np.zeros(innovations.coefficients.shape, dtype=bool)
+        further[:, :, innovations.n_states + n_inputs : -1] = True
+        return np.append(further, np.zeros(innovations.gain.shape, dtype=bool))[self.places]
 
     def ahead(self, at, system, damping):
         """Logarithms of multipliers, where another step leads them, and their deviations."""
@@ -364,6 +372,27 @@ class _System:
     def root(self):
         """Of the parameters' covariance, root rootᵀ."""
         return self.vectors[:, self.known] / np.sqrt(self.values[self.known]) / self.size[:, None]
+
+    def alone(self, some):
+        """Those of some parameters, in parts of their size; the others are held."""
+        vectors = self.vectors[some]
+        return _System.of((self.values * vectors) @ vectors.T, vectors @ self.slope)
+
+    def beyond_noise(self, some):
+        """Normal deviations by which 2 Δ log L of some parameters alone is beyond that of noise.
+
+        Were the others the most likely ones, the slopes of some would have the covariance
+        J_ss − J_so J_oo⁻¹ J_os (Rao, 1948), and 2 Δ log L would be a sum of χ², here one of the
+        same mean and variance (Satterthwaite, 1946). Of a step in all parameters more is promised
+        than kept where the others are poorly known.
+        """
+        own, others = self.alone(some), self.alone(~some)
+        shared = own.root.T @ (self.values * self.vectors[some]) @ self.vectors[~some].T
+        shared = shared @ others.root
+        covariance = np.eye(len(shared)) - shared @ shared.T
+        mean, half_variance = max(np.trace(covariance), TINY), max(np.sum(covariance**2), TINY)
+        size = half_variance / mean
+        return float(norm.isf(chi2.sf(2.0 * own.promised / size, mean / size)))
 
     def step(self, damping):
         """A step, damped by some part of the largest eigenvalue."""

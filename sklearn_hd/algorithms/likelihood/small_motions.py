@@ -186,22 +186,18 @@ class LargeMotions:
         -------
         degrees : tuple of int
             Empty where none are to be had.
-        before, beside : NextStep or None
-            Without and with them.
+        beside : NextStep or None
         """
         before = () if self.products is None else self.products.degrees
         tried = tuple(degree for degree in DEGREES if degree not in before)
         motion = self._motion_beside(tried, turning=False) if tried else None
-        if motion is None:
-            return (), None, None
-        products = self._products(motion, tried)
+        products = None if motion is None else self._products(motion, tried)
         if products is None:
-            return (), None, None
+            return (), None
         driven = products.beside(self.segments, motion)
-        some = [(u[:, : self.model.n_inputs], y, psi) for u, y, psi in driven]
         layout = replace(self.layout, n_inputs=self._n_turning(self.model))
-        both = (self.model, some), (self._beside(products), driven)
-        return tried, *(next_step(*each, layout, self.sensor_noise) for each in both)
+        start, n_inputs = self._beside(products), self.model.n_inputs
+        return tried, next_step(start, driven, layout, self.sensor_noise, n_inputs)
 
     def _motion_beside(self, degrees, turning):
         """The motion, if products of further degrees are not too many numbers; else None."""

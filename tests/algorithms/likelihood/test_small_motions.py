@@ -156,14 +156,7 @@ def test_motions_between_two_values_have_no_products_of_their_own():
     for degrees in (None, (2,)):
         assert LargeMotions.of(delay, some, layout, 1e-3, np.inf, degrees) is None
     base = LargeMotions.without(delay, some, layout, 1e-3, np.inf)
-    assert base.of_other_degrees()[1:] == (None, None)
-
-
-def by_chance(base):
-    """How many deviations 2 Δ log L of products that it has not is beyond that of noise."""
-    degrees, before, beside = base.of_other_degrees()
-    more = beside.n_told - before.n_told
-    return degrees, (2.0 * (beside.fall - before.fall) - more) / np.sqrt(2.0 * more)
+    assert base.of_other_degrees()[1] is None
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -174,15 +167,15 @@ def test_products_that_were_not_taken_up_show_a_machine_that_is_not_linear(seed)
         some = [bent(true, degree, bend, 1500, seed)]
         linear, _ = most_likely(true, some, SEEN, 1e-3)
         base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
-        degrees, beyond = by_chance(base)
+        degrees, beside = base.of_other_degrees()
         assert degrees == (2, 3)
-        assert (beyond > 4.0) == (bend != 0.0)
-        known, deviations = base.of_other_degrees()[2].ahead
+        assert (beside.beyond > 4.0) == (bend != 0.0)
+        known, deviations = beside.ahead
         assert np.all(np.abs(np.sort_complex(known) - multipliers(true)) < 5.0 * deviations)
     large = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf)
-    degrees, beyond = by_chance(large)
+    degrees, beside = large.of_other_degrees()
     assert (large.products.degrees, degrees) == ((2,), (3,))
-    assert beyond < 4.0  # squares have taken up all
+    assert beside.beyond < 4.0  # squares have taken up all
 
 
 def test_nothing_is_said_of_products_that_are_not_to_be_had(monkeypatch):
@@ -191,9 +184,9 @@ def test_nothing_is_said_of_products_that_are_not_to_be_had(monkeypatch):
     linear, _ = most_likely(true, some, SEEN, 1e-3)
     base = LargeMotions.without(linear, some, SEEN, 1e-3, np.inf)
     asked = LargeMotions.of(linear, some, SEEN, 1e-3, np.inf, degrees=(2, 3))
-    assert asked.of_other_degrees() == ((), None, None)  # it has all
+    assert asked.of_other_degrees() == ((), None)  # it has all
     monkeypatch.setattr(small_motions, "MOST_NUMBERS", 1e3)
-    assert base.of_other_degrees() == ((), None, None)  # too many numbers
+    assert base.of_other_degrees() == ((), None)  # too many numbers
 
 
 def test_products_do_not_pay_for_a_linear_machine():
