@@ -18,6 +18,7 @@ from scipy.fft import dct
 from sklearn_hd.algorithms.linalg.rounding import EPS, EXACT, TINY
 from sklearn_hd.algorithms.periodic.multipliers import (
     PATIENCE,
+    SURE,
     cost_of_a_state,
     is_noise,
     left_by,
@@ -43,7 +44,6 @@ NOTHING_ELSE = 1e-4  # of what few modes leave, that more have to leave: noise i
 WEAK = 1e-2  # of the strongest direction: what is weaker may be of second order, if not noise
 SLOW = 0.25  # of a mode's motion, left when half of the slowest one's is gone
 LEAST_GONE = 0.05  # of a mode's motion, to tell what the rest of it leads to
-SURE = 2.0  # standard deviations that an estimate may be off by
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from sklearn_hd.algorithms.lti.structured_model import column_sizes
 
 LASTING = 1e-3  # of a motion, left after a period: what is less is not judged
 LEAST_RATE = 0.02  # e-folds a period: smaller rates are judged as if they were as large
+SURE = 2.0  # standard deviations that an estimate may be off by
 SEPARATION = 1e-3  # multipliers or exponents nearer than this, relative, are not told apart
 LARGEST_RESPONSE = 1e70  # alternating fits may come to its fourth power, and 1e308 overflows
 SMALLER = (0.9, 0.3, 0.05)  # sizes of the largest multiplier to start from where it is above 1
@@ -118,7 +119,8 @@ def multiplier_deviations(Phi, directions, lifted):
 
     The noise is white. Its variance is the sum of squares left of the lifted outputs over the
     numbers that inputs and the modes' answers to them leave free. Of z² − s z + p an error
-    e = z δs − δp moves a root by δz, δz² + (2 z − s) δz = e: by √e where the root is double.
+    e = z δs − δp moves a root by δz, δz² + (2 z − s) δz = e: by √e where the root is double, and
+    by more towards the other root than away from it.
 
     Parameters
     ----------
@@ -148,7 +150,11 @@ def multiplier_deviations(Phi, directions, lifted):
             moved = np.linalg.norm(np.array([1.0] if len(own) == 1 else [z, -1.0]) @ rows)
             if len(own) == 2:
                 gap = abs(2.0 * z - own[0])
-                moved = 2.0 * moved / max(gap + np.sqrt(gap**2 + 4.0 * moved), TINY)
+                away = 2.0 * moved / max(gap + np.sqrt(gap**2 + 4.0 * moved), TINY)
+                far = SURE * moved
+                meet = gap**2 <= 4.0 * far
+                near = np.sqrt(far) if meet else 0.5 * (gap - np.sqrt(gap**2 - 4.0 * far))
+                moved = max(away, near / SURE)
             found.append((z, moved / abs(z) if abs(z) > TINY else np.inf))
     multipliers, deviations = zip(*found, strict=True)
     return np.array(multipliers), np.array(deviations)

@@ -196,6 +196,24 @@ def test_deviations_hold_however_much_the_inputs_explain(n_directions):
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.15
 
 
+def test_two_deviations_hold_where_noise_splits_a_pair_that_is_nearly_double():
+    """Either root may be where the other is, and errors towards it are larger than away from it."""
+    Phi, within = np.array([[0.41, 0.2], [-1e-4, 0.41]]), []
+    truth = np.log(np.linalg.eigvals(Phi).astype(complex))
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        states = [np.array([1.0, 1.0])]
+        for _ in range(29):
+            states.append(Phi @ states[-1])
+        y = np.array(states) @ rng.standard_normal((2, 10))
+        y += 2e-3 * y[0].std() * rng.standard_normal(y.shape)
+        none = [np.zeros((30, 0))]
+        found, deviations = multiplier_deviations(refine_multipliers(Phi, none, [y]), none, [y])
+        off = np.abs(np.log(found.astype(complex))[:, None] - truth).min(axis=1)
+        within += (off <= 2.0 * deviations).tolist()
+    assert np.mean(within) > 0.9
+
+
 def test_nothing_is_known_where_answers_explain_all_periods(rng):
     w, y = rng.standard_normal((8, 3)), rng.standard_normal((8, 5))
     assert np.isinf(multiplier_deviations(np.diag([0.8, 0.4]), [w], [y])[1]).all()
