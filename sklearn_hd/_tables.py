@@ -174,6 +174,8 @@ STEP_TOLERANCE = 1e-3  # share of the sample time by which a step may differ
 ROUNDED = 1e-9  # share of the sample time by which rounded times may move it
 REPRESENTATIVE = 1001  # of steps that are alike
 SHORT = 8  # rows from gap to gap, below which the gaps are no accident
+MOST_DECIMALS = 9  # of times in seconds, whose rounding is told from jitter
+ROUNDS_BY = 0.6  # of a clock's unit: a half, and what a fitted line may be off
 JITTER_LIMIT = 0.2  # of the sample time, by which the instant of a row may be off
 
 
@@ -509,6 +511,21 @@ def resolution(time):
     return float(np.spacing(np.max(np.abs(time))))
 
 
+def clock_unit(time):
+    """Seconds of which all times are multiples: 1, 2 or 5 of some decimal; 0 if there are none."""
+    since, rounding = time - time[0], 2.0 * resolution(time)
+    for unit in np.outer(10.0 ** -np.arange(MOST_DECIMALS + 1), [1.0, 0.5, 0.2]).ravel():
+        if np.max(np.abs(since - unit * np.rint(since / unit))) <= rounding < 0.5 * unit:
+            return float(unit)
+    return 0.0
+
+
+def _of_rounding(off, time):
+    """Whether what rows are off a line is no more than the unit and the float of a clock leave."""
+    most = ROUNDS_BY * clock_unit(time) + 2.0 * resolution(time)
+    return bool(np.max(np.abs(off)) <= most)
+
+
 def even(places, step, rounding):
     """Whether neighbours are one step apart, so that nothing need be resampled."""
     if len(places) < 2:
@@ -531,7 +548,8 @@ def straightened(places, base, step):
         spread = max(rows @ rows, 1.0)
         slope = rows @ own / spread
         off = own - middle - slope * rows
-        if np.max(np.abs(off)) <= STEP_TOLERANCE * step + resolution(base.time):
+        rounding = STEP_TOLERANCE * step + resolution(base.time)
+        if np.max(np.abs(off)) <= rounding or _of_rounding(off, base.time):
             error = np.sqrt(off @ off / max(n - 2, 1) / spread)
             slope = step if abs(slope - step) <= STANDARD_ERRORS * error else slope
             places[segment] = middle + slope * rows
@@ -542,7 +560,8 @@ def _mean_step(seconds, segments, found):
     """Sample time, jitter (rms, largest) and standard error of the sample time.
 
     Lines of one slope are fitted to all segments by least squares. A step found
-    that is as good to rounding is kept, and rows a step apart have no jitter.
+    that is as good to rounding is kept, and rows a step apart have no jitter, nor
+    have those that are off the line by what a clock of some unit leaves.
     """
     counts, times = [], []
     for segment in segments:
@@ -560,6 +579,7 @@ def _mean_step(seconds, segments, found):
     if abs(slope - found) <= ROUNDED * found:
         slope = found
     rounding = resolution(seconds)
-    if all(even(seconds[segment], slope, rounding) for segment in segments):
+    steady = all(even(seconds[segment], slope, rounding) for segment in segments)
+    if steady or _of_rounding(off, seconds):
         return slope, (0.0, 0.0), uncertainty
     return slope, (float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(off)))), uncertainty

@@ -4,10 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import KEPT
+from numpy.testing import assert_allclose
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, MOESPRegressor
-from sklearn_hd._tables import read_time, why_short
+from sklearn_hd._tables import read_time, straightened, why_short
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import JitterWarning, ResamplingWarning, TimeBaseWarning
 from sklearn_hd.model_selection import PeriodBlockSplit
@@ -37,7 +38,35 @@ def test_rounded_times(digits):
     base = read_time(frame(np.round(DT * rows, digits)))
     assert len(base.segments) == 2
     assert base.sample_time == pytest.approx(DT, rel=10.0 ** (1 - digits))
-    assert (base.jitter[1] > 0.0) == (digits < 9)
+    assert base.jitter == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+@pytest.mark.parametrize("unit", [1e-6, 5e-5, 1e-4])
+def test_the_unit_of_a_clock_is_no_jitter(rng, start, unit):
+    """Times are multiples of a unit: rows lie on their line, unless they are off by more."""
+    time = start + unit * np.round(DT * np.arange(4000) / unit)
+    base = read_time(frame(time))
+    assert base.jitter == (0.0, 0.0)
+    off = straightened(time.copy(), base, base.sample_time) - start - DT * np.arange(4000)
+    assert np.ptp(off) < 0.1 * unit + 4.0 * np.spacing(start)
+    late = start + unit * np.round((time - start) / unit + rng.choice([0, 1], 4000))
+    assert read_time(frame(late)).jitter[1] > 0.6 * unit
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-4])
+def test_a_clock_of_some_unit_identifies_the_same_model(unit):
+    wing = make_flapping_wing("nltp", n_periods=180, amplitude=0.005)
+    time, found = wing.inputs.index.to_numpy(), []
+    for index in (time, unit * np.round(time / unit)):
+        pipe = Pipeline(
+            [("harmonics", HarmonicAnalyzer(wing.omega)), ("identify", MOESPRegressor())]
+        )
+        u, y = (
+            table.set_axis(pd.Index(index, name="time")) for table in (wing.inputs, wing.outputs)
+        )
+        found.append(pipe.fit(u, y)["identify"].model_.exponents())
+    assert_allclose(found[1], found[0], rtol=1e-6)
 
 
 def test_a_period_of_rounded_times_is_whole():
