@@ -161,8 +161,13 @@ def signal_names(data, prefix):
 def check_finite(values, names, time, what, missing=RAISE):
     """Raise ValueError naming the column and the first time of a value that is not finite.
 
-    NaN is let through where ``missing`` has a rule for it.
+    NaN is let through where ``missing`` has a rule for it, unless a column holds nothing else.
     """
+    empty = np.isnan(values).all(axis=0) & (len(values) > 0)
+    if empty.any() and missing != RAISE:
+        raise ValueError(
+            f"{what} has no values in column {names[int(np.argmax(empty))]!r}: all are NaN; drop it"
+        )
     bad = ~np.isfinite(values) if missing == RAISE else np.isinf(values)
     if bad.any():
         row = int(np.argmax(bad.any(axis=1)))

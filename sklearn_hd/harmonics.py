@@ -278,6 +278,11 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         X = check_features(self, X, reset=True)
         check_has_signals(X, "X")
         inputs = read_signals(X, timing)
+        if self.azimuth is None and len(inputs.base.time) == len(inputs.base.segments):
+            raise ValueError(
+                f"X has n_samples={len(X)}, none after another, which tell no sample time; give a "
+                f"record of many periods"
+            )
         outputs, output_names = None, ()
         if y is not None and not is_decomposed(y):
             outputs, output_names = read_values(y, X, inputs.base, timing)
@@ -295,7 +300,7 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
                 basis = _without_loss(basis, inputs, outputs)
             return with_trim(basis, inputs, outputs, self.trim_span)
 
-        first, *others = chosen_readings(self, inputs, outputs, omega)
+        first, *others = chosen_readings(self, inputs, outputs, timing, omega)
         self.basis_ = basis_of(first)
         if others:
             self.basis_ = replace(self.basis_, alternative=basis_of(*others))
@@ -445,8 +450,8 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
 
         Parameters
         ----------
-        input_features : ignored
-            Present for compatibility with scikit-learn.
+        input_features : array-like of str, optional
+            Those at fit: there are no others.
 
         Returns
         -------
@@ -457,8 +462,16 @@ class HarmonicAnalyzer(FrameTransformer, BaseEstimator):
         ------
         NotFittedError
             Before ``fit``.
+        ValueError
+            If ``input_features`` are not the columns of X at fit.
         """
         check_is_fitted(self)
+        known = list(getattr(self, "feature_names_in_", ()))
+        if input_features is not None and known and list(input_features) != known:
+            raise ValueError(
+                f"input_features={list(input_features)} are not the columns at fit, {known}; leave "
+                f"input_features=None"
+            )
         names = [*self.basis_.measured, *self.basis_.coefficient_labels]
         return np.asarray(names, dtype=object)
 
@@ -494,7 +507,7 @@ def _check_raw(X):
 def _warn_of_few(base, omega):
     """Where a model is predicted at another clock than that of the fit."""
     samples = 2.0 * np.pi / omega / base.sample_time
-    if samples < 2.0:
+    if samples < 2.0 and len(base.time) > len(base.segments):  # single rows tell no step
         warn(
             f"the rows of X are {base.sample_time:.4g} s apart, {1.0 / samples:.3g} turns of "
             f"omega={omega:.4g} rad/s, so they do not show what happens in a turn; give the times "

@@ -306,6 +306,30 @@ def test_switches_are_switches(u, y, name, value):
 # ---- found by the fuzz ------------------------------------------------------------------------
 
 
+def test_a_record_of_single_rows_tells_no_sample_time(u, y):
+    with pytest.raises(ValueError, match="X has n_samples=1, none after another"):
+        analyzer().fit(u[:1], y[:1])
+
+
+def test_one_row_at_prediction_is_not_said_to_be_far_from_the_next(u, y):
+    fitted = chain(HarmonicAnalyzer(OMEGA, reading="sample"), MOESPRegressor(order=1)).fit(u, y)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", TimeBaseWarning)
+        assert fitted.predict(u[:1]).shape == (1, 1)
+
+
+def test_a_column_without_values_is_named(u, y):
+    with pytest.raises(ValueError, match=r"y has no values in column 'w': all are NaN; drop it"):
+        analyzer(missing="gap").fit(u, np.nan * y)
+
+
+def test_names_of_other_columns_are_refused(u, y):
+    fitted = analyzer().fit(u, y)
+    assert fitted.get_feature_names_out(["u"]).tolist() == fitted.get_feature_names_out().tolist()
+    with pytest.raises(ValueError, match=r"\['other'\] are not the columns at fit, \['u'\]"):
+        fitted.get_feature_names_out(["other"])
+
+
 def test_a_first_chunk_of_one_row_tells_no_sample_time(u, y):
     """It was taken for 1 s, and the second chunk refused for having another one."""
     model = MOESPRegressor(order=1, block_rows=5)

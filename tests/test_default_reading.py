@@ -86,6 +86,13 @@ def test_missing_samples_and_gaps_do_not_matter(moves, expected):
     assert reading(X, y, missing="gap") == expected
 
 
+def test_samples_are_read_if_missing_ones_leave_no_two_turns():
+    X, y = record(n_turns=200)
+    y.iloc[::20] = np.nan
+    assert reading(X, y, missing="gap") == "sample"
+    assert reading(X, y, missing=1.5 / SPP) == "period"  # bridged
+
+
 @pytest.mark.parametrize(("moves", "expected"), [(False, "period"), (True, "sample")])
 def test_a_measured_azimuth_is_the_clock_where_there_is_one(moves, expected):
     X, y = record(moves)
@@ -286,7 +293,7 @@ def test_frequencies_beyond_reason_are_named(omega):
     [
         (lambda u: 0.0 * u, r"input 'u' is constant .* so nothing excites the system"),
         (lambda u: 0.0 * u + 3.0, r"input 'u' is constant .* so nothing excites the system"),
-        (lambda u: u * np.nan, r"needs 1 consecutive row\(s\) without missing samples"),
+        (lambda u: u * np.nan, r"X has no values in column 'u': all are NaN"),
         (
             lambda u: 0.0 * u + np.cos(OMEGA * u.index.to_numpy())[:, None],
             r"repeats itself with ev",

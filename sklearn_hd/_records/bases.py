@@ -23,7 +23,8 @@ from sklearn_hd._checks import (
 )
 from sklearn_hd._guards import warn
 from sklearn_hd._readings import READINGS
-from sklearn_hd._records.data import sample
+from sklearn_hd._records.data import given, sample
+from sklearn_hd._records.sampling import runs_of
 from sklearn_hd.algorithms.periodic.speed import measured_speed
 from sklearn_hd.algorithms.signals.resampling import ON_GRID
 from sklearn_hd.algorithms.signals.trim import TURN, inputs_rest
@@ -35,11 +36,11 @@ ROWS_PER_TURN = 24  # kept of samples: 12 harmonics of the turn
 SLIGHT = 1e-4  # of the energy of the motion, 1 % of its size: what is less is no matter
 
 
-def chosen_readings(analyzer, inputs, outputs, omega):
+def chosen_readings(analyzer, inputs, outputs, timing, omega):
     """How model steps read the record, by what is asked for and what the inputs do.
 
     Two readings where both may serve: the second one if the first leaves a doubt. A segment of less
-    than a turn has no period.
+    than a turn has no period, and missing rows may leave no two turns in a row.
     """
     if analyzer.reading != AUTO:
         return (analyzer.reading,)
@@ -54,11 +55,12 @@ def chosen_readings(analyzer, inputs, outputs, omega):
     if analyzer.small_signal is not None:
         return ("period",)
     psi = omega * inputs.places(omega, inputs.base.sample_time)
-    known = np.isfinite(inputs.data).all(axis=1) & np.isfinite(psi)
-    rows = [np.flatnonzero(known[segment]) + segment.start for segment in inputs.base.segments]
-    step = omega * inputs.base.sample_time
-    whole = all(len(k) and np.ptp(psi[k]) + step > TURN * (1.0 - ON_GRID) for k in rows)
-    rest = whole and inputs_rest([inputs.data[k] for k in rows], [psi[k] for k in rows])
+    u, _, present = given(inputs, outputs, timing)
+    segments, step = inputs.base.segments, omega * inputs.base.sample_time
+    known = [psi[segment][np.isfinite(psi[segment])] for segment in segments]
+    whole = all(len(k) and np.ptp(k) + step > TURN * (1.0 - ON_GRID) for k in known)
+    rows = [run for segment in segments for run in runs_of(present, segment)]
+    rest = whole and inputs_rest([u[run] for run in rows], [psi[run] for run in rows])
     return ("period", "sample") if rest else ("sample",)
 
 

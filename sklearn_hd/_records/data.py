@@ -329,13 +329,7 @@ def sample(signals, basis, outputs=None):
     outputs : list of ndarray or None
     """
     base, timing, held = signals.base, basis.timing, basis.held
-    inputs = _bridged(signals.data, base, timing, held)
-    outputs = None if outputs is None else _bridged(outputs, base, timing)
-    present = None
-    if timing.missing != RAISE:
-        columns = [inputs, signals.azimuth, outputs]
-        given = [z.reshape(len(z), -1) for z in columns if z is not None]
-        present = np.logical_and.reduce([np.isfinite(z).all(axis=1) for z in given])
+    inputs, outputs, present = given(signals, outputs, timing, held)
     step, shortest, places = basis.grid(signals)
     sampling = lay_grid(base, places, present, step, timing, shortest)
     if outputs is None:
@@ -343,6 +337,25 @@ def sample(signals, basis, outputs=None):
     moved = base.jitter[1] > 0.0 or timing.resampled or timing.azimuth is not None
     omega = basis.omega if basis.harmonic and moved else None
     return sampling, sampling.onto_grid(inputs, held), sampling.onto_grid(outputs, omega=omega)
+
+
+def given(signals, outputs, timing, held=False):
+    """Inputs and outputs, short runs of NaN bridged where asked for, and rows without any.
+
+    Returns
+    -------
+    inputs : ndarray, shape (n_rows, n_inputs)
+    outputs : ndarray, shape (n_rows, n_outputs), or None
+    present : ndarray of bool, shape (n_rows,), or None
+        None is all.
+    """
+    inputs = _bridged(signals.data, signals.base, timing, held)
+    outputs = None if outputs is None else _bridged(outputs, signals.base, timing)
+    if timing.missing == RAISE:
+        return inputs, outputs, None
+    columns = [z for z in (inputs, signals.azimuth, outputs) if z is not None]
+    finite = [np.isfinite(z.reshape(len(z), -1)).all(axis=1) for z in columns]
+    return inputs, outputs, np.logical_and.reduce(finite)
 
 
 def without_trim(blocks, times, basis, trim):

@@ -200,7 +200,7 @@ def lay_grid(base, places, present, step, timing, shortest=1):
     moved = timing.azimuth or timing.resampled
     as_read = not moved and step == base.sample_time and base.jitter[1] == 0.0
     for segment, record in zip(base.segments, base.records, strict=True):
-        for rows in _runs_of(present, segment):
+        for rows in runs_of(present, segment):
             own = places[rows]
             uniform = not moved and (as_read or even(own, step, rounding))
             grid = own if uniform else uniform_grid(own[0], own[-1], step)
@@ -235,7 +235,7 @@ def joined(parts):
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _runs_of(present, segment):
+def runs_of(present, segment):
     """Runs of rows that are present within one segment."""
     if present is None:
         return [segment]

@@ -86,8 +86,8 @@ def floquet_coordinates(shapes, psi, omega):
         raise FloquetError(
             f"the Floquet multipliers found hold {n_flips} negative real one(s), an odd number, "
             f"which no real system has (the product of its multipliers is positive): the order is "
-            f"wrong, or noise hides the fast modes; try "
-            f"order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a longer record"
+            f"wrong, noise hides the fast modes, or omega is a multiple of the machine's; try "
+            f"order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a longer record, and check omega"
         )
     turn = _half_turns(psi, n, n_flips)
     back = np.swapaxes(turn, -1, -2)

@@ -29,6 +29,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import detrend, periodogram
 
 from sklearn_hd._checks import check_numbers
+from sklearn_hd.algorithms.linalg.rounding import TINY
 
 HARMONICS = 6
 SPAN = 0.035  # relative, searched to either side
@@ -194,7 +195,7 @@ def comb_in_spectrum(outputs, sample_time):
         power = power + lines / np.where(size > 0.0, size, 1.0)
     width = 8 * n // longest
     around = np.stack([median_filter(p, 8 * width + 1) for p in power.T], axis=1)
-    heights = np.sum(np.log1p(power / np.maximum(around, 1e-12 * power.max())), axis=1)
+    heights = np.sum(np.log1p(power / np.maximum(around, max(1e-12 * power.max(), TINY))), axis=1)
     first = np.arange(FEWEST * n // longest, len(heights))
     total = np.zeros(len(first))
     for k in range(1, HARMONICS + 1):
