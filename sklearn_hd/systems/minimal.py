@@ -30,10 +30,11 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import trimmed_harmonics
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
     base_families,
     derivative_matrix,
-    distance_from,
+    nearest_eigenvalues,
     shares,
     split_modes,
     toeplitz_coefficients,
+    toeplitz_matrix,
 )
 from sklearn_hd.exceptions import IdentifiabilityWarning
 from sklearn_hd.systems.arguments import check_names, harmonic_names
@@ -143,7 +144,8 @@ def _converged(system, units, wanted, n_outputs, n_copies):
         F, G, P, Q = system.fourier_coefficients(max(2 * N, N + n_copies, N + n_outputs))
         scaled = F * (units / units[:, None]), G / units[:, None], P * units, Q
         last = most < 2 * N
-        if last or distance_from(scaled[0], system.omega, wanted, N) <= HALF * system.omega:
+        A = toeplitz_matrix(scaled[0], N, N) - derivative_matrix(N, n, system.omega)
+        if last or nearest_eigenvalues(wanted, linalg.eigvals(A))[1] <= HALF * system.omega:
             try:
                 kept = split_modes(scaled, system.omega, wanted, N, n_outputs, n_copies)
             except (ValueError, np.linalg.LinAlgError) as error:  # at fewer harmonics, by chance

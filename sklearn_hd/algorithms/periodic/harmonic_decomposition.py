@@ -372,30 +372,7 @@ class ModesKept:
     loss: float
 
 
-def distance_from(F, omega, wanted, n_harmonics):
-    """How far a harmonic decomposition is from having some eigenvalues.
-
-    Parameters
-    ----------
-    F : ndarray, shape (2 K + 1, n, n)
-        Real Fourier coefficients.
-    omega : float
-        rad/s.
-    wanted : complex ndarray
-    n_harmonics : int
-        N, of the states.
-
-    Returns
-    -------
-    error : float
-        The largest distance of one, rad/s.
-    """
-    n = F.shape[1]
-    A = toeplitz_matrix(F, n_harmonics, n_harmonics) - derivative_matrix(n_harmonics, n, omega)
-    return _nearest(wanted, linalg.eigvals(A))[1]
-
-
-def _nearest(wanted, found):
+def nearest_eigenvalues(wanted, found):
     """Which eigenvalues are nearest to those wanted, and the largest distance."""
     distance = np.abs(wanted[:, None] - found)
     rows, places = linear_sum_assignment(distance)
@@ -434,7 +411,7 @@ def split_modes(coefficients, omega, wanted, n_harmonics, n_outputs, n_copies):
     K, L = max(n_copies, 0), max(n_copies, n_outputs)
     A, B, C, D = harmonic_decomposition(F, G, P, Q, omega, n_harmonics, K, L)
     found = linalg.eigvals(A)
-    places, error = _nearest(wanted, found)
+    places, error = nearest_eigenvalues(wanted, found)
     means = np.eye(n, len(A))
     A, B, C = block_diagonal(A, B, np.vstack([C, means]), found[places], np.delete(found, places))
     k, out = len(wanted), (2 * n_outputs + 1) * l
