@@ -116,7 +116,7 @@ def toeplitz_matrix(coefficients, n_row_harmonics, n_column_harmonics):
     """
     Ny, Nx = int(n_row_harmonics), int(n_column_harmonics)
     _, rows, columns = coefficients.shape
-    spectrum = _complex_spectrum(coefficients, Ny + Nx)
+    spectrum = complex_spectrum(coefficients, Ny + Nx)
     shift = np.arange(-Ny, Ny + 1)[:, None] - np.arange(-Nx, Nx + 1)
     T = spectrum[shift + Ny + Nx]  # (2 Ny + 1, 2 Nx + 1, rows, columns)
     T = _real_parts(T, Ny, 1.0, 1j)
@@ -262,7 +262,7 @@ def _integral_weights(integrals):
 # ---- real and complex harmonics -----------------------------------------------------------
 
 
-def _complex_spectrum(coefficients, n_harmonics):
+def complex_spectrum(coefficients, n_harmonics):
     """Complex coefficients −K … K of real ones, cut or padded to K harmonics."""
     K = int(n_harmonics)
     kept = min(K, (len(coefficients) - 1) // 2)

@@ -20,8 +20,10 @@ from scipy import signal
 
 from sklearn_hd.algorithms.linalg.rounding import RANK
 from sklearn_hd.algorithms.lti.structured_model import column_sizes
-from sklearn_hd.algorithms.periodic.harmonic_decomposition import harmonic_decomposition
-from sklearn_hd.algorithms.signals.fourier import complex_transformation
+from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
+    complex_spectrum,
+    harmonic_decomposition,
+)
 
 
 def harmonic_transfer(coefficients, omega, frequencies, n_harmonics, tolerance, max_harmonics):
@@ -234,7 +236,7 @@ def _truncated_response(coefficients, omega, frequencies, N, K):
     A, B, C, D = harmonic_decomposition(*coefficients(2 * K), omega, K, 0, N)
     found = _hessenberg_responses(A, B, C, frequencies) + D
     found = found.reshape(len(found), 2 * N + 1, len(D) // (2 * N + 1), D.shape[1])
-    return np.einsum("nk,fklm->fnlm", complex_transformation(N), found)
+    return np.swapaxes(complex_spectrum(np.swapaxes(found, 0, 1), N), 0, 1)
 
 
 def _hessenberg_responses(A, B, C, frequencies):

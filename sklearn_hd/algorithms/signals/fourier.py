@@ -255,31 +255,6 @@ def standing_lines(parts, n_harmonics):
     return lines
 
 
-def complex_transformation(n_harmonics):
-    """Matrix W that takes real coefficients to complex ones, S = W s.
-
-    S is ordered −N, …, N and s as ``0, 1c, 1s, …, Nc, Ns``; its inverse takes
-    complex coefficients back.
-
-    Returns
-    -------
-    W : complex ndarray, shape (2 N + 1, 2 N + 1)
-
-    Examples
-    --------
-    >>> W = complex_transformation(1)
-    >>> bool(np.allclose(W @ [2.0, 4.0, 6.0], [2 + 3j, 2, 2 - 3j]))
-    True
-    """
-    n = int(n_harmonics)
-    W = np.zeros((2 * n + 1, 2 * n + 1), dtype=complex)
-    W[n, 0] = 1.0
-    for k in range(1, n + 1):
-        W[n + k, 2 * k - 1], W[n + k, 2 * k] = 0.5, -0.5j
-        W[n - k, 2 * k - 1], W[n - k, 2 * k] = 0.5, 0.5j
-    return W
-
-
 def window_weights(window, samples_per_period):
     """Weights of an analysis window; they sum to one.
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import linalg
 
 from sklearn_hd.algorithms.periodic.floquet import (
@@ -14,12 +16,13 @@ from sklearn_hd.algorithms.periodic.harmonic_balance import (
     evaluate_harmonics,
 )
 from sklearn_hd.algorithms.periodic.harmonic_decomposition import (
+    complex_spectrum,
     derivative_matrix,
     fourier_coefficients,
     harmonic_decomposition,
     toeplitz_matrix,
 )
-from sklearn_hd.algorithms.signals.fourier import complex_transformation, sampled_harmonics
+from sklearn_hd.algorithms.signals.fourier import recompose, sampled_harmonics
 
 OMEGA = 2.0
 
@@ -164,6 +167,17 @@ def test_rounding_in_an_entry_is_not_resolved():
     np.testing.assert_allclose(fourier_coefficients(matrix, 1)[1, 0], [1.0, 0.0], atol=1e-13)
 
 
+@given(n=st.integers(0, 5), seed=st.integers(0, 2**16))
+def test_complex_and_real_coefficients_are_the_same_signal(n, seed):
+    rng = np.random.default_rng(seed)
+    real = rng.standard_normal(2 * n + 1)
+    psi = rng.uniform(0, 2 * np.pi, 7)
+    spectrum = complex_spectrum(real, n)
+    exponentials = np.exp(1j * np.outer(psi, np.arange(-n, n + 1)))
+    signal = recompose(np.broadcast_to(real, (7, len(real))), psi, range(n + 1))
+    np.testing.assert_allclose(exponentials @ spectrum, signal, atol=1e-12)
+
+
 def test_toeplitz_matrix_multiplies(random_coefficients):
     """T X are the harmonics of M(ψ) x(ψ)."""
     rng = np.random.default_rng(1)
@@ -178,9 +192,9 @@ def test_toeplitz_matrix_multiplies(random_coefficients):
 def test_toeplitz_matrix_in_complex_coefficients(random_coefficients):
     """W T W⁻¹ has the blocks M_{p−q}."""
     T = toeplitz_matrix(random_coefficients[:, :1, :1], 2, 2)
-    W = complex_transformation(2)
+    W = complex_spectrum(np.eye(5), 2)
     blocks = W @ T @ np.linalg.inv(W)
-    spectrum = complex_transformation(3) @ random_coefficients[:, 0, 0]
+    spectrum = complex_spectrum(random_coefficients[:, 0, 0], 3)
     expected = linalg.toeplitz(
         np.r_[spectrum[3:], 0.0][[0, 1, 2, 3, 4]], np.r_[spectrum[3::-1], 0.0][[0, 1, 2, 3, 4]]
     )

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sklearn_hd.algorithms.signals.fourier import (
-    complex_transformation,
     harmonic_functions,
     harmonic_labels,
     recompose,
@@ -79,17 +78,6 @@ def test_copies_have_the_gain_of_the_window():
         gain = weights @ np.exp(-exponent * ages)
         expected += amplitude * gain * np.exp(exponent * t[rows])
     np.testing.assert_allclose(found, expected, atol=1e-13)
-
-
-@given(n=st.integers(0, 5), seed=st.integers(0, 2**16))
-def test_complex_and_real_coefficients_are_the_same_signal(n, seed):
-    rng = np.random.default_rng(seed)
-    real = rng.standard_normal(2 * n + 1)
-    psi = rng.uniform(0, 2 * np.pi, 7)
-    spectrum = complex_transformation(n) @ real
-    exponentials = np.exp(1j * np.outer(psi, np.arange(-n, n + 1)))
-    signal = recompose(np.broadcast_to(real, (7, len(real))), psi, range(n + 1))
-    np.testing.assert_allclose(exponentials @ spectrum, signal, atol=1e-12)
 
 
 def test_no_harmonics_give_no_columns():
