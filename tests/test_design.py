@@ -29,10 +29,6 @@ SYSTEM = LTPSystem(
 Q3, R1, V2 = np.eye(3), np.array([[0.5]]), 0.1 * np.eye(2)
 
 
-def transposed(M):
-    return np.swapaxes(M, -1, -2)
-
-
 def held(system, p):
     psi = 2.0 * np.pi * np.arange(p + 1) / p
     return transition_matrices(system.F, system.G, psi, system.omega)
@@ -84,7 +80,7 @@ def test_cost_to_go_satisfies_the_differential_equation():
     waves = (1j * np.arange(129) * SYSTEM.omega)[:, None, None]
     rate = np.fft.irfft(np.fft.rfft(X, axis=0) * waves, axis=0)
     F = SYSTEM.F(psi)
-    defect = rate + transposed(F) @ X + X @ F + Q3 - transposed(K) @ R1 @ K
+    defect = rate + F.mT @ X + X @ F + Q3 - K.mT @ R1 @ K
     assert np.abs(defect).max() < 1e-11 * np.abs(rate).max()
 
 
@@ -141,9 +137,9 @@ def test_h2_cost_of_other_gains_by_covariances():
     A, K, problem = best.problem.A, other.gain.values, best.problem
     loop, noise = A - problem.B @ K, periodic_kalman(SYSTEM, W, V2, sample_time=step).noise
     # covariance of x, forwards: the transposed equation, backwards
-    back = solve_periodic_lyapunov(transposed(loop)[::-1], noise[::-1])
+    back = solve_periodic_lyapunov(loop.mT[::-1], noise[::-1])
     covariance = np.roll(back[::-1], 1, axis=0)
-    spent = problem.Q + transposed(K) @ problem.R @ K - problem.S @ K - transposed(problem.S @ K)
+    spent = problem.Q + K.mT @ problem.R @ K - problem.S @ K - (problem.S @ K).mT
     rate = np.einsum("kij,kji->", spent, covariance) / SYSTEM.period
     assert np.isclose(other.h2_cost(W), rate, rtol=1e-10)
     assert np.isclose(other.loss, rate / best.h2_cost(W) - 1.0, rtol=1e-6)
@@ -282,7 +278,7 @@ def test_lqg_cost_is_that_of_the_joint_system():
         sensed = np.vstack([-B[k] @ K[k] @ L[k], (A[k] - B[k] @ K[k]) @ L[k]])
         entered[k] = sensed @ V @ sensed.T
         entered[k, :3, :3] += estimator.noise[k]
-    back = solve_periodic_lyapunov(transposed(joint)[::-1], entered[::-1])
+    back = solve_periodic_lyapunov(joint.mT[::-1], entered[::-1])
     covariance = np.roll(back[::-1], 1, axis=0)
     rate, problem = 0.0, regulator.problem
     for k in range(p):

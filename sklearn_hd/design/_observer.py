@@ -16,7 +16,6 @@ from sklearn_hd.design._problem import (
     held_integral,
     samples_of,
     solved,
-    transposed,
 )
 from sklearn_hd.design._regulator import PeriodicRegulator
 from sklearn_hd.systems import LTPSystem
@@ -175,13 +174,13 @@ def _sampled(system, E, W, V, psi):
     noise, A = held_integral(E, system, W, psi)
     C, V = system.P(psi[:-1]), V(psi[:-1])
     zero = np.zeros((len(A), system.n_states, system.n_outputs))
-    back = (M[::-1] for M in (transposed(A), transposed(C), noise, V, zero))
+    back = (M[::-1] for M in (A.mT, C.mT, noise, V, zero))
     X, _, multipliers = _solved(SampledProblem(*back))
     P = np.roll(X[::-1], 1, axis=0)
     seen = C @ P
-    L = transposed(np.linalg.solve(seen @ transposed(C) + V, seen))
+    L = np.linalg.solve(seen @ C.mT + V, seen).mT
     kept = np.eye(system.n_states) - L @ C
-    filtered = kept @ P @ transposed(kept) + L @ V @ transposed(L)
+    filtered = kept @ P @ kept.mT + L @ V @ L.mT
     return P, L, filtered, multipliers, noise
 
 
@@ -190,7 +189,7 @@ def _continuous(system, E, W, V, psi):
 
     def noise(psi):
         entered = E(psi)
-        return entered @ W(psi) @ transposed(entered)
+        return entered @ W(psi) @ entered.mT
 
     noise.precision = precision(E, W)
     F, C = _Backwards(system.F, transpose=True), _Backwards(system.P, transpose=True)
@@ -198,7 +197,7 @@ def _continuous(system, E, W, V, psi):
     X, K, multipliers = _solved(problem)
     backwards = -np.arange(len(X))
     P = X[backwards]
-    return P, transposed(K[backwards]), P, multipliers, noise(psi[:-1])
+    return P, K[backwards].mT, P, multipliers, noise(psi[:-1])
 
 
 class _Backwards:
@@ -210,7 +209,7 @@ class _Backwards:
 
     def __call__(self, psi):
         values = self.matrix(-psi)
-        return transposed(values) if self.transpose else values
+        return values.mT if self.transpose else values
 
 
 class Observer:

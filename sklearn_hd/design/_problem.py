@@ -45,13 +45,13 @@ class SampledProblem:
         A, G, H = riccati_triples(self.A, self.B, self.Q, self.R, self.S)
         X = solve_periodic_riccati(A, G, H)
         after = np.roll(X, -1, axis=0)
-        pushed = transposed(self.B) @ after
-        K = np.linalg.solve(self.R + pushed @ self.B, pushed @ self.A + transposed(self.S))
+        pushed = self.B.mT @ after
+        K = np.linalg.solve(self.R + pushed @ self.B, pushed @ self.A + self.S.mT)
         return X, K, self.A - self.B @ K
 
     def evaluate(self, K):
         steps, crossed = self.A - self.B @ K, self.S @ K
-        cost = self.Q - crossed - transposed(crossed) + transposed(K) @ self.R @ K
+        cost = self.Q - crossed - crossed.mT + K.mT @ self.R @ K
         return solve_periodic_lyapunov(steps, cost), steps
 
     def unreachable(self):
@@ -76,7 +76,7 @@ class ContinuousProblem:
     def solve(self):
         A, G, H = self._triples(self.F, self._reach, self.Q)
         X, psi = solve_periodic_riccati(A, G, H), self.psi[:-1]
-        K = np.linalg.solve(self.R(psi), transposed(self.G(psi)) @ X)
+        K = np.linalg.solve(self.R(psi), self.G(psi).mT @ X)
         return X, K, closed_loop(A, G, X)
 
     def evaluate(self, K):
@@ -85,7 +85,7 @@ class ContinuousProblem:
 
         def cost(psi):
             gain = K(psi)
-            return self.Q(psi) + transposed(gain) @ self.R(psi) @ gain
+            return self.Q(psi) + gain.mT @ self.R(psi) @ gain
 
         steps, _, H = self._triples(loop, None, cost)
         return solve_periodic_lyapunov(steps, H), steps
@@ -96,7 +96,7 @@ class ContinuousProblem:
 
     def _reach(self, psi):
         G = self.G(psi)
-        return G @ np.linalg.solve(self.R(psi), transposed(G))
+        return G @ np.linalg.solve(self.R(psi), G.mT)
 
     def _triples(self, F, E, Q):
         tolerance = precision(self.F, self.G, self.Q, self.R)
@@ -148,7 +148,7 @@ def check_weight(name, matrix, size, psi, *, definite):
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{name} holds NaN or infinity at some azimuths; make it finite")
     largest = np.max(np.abs(values), initial=0.0)
-    if np.max(np.abs(values - transposed(values)), initial=0.0) > HALF * largest:
+    if np.max(np.abs(values - values.mT), initial=0.0) > HALF * largest:
         raise ValueError(f"{name} is not symmetric; give (M + M.T) / 2")
     smallest = np.linalg.eigvalsh(values)[:, 0]
     worst = int(np.argmin(smallest))
@@ -166,17 +166,13 @@ def held_integral(M, system, W, psi):
 
     def intensity(psi):
         entered = M(psi)
-        return entered @ W(psi) @ transposed(entered)
+        return entered @ W(psi) @ entered.mT
 
     tolerance = precision(system.F, M, W)
     Phi, covariance, _ = hamiltonian_triples(
         system.F, intensity, None, psi, system.omega, tolerance=tolerance
     )
     return covariance, Phi
-
-
-def transposed(M):
-    return np.swapaxes(M, -1, -2)
 
 
 @dataclass(frozen=True, eq=False)

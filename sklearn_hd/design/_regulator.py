@@ -165,7 +165,7 @@ class PeriodicRegulator:
             rate = np.mean(np.einsum("kij,kil,klm,kjm->k", K, R, K, error))
         else:
             B, X = self.problem.B, np.roll(self.cost_to_go.values, -1, axis=0)
-            R = self.problem.R + np.swapaxes(B, 1, 2) @ X @ B
+            R = self.problem.R + B.mT @ X @ B
             rate = np.sum(np.einsum("kij,kil,klm,kjm->k", K, R, K, error)) / T
         return float(_noise_cost(self, estimator.noise) + rate)
 

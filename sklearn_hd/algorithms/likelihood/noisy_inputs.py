@@ -80,13 +80,13 @@ class InnovationFilter:
 
     def input_errors(self, whitened):
         """The most likely e_u, shape (n_samples, m), from whitened r (n_samples, l)."""
-        scaled = _each(np.swapaxes(self.root, 1, 2), whitened)
-        backwards = np.swapaxes(self.closed, 1, 2)[::-1]
-        forcing = _each(np.swapaxes(self.output, 1, 2), scaled)[::-1]
+        scaled = _each(self.root.mT, whitened)
+        backwards = self.closed.mT[::-1]
+        forcing = _each(self.output.mT, scaled)[::-1]
         after = propagate_periodic(backwards, forcing, np.zeros(forcing.shape[1]))[::-1]
-        weights = scaled - _each(np.swapaxes(self.gain, 1, 2), after)  # S⁻¹ r
-        push = _each(np.swapaxes(self.feedthrough, 1, 2), weights)
-        return (push + _each(np.swapaxes(self.input_matrix, 1, 2), after)) * self.input_sigma**2
+        weights = scaled - _each(self.gain.mT, after)  # S⁻¹ r
+        push = _each(self.feedthrough.mT, weights)
+        return (push + _each(self.input_matrix.mT, after)) * self.input_sigma**2
 
 
 def innovation_filter(response, record, sigma, input_sigma):
@@ -110,7 +110,7 @@ def innovation_filter(response, record, sigma, input_sigma):
     Psi, Out = response.Psi[phase % len(response.Psi)], response.Out[phase % len(response.Out)]
     Phi, C = Psi[:, :, :n], Out[:, :, :n]
     roots = np.concatenate([Psi, Out], axis=1)[:, :, n:] * input_sigma
-    pushed = roots @ np.swapaxes(roots, 1, 2)  # covariance of [Γ; Q] e_u
+    pushed = roots @ roots.mT  # covariance of [Γ; Q] e_u
     pushed[:, n:, n:] += np.diag(sigma**2)
     moved = np.concatenate([Phi, C], axis=1)
     gain, covariance = np.empty((n_samples, n, len(sigma))), pushed[:, n:, n:].copy()

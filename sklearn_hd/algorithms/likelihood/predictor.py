@@ -268,11 +268,11 @@ def _times_phases(matrices, signals):
     _, rows, n_periods, _ = s.shape
     s = s.reshape(p, rows * n_periods, b)
     if not batch:
-        product = s @ np.swapaxes(matrices, -1, -2)
+        product = s @ matrices.mT
         return in_time(product.reshape(p, rows, n_periods, a), signals.shape)
     (m,) = batch
     tables = matrices.transpose(1, 0, 2, 3).reshape(p, m * a, b)
-    product = s @ np.swapaxes(tables, -1, -2)
+    product = s @ tables.mT
     product = product.reshape(p, n_periods, m, a).transpose(0, 2, 1, 3)
     return in_time(product, (m, *signals.shape))
 

@@ -233,7 +233,7 @@ def propagate_periodic(Phi, forcing, x0):
     [0.0, 1.0, 3.0, 2.5, 6.0]
     """
     *batch, _, n = forcing.shape
-    v, steps = by_phase(forcing, len(Phi)), np.swapaxes(Phi, -1, -2)
+    v, steps = by_phase(forcing, len(Phi)), Phi.mT
     x = np.broadcast_to(x0, (*batch, n)).reshape(v.shape[1], n)
     if v.shape[2] > 1:
         x = propagate(product_of(Phi), _from_rest(steps, v), x)
@@ -299,8 +299,8 @@ def collocation(values, *, adjoint):
     stages = np.zeros((*batch, Q, columns, columns)) + np.eye(columns)
     stages[..., :n, :] += np.einsum("qr,...rij->...qij", a, K)
     weights = np.broadcast_to(np.kron(b[:, None], np.eye(n)), (*batch, Q * n, n))
-    left = np.linalg.solve(np.swapaxes(system, -1, -2), weights)
-    return np.swapaxes(left.reshape(*batch, Q, n, n), -1, -2), stages, steps
+    left = np.linalg.solve(system.mT, weights)
+    return left.reshape(*batch, Q, n, n).mT, stages, steps
 
 
 def _compose(second, first):
@@ -473,16 +473,16 @@ def separated_factors(factors):
         Factors of each group.
     """
     right, there, _ = _nested(factors)
-    left, back, _ = _nested(np.swapaxes(factors, 1, 2)[::-1])
+    left, back, _ = _nested(factors.mT[::-1])
     left = np.roll(left[::-1], 1, axis=0)  # at the start of each factor, not at its end
     ends = sorted({block.stop for block in there} & {block.stop for block in back})
     groups = [slice(*pair) for pair in zip([0, *ends], ends, strict=False)]
     bases = np.empty(factors.shape)
     for group in groups:
         slow = right[:, :, : group.stop]
-        barred = np.swapaxes(left[:, :, : group.start], 1, 2) @ slow
+        barred = left[:, :, : group.start].mT @ slow
         inside = np.linalg.svd(barred)[2][:, group.start :]
-        bases[:, :, group] = slow @ np.swapaxes(inside, 1, 2)
+        bases[:, :, group] = slow @ inside.mT
     moved = np.linalg.solve(np.roll(bases, -1, axis=0), factors @ bases)
     return bases, groups, [moved[:, group, group] for group in groups]
 

@@ -90,7 +90,7 @@ def floquet_coordinates(shapes, psi, omega):
             f"order={n + 1}{f' or {n - 1}' if n > 1 else ''}, or a longer record, and check omega"
         )
     turn = _half_turns(psi, n, n_flips)
-    back = np.swapaxes(turn, -1, -2)
+    back = turn.mT
     spin = np.zeros((n, n))
     spin[:n_flips, :n_flips] = linalg.block_diag(*[0.5 * omega * QUARTER] * (n_flips // 2))
     modes = _modes(shapes.R, n_flips)

@@ -245,7 +245,7 @@ def _panel_integrals(matrix, n_harmonics, left, right):
     values = matrix(nodes.ravel())
     functions = harmonic_functions(nodes, range(n_harmonics + 1)) * b[:, None]
     flat = values.reshape(len(left), len(c), -1) * width[:, None, None]
-    integrals = np.swapaxes(functions, 1, 2) @ flat
+    integrals = functions.mT @ flat
     return integrals.reshape(len(left), -1, *values.shape[1:])
 
 
@@ -449,7 +449,7 @@ def _by_harmonic(effects, n_signals, n_copies, turn):
     if turn == -1j:  # outputs: Y_k = (y_kc − j y_ks) / 2
         up, down = up / 2.0, down / 2.0
     whole = np.concatenate([down[:, ::-1], effects[:, :1], up], axis=1)
-    return np.abs(np.swapaxes(whole, 1, 2))
+    return np.abs(whole.mT)
 
 
 def shares(sizes):

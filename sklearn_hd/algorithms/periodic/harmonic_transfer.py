@@ -290,7 +290,7 @@ def _regress(spectra, n_averages, N, m, l):  # noqa: E741 (the field's letter)
         variance = np.real(np.einsum("fii->fi", inverse))[:, own]
         spread = np.sqrt(noise[:, :, None] * variance[:, None, :])
         good = known[:, None, own]
-        values[:, n + N] = np.where(good, np.swapaxes(H[:, own], 1, 2), np.nan)
+        values[:, n + N] = np.where(good, H[:, own].mT, np.nan)
         std[:, n + N] = np.where(good, spread, np.nan)
     return values, std, coherence
 

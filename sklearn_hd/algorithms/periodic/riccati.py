@@ -72,10 +72,10 @@ def riccati_triples(A, B, Q, R, S=None):
     >>> [float(M.item()) for M in riccati_triples(2 * one, one, one, 4 * one)]
     [2.0, 0.25, 1.0]
     """
-    G = B @ np.linalg.solve(R, _T(B))
+    G = B @ np.linalg.solve(R, B.mT)
     if S is None:
         return A, _symmetric(G), _symmetric(Q)
-    removed = np.linalg.solve(R, _T(S))
+    removed = np.linalg.solve(R, S.mT)
     return A - B @ removed, _symmetric(G), _symmetric(Q - S @ removed)
 
 
@@ -117,7 +117,7 @@ def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
 
     def hamiltonian(psi):
         Z, M = np.zeros((len(psi), 2 * n, 2 * n)), F(psi)
-        Z[:, :n, :n], Z[:, n:, n:] = M, -_T(M)
+        Z[:, :n, :n], Z[:, n:, n:] = M, -M.mT
         if E is not None:
             Z[:, :n, n:] = -E(psi) * scale
         if Q is not None:
@@ -134,7 +134,7 @@ def hamiltonian_triples(F, E, Q, psi, omega, *, tolerance=1e-14):
     Z = transition_matrices(hamiltonian, None, fine, omega, tolerance=tolerance)[0]
     Z = Z.reshape(len(psi) - 1, parts, 2 * n, 2 * n)
     solved = np.linalg.inv(Z[..., n:, n:])
-    triples = _T(solved), -Z[..., :n, n:] @ solved / scale, -solved @ Z[..., n:, :n] / scale
+    triples = solved.mT, -Z[..., :n, n:] @ solved / scale, -solved @ Z[..., n:, :n] / scale
     return composed(*(np.swapaxes(M, 0, 1) for M in triples))
 
 
@@ -173,8 +173,8 @@ def _joined(A, G, H):
     W, V = solved[..., :n], solved[..., n:]
     return (
         A[1] @ W,
-        _symmetric(G[1] + A[1] @ V @ _T(A[1])),
-        _symmetric(H[0] + _T(A[0]) @ H[1] @ W),
+        _symmetric(G[1] + A[1] @ V @ A[1].mT),
+        _symmetric(H[0] + A[0].mT @ H[1] @ W),
     )
 
 
@@ -237,7 +237,7 @@ def solve_periodic_lyapunov(A, H):
     Phi, _, X = composed(A, np.zeros_like(A), H)
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(MAX_DOUBLINGS):
-            added = _T(Phi) @ X @ Phi
+            added = Phi.mT @ X @ Phi
             X, Phi = X + added, Phi @ Phi
             if not np.max(np.abs(added), initial=0.0) > EPS * np.max(np.abs(X), initial=0.0):
                 break
@@ -279,7 +279,7 @@ def _doubled(A, G, H):
     cost, reach = np.max(np.abs(H), initial=0.0), np.max(np.abs(G), initial=0.0)
     start = (cost or 1.0 / (reach or 1.0)) * np.eye(n)
     W = np.linalg.solve(np.eye(n) + G @ start, np.concatenate([A, G], axis=1))
-    H = _symmetric(H + _T(A) @ start @ W[:, :n] - start)
+    H = _symmetric(H + A.mT @ start @ W[:, :n] - start)
     A, G = W[:, :n], _symmetric(W[:, n:])
     for _ in range(MAX_DOUBLINGS):
         A, G, new = _joined((A, A), (G, G), (H, H))
@@ -294,7 +294,7 @@ def _swept(A, G, H, X):
     swept = np.empty_like(A)
     n = A.shape[-1]
     for k in range(len(A) - 1, -1, -1):
-        X = _symmetric(H[k] + _T(A[k]) @ X @ np.linalg.solve(np.eye(n) + G[k] @ X, A[k]))
+        X = _symmetric(H[k] + A[k].mT @ X @ np.linalg.solve(np.eye(n) + G[k] @ X, A[k]))
         swept[k] = X
     return swept
 
@@ -307,9 +307,9 @@ def _defect(A, G, H, X):
     sizes, vectors = np.linalg.eigh(G)
     L = vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
     after = np.roll(X, -1, axis=0)
-    pushed = _T(L) @ after
+    pushed = L.mT @ after
     gain = np.linalg.solve(np.eye(A.shape[-1]) + pushed @ L, pushed @ A)
-    defect = H + _T(A) @ after @ A - _T(pushed @ A) @ gain - X
+    defect = H + A.mT @ after @ A - (pushed @ A).mT @ gain - X
     return _symmetric(defect), A - L @ gain
 
 
@@ -373,9 +373,5 @@ def unreachable_multipliers(A, G):
     return np.array(lost, dtype=complex)
 
 
-def _T(M):
-    return np.swapaxes(M, -1, -2)
-
-
 def _symmetric(M):
-    return 0.5 * (M + _T(M))
+    return 0.5 * (M + M.mT)

@@ -89,7 +89,7 @@ def test_negative_multipliers_far_apart():
         c, s = np.cos(psi / 2), np.sin(psi / 2)
         turn = np.moveaxis(np.array([[c, -s], [s, c]]), -1, 0)
         spin = 0.5 * OMEGA * np.array([[0.0, -1.0], [1.0, 0.0]])
-        return turn @ R @ np.swapaxes(turn, 1, 2) + spin
+        return turn @ R @ turn.mT + spin
 
     found = floquet_exponents(F, OMEGA)
     np.testing.assert_allclose(found, np.array([-1, -150]) + 0.5j * OMEGA, rtol=1e-11)

@@ -16,10 +16,6 @@ from sklearn_hd.algorithms.periodic.riccati import (
 )
 
 
-def T(M):
-    return np.swapaxes(M, -1, -2)
-
-
 def orthogonal(rng, n):
     return linalg.qr(rng.standard_normal((n, n)))[0]
 
@@ -41,15 +37,15 @@ def random_problem(seed):
         ]
     )
     root = 10.0 ** rng.uniform(-2.0, 2.0) * rng.standard_normal((p, n + m, n + m))
-    weights = root @ T(root)
+    weights = root @ root.mT
     R = weights[:, n:, n:] + 1e-3 * np.eye(m)
     return A, rng.standard_normal((p, n, m)), weights[:, :n, :n], R, weights[:, :n, n:]
 
 
 def relative_defect(A, B, Q, R, S, X):
     after = np.roll(X, -1, axis=0)
-    L = T(A) @ after @ B + S
-    defect = Q + T(A) @ after @ A - L @ np.linalg.solve(R + T(B) @ after @ B, T(L)) - X
+    L = A.mT @ after @ B + S
+    defect = Q + A.mT @ after @ A - L @ np.linalg.solve(R + B.mT @ after @ B, L.mT) - X
     return np.max(np.linalg.norm(defect, axis=(1, 2)) / np.linalg.norm(X, axis=(1, 2)))
 
 
@@ -81,7 +77,7 @@ def test_agrees_with_the_lifted_system(seed):
     n, m, p = rng.integers(1, 4), rng.integers(1, 3), rng.integers(1, 5)
     A, B = rng.standard_normal((p, n, n)), rng.standard_normal((p, n, m))
     root = rng.standard_normal((p, n + m, n + m))
-    W = root @ T(root) + 0.1 * np.eye(n + m)
+    W = root @ root.mT + 0.1 * np.eye(n + m)
     problem = A, B, W[:, :n, :n], W[:, n:, n:], W[:, :n, n:]
     X = solve_periodic_riccati(*riccati_triples(*problem))
     moved, cost = np.eye(n, n + p * m), np.zeros((n + p * m, n + p * m))
@@ -126,7 +122,7 @@ def test_lyapunov_equation(seed):
     A, G, H = riccati_triples(A, B, Q, R)
     loop = closed_loop(A, G, solve_periodic_riccati(A, G, H))
     X = solve_periodic_lyapunov(loop, Q)
-    defect = Q + T(loop) @ np.roll(X, -1, axis=0) @ loop - X
+    defect = Q + loop.mT @ np.roll(X, -1, axis=0) @ loop - X
     assert np.max(np.abs(defect)) < 1e-12 * np.max(np.abs(X))
 
 
@@ -145,7 +141,7 @@ def test_composition_is_associative_and_maps_as_its_steps_do():
 def test_a_motion_that_no_input_reaches_is_named(seed):
     A, B, _, R, _ = random_problem(seed)
     p, n, _ = A.shape
-    G = B @ np.linalg.solve(R, T(B))
+    G = B @ np.linalg.solve(R, B.mT)
     assert not len(unreachable_multipliers(A, G))
     if n == 1:
         return
@@ -153,8 +149,8 @@ def test_a_motion_that_no_input_reaches_is_named(seed):
     A[:, 0, 1:], A[:, 0, 0], B[:, 0] = 0.0, 1.5 ** (1 / p), 0.0
     V = np.array([orthogonal(np.random.default_rng(seed + k), n) for k in range(p)])
     after = np.roll(V, -1, axis=0)
-    A, B = after @ A @ T(V), after @ B
-    found = unreachable_multipliers(A, B @ np.linalg.solve(R, T(B)))
+    A, B = after @ A @ V.mT, after @ B
+    found = unreachable_multipliers(A, B @ np.linalg.solve(R, B.mT))
     assert np.min(np.abs(found - 1.5), initial=np.inf) < 1e-6
 
 
