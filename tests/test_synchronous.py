@@ -1,5 +1,7 @@
 """Period by period: the linear time-periodic system comes back, in closed form."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,6 +17,7 @@ from periodic_cases import (
 from sklearn.pipeline import Pipeline
 
 from sklearn_hd import HarmonicAnalyzer, HarmonicStructure, MatrixStructure, MOESPRegressor
+from sklearn_hd._match.input_problem import InputProblem
 from sklearn_hd.datasets import make_flapping_wing
 from sklearn_hd.exceptions import (
     CoordinatesWarning,
@@ -506,6 +509,12 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         errors.append((match.theta_ - true) / match.theta_std_)
     assert 0.92 < np.mean(inside) < 0.98
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.1)
+
+
+def test_rows_that_repeat_the_last_count_once():
+    rows = np.repeat(np.random.default_rng(0).standard_normal((400, 1)), 5, axis=0)
+    left = SimpleNamespace(beyond=rows, total=np.sum(rows**2), scale=[1.0], n_told=0)
+    assert 350 < InputProblem._n_independent(left) < 450
 
 
 # ---- trim that is known badly ----------------------------------------------------------------

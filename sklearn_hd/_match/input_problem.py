@@ -306,12 +306,19 @@ class InputProblem:
     def _n_independent(self):
         """Independent rows: those of what no G explains, and what inputs make of the states.
 
-        All rows where what no G explains is rounding.
+        Of the former as many as give a mean the same variance: their number over 1 + 2 Σ ρ_k, ρ
+        their autocorrelation while it lasts (Geyer 1992). All rows where what no G explains is
+        rounding.
         """
-        if float(np.sum(self.beyond**2)) <= EXACT**2 * self.total:
-            return self.beyond.size
-        n_rows = n_independent(self.beyond) * len(self.scale) + self.n_told
-        return min(n_rows, self.beyond.size)
+        rows = self.beyond
+        if float(np.sum(rows**2)) <= EXACT**2 * self.total:
+            return rows.size
+        spectrum = np.abs(fft.rfft(rows, 2 * len(rows), axis=0)) ** 2
+        covariance = fft.irfft(spectrum.sum(axis=1))[: len(rows) // 2 * 2]
+        pairs = covariance.reshape(-1, 2).sum(axis=1) / covariance[0]
+        lasting = np.argmax(pairs <= 0.0) or len(pairs)
+        alone = len(rows) / max(1.0, 2.0 * pairs[:lasting].sum() - 1.0)
+        return min(alone * len(self.scale) + self.n_told, rows.size)
 
     def _systematic(self, left):
         """Covariance of what is left of neighbouring samples, or of neighbouring periods, summed.
@@ -355,28 +362,3 @@ class InputProblem:
 def _places(structure):
     """Where each parameter's first entry stands among all coefficients."""
     return structure.basis.indices[structure.basis.indptr[:-1]]
-
-
-def n_independent(rows):
-    """Number of rows over 1 + 2 Σ ρ_k, ρ their autocorrelation while it lasts (Geyer 1992).
-
-    Parameters
-    ----------
-    rows : ndarray, shape (n_rows, l)
-
-    Returns
-    -------
-    n_independent : float
-        As many independent rows would give a mean of the same variance.
-
-    Examples
-    --------
-    >>> rows = np.random.default_rng(0).standard_normal((400, 1))
-    >>> bool(350 < n_independent(np.repeat(rows, 5, axis=0)) < 450)
-    True
-    """
-    spectrum = np.abs(fft.rfft(rows, 2 * len(rows), axis=0)) ** 2
-    covariance = fft.irfft(spectrum.sum(axis=1))[: len(rows) // 2 * 2]
-    pairs = covariance.reshape(-1, 2).sum(axis=1) / covariance[0]
-    lasting = np.argmax(pairs <= 0.0) or len(pairs)
-    return len(rows) / max(1.0, 2.0 * pairs[:lasting].sum() - 1.0)
