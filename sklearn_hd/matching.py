@@ -324,10 +324,7 @@ class StructuredMatcher(ModelStep):
             match = match_likelihood(match, structure, experiment, settings, opinion)
         return match
 
-    @property
-    def _likely(self):
-        """Whether the record's likelihood decides."""
-        return self.criterion in LIKELIHOODS
+    _likely = MatchSettings.likely  # of its own criterion
 
     def _settings(self, input_noise):
         names = ("criterion", "output_weights", "input_weights")
