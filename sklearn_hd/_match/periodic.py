@@ -22,7 +22,7 @@ from sklearn_hd._records.data import beside_trim, lifted_periods, output_scale, 
 from sklearn_hd._residuals import why_incomplete
 from sklearn_hd._simulators import sample_simulators
 from sklearn_hd.algorithms.likelihood.small_motions import AS_LITTLE
-from sklearn_hd.algorithms.lti.simulation import GROWN
+from sklearn_hd.algorithms.lti.simulation import GROWN, propagate
 from sklearn_hd.algorithms.modes.free_decay import offsets, periods_at_rest
 from sklearn_hd.algorithms.periodic.behind_samples import FINER
 from sklearn_hd.algorithms.periodic.floquet_coordinates import floquet_coordinates
@@ -39,7 +39,7 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
 )
 from sklearn_hd.algorithms.signals.fourier import input_directions, sampled_harmonics
 from sklearn_hd.algorithms.signals.trim import NOTABLE
-from sklearn_hd.algorithms.subspace.innovations import predicted_states
+from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 from sklearn_hd.exceptions import CoordinatesWarning, IdentifiabilityWarning, InstabilityWarning
 
 NOISY = 1e-6  # of the shapes: then a second way to F is tried
@@ -327,16 +327,22 @@ def predictor_states(model, experiment):
     """States of a model with a Kalman gain at the beginning of each period, by its predictor.
 
     Its predictor is stable, and its errors are independent of inputs that answer to outputs of
-    earlier periods.
+    earlier periods. B − K D, D and the initial states are those that leave the least innovations:
+    a linear least-squares fit, with regressors that do not grow.
 
     Returns
     -------
     states : list of ndarray, shapes (n_periods_s, n)
     """
     _, _, directions = _raw_periods(experiment, model.n_states)
-    seen, unit = _seen(experiment)
+    inputs, (seen, unit) = beside_trim(directions, experiment.basis), _seen(experiment)
     C, K = model.C / unit[:, None], model.kalman_gain * unit
-    return predicted_states(model.A, C, K, beside_trim(directions, experiment.basis), seen)
+    stable, rest = model.A - K @ C, np.zeros(len(model.A))
+    corrected = [propagate(stable, y @ K.T, rest) for y in seen]
+    left = [y - x @ C.T for x, y in zip(corrected, seen, strict=True)]
+    B, _, x0 = input_matrices(stable, C, inputs, left, True)
+    driven = [propagate(stable, u @ B.T, start) for u, start in zip(inputs, x0, strict=True)]
+    return [x + y for x, y in zip(corrected, driven, strict=True)]
 
 
 def _simulated(model, C, inputs, directions, lifted, seen):

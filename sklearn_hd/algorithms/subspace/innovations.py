@@ -22,7 +22,6 @@ from scipy import linalg
 from sklearn_hd.algorithms.linalg.rounding import DEPENDENT, PRECISION
 from sklearn_hd.algorithms.linalg.triangular import solve_within_rank, triangle
 from sklearn_hd.algorithms.lti.simulation import propagate
-from sklearn_hd.algorithms.subspace.input_matrices import input_matrices
 
 REACH = 4096  # rows over which states are followed
 WHITE = (0.0, 1e-12, 1e-10, 1e-8)  # more noise of the outputs, where theirs is that of fewer
@@ -129,30 +128,6 @@ def _many_steps(A, forcing, steps):
 def _later(rows, count):
     """Rows so many rows later, zero before."""
     return np.concatenate([np.zeros_like(rows[:count]), rows[: len(rows) - count]])
-
-
-def predicted_states(A, C, K, inputs, outputs):
-    """x̂ of every row under inputs whose way in is not known.
-
-    B − K D, D and the initial states are those that leave the least innovations: a linear
-    least-squares fit, with regressors that do not grow.
-
-    Parameters
-    ----------
-    A, C, K : ndarray, shapes (n, n), (l, n), (n, l)
-    inputs : list of ndarray, shapes (n_rows_s, m)
-    outputs : list of ndarray, shapes (n_rows_s, l)
-
-    Returns
-    -------
-    states : list of ndarray, shapes (n_rows_s, n)
-    """
-    stable, rest = A - K @ C, np.zeros(len(A))
-    corrected = [propagate(stable, y @ K.T, rest) for y in outputs]
-    left = [y - x @ C.T for x, y in zip(corrected, outputs, strict=True)]
-    B, _, x0 = input_matrices(stable, C, inputs, left, True)
-    driven = [propagate(stable, u @ B.T, start) for u, start in zip(inputs, x0, strict=True)]
-    return [x + y for x, y in zip(corrected, driven, strict=True)]
 
 
 def kalman_gain(A, C, observability, R, block_rows, n_inputs, n_columns):
