@@ -30,7 +30,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
 from sklearn_hd.algorithms.likelihood.likelihood import Point, likelihood_problem
-from sklearn_hd.algorithms.periodic.floquet import monodromy_exponents, on_branch
+from sklearn_hd.algorithms.periodic.floquet import on_branch
 from sklearn_hd.algorithms.periodic.periodic_innovations import PeriodicInnovations
 from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
 
@@ -129,7 +129,8 @@ def exponent_slopes(form, parameters):
 
         λ = log(μ)/T,   ∂μ/∂θ = wᴴ ∂M/∂θ v / (wᴴ v)
 
-    with left and right eigenvectors w and v of the monodromy matrix M.
+    with left and right eigenvectors w and v of the monodromy matrix M, in which multipliers more
+    than some ten decades below the largest are lost.
 
     Parameters
     ----------
@@ -155,8 +156,9 @@ def exponent_slopes(form, parameters):
         theta, n_phases = parameters[: form.structure.n_parameters], int(np.ceil(form.n_phases))
         response = sampled_response(form.structure, theta, form.omega, n_phases)
         frequency = form.omega * n_phases / len(response.Psi)
-    exponents = monodromy_exponents(response.monodromy, frequency)
     multipliers, left, right = linalg.eig(response.monodromy, left=True)
+    logarithms = np.log(multipliers.astype(complex))
+    exponents = on_branch(logarithms * frequency / (2.0 * np.pi), frequency)
     own = [np.argmin(np.abs(multipliers - mu)) for mu in np.exp(exponents * 2 * np.pi / frequency)]
     left, right, multipliers = left[:, own], right[:, own], multipliers[own]
     slopes = np.einsum("ie,kij,je->ek", left.conj(), _monodromy_derivative(response), right)

@@ -170,37 +170,11 @@ def monodromy_matrix(F, omega, *, start=0.0, tolerance=1e-14):
     return product_of(Phi)
 
 
-def monodromy_exponents(monodromy, omega):
-    """Floquet exponents λ = log(μ) / T of a monodromy matrix with eigenvalues μ.
-
-    Multipliers more than some ten decades below the largest are lost in the matrix
-    already; :func:`floquet_exponents` keeps them.
-
-    Known only up to multiples of jω; the branch with imaginary part in
-    (−ω/2, ω/2] is returned, sorted from the rightmost leftwards, conjugate pairs
-    with the negative imaginary part first.
-
-    Parameters
-    ----------
-    monodromy : ndarray, shape (n, n)
-    omega : float
-        Fundamental frequency, rad/s.
-
-    Returns
-    -------
-    exponents : complex ndarray, shape (n,)
-
-    Examples
-    --------
-    >>> monodromy_exponents(np.diag([np.exp(-2.0), 1.0]), 2 * np.pi).real.tolist()
-    [0.0, -2.0]
-    """
-    multipliers = linalg.eigvals(monodromy).astype(complex)
-    return on_branch(np.log(multipliers) * omega / (2.0 * np.pi), omega)
-
-
 def on_branch(exponents, omega):
-    """Exponents with imaginary part in [−ω/2, ω/2], its lower edge moved to the upper, sorted."""
+    """Exponents with imaginary part in [−ω/2, ω/2], its lower edge moved to the upper, sorted.
+
+    From the rightmost leftwards, conjugate pairs with the negative imaginary part first.
+    """
     exponents = np.array(exponents, dtype=complex)
     edge = exponents.imag <= -0.5 * omega * (1.0 - 1e-12)
     exponents[edge] += 1j * omega
