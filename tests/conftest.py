@@ -33,6 +33,13 @@ def _no_figures_left():
     plt.close("all")
 
 
+@pytest.fixture
+def synchronous_dask():
+    """dask computes in this thread alone."""
+    with pytest.importorskip("dask").config.set(scheduler="synchronous"):
+        yield
+
+
 @pytest.fixture(scope="session")
 def lti_signal():
     return make_flapping_wing("lti-signal")

@@ -97,3 +97,8 @@ def record(model, n_rows=80, seed=1, noise=1.0, inputs=1.0):
         both = values[k] @ np.concatenate([x, u[k], [1.0]])
         y[k], x = both[N_STATES:] + e[k], both[:N_STATES] + K[k] @ e[k]
     return u, y, psi, states
+
+
+def multipliers(model):
+    """Logarithms of a periodic model's multipliers, sorted."""
+    return np.sort_complex(model.multiplier_logarithms())

@@ -166,3 +166,9 @@ def same_exponents(found, system, rtol=1e-6):
     gap = np.asarray(found)[:, None] - true
     gap -= 1j * system.omega * np.round(gap.imag / system.omega)
     assert np.abs(gap).min(axis=0).max() <= rtol * np.abs(true).max()
+
+
+def similar(M, seed=0):
+    """A matrix in random coordinates."""
+    T = np.random.default_rng(seed).standard_normal(np.shape(M)) + 2 * np.eye(len(M))
+    return T @ M @ np.linalg.inv(T)

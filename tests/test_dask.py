@@ -22,14 +22,9 @@ from sklearn_hd.exceptions import ExcitationWarning
 
 dask = pytest.importorskip("dask")
 dd = pytest.importorskip("dask.dataframe")
+pytestmark = pytest.mark.usefixtures("synchronous_dask")
 
 STEP = 0.1
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    with dask.config.set(scheduler="synchronous"):
-        yield
 
 
 def response(rng, n_rows, noise=0.05, *, n=4, m=2, n_outputs=3, radius=0.9):

@@ -12,15 +12,10 @@ from sklearn_hd.datasets import make_flapping_wing
 
 dask = pytest.importorskip("dask")
 dd = pytest.importorskip("dask.dataframe")
+pytestmark = pytest.mark.usefixtures("synchronous_dask")
 
 KEPT = {"w": [0], "phi_dot": [1]}
 PARTITIONS = [[0, 1], [2], [3]]  # records in each
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    with dask.config.set(scheduler="synchronous"):
-        yield
 
 
 def flights(**options):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, record
+from innovation_cases import N_INPUTS, N_OUTPUTS, N_STATES, drawn, multipliers, record
 
 from sklearn_hd.algorithms.likelihood import innovations_steps
 from sklearn_hd.algorithms.likelihood.innovations_steps import _Form, _telling, fitted, most_likely
@@ -34,10 +34,6 @@ def cost(model, some, sensor_noise=1e-6):
     left = np.vstack(left)
     covariance = left.T @ left / len(left) + sensor_noise**2 * np.eye(N_OUTPUTS)
     return 0.5 * len(left) * np.linalg.slogdet(covariance)[1]
-
-
-def multipliers(model):
-    return np.sort_complex(model.multiplier_logarithms())
 
 
 def test_from_nearby_the_truth_is_found_again():

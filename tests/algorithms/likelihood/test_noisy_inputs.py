@@ -2,22 +2,17 @@
 
 import numpy as np
 import pytest
+from output_error_cases import N_PHASES, OMEGA, fitted
 from predictor_cases import deviations
 from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood.forms import Form
 from sklearn_hd.algorithms.likelihood.likelihood import likelihood_problem
 from sklearn_hd.algorithms.likelihood.noisy_inputs import innovation_filter, noisy_input_problem
-from sklearn_hd.algorithms.likelihood.prediction_error import output_error_of
 from sklearn_hd.algorithms.likelihood.predictor import as_records, residuals, simulate
 from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
 
-OMEGA, N_PHASES = 2 * np.pi, 16
 SIGMA, INPUT_SIGMA = np.array([0.1, 0.3]), np.array([0.2, 0.5])
-
-
-def fitted(structure, segments, theta0, **options):
-    return output_error_of(Form(structure, OMEGA, N_PHASES), segments, theta0, **options)
 
 
 @pytest.fixture

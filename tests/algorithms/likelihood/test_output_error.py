@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from predictor_cases import deviations
-from scipy import linalg, sparse
+from output_error_cases import N_PHASES, OMEGA, fitted
+from predictor_cases import deviations, structure_of
+from scipy import linalg
 
 from sklearn_hd.algorithms.likelihood import predictor
 from sklearn_hd.algorithms.likelihood.forms import Form
@@ -23,24 +24,8 @@ from sklearn_hd.algorithms.likelihood.uncertainty import (
     fisher_information,
     propagate_std,
 )
-from sklearn_hd.algorithms.periodic.periodic_structure import PeriodicStructure, sampled_response
+from sklearn_hd.algorithms.periodic.periodic_structure import sampled_response
 from sklearn_hd.algorithms.signals.fourier import harmonic_functions
-
-OMEGA, N_PHASES = 2 * np.pi, 16
-
-
-def fitted(structure, segments, theta0, **options):
-    return output_error_of(Form(structure, OMEGA, N_PHASES), segments, theta0, **options)
-
-
-def structure_of(coefficients, free, n_states):
-    """Structure whose free entries are those of a mask, and their values."""
-    moved = np.flatnonzero(free)
-    k = len(moved)
-    basis = sparse.csr_array((np.ones(k), (np.arange(k), moved)), shape=(k, coefficients.size))
-    names = tuple(",".join(map(str, entry)) for entry in np.argwhere(free))
-    structure = PeriodicStructure(np.where(free, 0.0, coefficients), basis, n_states, names)
-    return structure, coefficients[free]
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from innovation_cases import STEP
+from innovation_cases import STEP, multipliers
 
 from sklearn_hd.algorithms.likelihood import small_motions
 from sklearn_hd.algorithms.likelihood.innovations_steps import most_likely
@@ -17,10 +17,6 @@ from sklearn_hd.algorithms.periodic.periodic_predictor import Layout
 
 SEEN = Layout(1, 2, 2, 1, 1, 0, feedthrough=False)
 REST = np.zeros((1, 1))
-
-
-def multipliers(model):
-    return np.sort_complex(model.multiplier_logarithms())
 
 
 def seen(n_products=0):

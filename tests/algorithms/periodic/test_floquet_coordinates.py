@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from periodic_cases import similar
 from scipy import linalg, sparse
 
 from sklearn_hd.algorithms.periodic.floquet_coordinates import fixed_scale, floquet_coordinates
@@ -12,11 +13,6 @@ from sklearn_hd.systems import LTPSystem
 
 OMEGA = 1.7
 PAIR = [[-0.1, 0.4], [-0.4, -0.1]]
-
-
-def similar(M, seed=0):
-    T = np.random.default_rng(seed).standard_normal(np.shape(M)) + 2 * np.eye(len(M))
-    return T @ M @ np.linalg.inv(T)
 
 
 CASES = {  # R of shapes that change sign, R of the others

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from periodic_cases import shape
+from periodic_cases import shape, similar
 from scipy import linalg
 
 from sklearn_hd.algorithms.periodic.multipliers import order_by_residual, refine_multipliers
@@ -12,12 +12,6 @@ from sklearn_hd.algorithms.periodic.periodic_realization import (
     floquet_logarithm,
     state_response,
 )
-
-
-def similar(M, seed=0):
-    T = np.random.default_rng(seed).standard_normal(np.shape(M)) + 2 * np.eye(len(M))
-    return T @ M @ np.linalg.inv(T)
-
 
 MAPS = {
     "real": (similar(np.diag([0.9, 0.2, 1e-3])), 0),
